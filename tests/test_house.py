@@ -17,6 +17,7 @@ STACK = (
     (
         "recording",
         "array_types",
+        "body",
         "calibration",
         "config",
         "filters",

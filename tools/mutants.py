@@ -46,9 +46,8 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         f"smoother/graph/{name}.py": _GRAPH
         for name in (
             "build",
-            "chain",
             "error_columns",
-            "imu_factors",
+            "factors",
             "optimise",
         )
     },

@@ -20,7 +20,7 @@ from ..measurements.alignment import lever_of
 from ..measurements.inertial import InertialSignal, Preintegration
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..window.problem import States
-from ..window.trajectory import Trajectory, at_times
+from ..window.trajectory import SegmentTrajectory, at_times
 from .scene import Scene
 
 #: Rows of the error state.
@@ -215,7 +215,7 @@ def at_samples(states: InertialTrajectory, signal: InertialSignal, t: FloatArray
     """Pose and velocity at times (k,) s between the nodes, by the IMU (`window.trajectory.at_times`)."""
     no_covariance = np.zeros((len(states.t), 3, 3))
     states_at_nodes = States(states.R, states.p, states.v)
-    motion = Trajectory(
-        states.t, states_at_nodes, no_covariance, no_covariance, states.bias, states.gravity, None, None, {}
+    motion = SegmentTrajectory(
+        states.t, states_at_nodes, no_covariance, no_covariance, states.bias, states.gravity
     )
     return at_times(motion, signal, t)

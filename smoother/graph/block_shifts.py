@@ -11,6 +11,7 @@ rejected: this finds what is suspicious, not how far it is off.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..measurements.visibility import MISSING_S
 from ..window.problem import Window
 from ..window.shared import SIZE
 from ..window.solution import BlockShift
+from .build import FactorGroup
 from .error_columns import camera_rows
 from .linear_system import Jacobian, LinearSystem
 
@@ -95,15 +97,16 @@ def _jumps(t: FloatArray, position: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class CameraBlocks:
-    """A window and the cells that its blocks are built of."""
+    """A window, the groups of its graph's factors, and the cells that its blocks are built of."""
 
     window: Window
+    groups: Sequence[FactorGroup]
     cells: Cells
 
     @classmethod
-    def of(cls, window: Window) -> CameraBlocks:
-        """The blocks of a window's core."""
-        return cls(window, cells_of(window))
+    def of(cls, window: Window, groups: Sequence[FactorGroup]) -> CameraBlocks:
+        """The blocks of a window's core; the groups are its graph's."""
+        return cls(window, groups, cells_of(window))
 
     @property
     def count(self) -> int:
@@ -111,12 +114,9 @@ class CameraBlocks:
         return 3 * len(self.cells)
 
     def columns(self, jacobian: Jacobian) -> FloatArray:
-        """Columns (r, `count`) of the whitened Jacobian's first r rows; the blocks are in no others.
-
-        The graph's factors stand as `build` puts them together.
-        """
+        """Columns (r, `count`) of the whitened Jacobian's first r rows; the blocks are in no others."""
         window = self.window
-        all_rows = list(camera_rows(jacobian, window))
+        all_rows = list(camera_rows(jacobian, window, self.groups))
         columns = np.zeros((max((each.rows.stop for each in all_rows), default=0), self.count))
         for factors in all_rows:
             if factors.joint == "shoulder":

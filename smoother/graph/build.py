@@ -1,27 +1,47 @@
 """The factor graph of one window (GTSAM), in the camera's frame with gravity's direction unknown.
 
-Variables: X pose `T_K_A` and V velocity a node, B bias every few seconds, G gravity's direction,
-L lever arms of the joints in {A}, S shoulder knots, U correction of the upper-arm length; with an IMU on
-the upper arm C its bias and M the lever arms in {B} (the rest of it: `chain`).
-All factors are GTSAM's own; see each function for the class.
+Variables: X pose `T_K_A` and V velocity a node, B bias every few seconds, L lever arms of the joints in {A};
+an IMU on another segment of the arm has its own of each, by the letters of `body.SEGMENTS` (on the upper arm
+Y, W, C and M), and E the joint that it shares with its parent. G gravity's direction, S shoulder knots, U
+correction of the upper-arm length. All factors are GTSAM's own; see each function for the class.
+
+Two rigid bodies share a joint, and the upper arm ends in the shoulder, so that an error of position does not
+grow with the time that the camera sees nothing of the forearm. Soft tissue moves an IMU against its bone;
+that is the sigma of the joints in its axes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import lru_cache
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 from gtsam import Pose3, Rot3, Unit3, noiseModel
-from gtsam.symbol_shorthand import L, S, U, V, X
+from gtsam.symbol_shorthand import S
 
 from ..array_types import FloatArray, IntArray
-from ..recording import JOINTS
-from ..window.problem import JointMeasurements, Window
-from .imu_factors import add_increments
-from .shared_prior import add_shared
+from ..body import FOREARM, SEGMENTS
+from ..window.problem import JointMeasurements, SegmentRun, Window
+from .factors import (
+    IMU_ROWS,
+    POINT_ROWS,
+    constant_velocity,
+    imu_factors,
+    isotropic,
+    joint_factor,
+    knot_walk,
+    length_factor,
+    robust,
+)
+from .shared_prior import shared_factors
+from .variables import keys_of
 
+#: A shared joint on the parent's side, m: the strap sits firmer at the wrist, its lever arm is a variable.
+PARENT_TIE_M = 0.005
+#: How long a movement of the tissue lasts, s.
+TISSUE_S = 1.0
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_LENGTH_S = 4.0
 #: A window has no more of them: they take part in every step of the solution. In gaps of minutes, where alone
@@ -37,8 +57,66 @@ def bias_of_intervals(window: Window) -> IntArray:
     return np.minimum((middle / duration * count).astype(int), count - 1)
 
 
-def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The graph of a window and its initial values.
+@dataclass(frozen=True)
+class FactorGroup:
+    """Factors of one kind that follow each other in a graph.
+
+    Attributes
+    ----------
+    kind : str
+        What they are, as "camera".
+    of : str
+        The joint or the segment that they are about.
+    factors : range
+        Their numbers in the graph.
+    rows : slice
+        Their rows in its whitened Jacobian.
+    nodes : ndarray of int, shape (m,)
+        The node of each; empty where they have none.
+    """
+
+    kind: str
+    of: str
+    factors: range
+    rows: slice
+    nodes: IntArray
+
+
+class WindowGraph(NamedTuple):
+    """A window's graph.
+
+    Attributes
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Initial ones, of every variable.
+    groups : list of FactorGroup
+        Of all factors, in their order.
+    """
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    groups: list[FactorGroup]
+
+    def add(
+        self,
+        kind: str,
+        of: str,
+        factors: Iterable[gtsam.NonlinearFactor],
+        dimension: int,
+        nodes: Sequence[int] | IntArray = (),
+    ) -> None:
+        """Add factors, each with so many rows, and record where they are."""
+        first, row = self.graph.size(), self.groups[-1].rows.stop if self.groups else 0
+        for factor in factors:
+            self.graph.add(factor)
+        added = range(first, self.graph.size())
+        rows = slice(row, row + dimension * len(added))
+        self.groups.append(FactorGroup(kind, of, added, rows, np.asarray(nodes, dtype=int)))
+
+
+def build(window: Window) -> WindowGraph:
+    """The graph of a window with all of its IMUs, and its initial values.
 
     Parameters
     ----------
@@ -46,44 +124,49 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
 
     Returns
     -------
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        Every variable of the graph.
+    graph : WindowGraph
     """
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    built = WindowGraph(gtsam.NonlinearFactorGraph(), gtsam.Values(), [])
     biases = bias_of_intervals(window)
-    _add_states(values, window)
-    # in this order: `error_columns` counts rows
-    add_increments(graph, window, biases)
-    _add_joints(graph, window)
+    forearm = window.forearm
+    _add_imu(built, window, forearm, biases)
+    _add_joints(built, window)
     if window.shoulder is not None:
-        _add_shoulder(graph, values, window)
-    _add_constant_velocity(graph, window)
-    _add_attitude(graph, window)
-    _add_field(graph, window)
-    add_shared(graph, values, window, biases)
-    return graph, values
+        _add_shoulder(built, window)
+    _add_constant_velocity(built, window)
+    _add_attitude(built, forearm)
+    _add_field(built, window)
+    for group in shared_factors(built.values, window, biases):
+        built.add(*group)
+    for run in window.further:
+        _add_imu(built, window, run, biases)
+        _add_shared_joint(built, window, run)
+        _add_shoulder_end(built, window, run)
+        _add_attitude(built, run)
+    return built
 
 
-def _add_states(values: gtsam.Values, window: Window) -> None:
-    start, pose, velocity = window.start, X(0), V(0)  # keys of a letter follow each other
-    for i, (R, p, v) in enumerate(zip(start.R, start.p, start.v, strict=True)):
-        values.insert(pose + i, Pose3(Rot3(R), p))
-        values.insert(velocity + i, v)
+def _add_imu(built: WindowGraph, window: Window, run: SegmentRun, biases: IntArray) -> None:
+    """States of an IMU at its nodes, and `ImuFactorWithGravityDirection` between neighbours."""
+    keys, start = keys_of(run.segment), run.start
+    for i, (R, p, v) in enumerate(zip(start.R, start.p, start.v, strict=True), run.first):
+        built.values.insert(keys.pose + i, Pose3(Rot3(R), p))
+        built.values.insert(keys.velocity + i, v)
+    between = range(run.first, run.nodes.stop - 1)
+    built.add("imu", run.segment, imu_factors(window, run, biases), IMU_ROWS, between)
 
 
-def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
+def _add_joints(built: WindowGraph, window: Window) -> None:
     """`GPSFactorArmCalib` (the lever arm is a variable) or `GPSFactorArm` at the IMU itself."""
+    keys, cauchy = keys_of(FOREARM.name), window.noise.cauchy
     for measured in window.joint_measurements:
-        is_lever = measured.joint in window.priors.layout.joints
-        pose, key, nowhere = X(0), L(JOINTS.index(measured.joint)), np.zeros(3)
-        nodes, positions, sigmas = stacked_measurements(measured, window.noise.cauchy)
-        for node, position, sigma in zip(nodes.tolist(), positions, sigmas.tolist(), strict=True):
-            model = robust(sigma, window.noise.cauchy)
-            if is_lever:
-                graph.add(gtsam.GPSFactorArmCalib(pose + node, key, position, model))
-            else:
-                graph.add(gtsam.GPSFactorArm(pose + node, position, nowhere, model))
+        lever = keys.lever_of(measured.joint) if measured.joint in window.priors.layout.joints else None
+        nodes, positions, sigmas = stacked_measurements(measured, cauchy)
+        factors = [
+            joint_factor(keys.pose + node, lever, position, robust(sigma, cauchy))
+            for node, position, sigma in zip(nodes.tolist(), positions, sigmas.tolist(), strict=True)
+        ]
+        built.add("camera", measured.joint, factors, POINT_ROWS, nodes)
 
 
 def stacked_measurements(
@@ -127,24 +210,30 @@ def stacked_measurements(
     return node, mean / total[:, None], np.round(1.0 / np.sqrt(total), 6)
 
 
-def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window) -> None:
+def _add_shoulder(built: WindowGraph, window: Window) -> None:
     """Smooth knots (`BetweenFactorPoint3`), camera samples (`PriorFactorPoint3`), the upper arm's length."""
     shoulder, noise = window.shoulder, window.noise
     assert shoulder is not None
-    for k in range(len(shoulder.node)):
-        values.insert(S(k), shoulder.start[k])
-        if np.isfinite(shoulder.position[k, 0]):
-            model = robust(float(shoulder.sigma_m[k]), noise.cauchy)
-            graph.add(gtsam.PriorFactorPoint3(S(k), shoulder.position[k], model))
-    still = np.zeros(3)
-    for k, length in enumerate(np.sqrt(np.diff(window.t[shoulder.node])).tolist()):
-        walk = isotropic(3, round(noise.shoulder_walk * length, 6))
-        graph.add(gtsam.BetweenFactorPoint3(S(k), S(k + 1), still, walk))
-    if not np.isfinite(shoulder.position[:, 0]).any():
-        graph.add(gtsam.PriorFactorPoint3(S(0), shoulder.start[0], isotropic(3, 1.0)))
+    nodes = np.asarray(shoulder.node)
+    for k, start in enumerate(shoulder.start):
+        built.values.insert(S(k), start)
+    seen = np.flatnonzero(np.isfinite(shoulder.position[:, 0]))
+    positions = (
+        gtsam.PriorFactorPoint3(S(k), shoulder.position[k], robust(float(shoulder.sigma_m[k]), noise.cauchy))
+        for k in seen.tolist()
+    )
+    built.add("camera", "shoulder", positions, POINT_ROWS, nodes[seen])
+    walks = (
+        knot_walk(k, k + 1, noise.shoulder_walk, length)
+        for k, length in enumerate(np.sqrt(np.diff(window.t[nodes])).tolist())
+    )
+    built.add("knot walk", "shoulder", walks, POINT_ROWS, nodes[1:])
+    if not len(seen):
+        held = gtsam.PriorFactorPoint3(S(0), shoulder.start[0], isotropic(3, 1.0))
+        built.add("held knot", "shoulder", [held], POINT_ROWS, nodes[:1])
     if window.priors.layout.has_upper_arm:
-        for factor in upper_arm_factors(window, np.full(len(shoulder.node), noise.upper_arm_sigma_m)):
-            graph.add(factor)
+        lengths = upper_arm_factors(window, np.full(len(nodes), noise.upper_arm_sigma_m))
+        built.add("length", "upper_arm", lengths, 1, nodes)
 
 
 def upper_arm_factors(
@@ -168,51 +257,75 @@ def upper_arm_factors(
     """
     assert window.shoulder is not None
     layout, mean = window.priors.layout, window.priors.shared.mean
-    length, at_elbow = float(mean[layout.upper_arm][0]), Pose3(Rot3(), mean[layout.lever("elbow")])
+    length, elbow = float(mean[layout.upper_arm][0]), mean[layout.lever("elbow")]
     nodes = np.asarray(window.shoulder.node)
     knots = np.arange(len(nodes)) if knots is None else knots
     for knot, node, sigma in zip(knots.tolist(), nodes[knots].tolist(), sigma_m.tolist(), strict=True):
-        model = isotropic(1, sigma)
-        yield gtsam.RangeFactorWithTransformBias3D(X(node), S(knot), U(0), length, model, at_elbow)
+        yield length_factor(node, knot, length, sigma, elbow)
 
 
-def _add_constant_velocity(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
+def _add_constant_velocity(built: WindowGraph, window: Window) -> None:
     """`BetweenFactorVector` on the velocities inside gaps: a still arm keeps its velocity."""
-    for i in np.flatnonzero(np.isfinite(window.velocity_change)).tolist():
-        model = isotropic(3, float(window.velocity_change[i]))
-        graph.add(gtsam.BetweenFactorVector(V(i), V(i + 1), np.zeros(3), model))
+    nodes = np.flatnonzero(np.isfinite(window.velocity_change))
+    factors = (constant_velocity(i, float(window.velocity_change[i])) for i in nodes.tolist())
+    built.add("constant velocity", FOREARM.name, factors, 3, nodes)
 
 
-def _add_attitude(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
+def _add_attitude(built: WindowGraph, run: SegmentRun) -> None:
     """`PoseRotationPrior3D`: the initial orientation, weakly, at one node."""
-    R = window.attitude
-    covariance = R.T @ window.attitude_covariance @ R
-    graph.add(gtsam.PoseRotationPrior3D(X(window.attitude_node), Rot3(R), gaussian(covariance)))
+    R, node = run.attitude, run.first + run.attitude_node
+    model = noiseModel.Gaussian.Covariance(R.T @ run.attitude_covariance @ R)
+    prior = gtsam.PoseRotationPrior3D(keys_of(run.segment).pose + node, Rot3(R), model)
+    built.add("attitude", run.segment, [prior], 3, [node])
 
 
-def _add_field(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
+def _add_field(built: WindowGraph, window: Window) -> None:
     """`AttitudeFactorPose3`: a calibrated magnetometer's directions, robust against a magnet near one."""
     if window.field is None:
         return
-    field = window.field
+    field, pose = window.field, keys_of(FOREARM.name).pose
     loss = noiseModel.mEstimator.Cauchy.Create(window.noise.cauchy)
     model = noiseModel.Robust.Create(loss, isotropic(2, round(field.sigma_rad, 5)))
-    for node, in_A in zip(field.node.tolist(), field.in_A, strict=True):
-        graph.add(gtsam.AttitudeFactorPose3(X(node), Unit3(field.in_K), model, Unit3(in_A)))
+    factors = (
+        gtsam.AttitudeFactorPose3(pose + node, Unit3(field.in_K), model, Unit3(in_A))
+        for node, in_A in zip(field.node.tolist(), field.in_A, strict=True)
+    )
+    built.add("magnetic field", FOREARM.name, factors, 2, field.node)
 
 
-def gaussian(covariance: FloatArray) -> noiseModel.Gaussian:
-    """A full-covariance noise model."""
-    return noiseModel.Gaussian.Covariance(covariance)
+def _add_shared_joint(built: WindowGraph, window: Window, run: SegmentRun) -> None:
+    """`ReferenceFrameFactorPoint3Pose3` (lever, pose, point): one point on the segment and its parent."""
+    segment = SEGMENTS[run.segment]
+    own, parent, joint = keys_of(segment.name), keys_of(segment.parent), segment.shared_joint
+    lever = window.priors.shared.mean[window.priors.layout.lever(joint, segment.name)]
+    nodes, factors = np.arange(run.first, run.nodes.stop), []
+    for k, (node, sigma) in enumerate(zip(nodes.tolist(), _tissue(window, nodes), strict=True)):
+        point = own.point + node
+        built.values.insert(point, run.start.p[k] + run.start.R[k] @ lever)
+        for keys, model in ((parent, isotropic(3, PARENT_TIE_M)), (own, isotropic(3, sigma))):
+            ends = keys.lever_of(joint), keys.pose + node, point
+            factors.append(gtsam.ReferenceFrameFactorPoint3Pose3(*ends, model))
+    built.add("shared joint", run.segment, factors, POINT_ROWS, np.repeat(nodes, 2))
 
 
-@lru_cache(maxsize=4096)
-def isotropic(dimension: int, sigma: float) -> noiseModel.Isotropic:
-    """One noise object for each sigma, however many factors use it."""
-    return noiseModel.Isotropic.Sigma(dimension, sigma)
+def _add_shoulder_end(built: WindowGraph, window: Window, run: SegmentRun) -> None:
+    """`ReferenceFrameFactorPoint3Pose3`: a segment that reaches the shoulder ends in its knots."""
+    if window.shoulder is None or "shoulder" not in SEGMENTS[run.segment].joints:
+        return
+    keys, knots = keys_of(run.segment), np.asarray(window.shoulder.node)
+    tissue = _tissue(window, knots)
+    inside = np.flatnonzero((knots >= run.first) & (knots < run.nodes.stop))
+    factors = (
+        gtsam.ReferenceFrameFactorPoint3Pose3(
+            keys.lever_of("shoulder"), keys.pose + int(knots[k]), S(k), isotropic(3, tissue[k])
+        )
+        for k in inside.tolist()
+    )
+    built.add("shoulder end", run.segment, factors, POINT_ROWS, knots[inside])
 
 
-@lru_cache(maxsize=4096)
-def robust(sigma_m: float, cauchy: float) -> noiseModel.Robust:
-    """Cauchy's loss on a point of the camera: what is far off pulls less the farther it is."""
-    return noiseModel.Robust.Create(noiseModel.mEstimator.Cauchy.Create(cauchy), isotropic(3, sigma_m))
+def _tissue(window: Window, nodes: IntArray) -> list[float]:
+    """Sigma of a point in {B} at nodes (k,): tissue moves slowly, so what is denser does not say more."""
+    step = np.gradient(window.t[nodes]) if len(nodes) > 1 else np.full(len(nodes), TISSUE_S)
+    sigma = window.noise.tissue_m * np.sqrt(np.maximum(TISSUE_S / step, 1.0))
+    return [float(each) for each in np.round(sigma, 3)]

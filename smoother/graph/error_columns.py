@@ -7,46 +7,49 @@ state-space methods to navigation problems, 1966).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, E, G, S, V, W, X, Y
+from gtsam.symbol_shorthand import B, G, S, X
 
 from ..array_types import FloatArray, IntArray
+from ..body import FOREARM, SEGMENTS
 from ..linalg import skew
 from ..recording import JOINTS
 from ..window.problem import JointMeasurements, States, Window
 from ..window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, ErrorEvidence
-from .build import stacked_measurements
+from .build import FactorGroup, stacked_measurements
+from .factors import IMU_ROWS, POINT_ROWS
 from .linear_system import Jacobian, LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
-
-#: Rows of an `ImuFactorWithGravityDirection`, and of a joint's or the shoulder's factor.
-IMU_ROWS, JOINT_ROWS = 9, 3
+from .variables import keys_of
 
 
 def node_of_variables(window: Window) -> dict[int, int]:
     """The node whose time each of a window's variables in time has, by key."""
-    nodes = {key: i for i in range(len(window.t)) for key in (X(i), V(i))}
+    nodes: dict[int, int] = {}
     if window.shoulder is not None:
         nodes |= {S(k): int(node) for k, node in enumerate(window.shoulder.node)}
-    for run in window.upper:
-        covered = range(run.first, run.first + len(run.start.p))
-        nodes |= {key: i for i in covered for key in (Y(i), W(i), E(i))}
+    for run in window.bodies:
+        keys = keys_of(run.segment)
+        kinds = (keys.pose, keys.velocity, *([keys.point] if SEGMENTS[run.segment].shared_joint else []))
+        nodes |= {first + i: i for i in range(run.first, run.nodes.stop) for first in kinds}
     return nodes
 
 
-def constant_error_columns(jacobian: Jacobian, window: Window, biases: IntArray, R: FloatArray) -> FloatArray:
+def constant_error_columns(
+    jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup], biases: IntArray, R: FloatArray
+) -> FloatArray:
     """Columns of the whitened Jacobian for the constant errors (see `window.shared`).
 
     Parameters
     ----------
     jacobian : Jacobian
-        Of the graph as `build` puts it together: the IMU's factors first, then the
-        joints' and the shoulder's.
     window : Window
+    groups : sequence of FactorGroup
+        Of the graph.
     biases : ndarray of int, shape (n - 1,)
         From `bias_of_intervals`.
     R : ndarray, shape (n, 3, 3)
@@ -57,33 +60,33 @@ def constant_error_columns(jacobian: Jacobian, window: Window, biases: IntArray,
     columns : ndarray, shape (r, SIZE)
         Of the first r rows; the errors are in no others.
     """
-    count = len(window.t) - 1
-    columns = jacobian.columns
+    (own,) = (group for group in groups if group.kind == "imu" and group.of == FOREARM.name)
+    count, columns = len(own.factors), jacobian.columns
     all_biases = slice(columns[B(0)].start, columns[B(int(biases[-1]))].stop)
-    imu = jacobian.block(slice(0, IMU_ROWS * count), all_biases)
+    imu = jacobian.block(own.rows, all_biases)
     of_bias = imu.reshape(count, IMU_ROWS, -1, 6)[np.arange(count), :, biases]
     # M f is a bias that follows the specific force, the same for the rate
     force, rate = _means(window)
-    rows = [
-        np.concatenate(
-            [
-                np.einsum("nir,nc->nirc", of_bias[:, :, :3], force).reshape(count, IMU_ROWS, 9),
-                np.einsum("nir,nc->nirc", of_bias[:, :, 3:], rate).reshape(count, IMU_ROWS, 9),
-                np.zeros((count, IMU_ROWS, SIZE - 18)),
-            ],
-            axis=2,
-        ).reshape(-1, SIZE)
-    ]
-    for factors in camera_rows(jacobian, window):
+    camera = list(camera_rows(jacobian, window, groups))
+    every = np.zeros((max([own.rows.stop, *(each.rows.stop for each in camera)]), SIZE))
+    every[own.rows] = np.concatenate(
+        [
+            np.einsum("nir,nc->nirc", of_bias[:, :, :3], force).reshape(count, IMU_ROWS, 9),
+            np.einsum("nir,nc->nirc", of_bias[:, :, 3:], rate).reshape(count, IMU_ROWS, 9),
+            np.zeros((count, IMU_ROWS, SIZE - 18)),
+        ],
+        axis=2,
+    ).reshape(-1, SIZE)
+    for factors in camera:
         # an error moves the joint along an axis of {K}: a whitened unit matrix, whose weight any row has;
         # that of a strap which stands for the IMU along an axis of {A}
-        block = np.zeros((len(factors.nodes), JOINT_ROWS, SIZE))
+        block = np.zeros((len(factors.nodes), POINT_ROWS, SIZE))
         error = JOINT_ERRORS.start + 3 * JOINTS.index(factors.joint)
         block[:, :, error : error + 3] = R[factors.nodes] if is_place(factors.joint, window) else np.eye(3)
         if factors.joint in window.priors.layout.joints:
             block[:, :, STRAP_ERRORS] = _strap(window, factors.joint, R[factors.nodes])
-        rows.append(factors.weight[:, None] * block.reshape(-1, SIZE))
-    return np.concatenate(rows)
+        every[factors.rows] = factors.weight[:, None] * block.reshape(-1, SIZE)
+    return every
 
 
 def is_place(joint: str, window: Window) -> bool:
@@ -112,43 +115,33 @@ class CameraRows:
     weight: FloatArray
 
 
-def camera_rows(jacobian: Jacobian, window: Window) -> Iterator[CameraRows]:
+def camera_rows(jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup]) -> Iterator[CameraRows]:
     """Where each joint's camera factors stand in a window's Jacobian, in their order.
 
     Parameters
     ----------
     jacobian : Jacobian
-        Of the graph as `build` puts it together: the IMU's factors first, then these.
     window : Window
+    groups : sequence of FactorGroup
+        Of the graph.
 
     Yields
     ------
     factors : CameraRows
         Of a joint; the shoulder's last.
     """
-    start = IMU_ROWS * (len(window.t) - 1)
-    for joint, nodes in _camera_factors(window):
-        stop = start + JOINT_ROWS * len(nodes)
-        rows = slice(start, stop)
-        yield CameraRows(joint, nodes, rows, _weight(jacobian, rows, joint, window))
-        start = stop
+    for group in groups:
+        if group.kind == "camera":
+            weight = _weight(jacobian, group.rows, group.of, window)
+            yield CameraRows(group.of, group.nodes, group.rows, weight)
 
 
 def _means(window: Window) -> tuple[FloatArray, FloatArray]:
     """Mean specific force and rate of each interval, (n - 1, 3) each."""
-    first = window.increments.first[:-1]
-    steps = np.diff(window.increments.first)[:, None]
-    force = np.add.reduceat(window.increments.acc.mean(axis=1), first) / steps
-    return force, np.add.reduceat(window.increments.gyro, first) / steps
-
-
-def _camera_factors(window: Window) -> list[tuple[str, IntArray]]:
-    """Joints in the order of the graph's camera factors, and the node of each factor."""
-    factors = [(measured.joint, np.unique(measured.node)) for measured in window.joint_measurements]
-    if window.shoulder is not None:
-        seen = np.isfinite(window.shoulder.position[:, 0])
-        factors.append(("shoulder", np.asarray(window.shoulder.node)[seen]))
-    return factors
+    increments = window.forearm.increments
+    first, steps = increments.first[:-1], np.diff(increments.first)[:, None]
+    force = np.add.reduceat(increments.acc.mean(axis=1), first) / steps
+    return force, np.add.reduceat(increments.gyro, first) / steps
 
 
 def _strap(window: Window, joint: str, R: FloatArray) -> FloatArray:
@@ -218,14 +211,17 @@ def evidence(
     return ErrorEvidence(reduced, information_vector + reduced[:, rows] @ mean[6:])
 
 
-def offset_column(jacobian: Jacobian, window: Window, states: States) -> FloatArray:
+def offset_column(
+    jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup], states: States
+) -> FloatArray:
     """Column of the whitened Jacobian for a clock offset of the window's own.
 
     Parameters
     ----------
     jacobian : Jacobian
-        Of the graph as `build` puts it together.
     window : Window
+    groups : sequence of FactorGroup
+        Of the graph.
     states : States
         At its nodes.
 
@@ -236,7 +232,7 @@ def offset_column(jacobian: Jacobian, window: Window, states: States) -> FloatAr
     """
     by_joint = {measured.joint: measured for measured in window.joint_measurements}
     column = np.zeros((0, 1))
-    for factors in camera_rows(jacobian, window):
+    for factors in camera_rows(jacobian, window, groups):
         if factors.joint in by_joint:
             mean, _ = _velocity_at_nodes(by_joint[factors.joint], states, window.noise.cauchy)
             rows = np.zeros((factors.rows.stop, 1))
@@ -246,14 +242,17 @@ def offset_column(jacobian: Jacobian, window: Window, states: States) -> FloatAr
     return column
 
 
-def stamp_columns(jacobian: Jacobian, window: Window, states: States, knots: FloatArray) -> FloatArray:
+def stamp_columns(
+    jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup], states: States, knots: FloatArray
+) -> FloatArray:
     """Columns of the whitened Jacobian for errors of the frames' times, linear between knots.
 
     Parameters
     ----------
     jacobian : Jacobian
-        Of the graph as `build` puts it together.
     window : Window
+    groups : sequence of FactorGroup
+        Of the graph.
     states : States
         At its nodes.
     knots : ndarray, shape (m,), s
@@ -264,13 +263,13 @@ def stamp_columns(jacobian: Jacobian, window: Window, states: States, knots: Flo
     columns : ndarray, shape (r, m), 1/s
         Of the first r rows; the errors are in no others.
     """
-    column = offset_column(jacobian, window, states)
+    column = offset_column(jacobian, window, groups, states)
     columns = np.zeros((len(column), len(knots)))
-    for factors in camera_rows(jacobian, window):
+    for factors in camera_rows(jacobian, window, groups):
         if factors.rows.stop <= len(column):
             apart = np.abs(window.t[factors.nodes][:, None] - knots) / (knots[1] - knots[0])
             share = np.maximum(1.0 - apart, 0.0)
-            columns[factors.rows] = column[factors.rows] * np.repeat(share, JOINT_ROWS, axis=0)
+            columns[factors.rows] = column[factors.rows] * np.repeat(share, POINT_ROWS, axis=0)
     return columns
 
 

@@ -1,7 +1,6 @@
 """The factors of a lag window: at a node, from node to node, and of the shoulder knots (GTSAM).
 
-Those of `build`: preintegrated IMU, joints by lever arms that are variables, shoulder knots with the upper
-arm's length.
+Those of a window's graph (`factors`), with what is particular to a window that moves on.
 """
 
 from __future__ import annotations
@@ -11,14 +10,27 @@ from dataclasses import dataclass, field
 import gtsam
 import numpy as np
 from gtsam import Pose3, Rot3
-from gtsam.symbol_shorthand import B, G, L, S, U, V, X
+from gtsam.symbol_shorthand import B, S, V, X
 
 from ..array_types import FloatArray
+from ..body import FOREARM
 from ..recording import JOINTS
 from ..window.problem import ImuIncrements, NoiseModel, Priors
 from ..window.solution import NodeState
-from .build import isotropic, robust
-from .imu_factors import noise_levels, preintegration_parameters
+from .factors import (
+    constant_velocity,
+    imu_factor,
+    isotropic,
+    joint_factor,
+    knot_walk,
+    length_factor,
+    noise_levels,
+    preintegrate,
+    preintegration_parameters,
+    robust,
+)
+from .shared_prior import bias_walk
+from .variables import keys_of
 
 #: Before any frame a first node is known so well: rad, m, m/s.
 FIRST_TURN_RAD, FIRST_POSITION_M, FIRST_VELOCITY = 0.5, 0.5, 1.5
@@ -75,6 +87,7 @@ class LagFactors:
         self._joints, self._has_upper_arm = layout.joints, layout.has_upper_arm
         self._upper_arm_m = float(mean[layout.upper_arm].sum())
         self._elbow = mean[layout.lever("elbow")] if layout.has_upper_arm else np.zeros(3)
+        self._keys = keys_of(FOREARM.name)
         self._params: dict[tuple[int, int], gtsam.PreintegrationParams] = {}
 
     def first(self, number: int, state: NodeState) -> list[gtsam.NonlinearFactor]:
@@ -91,31 +104,22 @@ class LagFactors:
         level = noise_levels(increments, np.array([node.t - before.t]), self._noise, self._g)[0]
         if level not in self._params:
             self._params[level] = preintegration_parameters(self._noise, self._g, *level)
-        bias = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
-        pim = gtsam.PreintegratedImuMeasurements(self._params[level], bias)
-        acc, gyro = increments.acc + increments.bias[:3], increments.gyro + increments.bias[3:]
-        for step in range(len(gyro)):
-            pim.integrateMeasurement(acc[step, 0], gyro[step], increments.h[step])
-            pim.integrateMeasurement(acc[step, 1], gyro[step], increments.h[step])
-        a, b = before.number, node.number
-        return gtsam.ImuFactorWithGravityDirection(X(a), V(a), X(b), V(b), B(node.epoch), G(0), pim, self._g)
+        (pim,) = preintegrate(increments, [self._params[level]])
+        return imu_factor(self._keys, before.number, node.number, node.epoch, pim, self._g)
 
     def constant_velocity(self, number: int, change: float) -> gtsam.NonlinearFactor:
         """The velocity changes by no more than about `change`, m/s, from the node before."""
-        model = isotropic(3, round(change, 4))
-        return gtsam.BetweenFactorVector(V(number - 1), V(number), np.zeros(3), model)
+        return constant_velocity(number - 1, round(change, 4))
 
     def bias_walk(self, epoch: int, length_s: float) -> gtsam.NonlinearFactor:
         """A bias variable near the one before it, `BetweenFactorConstantBias`."""
         model = gtsam.noiseModel.Diagonal.Sigmas(self._walk * np.sqrt(length_s))
-        return gtsam.BetweenFactorConstantBias(B(epoch - 1), B(epoch), gtsam.imuBias.ConstantBias(), model)
+        return bias_walk(B(epoch - 1), B(epoch), model)
 
     def joint(self, number: int, joint: str, position: FloatArray) -> gtsam.NonlinearFactor:
         """A joint of the forearm where the camera sees it, `GPSFactorArmCalib` or `GPSFactorArm`."""
-        if joint in self._joints:
-            lever = L(JOINTS.index(joint))
-            return gtsam.GPSFactorArmCalib(X(number), lever, position, self._robust(joint))
-        return gtsam.GPSFactorArm(X(number), position, np.zeros(3), self._robust(joint))
+        lever = self._keys.lever_of(joint) if joint in self._joints else None
+        return joint_factor(X(number), lever, position, self._robust(joint))
 
     def shoulder(self, knot: int, position: FloatArray) -> gtsam.NonlinearFactor:
         """A shoulder knot where the camera sees it, `PriorFactorPoint3`."""
@@ -123,15 +127,14 @@ class LagFactors:
 
     def knot_walk(self, before: int, knot: int, length_s: float) -> gtsam.NonlinearFactor:
         """A shoulder knot near the one before it, `BetweenFactorPoint3`."""
-        sigma = round(self._noise.shoulder_walk * float(np.sqrt(length_s)), 6)
-        return gtsam.BetweenFactorPoint3(S(before), S(knot), np.zeros(3), isotropic(3, sigma))
+        return knot_walk(before, knot, self._noise.shoulder_walk, float(np.sqrt(length_s)))
 
     def upper_arm(self, knot: int) -> list[gtsam.NonlinearFactor]:
         """The upper arm's length from a knot to its node's elbow, `RangeFactorWithTransformBias3D`."""
         if not self._has_upper_arm:
             return []
-        model, elbow = isotropic(1, self._noise.upper_arm_sigma_m), Pose3(Rot3(), self._elbow)
-        return [gtsam.RangeFactorWithTransformBias3D(X(knot), S(knot), U(0), self._upper_arm_m, model, elbow)]
+        sigma_m = self._noise.upper_arm_sigma_m
+        return [length_factor(knot, knot, self._upper_arm_m, sigma_m, self._elbow)]
 
     def _robust(self, joint: str) -> gtsam.noiseModel.Robust:
         return robust(round(float(self._sigma_m[JOINTS.index(joint)]), 6), self._noise.cauchy)

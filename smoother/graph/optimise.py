@@ -19,7 +19,7 @@ import numpy as np
 from ..array_types import FloatArray, IntArray
 from ..linalg import runs
 from ..window.problem import Window
-from .build import upper_arm_factors
+from .build import FactorGroup, upper_arm_factors
 from .shared_prior import gravity_axes, have_turned, turned_with_axes
 
 MAX_ITERATIONS = 12
@@ -70,7 +70,11 @@ class Optimum:
 
 
 def optimise(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, tolerance: float
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    groups: Sequence[FactorGroup],
+    window: Window,
+    tolerance: float,
 ) -> Optimum:
     """Optimise a window's graph (`LevenbergMarquardtOptimizer`), in stages where there is a long gap.
 
@@ -79,6 +83,8 @@ def optimise(
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
         Where to start.
+    groups : sequence of FactorGroup
+        Of the graph.
     window : Window
         What the graph was built from.
     tolerance : float
@@ -88,7 +94,8 @@ def optimise(
     -------
     optimum : Optimum
     """
-    return _in_axes_of_gravity(_in_stages(graph, values, window, tolerance), gravity_axes(values), tolerance)
+    optimum = _in_stages(graph, values, groups, window, tolerance)
+    return _in_axes_of_gravity(optimum, gravity_axes(values), tolerance)
 
 
 def _in_axes_of_gravity(optimum: Optimum, before: FloatArray, tolerance: float) -> Optimum:
@@ -111,17 +118,19 @@ def _in_axes_of_gravity(optimum: Optimum, before: FloatArray, tolerance: float) 
 
 
 def _in_stages(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, tolerance: float
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    groups: Sequence[FactorGroup],
+    window: Window,
+    tolerance: float,
 ) -> Optimum:
     """The optimum, whatever the axes of gravity."""
     gap = _long_gap(window)
     if gap is None:
         return _descend(graph, values, MAX_ITERATIONS, tolerance)
-    if window.upper:  # its start values lie in the right minimum: the upper arm's direction is measured
+    if window.further:  # its start values lie in the right minimum: the upper arm's direction is measured
         return _descend(graph, values, LAST_ITERATIONS, min(tolerance, LAST_TOLERANCE))
-    lengths = [
-        i for i in range(graph.size()) if isinstance(graph.at(i), gtsam.RangeFactorWithTransformBias3D)
-    ]
+    (lengths,) = (group.factors for group in groups if group.kind == "length")
 
     def with_sigma(sigma_m: FloatArray) -> gtsam.NonlinearFactorGraph:
         changed = gtsam.NonlinearFactorGraph(graph)

@@ -12,9 +12,10 @@ from collections.abc import Callable
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, G, S, V, X, Y
+from gtsam.symbol_shorthand import G, S, V, X
 
 from ..array_types import FloatArray, IntArray
+from ..body import SEGMENTS, UPPER_ARM
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.problem import Window
 from ..window.shared import STRAP_PLACE
@@ -22,7 +23,7 @@ from ..window.solution import WindowDraws
 from .error_columns import is_place, node_of_variables
 from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
-from .variables import DIMENSION
+from .variables import DIMENSION, keys_of
 
 #: Variables of a node in the order of their random numbers, by the letter of their keys.
 _LETTERS = "xvsywe"
@@ -97,7 +98,7 @@ def sample_window(
         rotation=rotation,
         velocity=of([V(i) for i in count]),
         shoulder=shoulder,
-        upper_rotation=_upper(values, window, plan, of) if window.priors.layout.has_upper_imu else None,
+        upper_rotation=_upper(values, window, plan, of) if window.priors.layout.further else None,
     )
 
 
@@ -106,10 +107,10 @@ def _upper(
 ) -> FloatArray:
     """Rotation errors of the upper-arm IMU at all nodes; nan where it has no samples."""
     rotation = np.full((plan.count, len(window.t), 3), np.nan)
-    for run in window.upper:
-        rows = range(run.first, run.first + len(run.start.p))
-        R = np.array([values.atPose3(Y(i)).rotation().matrix() for i in rows])
-        rotation[:, rows] = np.einsum("nij,knj->kni", R, of([Y(i) for i in rows])[:, :, :3])
+    for run in window.runs(UPPER_ARM.name):
+        rows, pose = range(run.first, run.nodes.stop), keys_of(run.segment).pose
+        R = np.array([values.atPose3(pose + i).rotation().matrix() for i in rows])
+        rotation[:, rows] = np.einsum("nij,knj->kni", R, of([pose + i for i in rows])[:, :, :3])
     return rotation
 
 
@@ -152,11 +153,12 @@ def _bias_normals(system: LinearSystem, window: Window, biases: IntArray, plan: 
     start, end, count = window.t[0], window.t[-1], int(biases[-1]) + 1
     edges = np.linspace(start, end, count + 1)
     first = np.ceil(edges / _SLICE_S - 0.5).astype(int)
-    for letter, at in ((B, 0), (C, 6)) if window.priors.layout.has_upper_imu else ((B, 0),):
+    for number, segment in enumerate(window.priors.layout.segments):
+        at, bias = 6 * number, keys_of(segment).bias
         for k in range(count):
             slices = (np.arange(first[k], max(first[k + 1], first[k] + 1)) + 0.5) * _SLICE_S
-            of_slices = plan.at_times("bias", slices, 12)[:, :, at : at + 6]
-            rows = system.border_rows([letter(k)])
+            of_slices = plan.at_times("bias", slices, 6 * len(SEGMENTS))[:, :, at : at + 6]
+            rows = system.border_rows([bias + k])
             normals[:, rows] = of_slices.sum(axis=1) / np.sqrt(len(slices))
     return normals
 

@@ -2,48 +2,55 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import gtsam
 import numpy as np
 from gtsam import Unit3, noiseModel
-from gtsam.symbol_shorthand import B, C, G, L, M, U
+from gtsam.symbol_shorthand import G, U
 
 from ..array_types import FloatArray, IntArray
-from ..recording import JOINTS
 from ..window.problem import Priors, Window
 from ..window.shared import SharedLayout
-from .variables import DIMENSION, values_of
+from .variables import DIMENSION, keys_of, values_of
 
 
-def add_shared(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, biases: IntArray
-) -> None:
-    """One joint Gaussian prior (`HessianFactor`), a random walk of the biases (`BetweenFactor..`).
+def shared_factors(
+    values: gtsam.Values, window: Window, biases: IntArray
+) -> Iterator[tuple[str, str, list[gtsam.NonlinearFactor], int]]:
+    """A random walk of the biases (`BetweenFactor..`), one joint Gaussian prior (`HessianFactor`).
 
     Parameters
     ----------
-    graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
-        Both are added to.
+        Initial values of the shared variables are added to it.
     window : Window
     biases : ndarray of int, shape (n - 1,)
         From `bias_of_intervals`.
+
+    Yields
+    ------
+    kind, of : str
+    factors : list of gtsam.NonlinearFactor
+    dimension : int
+        Of each.
     """
     priors, layout, mean = window.priors, window.priors.layout, window.priors.shared.mean
-    bias = gtsam.imuBias.ConstantBias(mean[:3], mean[3:6])
     count = int(biases[-1]) + 1
-    for k in range(count):
-        values.insert(B(k), bias)
     walk = noiseModel.Diagonal.Sigmas(priors.bias_walk * np.sqrt((window.t[-1] - window.t[0]) / count))
-    for k in range(count - 1):
-        graph.add(gtsam.BetweenFactorConstantBias(B(k), B(k + 1), gtsam.imuBias.ConstantBias(), walk))
     insert_constants(values, layout, mean)
-    if layout.has_upper_imu:
-        upper_bias = gtsam.imuBias.ConstantBias(*np.split(mean[layout.upper_bias], 2))
+    for segment in layout.segments:
+        first = keys_of(segment).bias
+        bias = gtsam.imuBias.ConstantBias(*np.split(mean[layout.bias_of(segment)], 2))
         for k in range(count):
-            values.insert(C(k), upper_bias)
-        for k in range(count - 1):
-            graph.add(gtsam.BetweenFactorConstantBias(C(k), C(k + 1), gtsam.imuBias.ConstantBias(), walk))
-    graph.add(prior_factor(priors, shared_keys(window, biases)))
+            values.insert(first + k, bias)
+        yield "bias walk", segment, [bias_walk(k, k + 1, walk) for k in range(first, first + count - 1)], 6
+    yield "prior", "", [prior_factor(priors, shared_keys(window, biases))], layout.size
+
+
+def bias_walk(before: int, bias: int, model: noiseModel.Base) -> gtsam.BetweenFactorConstantBias:
+    """A bias variable near the one before it."""
+    return gtsam.BetweenFactorConstantBias(before, bias, gtsam.imuBias.ConstantBias(), model)
 
 
 def prior_factor(priors: Priors, keys: list[int]) -> gtsam.LinearContainerFactor:
@@ -66,10 +73,9 @@ def prior_factor(priors: Priors, keys: list[int]) -> gtsam.LinearContainerFactor
     information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
     factor = gaussian_factor(keys, _blocks(layout), 0.5 * (information + information.T))
     at = gtsam.Values()
-    at.insert(keys[0], gtsam.imuBias.ConstantBias(mean[:3], mean[3:6]))
     insert_constants(at, layout, mean)
-    if layout.has_upper_imu:
-        at.insert(keys[-1], gtsam.imuBias.ConstantBias(*np.split(mean[layout.upper_bias], 2)))
+    for segment, key in zip(layout.segments, bias_keys(layout, keys), strict=True):
+        at.insert(key, gtsam.imuBias.ConstantBias(*np.split(mean[layout.bias_of(segment)], 2)))
     return gtsam.LinearContainerFactor(factor, at)
 
 
@@ -78,11 +84,9 @@ def insert_constants(values: gtsam.Values, layout: SharedLayout, mean: FloatArra
     values.insert(G(0), Unit3(layout.down(mean)))
     if layout.has_upper_arm:
         values.insert(U(0), 0.0)
-    for joint in layout.joints:
-        values.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
-    if layout.has_upper_imu:
-        for joint, rows in layout.upper_levers.items():
-            values.insert(M(JOINTS.index(joint)), mean[rows])
+    for segment in layout.segments:
+        for joint, rows in layout.levers(segment).items():
+            values.insert(keys_of(segment).lever_of(joint), mean[rows])
 
 
 def shared_keys(window: Window, biases: IntArray) -> list[int]:
@@ -100,13 +104,21 @@ def shared_keys(window: Window, biases: IntArray) -> list[int]:
         As many as there are shared quantities.
     """
     layout = window.priors.layout
-    keys = [B((int(biases[-1]) + 1) // 2), G(0)]
-    keys += [U(0)] if layout.has_upper_arm else []
-    keys += [L(JOINTS.index(joint)) for joint in layout.joints]
-    if layout.has_upper_imu:
-        keys += [M(JOINTS.index(joint)) for joint in layout.upper_levers]
-        keys += [C((int(biases[-1]) + 1) // 2)]
-    return keys
+    middle = (int(biases[-1]) + 1) // 2
+    first, *further = (keys_of(segment).bias + middle for segment in layout.segments)
+    return [first, G(0), *([U(0)] if layout.has_upper_arm else []), *lever_keys(layout), *further]
+
+
+def lever_keys(layout: SharedLayout) -> list[int]:
+    """Keys of all lever arms in the order of the shared vector."""
+    return [
+        keys_of(segment).lever_of(joint) for segment in layout.segments for joint in layout.levers(segment)
+    ]
+
+
+def bias_keys(layout: SharedLayout, keys: Sequence[int]) -> list[int]:
+    """Those of the shared keys that are biases, one a segment."""
+    return [keys[0], *keys[len(keys) - len(layout.further) :]]
 
 
 def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:
@@ -133,9 +145,9 @@ def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:
 
 def _blocks(layout: SharedLayout) -> list[slice]:
     upper_arm = [layout.upper_arm] if layout.has_upper_arm else []
-    levers = [layout.lever(joint) for joint in layout.joints]
-    upper_imu = [*layout.upper_levers.values(), layout.upper_bias] if layout.has_upper_imu else []
-    return [layout.bias, layout.gravity, *upper_arm, *levers, *upper_imu]
+    levers = [rows for segment in layout.segments for rows in layout.levers(segment).values()]
+    first, *further = (layout.bias_of(segment) for segment in layout.segments)
+    return [first, layout.gravity, *upper_arm, *levers, *further]
 
 
 def gaussian_factor(

@@ -8,19 +8,19 @@ from functools import partial
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
+from gtsam.symbol_shorthand import G, L, S, U
 
 from ..array_types import BoolArray, FloatArray, IntArray
+from ..body import FOREARM
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS
 from ..window.draw_plan import DrawPlan
 from ..window.problem import States, Window
 from ..window.shared import STRAP_PLACE, Gaussian
-from ..window.solution import BlockShift, Message, Solution
+from ..window.solution import BlockShift, Message, SegmentSolution, Solution
 from .block_shifts import CameraBlocks
-from .build import bias_of_intervals
-from .chain import build_arm, upper_solution
+from .build import FactorGroup, bias_of_intervals, build
 from .error_columns import (
     constant_error_columns,
     evidence,
@@ -33,7 +33,8 @@ from .error_columns import (
 from .linear_system import ExtraColumns, LinearSystem
 from .optimise import Optimum, optimise
 from .sampling import sample_window
-from .shared_prior import shared_jacobian, shared_keys
+from .shared_prior import bias_keys, shared_jacobian, shared_keys
+from .variables import keys_of
 
 #: Where `solve` stops by default.
 RELATIVE_TOLERANCE = 1e-4
@@ -57,6 +58,8 @@ class WindowOptimum:
     ----------
     window : Window
     optimum : Optimum
+    groups : sequence of FactorGroup
+        Of its graph.
     tighten : int
         Number of the tightening in `TIGHTEN` that it was found with.
     tolerance : float
@@ -65,6 +68,7 @@ class WindowOptimum:
 
     window: Window
     optimum: Optimum
+    groups: Sequence[FactorGroup]
     tighten: int
     tolerance: float
 
@@ -155,14 +159,15 @@ def _optimised(window: Window, tolerance: float, first: int) -> WindowOptimum:
     """A direction that is free but for the attitude prior can be too weak for the solver's precision."""
     for number in range(first, len(TIGHTEN)):
         try:
-            optimum = optimise(*build_arm(_tightened(window, TIGHTEN[number])), window, tolerance)
+            built = build(_tightened(window, TIGHTEN[number]))
+            optimum = optimise(*built, window, tolerance)
         except np.linalg.LinAlgError:
             continue
         except RuntimeError as error:
             if "ndetermin" not in str(error):
                 raise
             continue
-        return WindowOptimum(window, optimum, number, tolerance)
+        return WindowOptimum(window, optimum, built.groups, number, tolerance)
     raise SolveError(
         f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
         " the camera saw there"
@@ -180,21 +185,24 @@ def _read(
 ) -> Solution:
     """The answer; raises LinAlgError where something is free."""
     window, optimum, tighten = optimised.window, optimised.optimum, TIGHTEN[optimised.tighten]
-    graph, values = optimum.graph, optimum.values
+    graph, values, groups = optimum.graph, optimum.values, optimised.groups
     biases = bias_of_intervals(window)
-    states = _states(values, len(window.t))
-    following, pose_covariance, velocity_covariance, offset, draws = None, None, None, 0.0, None
+    bodies = _bodies(values, window, biases)
+    states = bodies[0].states
+    following, offset, draws = None, 0.0, None
     shifts: tuple[BlockShift, ...] = ()
     if with_covariance or with_message or with_evidence or with_offset:
         extra: list[ExtraColumns] = []
         if with_evidence or window.considered is not None:
-            extra.append(partial(constant_error_columns, window=window, biases=biases, R=states.R))
+            extra.append(
+                partial(constant_error_columns, window=window, groups=groups, biases=biases, R=states.R)
+            )
         knots = _stamp_knots(window) if with_covariance else np.zeros(0)
         if len(knots):
-            extra.append(partial(stamp_columns, window=window, states=states, knots=knots))
+            extra.append(partial(stamp_columns, window=window, groups=groups, states=states, knots=knots))
         if with_offset:
-            extra.append(partial(offset_column, window=window, states=states))
-        blocks = CameraBlocks.of(window) if with_blocks else None
+            extra.append(partial(offset_column, window=window, groups=groups, states=states))
+        blocks = CameraBlocks.of(window, groups) if with_blocks else None
         if blocks is not None:
             extra.append(blocks.columns)
         system = LinearSystem(graph, values, node_of_variables(window), extra)
@@ -203,24 +211,21 @@ def _read(
         if with_offset:
             offset = offset_information(system, system.extra_count - 1, window, states)
     if following is not None and with_covariance:
-        pose_covariance, velocity_covariance = _covariances(following, window, states.R)
-        lost = _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
-        pose_covariance[:, 3:, 3:] += lost
+        bodies = [_with_covariance(body, following, window) for body in bodies]
+        pose = bodies[0].pose_covariance
+        assert pose is not None
+        lost = _lost_to_tightening(pose[:, 3:, 3:], window, tighten)
+        pose[:, 3:, 3:] += lost
         if plan is not None:
             draws = sample_window(following.system, values, window, biases, plan, following.shared, lost)
     shoulder, shoulder_covariance = _shoulder(values, following if with_covariance else None, window)
     message = _message(values, following if with_message else None, window, biases)
-    covariances_of = following.of_variables if following is not None and with_covariance else None
-    nodes = _covariance_nodes(window) if with_covariance else None
     return Solution(
         index=window.index,
-        states=states,
-        pose_covariance=pose_covariance,
-        velocity_covariance=velocity_covariance,
+        bodies=tuple(bodies),
         shoulder=shoulder,
         shoulder_covariance=shoulder_covariance,
         message=message,
-        bias=_bias(values, biases),
         residuals=_residuals(values, window, states),
         iterations=optimum.iterations,
         error=optimum.error,
@@ -231,7 +236,6 @@ def _read(
             if following is not None and with_evidence
             else None
         ),
-        upper=upper_solution(values, covariances_of, window, biases, nodes),
         draws=draws,
         shifts=shifts,
     )
@@ -239,25 +243,39 @@ def _read(
 
 def _tightened(window: Window, tighten: float) -> Window:
     """The window with its attitude priors' sigmas times `tighten`."""
-    upper = tuple(
-        replace(run, attitude_covariance=run.attitude_covariance * tighten**2) for run in window.upper
-    )
-    return replace(window, attitude_covariance=window.attitude_covariance * tighten**2, upper=upper)
+    bodies = (replace(run, attitude_covariance=run.attitude_covariance * tighten**2) for run in window.bodies)
+    return replace(window, bodies=tuple(bodies))
 
 
 def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
     """What tightening took from the attitude's covariance (3, 3) in {K} where only the prior holds it."""
-    used, axes = np.linalg.eigh(window.attitude_covariance * tighten**2)
-    stated = np.einsum("ia,ij,ja->a", axes, rotation[window.attitude_node], axes)
+    forearm = window.forearm
+    used, axes = np.linalg.eigh(forearm.attitude_covariance * tighten**2)
+    stated = np.einsum("ia,ij,ja->a", axes, rotation[forearm.attitude_node], axes)
     missing = np.where(stated > 0.5 * used, used / tighten**2 - used, 0.0)
     return (axes * missing) @ axes.T
 
 
-def _states(values: gtsam.Values, count: int) -> States:
-    """At the nodes; GTSAM hands out a letter's variables in the order of their numbers, X before Y."""
-    poses = np.ascontiguousarray(gtsam.utilities.extractPose3(values)[:count])
-    velocities = np.ascontiguousarray(gtsam.utilities.extractVectors(values, "v"))
-    return States(R=poses[:, :9].reshape(-1, 3, 3), p=poses[:, 9:], v=velocities)
+def _bodies(values: gtsam.Values, window: Window, biases: IntArray) -> list[SegmentSolution]:
+    """What the variables say of each IMU, without covariances.
+
+    GTSAM hands out a letter's variables in the order of their numbers, and poses in that of the letters.
+    """
+    poses, bodies, n = gtsam.utilities.extractPose3(values), [], len(window.t)
+    for name in window.priors.layout.segments:
+        keys = keys_of(name)
+        known = np.zeros(n, dtype=bool)
+        for run in window.runs(name):
+            known[run.nodes] = True
+        own, poses = np.split(poses, [int(known.sum())])
+        R, p, v = np.tile(np.eye(3), (n, 1, 1)), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+        R[known], p[known] = own[:, :9].reshape(-1, 3, 3), own[:, 9:]
+        if known.any():
+            v[known] = gtsam.utilities.extractVectors(values, chr(gtsam.Symbol(keys.velocity).chr()))
+        bias = np.array([values.atConstantBias(keys.bias + k).vector() for k in range(int(biases[-1]) + 1)])
+        states = States(R, p, v)
+        bodies.append(SegmentSolution(name, known, states, None, None, bias[np.append(biases, biases[-1])]))
+    return bodies
 
 
 def _stamp_knots(window: Window) -> FloatArray:
@@ -322,29 +340,39 @@ class _Following:
         return np.asarray(covariance + follows @ self.covariance @ np.swapaxes(follows, 1, 2))
 
 
-def _covariances(following: _Following, window: Window, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Covariances at the nodes, from GTSAM's (rotation, translation) in {A} to (position, rotation) in {K}.
+def _with_covariance(body: SegmentSolution, following: _Following, window: Window) -> SegmentSolution:
+    """The covariances of an IMU's states at the nodes, of (position, rotation) in {K}.
 
     They change slowly where the camera sees the arm: they are taken more often near a gap and in it, and
-    interpolated between.
+    interpolated between. The forearm's place is the tracked point's, where that stands for the IMU.
     """
-    t, nodes = window.t, _covariance_nodes(window)
-    body = following.of_variables(
-        [X(i) for i in nodes],
-        at_strap=any(is_place(each.joint, window) for each in window.joint_measurements),
-    )
-    velocity = following.of_variables([V(i) for i in nodes])
+    t, nodes, keys = window.t, _covariance_nodes(window), keys_of(body.segment)
+    is_forearm = body.segment == FOREARM.name
+    at_strap = is_forearm and any(is_place(each.joint, window) for each in window.joint_measurements)
+    pose, velocity = np.full((len(t), 6, 6), np.nan), None
+    for run in window.runs(body.segment):
+        rows = np.arange(run.first, run.nodes.stop)
+        own = np.union1d(nodes[(nodes >= rows[0]) & (nodes <= rows[-1])], rows[[0, -1]])
+        in_body = following.of_variables([keys.pose + i for i in own.tolist()], at_strap)
+        pose[rows] = interpolate(t[own], _in_camera(in_body, body.states.R[own]), t[rows])
+    if is_forearm:
+        velocities = following.of_variables([keys.velocity + i for i in nodes.tolist()])
+        velocity = interpolate(t[nodes], velocities, t)
+    return replace(body, pose_covariance=pose, velocity_covariance=velocity)
+
+
+def _in_camera(covariance: FloatArray, R: FloatArray) -> FloatArray:
+    """From GTSAM's (rotation, translation) in the body's axes to (position, rotation) in {K}, (n, 6, 6)."""
     order = np.array([3, 4, 5, 0, 1, 2])
-    body = body[:, order][:, :, order]
-    turn = np.zeros((len(nodes), 6, 6))
-    turn[:, :3, :3] = turn[:, 3:, 3:] = R[nodes]
-    pose = turn @ body @ np.swapaxes(turn, 1, 2)
-    return interpolate(t[nodes], pose, t), interpolate(t[nodes], velocity, t)
+    body = covariance[:, order][:, :, order]
+    turn = np.zeros((len(R), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = R
+    return np.asarray(turn @ body @ np.swapaxes(turn, 1, 2))
 
 
 def _covariance_nodes(window: Window) -> IntArray:
     """Where the covariance of a window is computed; with two IMUs it hardly changes over a gap."""
-    near_s = UPPER_COVARIANCE_S if window.upper else COVARIANCE_NEAR_S
+    near_s = UPPER_COVARIANCE_S if window.further else COVARIANCE_NEAR_S
     return _spaced(window.t, np.isfinite(window.velocity_change), COVARIANCE_S, near_s)
 
 
@@ -376,16 +404,10 @@ def _shoulder(
     position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
     if following is None:
         return position, None
-    apart_s = UPPER_COVARIANCE_S if window.upper else SHOULDER_COVARIANCE_S
+    apart_s = UPPER_COVARIANCE_S if window.further else SHOULDER_COVARIANCE_S
     knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), apart_s)
     covariance = following.of_variables([S(k) for k in knots])
     return position, interpolate(t[knots], covariance, t)
-
-
-def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
-    """Bias at the nodes, (n, 6)."""
-    bias = np.array([values.atConstantBias(B(k)).vector() for k in range(int(biases[-1]) + 1)])
-    return bias[np.append(biases, biases[-1])]
 
 
 def _message(values: gtsam.Values, following: _Following | None, window: Window, biases: IntArray) -> Message:
@@ -394,17 +416,14 @@ def _message(values: gtsam.Values, following: _Following | None, window: Window,
     keys = shared_keys(window, biases)
     down = values.atUnit3(G(0))
     mean = np.empty(layout.size)
-    mean[layout.bias] = values.atConstantBias(keys[0]).vector()
     mean[layout.gravity] = layout.gravity_axes @ down.point3()
     if layout.has_upper_arm:
         # the factor's error is range + U - length: the true length is shorter by U
         mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] - values.atDouble(U(0))
-    for joint in layout.joints:
-        mean[layout.lever(joint)] = values.atPoint3(L(JOINTS.index(joint)))
-    for joint, rows in layout.upper_levers.items():
-        mean[rows] = values.atPoint3(M(JOINTS.index(joint)))
-    if layout.has_upper_imu:
-        mean[layout.upper_bias] = values.atConstantBias(keys[-1]).vector()
+    for segment, bias in zip(layout.segments, bias_keys(layout, keys), strict=True):
+        mean[layout.bias_of(segment)] = values.atConstantBias(bias).vector()
+        for joint, rows in layout.levers(segment).items():
+            mean[rows] = values.atPoint3(keys_of(segment).lever_of(joint))
     covariance = np.full((layout.size, layout.size), np.nan)
     if following is not None:
         jacobian = shared_jacobian(layout, down)

@@ -1,15 +1,50 @@
-"""The variables of the graphs by the letter of their keys (see `build` and `chain`): sizes and values."""
+"""The variables of the graphs: their keys by segment of the arm, and by their letter sizes and values."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import IntArray
+from ..body import SEGMENTS
+from ..recording import JOINTS
+
+
+class SegmentKeys(NamedTuple):
+    """The first key of each kind of a segment's variables; the n-th key is n more.
+
+    Attributes
+    ----------
+    pose, velocity, point : int
+        By node; the point is that of the joint that the segment shares with its parent.
+    bias : int
+        By number of the bias.
+    lever : int
+        By number of the joint in `JOINTS`.
+    """
+
+    pose: int
+    velocity: int
+    bias: int
+    lever: int
+    point: int
+
+    def lever_of(self, joint: str) -> int:
+        """Key of a joint's lever arm."""
+        return self.lever + JOINTS.index(joint)
+
+
+@cache
+def keys_of(segment: str) -> SegmentKeys:
+    """The keys of a segment of the arm."""
+    letters = SEGMENTS[segment].letters.ljust(5, " ")
+    return SegmentKeys(*(gtsam.Symbol(letter, 0).key() for letter in letters))
+
 
 #: Dimension of a variable.
 DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}

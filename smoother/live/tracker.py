@@ -252,7 +252,10 @@ def first_state(
     if not samples.t_s[0] < at[0] < samples.t_s[-1]:
         return None
     R = (alignment.at(at) * segment.attitude.at(at)).as_matrix()[0]
-    p, v = interpolate(prepared.t, prepared.start.p, at)[0], interpolate(prepared.t, prepared.start.v, at)[0]
+    p, v = (
+        interpolate(prepared.t, prepared.forearm.start.p, at)[0],
+        interpolate(prepared.t, prepared.forearm.start.v, at)[0],
+    )
     return NodeState(float(at[0]), R, p, v)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
+from ..body import UPPER_ARM
 from ..linalg import interpolate
 from ..measurements.alignment import lever_of
 from ..rotation import Rotation
@@ -14,7 +15,7 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.shared import SharedLayout
 from ..window.solution import WindowDraws
-from ..window.trajectory import Trajectory
+from ..window.trajectory import SegmentTrajectory, Trajectory
 from .samples import (
     IMU_DELAY_S,
     LINEAR_RAD,
@@ -88,7 +89,7 @@ def sample_draws(
     p = _hermite(nodes, drawn.position, drawn.velocity, t)
     r = _curve(nodes, drawn.rotation, t)
     # 2. Angles that are hardly known, widened as the covariance is, and positions by what depends on them.
-    p, r = _widened(p, r, interpolate(nodes, trajectory.pose_covariance, t))
+    p, r = _widened(p, r, interpolate(nodes, trajectory.forearm.pose_covariance, t))
     # 3. A clock that is off by a moment moves the whole path along itself.
     p = p + model.clock.local_sigma_s * plan.once("clock", 1)[:, :, None] * v
     #    An IMU that is late shows the pose of a moment ago.
@@ -111,8 +112,9 @@ def sample_draws(
     if place_m or turn_rad:
         columns["position"] = p + np.einsum("nij,kj->kni", R, place_m * plan.once("mounting", 3))
         columns["rotation"] = r + np.einsum("nij,kj->kni", R, turn_rad * plan.once("mounting turn", 3))
-    if drawn.upper_rotation is not None and trajectory.upper is not None:
-        columns["upper_rotation"] = _upper(drawn.upper_rotation, trajectory.upper, t)
+    upper = trajectory.of(UPPER_ARM.name)
+    if drawn.upper_rotation is not None and upper is not None:
+        columns["upper_rotation"] = _upper(drawn.upper_rotation, upper, t)
     return SectionDraws(
         samples,
         {name: np.moveaxis(values, 0, 1).astype(np.float32) for name, values in columns.items()},
@@ -141,7 +143,7 @@ def lever_errors(model: SelfCalibration, layout: SharedLayout, plan: DrawPlan) -
     return errors
 
 
-def _upper(rotation: FloatArray, upper: Trajectory, t: FloatArray) -> FloatArray:
+def _upper(rotation: FloatArray, upper: SegmentTrajectory, t: FloatArray) -> FloatArray:
     """Turns (k, m, 3) of the upper-arm IMU; nan where it has no samples."""
     at_samples = _linear(upper.t, rotation, t)
     covariance = interpolate(upper.t, upper.pose_covariance, t)

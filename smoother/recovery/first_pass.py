@@ -279,6 +279,6 @@ def _section_means(
     for number, observation in enumerate(state.observations):
         rows = window_nodes(prepared.t, state.borders, number, margin_s)
         means += field_means(
-            windows.start + number, observation, strength, prepared.t[rows], prepared.start.R[rows]
+            windows.start + number, observation, strength, prepared.t[rows], prepared.forearm.start.R[rows]
         )
     return state, windows, means

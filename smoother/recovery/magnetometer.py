@@ -148,10 +148,12 @@ def takes_part(imu: ImuStream) -> bool:
 
 def observe(imu: ImuStream, window: Window, solution: Solution) -> FieldObservation:
     """What a window's solution, with covariance, makes of the magnetometer's samples."""
-    assert imu.mag is not None and solution.pose_covariance is not None
+    assert imu.mag is not None and solution.forearm.pose_covariance is not None
     have = imu.select(np.asarray(np.isfinite(imu.mag).all(axis=1)))
     in_K = np.full((len(window.t), 3), np.nan) if len(have) < 2 else _in_camera(have, window, solution)
-    return FieldObservation(window.t, in_K, solution.states.R, solution.pose_covariance[:, 3:, 3:])
+    return FieldObservation(
+        window.t, in_K, solution.forearm.states.R, solution.forearm.pose_covariance[:, 3:, 3:]
+    )
 
 
 def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer]:
@@ -278,7 +280,7 @@ def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray
     apart = np.minimum(np.abs(window.t - t[after - 1]), np.abs(window.t - t[after]))
     sample = np.stack([np.interp(window.t, t, axis) for axis in imu.mag.T], axis=1)
     sample[apart > NEAR_S] = np.nan
-    return np.asarray(np.einsum("nij,nj->ni", solution.states.R, sample))
+    return np.asarray(np.einsum("nij,nj->ni", solution.forearm.states.R, sample))
 
 
 def field_means(

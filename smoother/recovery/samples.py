@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray, IntArray
+from ..body import UPPER_ARM
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, rotate_covariance, unit
 from ..measurements.alignment import lever_of, located
@@ -19,10 +20,9 @@ from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
-from ..window.cut import PreparedSegment
+from ..window.prepare import PreparedSegment
 from ..window.problem import States
-from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose, upper_at
-from ..window.upper_runs import PreparedRun
+from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose, segment_at
 
 #: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
 UNKNOWN_LEVER_M = 0.08
@@ -99,8 +99,8 @@ def sample_section(
     end_s = min(trajectory.t[-1], prepared.end_s + BLEND_HALF_S)
     first, last = np.searchsorted(imu_t, start_s), np.searchsorted(imu_t, end_s, side="right")
     t = imu_t[first:last]
-    states, pose = poses_at(trajectory, prepared.signal, clock, t)
-    velocity = interpolate(trajectory.t, trajectory.velocity_covariance, t)
+    states, pose = poses_at(trajectory, prepared.forearm.signal, clock, t)
+    velocity = interpolate(trajectory.t, trajectory.forearm.velocity_covariance, t)
     if len(t) > 1:
         acceleration = IMU_DELAY_S * np.gradient(states.v, t, axis=0)
         velocity += acceleration[:, :, None] * acceleration[:, None, :]
@@ -128,7 +128,7 @@ def sample_section(
         residual=frame_residuals(position, frame_t[own], prepared, trajectory, calibration),
         used=segment.accepted[own] & located(calibration),
         reason=segment.reason[own],
-        gravity=trajectory.gravity.mean(axis=0),
+        gravity=trajectory.forearm.gravity.mean(axis=0),
     )
 
 
@@ -136,8 +136,8 @@ def poses_at(
     trajectory: Trajectory, signal: InertialSignal, clock: Clock, t: FloatArray
 ) -> tuple[States, FloatArray]:
     """States at times (n,) on the IMU's clock, and the pose's covariance (n, 6, 6) there."""
-    states = at_times(trajectory, signal, t)
-    pose = widen_turns(interpolate(trajectory.t, trajectory.pose_covariance, t))
+    states = at_times(trajectory.forearm, signal, t)
+    pose = widen_turns(interpolate(trajectory.t, trajectory.forearm.pose_covariance, t))
     # a clock that is off by a moment moves the whole path along itself
     pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
     # an IMU that is late shows the pose of a moment ago
@@ -245,7 +245,7 @@ def frame_residuals(
     rows = np.flatnonzero((frame_t >= motion.t[0]) & (frame_t <= motion.t[-1]))
     if not len(rows):
         return residual
-    states = at_times(motion, prepared.signal, frame_t[rows])
+    states = at_times(motion.forearm, prepared.forearm.signal, frame_t[rows])
     for column, joint in enumerate(JOINTS):
         if joint == "shoulder":
             if motion.shoulder is not None:
@@ -293,7 +293,7 @@ def sample_upper(
     answer: SectionAnswer,
     imu_t: FloatArray,
     trajectory: Trajectory,
-    prepared: Sequence[PreparedRun],
+    prepared: PreparedSegment,
     model: SelfCalibration,
 ) -> UpperAnswer | None:
     """The upper-arm IMU at the samples that a section answers for.
@@ -306,7 +306,7 @@ def sample_upper(
         Stamps of these samples.
     trajectory : Trajectory
         Of the second pass.
-    prepared : sequence of PreparedRun
+    prepared : PreparedSegment
     model : SelfCalibration
         As all sections have it.
 
@@ -315,10 +315,10 @@ def sample_upper(
     upper : UpperAnswer or None
         None where the recording has no such IMU.
     """
-    upper = trajectory.upper
+    upper = trajectory.of(UPPER_ARM.name)
     if upper is None:
         return None
-    states = upper_at(upper, prepared, imu_t)
+    states = segment_at(upper, prepared, imu_t)
     known = np.isfinite(states.p[:, 0])
     quaternion = np.full((len(imu_t), 4), np.nan)
     pose = np.full((len(imu_t), 6, 6), np.nan)

@@ -112,7 +112,7 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         and any(gap.start_s < window.t[-1] and gap.end_s > window.t[0] for window in refused)
     )
     rows = slice(answer.samples.start - state.first_sample, answer.samples.stop - state.first_sample)
-    upper = sample_upper(answer, state.imu_t[rows], trajectory, state.prepared.upper, task.model)
+    upper = sample_upper(answer, state.imu_t[rows], trajectory, state.prepared, task.model)
     draws = None
     if task.plan is not None:
         drawn = merge_draws(state.prepared.t, windows, solutions)
@@ -120,7 +120,7 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         draws = sample_draws(answer, state.imu_t[rows], drawn, trajectory, task.model, layout, task.plan)
     check = SectionCheck.of(
         solutions,
-        hide_and_recover(replace(state.prepared, start=trajectory.states), windows, job.priors, task),
+        hide_and_recover(state.prepared.with_start(trajectory.forearm.states), windows, job.priors, task),
     )
     return SecondAnswer(
         answer, [solution.message for solution in solutions], unexplained, check, upper, draws

@@ -20,7 +20,8 @@ from ..recording import FOREARM_JOINTS, JOINTS
 from ..result import Draws, Recovery, SelfCheck
 from ..runtime.store import batches
 from ..units import GRAVITY
-from ..window.cut import PreparedSegment, cut
+from ..window.cut import cut
+from ..window.prepare import PreparedSegment
 from ..window.problem import Priors, Window
 from ..window.trajectory import joint_from_pose, merge_windows, share_after
 from .samples import frame_residuals, poses_at
@@ -129,7 +130,7 @@ def choose_stretches(prepared: PreparedSegment, count: int, usual_gap_s: float) 
         Length where the section has no gap.
     """
     visible = _visible_runs(prepared)
-    edges = np.arange(prepared.signal.start_s, prepared.signal.end_s, STEP_S)
+    edges = np.arange(prepared.forearm.signal.start_s, prepared.forearm.signal.end_s, STEP_S)
     if not visible or len(edges) < 3 or count < 1:
         return []
     motion = _Motion.of(prepared, edges)
@@ -188,7 +189,7 @@ class _Motion:
 
     @classmethod
     def of(cls, prepared: PreparedSegment, edges: FloatArray) -> _Motion:
-        means = prepared.signal.means(edges)
+        means = prepared.forearm.signal.means(edges)
         turning = np.sum(means[:, 3:] ** 2, axis=1)
         force = (np.linalg.norm(means[:, :3], axis=1) - GRAVITY) ** 2
 
@@ -237,7 +238,7 @@ def _recovered(
     trajectory = merge_windows(nodes, [replace(own, core_start_s=-np.inf, core_end_s=np.inf)], [solution])
     model = task.model
     error = frame_residuals(prepared.position[rows], t[rows], copy, trajectory, model.estimate)[:, column]
-    states, pose = poses_at(trajectory, prepared.signal, model.clock, t[rows])
+    states, pose = poses_at(trajectory, prepared.forearm.signal, model.clock, t[rows])
     lever = model.estimate.lever_arms.get(reference)
     _, covariance = joint_from_pose(
         states.R,

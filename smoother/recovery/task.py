@@ -19,10 +19,10 @@ from ..selfcal.excerpts import most_telling
 from ..selfcal.rounds import with_initial_values
 from ..selfcal.self_calibration import SelfCalibration
 from ..units import GRAVITY
-from ..window.cut import PreparedSegment, cut
+from ..window.cut import cut
 from ..window.draw_plan import DrawPlan, samples_apart
 from ..window.pooling import pooled, pooled_shared
-from ..window.prepare import prepare
+from ..window.prepare import PreparedSegment, prepare
 from ..window.priors import calibration_from, first_priors, noise_of
 from ..window.problem import NoiseModel, Priors, Window
 from ..window.solution import Message
@@ -231,16 +231,16 @@ class SectionState:
                 self.alignment,
             )
         if again is not None:
-            upper = with_start(again[0].upper, again[0].t, self.trajectory.upper, prepared.upper)
-            prepared = replace(with_initial_values(again[0], self.trajectory), upper=upper)
+            start = with_initial_values(again[0], self.trajectory).forearm.start
+            prepared = with_start(again[0], start, self.trajectory, prepared)
             return replace(self, segment=inliers, prepared=prepared, outliers_rejected=True)
-        upper = with_start(prepared.upper, prepared.t, self.trajectory.upper, prepared.upper)
-        prepared = replace(self.at_clock(clock).prepared, start=self.trajectory.states, upper=upper)
+        start = self.trajectory.forearm.states
+        prepared = with_start(self.at_clock(clock).prepared, start, self.trajectory, prepared)
         return replace(self, prepared=prepared, clock=clock, outliers_rejected=True)
 
     def at_clock(self, clock: Clock) -> SectionState:
         """The same with its frames on a clock that was found anew; they are propagated to the same nodes."""
-        segment, signal = self.segment, self.prepared.signal
+        segment, signal = self.segment, self.prepared.forearm.signal
         before = segment.frame_t_imu(self.clock)
         inside = (before >= segment.start_s) & (before <= segment.end_s)
         frame_t = np.clip(segment.frame_t_imu(clock), signal.start_s, signal.end_s)[inside]

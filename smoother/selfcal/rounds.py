@@ -27,9 +27,9 @@ from ..measurements.segment import Segment
 from ..recording import JOINTS
 from ..runtime.pool import Pool
 from ..units import GRAVITY
-from ..window.cut import PreparedSegment, cut, cut_times
+from ..window.cut import cut, cut_times
 from ..window.pooling import pooled
-from ..window.prepare import prepare
+from ..window.prepare import PreparedSegment, prepare
 from ..window.priors import (
     InitialValues,
     calibration_from,
@@ -115,7 +115,7 @@ def with_initial_values(prepared: PreparedSegment, trajectory: Trajectory | None
     if trajectory is None:
         return prepared
     inside = np.clip(prepared.t, trajectory.t[0], trajectory.t[-1])
-    return replace(prepared, start=at_times(trajectory, prepared.signal, inside))
+    return prepared.with_start(at_times(trajectory.forearm, prepared.forearm.signal, inside))
 
 
 ROUNDS = 4

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import UPPER_ARM
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
@@ -91,7 +92,7 @@ class UpperArm:
             forearm,
             estimate=with_upper(forearm.estimate, own.estimate),
             prior=with_upper(forearm.prior, own.prior),
-            initial=replace(forearm.initial, upper_bias=bias),
+            initial=replace(forearm.initial, biases={UPPER_ARM.name: bias}),
             tissue_m=self.tissue_m,
             upper_clock_offset_s=self.clock.mean_s,
         )

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray, IntArray
+from ..array_types import FloatArray
 from ..linalg import interpolate
 from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
 from ..measurements.visibility import MISSING_S, Gap, enough_joints, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
 from .nodes import propagate
+from .prepare import PreparedSegment
 from .problem import (
     ImuIncrements,
     JointMeasurements,
     NoiseModel,
     Priors,
+    SegmentRun,
     ShoulderMeasurements,
     States,
-    UpperRun,
     Window,
 )
-from .upper_runs import PreparedRun
 
 #: Shoulder knots keep at least so far apart, s.
 KNOT_S = 0.09
@@ -37,59 +36,6 @@ FREE_RAD = 1.0
 KEEP_S = 2.0
 #: In longer gaps borders also lie where the camera sees one joint, s: a window takes memory by its length.
 PARTLY_S = 60.0
-
-
-@dataclass(frozen=True)
-class PreparedSegment:
-    """A segment, or a time range of it, ready to be cut.
-
-    Attributes
-    ----------
-    signal : InertialSignal
-        The IMU as a continuous signal.
-    t : ndarray, shape (n,), s
-        Nodes on the IMU's clock.
-    start : States
-        Initial values at the nodes.
-    frame_t_imu : ndarray, shape (f,), s
-        Camera frames on the IMU's clock.
-    frame_node : ndarray of int, shape (f,)
-        The node that each frame belongs to, -1 where there is none.
-    position : ndarray, shape (f, 5, 3), m
-        The camera's samples in {K}.
-    accepted : ndarray of bool, shape (f, 5)
-        Samples that may take part.
-    sigma_m : ndarray, shape (f, 5), m
-        Their standard deviation an axis.
-    gaps : tuple of Gap
-        Inside, in order of time.
-    acceleration_std : ndarray, shape (n,), m/s^2
-        How much the sensor's acceleration varies.
-    attitude : ndarray, shape (n, 3, 3)
-        `R_K_A` from the inertial filter and the alignment: the weak prior.
-    attitude_covariance : ndarray, shape (n, 3, 3), rad^2
-        Of the attitude, in {K}.
-    start_s, end_s : float, s
-        What the answer is wanted for; nodes beyond only support it.
-    upper : tuple of PreparedRun
-        An upper-arm IMU between its pauses.
-    """
-
-    signal: InertialSignal
-    t: FloatArray
-    start: States
-    frame_t_imu: FloatArray
-    frame_node: IntArray
-    position: FloatArray
-    accepted: BoolArray
-    sigma_m: FloatArray
-    gaps: tuple[Gap, ...]
-    acceleration_std: FloatArray
-    attitude: FloatArray
-    attitude_covariance: FloatArray
-    start_s: float
-    end_s: float
-    upper: tuple[PreparedRun, ...] = ()
 
 
 def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
@@ -176,26 +122,18 @@ def cut(
         rows = window_nodes(prepared.t, borders, index, margin_s)
         lo, hi, prior = rows.start, rows.stop, priors[index]
         t = prepared.t[rows]
-        start = States(prepared.start.R[rows], prepared.start.p[rows], prepared.start.v[rows])
-        attitude_node = _best_node(prepared.attitude_covariance[rows])
         yield Window(
             index=index,
             t=t,
             core_start_s=a,
             core_end_s=b,
-            increments=_increments(prepared.signal, t, prior.shared.mean[prior.layout.bias]),
+            bodies=tuple(_segment_runs(prepared, lo, hi, prior, sharing)),
             joint_measurements=_joint_measurements(prepared, lo, hi, prior, gravity_magnitude),
             shoulder=_shoulder(prepared, lo, hi),
-            start=start,
             velocity_change=_velocity_change(prepared, lo, hi),
-            attitude_node=attitude_node,
-            attitude=prepared.attitude[lo + attitude_node],
-            # one prior for all windows together: its error is common to all
-            attitude_covariance=_weakened(prepared.attitude_covariance[lo + attitude_node], sharing),
             priors=prior,
             noise=noise,
             gravity_magnitude=gravity_magnitude,
-            upper=tuple(_upper_runs(prepared, lo, hi, prior, sharing)),
         )
 
 
@@ -212,10 +150,6 @@ def window_middles(t: FloatArray, borders: list[float], margin_s: float) -> Floa
     """Middles (k,) s of the windows between the borders, margins included."""
     ends = [window_nodes(t, borders, index, margin_s) for index in range(len(borders) - 1)]
     return np.array([0.5 * (t[rows.start] + t[rows.stop - 1]) for rows in ends])
-
-
-def _best_node(covariance: FloatArray) -> int:
-    return int(np.argmin(np.trace(covariance, axis1=1, axis2=2)))
 
 
 def _velocity_change(prepared: PreparedSegment, lo: int, hi: int) -> FloatArray:
@@ -245,23 +179,25 @@ def _increments(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> ImuI
     return ImuIncrements(acc, gyro, h, first, bias, signal.velocity_error(t))
 
 
-def _upper_runs(
+def _segment_runs(
     prepared: PreparedSegment, lo: int, hi: int, prior: Priors, sharing: int
-) -> Iterator[UpperRun]:
-    """What nodes lo to hi - 1 have of the upper-arm IMU."""
-    for run in prepared.upper:
+) -> Iterator[SegmentRun]:
+    """What nodes lo to hi - 1 have of each IMU."""
+    for run in prepared.bodies:
         first, last = max(run.first, lo), min(run.first + len(run.start.p), hi)
         if last - first < 2:
             continue
         rows = slice(first - run.first, last - run.first)
-        node = _best_node(run.attitude_covariance[rows])
-        bias = prior.shared.mean[prior.layout.upper_bias]
-        yield UpperRun(
+        node = int(np.argmin(np.trace(run.attitude_covariance[rows], axis1=1, axis2=2)))
+        bias = prior.shared.mean[prior.layout.bias_of(run.segment)]
+        yield SegmentRun(
+            segment=run.segment,
             first=first - lo,
             start=States(run.start.R[rows], run.start.p[rows], run.start.v[rows]),
             increments=_increments(run.signal, prepared.t[first:last], bias),
             attitude_node=node,
             attitude=run.attitude[rows][node],
+            # one prior for all windows together: its error is common to all
             attitude_covariance=_weakened(run.attitude_covariance[rows][node], sharing),
         )
 
@@ -274,7 +210,13 @@ def _joint_measurements(
     node, frame_t_imu = prepared.frame_node[inside], prepared.frame_t_imu[inside]
     gravity = layout.down(mean) * gravity_magnitude
     motion = propagate(
-        prepared.signal, prepared.t, prepared.start, frame_t_imu, node, gravity, mean[layout.bias]
+        prepared.forearm.signal,
+        prepared.t,
+        prepared.forearm.start,
+        frame_t_imu,
+        node,
+        gravity,
+        mean[layout.bias],
     )
     joint_measurements = []
     for joint in FOREARM_JOINTS:

@@ -84,8 +84,8 @@ def leave_one_out_priors(
     t = np.array([message.t_s for message in messages]) if t_s is None else t_s
     walk = np.zeros(prior.layout.size)
     walk[prior.layout.bias] = SLOW_WALK
-    if prior.layout.has_upper_imu:
-        walk[prior.layout.upper_bias] = SLOW_WALK
+    for segment in prior.layout.further:
+        walk[prior.layout.bias_of(segment)] = SLOW_WALK
     others = leave_one_out([message.shared for message in messages], prior.shared, t, walk, selected)
     return (replace(prior, shared=shared) for shared in others)
 

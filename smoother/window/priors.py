@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import UPPER_ARM
 from ..calibration import ArmCalibration, Length, LeverArm
 from ..config import Config
 from ..linalg import robust_sigma
 from ..measurements.alignment import Alignment
 from ..measurements.segment import Segment
 from ..recording import JOINTS, ImuStream, JointTracks
-from .cut import PreparedSegment
+from .prepare import PreparedSegment
 from .problem import NoiseModel, Priors
 from .shared import Gaussian, SharedLayout, axes_across
 
@@ -43,15 +44,15 @@ class InitialValues:
         In {A}.
     has_shoulder : bool
         The camera saw the shoulder.
-    upper_bias : ndarray, shape (6,), m/s^2 and rad/s, or None
-        Of an IMU on the upper arm, in {B}.
+    biases : dict of str to ndarray, shape (6,), m/s^2 and rad/s
+        Of IMUs on further segments, by the segment's name; zero where there is none.
     """
 
     down: FloatArray
     down_sigma_rad: float
     gyroscope_bias: FloatArray
     has_shoulder: bool
-    upper_bias: FloatArray | None = None
+    biases: dict[str, FloatArray] = field(default_factory=dict)
 
 
 def initial_values(
@@ -105,7 +106,7 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
         joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
         has_upper_arm=initial.has_shoulder and "elbow" in calibration.lever_arms,
         gravity_axes=axes_across(initial.down),
-        has_upper_imu=bool(calibration.upper_imu) and "elbow" in calibration.lever_arms,
+        further=further_segments(calibration),
     )
     mean, variance = np.zeros(layout.size), np.ones(layout.size)
     mean[:3] = 0.0 if calibration.accelerometer_bias is None else calibration.accelerometer_bias
@@ -121,14 +122,20 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
     for joint in layout.joints:
         lever = calibration.lever_arms[joint]
         mean[layout.lever(joint)], variance[layout.lever(joint)] = lever.position_m, lever.sigma_m**2
-    for joint, rows in layout.upper_levers.items():
-        lever = calibration.upper_imu[joint]
-        mean[rows], variance[rows] = lever.position_m, lever.sigma_m**2
-    if layout.has_upper_imu:
-        mean[layout.upper_bias] = 0.0 if initial.upper_bias is None else initial.upper_bias
-        variance[layout.upper_bias] = variance[layout.bias]
+    for segment in layout.further:
+        for joint, rows in layout.levers(segment).items():
+            lever = calibration.upper_imu[joint]
+            mean[rows], variance[rows] = lever.position_m, lever.sigma_m**2
+        mean[layout.bias_of(segment)] = initial.biases.get(segment, 0.0)
+        variance[layout.bias_of(segment)] = variance[layout.bias]
     walk = np.repeat([config.imu.accelerometer_bias_walk, config.imu.gyroscope_bias_walk], 3)
     return Priors(layout, Gaussian(mean, np.diag(variance)), walk)
+
+
+def further_segments(calibration: ArmCalibration) -> tuple[str, ...]:
+    """Names of the segments beyond the forearm whose IMU is known enough to take part."""
+    known = bool(calibration.upper_imu) and UPPER_ARM.shared_joint in calibration.lever_arms
+    return (UPPER_ARM.name,) if known else ()
 
 
 def upper_arm_seen(segments: list[Segment], config: Config) -> Length:
@@ -288,6 +295,7 @@ def calibration_from(
             constants.mean[rows.start - start : rows.stop - start],
             sigma[rows.start - start : rows.stop - start],
         )
-        for joint, rows in layout.upper_levers.items()
+        for segment in layout.further
+        for joint, rows in layout.levers(segment).items()
     }
     return replace(before, lever_arms=levers, upper_arm=upper_arm, upper_imu=upper_imu or before.upper_imu)

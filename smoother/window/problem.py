@@ -187,31 +187,40 @@ class NoiseModel:
 
 
 @dataclass(frozen=True)
-class UpperRun:
-    """An upper-arm IMU at neighbouring nodes of a window.
+class SegmentRun:
+    """An IMU on a segment of the arm, at neighbouring nodes of a window.
 
     Attributes
     ----------
+    segment : str
+        Name of the segment (`body.SEGMENTS`).
     first : int
         The window's node that it begins at.
     start : States
-        Initial values at its m nodes: `R_K_B`, position and velocity of that IMU.
+        Initial values at its m nodes: orientation from the IMU's axes to {K}, position and velocity.
     increments : ImuIncrements
         Of its m - 1 intervals.
     attitude_node : int
-        The node, counted from `first`, with a weak prior on its orientation.
+        The node, counted from `first`, with a weak prior on its orientation, so that no direction is left
+        free by the data.
     attitude : ndarray, shape (3, 3)
-        The prior's `R_K_B`.
+        The prior's orientation.
     attitude_covariance : ndarray, shape (3, 3), rad^2
         Of the prior, in {K}.
     """
 
+    segment: str
     first: int
     start: States
     increments: ImuIncrements
     attitude_node: int
     attitude: FloatArray
     attitude_covariance: FloatArray
+
+    @property
+    def nodes(self) -> slice:
+        """The window's nodes that it covers."""
+        return slice(self.first, self.first + len(self.start.p))
 
 
 @dataclass(frozen=True)
@@ -226,22 +235,14 @@ class Window:
         Nodes on the IMU's clock, margins included.
     core_start_s, core_end_s : float, s
         The window's borders; the margins lie beyond them.
-    increments : ImuIncrements
-        Of the n - 1 intervals.
+    bodies : tuple of SegmentRun
+        The forearm's IMU at all nodes, then IMUs on other segments, each between its pauses.
     joint_measurements : tuple of JointMeasurements
         Of the forearm's joints that the camera saw.
     shoulder : ShoulderMeasurements or None
         None where the camera saw no shoulder in the segment.
-    start : States
-        Initial values at the nodes.
     velocity_change : ndarray, shape (n - 1,), m/s
         How much the velocity may change in an interval; inf where nothing is known of it.
-    attitude_node : int
-        The node with a weak prior on its orientation, so that no direction is left free by the data.
-    attitude : ndarray, shape (3, 3)
-        The prior's `R_K_A`.
-    attitude_covariance : ndarray, shape (3, 3), rad^2
-        Of the prior, in {K}.
     priors : Priors
         On the shared quantities.
     noise : NoiseModel
@@ -251,25 +252,32 @@ class Window:
         A magnetometer's directions where there is a calibrated one.
     considered : Considered or None
         Constant errors that widen the covariance.
-    upper : tuple of UpperRun
-        Of an upper-arm IMU, between its pauses; empty without one.
     """
 
     index: int
     t: FloatArray
     core_start_s: float
     core_end_s: float
-    increments: ImuIncrements
+    bodies: tuple[SegmentRun, ...]
     joint_measurements: tuple[JointMeasurements, ...]
     shoulder: ShoulderMeasurements | None
-    start: States
     velocity_change: FloatArray
-    attitude_node: int
-    attitude: FloatArray
-    attitude_covariance: FloatArray
     priors: Priors
     noise: NoiseModel
     gravity_magnitude: float
     field: FieldMeasurements | None = None
     considered: Considered | None = None
-    upper: tuple[UpperRun, ...] = ()
+
+    @property
+    def forearm(self) -> SegmentRun:
+        """The forearm's IMU, which covers all nodes."""
+        return self.bodies[0]
+
+    @property
+    def further(self) -> tuple[SegmentRun, ...]:
+        """The IMUs on other segments."""
+        return self.bodies[1:]
+
+    def runs(self, segment: str) -> tuple[SegmentRun, ...]:
+        """What there is of the IMU on a segment."""
+        return tuple(run for run in self.bodies if run.segment == segment)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import FOREARM, SEGMENTS
 from ..recording import JOINTS
 
 
@@ -41,11 +42,11 @@ class SharedLayout:
     gravity_axes : ndarray, shape (2, 3)
         Unit vectors in {K} across the direction of down; gravity's two coordinates are the components of
         the unit vector of down along them.
-    has_upper_imu : bool
-        An IMU on the upper arm takes part: elbow and shoulder in its axes {B}, (3,) m each, and its bias
-        (6,) at the end.
+    further : tuple of str
+        Names of further segments with an IMU (`body.SEGMENTS`): the lever arms of their joints, (3,) m each,
+        then the bias (6,) of each of them at the end.
     bias : slice
-        Accelerometer's and gyroscope's, (6,) m/s^2 and rad/s.
+        Accelerometer's and gyroscope's of the forearm, (6,) m/s^2 and rad/s.
     gravity : slice
         The two coordinates.
     """
@@ -53,7 +54,7 @@ class SharedLayout:
     joints: tuple[str, ...]
     has_upper_arm: bool
     gravity_axes: FloatArray
-    has_upper_imu: bool = False
+    further: tuple[str, ...] = ()
 
     bias = slice(0, 6)
     gravity = slice(6, 8)
@@ -61,7 +62,12 @@ class SharedLayout:
     @property
     def size(self) -> int:
         """Length of the vector."""
-        return 8 + int(self.has_upper_arm) + 3 * len(self.joints) + 12 * int(self.has_upper_imu)
+        return self._first_of_further + sum(3 * len(SEGMENTS[name].joints) + 6 for name in self.further)
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """Names of all segments with an IMU, the forearm first."""
+        return (FOREARM.name, *self.further)
 
     @property
     def upper_arm(self) -> slice:
@@ -71,25 +77,33 @@ class SharedLayout:
     @property
     def constants(self) -> slice:
         """Rows of the arm's constants: upper arm and lever arms."""
-        return slice(8, self.size - 6 * int(self.has_upper_imu))
+        return slice(8, self.size - 6 * len(self.further))
 
-    def lever(self, joint: str) -> slice:
-        """Rows of a joint's lever arm."""
-        first = self.upper_arm.stop + 3 * self.joints.index(joint)
+    @property
+    def _first_of_further(self) -> int:
+        return self.upper_arm.stop + 3 * len(self.joints)
+
+    def lever(self, joint: str, segment: str = FOREARM.name) -> slice:
+        """Rows of a joint's lever arm in a segment's axes."""
+        if segment == FOREARM.name:
+            first = self.upper_arm.stop + 3 * self.joints.index(joint)
+        else:
+            before = self.further[: self.further.index(segment)]
+            first = self._first_of_further + sum(3 * len(SEGMENTS[name].joints) for name in before)
+            first += 3 * SEGMENTS[segment].joints.index(joint)
         return slice(first, first + 3)
 
-    @property
-    def upper_levers(self) -> dict[str, slice]:
-        """Rows of elbow and shoulder in {B}; none without an IMU on the upper arm."""
-        if not self.has_upper_imu:
-            return {}
-        first = self.size - 12
-        return {"elbow": slice(first, first + 3), "shoulder": slice(first + 3, first + 6)}
+    def levers(self, segment: str) -> dict[str, slice]:
+        """Rows of the lever arms of a segment with an IMU, by joint."""
+        joints = self.joints if segment == FOREARM.name else SEGMENTS[segment].joints
+        return {joint: self.lever(joint, segment) for joint in joints}
 
-    @property
-    def upper_bias(self) -> slice:
-        """Rows of the upper-arm IMU's bias; empty without one."""
-        return slice(self.size - 6 * int(self.has_upper_imu), self.size)
+    def bias_of(self, segment: str) -> slice:
+        """Rows of the bias of a segment's IMU."""
+        if segment == FOREARM.name:
+            return self.bias
+        first = self.constants.stop + 6 * self.further.index(segment)
+        return slice(first, first + 6)
 
     def down(self, vector: FloatArray) -> FloatArray:
         """Unit vector of gravity (3,) in {K}, of a shared vector (s,)."""

@@ -86,23 +86,29 @@ class Message:
 
 
 @dataclass(frozen=True)
-class UpperSolution:
-    """A window's answer on the upper-arm IMU, at all of its nodes.
+class SegmentSolution:
+    """A window's answer on the IMU of a segment, at all of the window's nodes.
 
     Attributes
     ----------
+    segment : str
+        Name of the segment.
     known : ndarray of bool, shape (n,)
         Nodes at which that IMU has samples; elsewhere orientation is the identity and the rest nan.
     states : States
-        `R_K_B`, position and velocity of that IMU.
+        Orientation to {K}, position and velocity of the IMU.
     pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2, or None
         Of (position, rotation vector) in {K}; None where not asked for.
+    velocity_covariance : ndarray, shape (n, 3, 3), m^2/s^2, or None
+        In {K}, of the forearm; None where not asked for.
     bias : ndarray, shape (n, 6), m/s^2 and rad/s
     """
 
+    segment: str
     known: BoolArray
     states: States
     pose_covariance: FloatArray | None
+    velocity_covariance: FloatArray | None
     bias: FloatArray
 
 
@@ -114,20 +120,14 @@ class Solution:
     ----------
     index : int
         Of the window.
-    states : States
-        At the window's nodes.
-    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2, or None
-        Of (position, rotation vector) in {K}; None where not asked for.
-    velocity_covariance : ndarray, shape (n, 3, 3), m^2/s^2, or None
-        In {K}; None where not asked for.
+    bodies : tuple of SegmentSolution
+        Of each segment with an IMU, the forearm first.
     shoulder : ndarray, shape (k, 3), m, or None
         At the knots, in {K}.
     shoulder_covariance : ndarray, shape (k, 3, 3), m^2, or None
         At the knots; None where not asked for.
     message : Message
         The shared quantities.
-    bias : ndarray, shape (n, 6), m/s^2 and rad/s
-        At the nodes.
     residuals : dict of str to ndarray, shape (k, 3), m
         By joint, camera minus answer in the order of `JointMeasurements`.
     iterations : int
@@ -141,8 +141,6 @@ class Solution:
         there, so that the covariance covers what is open.
     evidence : ErrorEvidence or None
         On errors that are constant over the recording; None where not asked for.
-    upper : UpperSolution or None
-        None where the recording has no upper-arm IMU.
     draws : WindowDraws or None
         Drawn from the posterior; None where not asked for.
     shifts : tuple of BlockShift
@@ -150,22 +148,23 @@ class Solution:
     """
 
     index: int
-    states: States
-    pose_covariance: FloatArray | None
-    velocity_covariance: FloatArray | None
+    bodies: tuple[SegmentSolution, ...]
     shoulder: FloatArray | None
     shoulder_covariance: FloatArray | None
     message: Message
-    bias: FloatArray
     residuals: dict[str, FloatArray]
     iterations: int
     error: float
     offset_information: float = 0.0
     accepted: bool = True
     evidence: ErrorEvidence | None = None
-    upper: UpperSolution | None = None
     draws: WindowDraws | None = None
     shifts: tuple[BlockShift, ...] = ()
+
+    @property
+    def forearm(self) -> SegmentSolution:
+        """The forearm's."""
+        return self.bodies[0]
 
 
 @dataclass(frozen=True)

@@ -8,27 +8,28 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
+from ..body import FOREARM
 from ..linalg import interpolate, rotate_covariance, runs, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..rotation import Rotation
+from .prepare import PreparedSegment
 from .problem import States, Window
 from .solution import Solution, WindowDraws
-from .upper_runs import PreparedRun
 
 #: Neighbouring windows are blended over this time on both sides of their border, s.
 BLEND_HALF_S = 0.5
 
 
 @dataclass(frozen=True)
-class Trajectory:
-    """The arm at the nodes.
+class SegmentTrajectory:
+    """The IMU of a segment of the arm at the nodes.
 
     Attributes
     ----------
     t : ndarray, shape (n,), s
-        Nodes on the IMU's clock.
+        Nodes on the forearm IMU's clock.
     states : States
-        Pose and velocity of the IMU.
+        Pose and velocity of the IMU; position nan where it has no samples.
     pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2
         Of (position, rotation vector) in {K}; zero where the windows were solved without.
     velocity_covariance : ndarray, shape (n, 3, 3), m^2/s^2
@@ -37,14 +38,8 @@ class Trajectory:
         Of accelerometer and gyroscope.
     gravity : ndarray, shape (n, 3), m/s^2
         In {K}.
-    shoulder : ndarray, shape (n, 3), m, or None
-        In {K}; None where the camera saw no shoulder.
-    shoulder_covariance : ndarray, shape (n, 3, 3), m^2, or None
-        In {K}.
-    levers : dict of str to ndarray, shape (n, 3), m
-        Lever arms by joint in {A}, as the windows that the poses come from have them.
-    upper : Trajectory or None
-        The upper-arm IMU in place of the forearm's: position nan where it has no samples.
+    segment : str
+        Name of the segment.
     """
 
     t: FloatArray
@@ -53,10 +48,43 @@ class Trajectory:
     velocity_covariance: FloatArray
     bias: FloatArray
     gravity: FloatArray
+    segment: str = FOREARM.name
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The arm at the nodes.
+
+    Attributes
+    ----------
+    bodies : tuple of SegmentTrajectory
+        Of each segment with an IMU, the forearm first.
+    shoulder : ndarray, shape (n, 3), m, or None
+        In {K}; None where the camera saw no shoulder.
+    shoulder_covariance : ndarray, shape (n, 3, 3), m^2, or None
+        In {K}.
+    levers : dict of str to ndarray, shape (n, 3), m
+        Lever arms by joint in {A}, as the windows that the poses come from have them.
+    """
+
+    bodies: tuple[SegmentTrajectory, ...]
     shoulder: FloatArray | None
     shoulder_covariance: FloatArray | None
     levers: dict[str, FloatArray]
-    upper: Trajectory | None = None
+
+    @property
+    def t(self) -> FloatArray:
+        """Nodes (n,) s on the forearm IMU's clock."""
+        return self.forearm.t
+
+    @property
+    def forearm(self) -> SegmentTrajectory:
+        """The forearm's."""
+        return self.bodies[0]
+
+    def of(self, segment: str) -> SegmentTrajectory | None:
+        """A segment's; None where it has no IMU."""
+        return next((body for body in self.bodies if body.segment == segment), None)
 
     def lever_at(self, joint: str, t: FloatArray) -> FloatArray:
         """A joint's lever arm (k, 3) m in {A} at times (k,), as the windows there have it; 0 for the IMU."""
@@ -83,34 +111,12 @@ def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution
         Covariances stay zero where the windows were solved without.
     """
     n = len(t)
-    R, p, v = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
-    pose, velocity = np.zeros((n, 6, 6)), np.zeros((n, 3, 3))
-    bias, gravity = np.zeros((n, 6)), np.zeros((n, 3))
     has_shoulder = windows[0].shoulder is not None
     shoulder, shoulder_covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     levers = {joint: np.zeros((n, 3)) for joint in windows[0].priors.layout.joints}
     filled = np.zeros(n, dtype=bool)
     for window, solution in zip(windows, solutions, strict=True):
         own, rows, share = window_share(t, window, filled)
-        turn = turn_to(R[rows], solution.states.R[own], filled[rows])
-        base = np.where(filled[rows, None, None], R[rows], solution.states.R[own])
-        R[rows] = base @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
-        for target, value in (
-            (p, solution.states.p),
-            (v, solution.states.v),
-            (pose, solution.pose_covariance),
-            (velocity, solution.velocity_covariance),
-            (bias, solution.bias),
-            (
-                gravity,
-                np.tile(
-                    window.priors.layout.down(solution.message.shared.mean) * window.gravity_magnitude,
-                    (len(window.t), 1),
-                ),
-            ),
-        ):
-            if value is not None:
-                mix(target, rows, value[own], share)
         for joint, values in levers.items():
             lever = solution.message.shared.mean[window.priors.layout.lever(joint)]
             mix(values, rows, np.tile(lever, (len(own), 1)), share)
@@ -121,36 +127,43 @@ def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution
                 mix(shoulder_covariance, rows, covariance[own], share)
         filled[rows] = True
     return Trajectory(
-        t,
-        States(R, p, v),
-        pose,
-        velocity,
-        bias,
-        gravity,
+        tuple(_merge_segment(t, windows, solutions, k) for k in range(len(solutions[0].bodies))),
         shoulder if has_shoulder else None,
         shoulder_covariance if has_shoulder else None,
         levers,
-        _merge_upper(t, windows, solutions),
     )
 
 
-def _merge_upper(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Trajectory | None:
-    """The same for an upper-arm IMU: each window with that one in place of the forearm's."""
-    own = [
-        replace(
-            solution,
-            states=solution.upper.states,
-            pose_covariance=solution.upper.pose_covariance,
-            velocity_covariance=None,
-            bias=solution.upper.bias,
-            upper=None,
-        )
-        for solution in solutions
-        if solution.upper is not None
-    ]
-    if len(own) < len(solutions):
-        return None
-    return merge_windows(t, [replace(window, shoulder=None) for window in windows], own)
+def _merge_segment(
+    t: FloatArray, windows: list[Window], solutions: list[Solution], number: int
+) -> SegmentTrajectory:
+    """The windows' answers on one of the segments, blended."""
+    n = len(t)
+    R, p, v = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+    pose, velocity = np.zeros((n, 6, 6)), np.zeros((n, 3, 3))
+    bias, gravity = np.zeros((n, 6)), np.zeros((n, 3))
+    filled = np.zeros(n, dtype=bool)
+    for window, solution in zip(windows, solutions, strict=True):
+        body = solution.bodies[number]
+        own, rows, share = window_share(t, window, filled)
+        turn = turn_to(R[rows], body.states.R[own], filled[rows])
+        base = np.where(filled[rows, None, None], R[rows], body.states.R[own])
+        R[rows] = base @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
+        down = window.priors.layout.down(solution.message.shared.mean) * window.gravity_magnitude
+        for target, value in (
+            (p, body.states.p),
+            (v, body.states.v),
+            (pose, body.pose_covariance),
+            (velocity, body.velocity_covariance),
+            (bias, body.bias),
+            (gravity, np.tile(down, (len(window.t), 1))),
+        ):
+            if value is not None:
+                mix(target, rows, value[own], share)
+        filled[rows] = True
+    return SegmentTrajectory(
+        t, States(R, p, v), pose, velocity, bias, gravity, solutions[0].bodies[number].segment
+    )
 
 
 def window_share(t: FloatArray, window: Window, filled: np.ndarray) -> tuple[IntArray, IntArray, FloatArray]:
@@ -255,7 +268,7 @@ def joint_from_pose(
     return p + arm, covariance
 
 
-def at_times(motion: Trajectory, signal: InertialSignal, at: FloatArray) -> States:
+def at_times(motion: SegmentTrajectory, signal: InertialSignal, at: FloatArray) -> States:
     """Pose and velocity at any times within the nodes: each node's state propagated forwards by the IMU.
 
     What is missing at the next node (millimetres) is spread over the interval by the cubic that
@@ -263,9 +276,9 @@ def at_times(motion: Trajectory, signal: InertialSignal, at: FloatArray) -> Stat
 
     Parameters
     ----------
-    motion : Trajectory
+    motion : SegmentTrajectory
     signal : InertialSignal
-        Of the same segment.
+        Of the same IMU.
     at : ndarray, shape (N,), s
         Increasing times between the first and the last node.
 
@@ -343,15 +356,14 @@ def merge_draws(t: FloatArray, windows: Sequence[Window], solutions: Sequence[So
     return WindowDraws(**{each.name: merged.get(each.name) for each in fields(WindowDraws)})  # type: ignore[arg-type]
 
 
-def upper_at(upper: Trajectory, prepared: Sequence[PreparedRun], at: FloatArray) -> States:
-    """Pose and velocity of the upper-arm IMU at any times; orientation and all else nan without samples.
+def segment_at(motion: SegmentTrajectory, prepared: PreparedSegment, at: FloatArray) -> States:
+    """Pose and velocity of an IMU that pauses at any times; orientation and all else nan without samples.
 
     Parameters
     ----------
-    upper : Trajectory
-        Its own (`Trajectory.upper`).
-    prepared : sequence of PreparedRun
-        Of the same segment.
+    motion : SegmentTrajectory
+    prepared : PreparedSegment
+        What it was solved of.
     at : ndarray, shape (k,), s
         Increasing.
 
@@ -363,51 +375,50 @@ def upper_at(upper: Trajectory, prepared: Sequence[PreparedRun], at: FloatArray)
     states = States(
         np.full((len(at), 3, 3), np.nan), np.full((len(at), 3), np.nan), np.full((len(at), 3), np.nan)
     )
-    known = np.isfinite(upper.states.p[:, 0])
-    for run in prepared:
+    known = np.isfinite(motion.states.p[:, 0])
+    for run in prepared.runs(motion.segment):
         mine = np.zeros_like(known)
         mine[run.first : run.first + len(run.start.p)] = True
         for nodes in runs(known & mine):
             inside = slice(
-                *np.searchsorted(at, upper.t[[nodes.start, nodes.stop - 1]] + [0.0, 1e-9]).tolist()
+                *np.searchsorted(at, motion.t[[nodes.start, nodes.stop - 1]] + [0.0, 1e-9]).tolist()
             )
             if nodes.stop - nodes.start < 2 or inside.stop <= inside.start:
                 continue
-            own = States(*(getattr(upper.states, name)[nodes] for name in ("R", "p", "v")))
-            motion = replace(
-                upper, t=upper.t[nodes], states=own, bias=upper.bias[nodes], gravity=upper.gravity[nodes]
+            own = States(*(getattr(motion.states, name)[nodes] for name in ("R", "p", "v")))
+            part = replace(
+                motion, t=motion.t[nodes], states=own, bias=motion.bias[nodes], gravity=motion.gravity[nodes]
             )
-            times = np.clip(at[inside], motion.t[0], motion.t[-1])
-            answer = at_times(motion, run.signal, times)
+            answer = at_times(part, run.signal, np.clip(at[inside], part.t[0], part.t[-1]))
             states.R[inside], states.p[inside], states.v[inside] = answer.R, answer.p, answer.v
     return states
 
 
 def with_start(
-    prepared: tuple[PreparedRun, ...], t: FloatArray, upper: Trajectory | None, before: Sequence[PreparedRun]
-) -> tuple[PreparedRun, ...]:
-    """The runs with an earlier solution's motion as start values, where it has any.
+    prepared: PreparedSegment, forearm: States, trajectory: Trajectory, before: PreparedSegment
+) -> PreparedSegment:
+    """The segment with an earlier solution's motion as start values, where it has any.
 
     Parameters
     ----------
-    prepared : tuple of PreparedRun
-    t : ndarray, shape (n,), s
-        Their segment's nodes.
-    upper : Trajectory or None
+    prepared : PreparedSegment
+    forearm : States
+        The forearm's at its nodes.
+    trajectory : Trajectory
         The earlier solution.
-    before : sequence of PreparedRun
-        What that was solved with.
+    before : PreparedSegment
+        What that was solved of.
     """
-    if upper is None:
-        return prepared
-    restarted = []
-    for run in prepared:
-        states = upper_at(upper, before, t[run.first : run.first + len(run.start.p)])
-        good = np.isfinite(states.p[:, 0])
-        start = States(
-            np.where(good[:, None, None], states.R, run.start.R),
-            np.where(good[:, None], states.p, run.start.p),
-            np.where(good[:, None], states.v, run.start.v),
-        )
-        restarted.append(replace(run, start=start))
-    return tuple(restarted)
+    bodies = [replace(prepared.forearm, start=forearm)]
+    for run in prepared.bodies[1:]:
+        start, motion = run.start, trajectory.of(run.segment)
+        if motion is not None:
+            states = segment_at(motion, before, prepared.t[run.first : run.first + len(run.start.p)])
+            good = np.isfinite(states.p[:, 0])
+            start = States(
+                np.where(good[:, None, None], states.R, start.R),
+                np.where(good[:, None], states.p, start.p),
+                np.where(good[:, None], states.v, start.v),
+            )
+        bodies.append(replace(run, start=start))
+    return replace(prepared, bodies=tuple(bodies))

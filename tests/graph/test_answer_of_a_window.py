@@ -17,6 +17,7 @@ from small_window import (
     UPPER_FIRST,
     UPPER_NODES,
     small_window,
+    with_forearm,
 )
 
 import smoother.graph.build
@@ -24,8 +25,7 @@ import smoother.graph.optimise
 import smoother.graph.solve
 from smoother.array_types import FloatArray
 from smoother.errors import SolveError
-from smoother.graph.build import bias_of_intervals
-from smoother.graph.chain import build_arm
+from smoother.graph.build import WindowGraph, bias_of_intervals, build
 from smoother.graph.error_columns import (
     constant_error_columns,
     evidence,
@@ -61,7 +61,7 @@ class Optimum:
 
     def __init__(self, window: Window) -> None:
         self.window = window
-        self.graph, start = build_arm(window)
+        self.graph, start, self.groups = build(window)
         params = gtsam.LevenbergMarquardtParams()
         params.setMaxIterations(300)
         params.setRelativeErrorTol(1e-13)
@@ -69,7 +69,9 @@ class Optimum:
         self.values = gtsam.LevenbergMarquardtOptimizer(self.graph, start, params).optimize()
         self.R = np.array([self.values.atPose3(X(i)).rotation().matrix() for i in range(NODES)])
         self.biases = bias_of_intervals(window)
-        self.errors = partial(constant_error_columns, window=window, biases=self.biases, R=self.R)
+        self.errors = partial(
+            constant_error_columns, window=window, groups=self.groups, biases=self.biases, R=self.R
+        )
         self.system = LinearSystem(self.graph, self.values, node_of_variables(window), [self.errors])
         self.A, self.b = self.system.jacobian.toarray(), self.system.jacobian.rhs
         self.extra = np.zeros((len(self.A), SIZE))
@@ -131,18 +133,18 @@ def test_states_and_their_covariance(pair: tuple[Optimum, Solution]) -> None:
     assert found.index == 7 and found.accepted
     pose = np.array([in_camera(best.R[i], best.of(X(i))) for i in range(NODES)])
     velocity = np.array([best.of(V(i)) for i in range(NODES)])
-    like(found.pose_covariance, pose)
-    like(found.velocity_covariance, velocity)
+    like(found.forearm.pose_covariance, pose)
+    like(found.forearm.velocity_covariance, velocity)
     close(
-        found.states.p,
+        found.forearm.states.p,
         np.array([best.values.atPose3(X(i)).translation() for i in range(NODES)]),
         pose[:, :3, :3],
     )
-    close(found.states.v, np.array([best.values.atVector(V(i)) for i in range(NODES)]), velocity)
-    np.testing.assert_allclose(found.states.R, best.R, atol=1e-3)
+    close(found.forearm.states.v, np.array([best.values.atVector(V(i)) for i in range(NODES)]), velocity)
+    np.testing.assert_allclose(found.forearm.states.R, best.R, atol=1e-3)
     bias = [best.values.atConstantBias(B(k)).vector() for k in (0, 1)]
     rows = np.append(best.biases, 1)
-    close(found.bias, np.array([bias[k] for k in rows]), np.array([best.of(B(k)) for k in rows]))
+    close(found.forearm.bias, np.array([bias[k] for k in rows]), np.array([best.of(B(k)) for k in rows]))
     knots = np.array([best.values.atPoint3(S(k)) for k in range(6)])
     of_knots = np.array([best.of(S(k)) for k in range(6)])
     assert found.shoulder is not None
@@ -153,8 +155,8 @@ def test_states_and_their_covariance(pair: tuple[Optimum, Solution]) -> None:
 
 def test_the_upper_arm_s_imu(pair: tuple[Optimum, Solution]) -> None:
     best, found = pair
-    upper, rows = found.upper, np.arange(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
-    assert upper is not None and upper.pose_covariance is not None
+    upper, rows = found.bodies[1], np.arange(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
+    assert upper.pose_covariance is not None
     assert np.flatnonzero(upper.known).tolist() == rows.tolist() and upper.known.dtype == bool
     poses = [best.values.atPose3(Y(i)) for i in rows]
     R = np.array([pose.rotation().matrix() for pose in poses])
@@ -219,7 +221,7 @@ def test_residuals(pair: tuple[Optimum, Solution]) -> None:
         if measured.joint != "strap":
             lever = found.message.shared.mean[layout.lever(measured.joint)]
         for k, node in enumerate(measured.node):
-            at = found.states.p[node] + found.states.R[node] @ lever + measured.shift[k]
+            at = found.forearm.states.p[node] + found.forearm.states.R[node] @ lever + measured.shift[k]
             np.testing.assert_allclose(
                 found.residuals[measured.joint][k], measured.position[k] - at, atol=1e-12
             )
@@ -228,14 +230,19 @@ def test_residuals(pair: tuple[Optimum, Solution]) -> None:
 def test_only_what_is_asked_for() -> None:
     window = small_window(upper=False)[0]
     found = solve(window, with_covariance=False, with_message=False)
-    assert found.pose_covariance is found.velocity_covariance is found.shoulder_covariance is None
-    assert found.evidence is found.upper is None and found.offset_information == 0.0
+    assert (
+        found.forearm.pose_covariance
+        is found.forearm.velocity_covariance
+        is found.shoulder_covariance
+        is None
+    )
+    assert found.evidence is None and len(found.bodies) == 1 and found.offset_information == 0.0
     assert np.isnan(found.message.shared.covariance).all() and np.isfinite(found.message.shared.mean).all()
     found = solve(replace(window, shoulder=None), with_covariance=True)
-    assert found.shoulder is found.shoulder_covariance is None and found.pose_covariance is not None
+    assert found.shoulder is found.shoulder_covariance is None and found.forearm.pose_covariance is not None
     assert np.isfinite(found.message.shared.covariance).all()
-    upper = solve(small_window()[0], with_covariance=False).upper
-    assert upper is not None and upper.pose_covariance is None
+    _, upper = solve(small_window()[0], with_covariance=False).bodies
+    assert upper.pose_covariance is None
 
 
 @pytest.mark.parametrize(
@@ -281,7 +288,7 @@ def test_columns_may_begin_anywhere() -> None:
 
 def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.NonlinearFactorGraph:
     """The graph of data that read as errors make them: scales of the IMU, joints, the strap's turning."""
-    increments, layout, mean = window.increments, window.priors.layout, window.priors.shared.mean
+    increments, layout, mean = window.forearm.increments, window.priors.layout, window.priors.shared.mean
     of_acc, of_gyro = error[:9].reshape(3, 3), error[9:18].reshape(3, 3)
     force, rate = increments.acc.copy(), increments.gyro.copy()
     for i, (a, b) in enumerate(zip(increments.first[:-1], increments.first[1:], strict=True)):
@@ -305,11 +312,10 @@ def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.Nonl
     shoulder = replace(window.shoulder, position=window.shoulder.position - error[column : column + 3])
     changed = replace(
         window,
-        increments=replace(increments, acc=force, gyro=rate),
         joint_measurements=tuple(measured),
         shoulder=shoulder,
     )
-    return build_arm(changed)[0]
+    return build(with_forearm(changed, increments=replace(increments, acc=force, gyro=rate))).graph
 
 
 def test_the_chain_is_the_dense_system(pair: tuple[Optimum, Solution]) -> None:
@@ -416,12 +422,12 @@ def test_considered_errors_widen_the_covariance(rows: int) -> None:
     at = np.concatenate([np.arange(best.A.shape[1])[best.columns[key]] for key in keys])
     pull[at] = J.T @ np.linalg.solve(window.priors.shared.covariance, shared)
     follows = best.follows(pull)
-    assert found.pose_covariance is not None and found.shoulder_covariance is not None
+    assert found.forearm.pose_covariance is not None and found.shoulder_covariance is not None
     for i in (0, 4, 9):
         own = follows[best.columns[X(i)]].copy()
         own[3:, STRAP_PLACE] += np.eye(3)  # the answer is where the strap is, not the chip
         total = best.of(X(i)) + own @ window.considered.covariance @ own.T
-        like(found.pose_covariance[i], in_camera(best.R[i], total), 5e-3)
+        like(found.forearm.pose_covariance[i], in_camera(best.R[i], total), 5e-3)
         assert np.trace(total) > 1.01 * np.trace(best.of(X(i)))
     own = follows[best.columns[S(2)]]
     like(found.shoulder_covariance[2], best.of(S(2)) + own @ window.considered.covariance @ own.T, 5e-3)
@@ -432,7 +438,7 @@ def test_the_offset_s_information(pair: tuple[Optimum, Solution]) -> None:
     window = small_window(3, upper=False)[0]
     measured = tuple(_one_a_node(each) for each in window.joint_measurements)
     best = Optimum(replace(window, joint_measurements=measured, considered=None))
-    states = solve(best.window, with_covariance=False, tolerance=1e-13).states
+    states = solve(best.window, with_covariance=False, tolerance=1e-13).forearm.states
     column = np.zeros(len(best.A))
     row = 9 * (NODES - 1)
     for each in measured:
@@ -451,7 +457,7 @@ def test_the_offset_s_information(pair: tuple[Optimum, Solution]) -> None:
 def information_on_offset(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
 ) -> float:
-    column = partial(offset_column, window=window, states=states)
+    column = partial(offset_column, window=window, groups=build(window).groups, states=states)
     system = LinearSystem(graph, values, node_of_variables(window), [column])
     return offset_information(system, 0, window, states)
 
@@ -472,7 +478,7 @@ def test_samples_that_share_a_node_say_more_of_the_offset() -> None:
     window = replace(small_window(upper=False)[0], considered=None)
     best = Optimum(window)
     found = solve(window, with_covariance=False, tolerance=1e-13)
-    velocity = found.states.v
+    velocity = found.forearm.states.v
 
     def at(spread: float) -> float:
         measured = tuple(
@@ -480,7 +486,7 @@ def test_samples_that_share_a_node_say_more_of_the_offset() -> None:
             for each in window.joint_measurements
         )
         changed = replace(window, joint_measurements=measured)
-        return information_on_offset(best.graph, best.values, changed, found.states)
+        return information_on_offset(best.graph, best.values, changed, found.forearm.states)
 
     scatter = 0.0
     for each in window.joint_measurements:
@@ -492,8 +498,8 @@ def test_samples_that_share_a_node_say_more_of_the_offset() -> None:
     assert np.isfinite(velocity).all()
     assert at(2.0) - at(1.0) > 2.5 * scatter  # 4 less 1, and what the mean's own motion changes
     nobody = replace(window, joint_measurements=())
-    graph, values = build_arm(nobody)
-    assert information_on_offset(graph, values, nobody, found.states) == 0.0
+    graph, values, _ = build(nobody)
+    assert information_on_offset(graph, values, nobody, found.forearm.states) == 0.0
 
 
 def _alternating(node: np.ndarray) -> FloatArray:
@@ -510,11 +516,11 @@ def built(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
     """The windows that graphs were built of."""
     windows: list[Window] = []
 
-    def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    def recorded(window: Window) -> WindowGraph:
         windows.append(window)
-        return build_arm(window)
+        return build(window)
 
-    monkeypatch.setattr(smoother.graph.solve, "build_arm", build)
+    monkeypatch.setattr(smoother.graph.solve, "build", recorded)
     return windows
 
 
@@ -522,7 +528,7 @@ def test_tightening_gives_back_what_it_took(built: list[Window], monkeypatch: py
     """A window whose first tries are refused: the attitude's prior is tightened, the covariance is not."""
     window = replace(small_window(upper=False)[0], considered=None)
     weak = np.diag([1e-6, 2e-6, 3e-6])  # the prior alone holds the orientation
-    window = replace(window, attitude_covariance=weak)
+    window = with_forearm(window, attitude_covariance=weak)
     straight = solve(window, with_covariance=True)
     original = smoother.graph.solve.optimise
     refusals = [RuntimeError("Indeterminant linear system detected"), np.linalg.LinAlgError()]
@@ -536,11 +542,13 @@ def test_tightening_gives_back_what_it_took(built: list[Window], monkeypatch: py
     tightened = solve(window, with_covariance=True)
     assert len(built) == 4
     for each, share in zip(built[1:], TIGHTEN, strict=False):
-        np.testing.assert_allclose(each.attitude_covariance, weak * share**2)
-    assert straight.pose_covariance is not None and tightened.pose_covariance is not None
-    node = window.attitude_node
-    like(tightened.pose_covariance[node, 3:, 3:], straight.pose_covariance[node, 3:, 3:], 0.05)
-    np.testing.assert_allclose(straight.pose_covariance[node, 3:, 3:], weak, atol=5e-8)
+        np.testing.assert_allclose(each.forearm.attitude_covariance, weak * share**2)
+    assert straight.forearm.pose_covariance is not None and tightened.forearm.pose_covariance is not None
+    node = window.forearm.attitude_node
+    like(
+        tightened.forearm.pose_covariance[node, 3:, 3:], straight.forearm.pose_covariance[node, 3:, 3:], 0.05
+    )
+    np.testing.assert_allclose(straight.forearm.pose_covariance[node, 3:, 3:], weak, atol=5e-8)
 
 
 def test_only_what_the_prior_holds_is_given_back() -> None:
@@ -548,10 +556,10 @@ def test_only_what_the_prior_holds_is_given_back() -> None:
     rng = np.random.default_rng(4)
     axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     window = small_window()[0]
-    window = replace(window, attitude_covariance=(axes * [4.0, 9.0, 16.0]) @ axes.T)
+    window = with_forearm(window, attitude_covariance=(axes * [4.0, 9.0, 16.0]) @ axes.T)
     stated = np.zeros((NODES, 3, 3))
     # held by the prior to a hundredth of its variance; half of that; and hardly at all by it
-    stated[window.attitude_node] = (axes * [0.04, 0.046, 0.01]) @ axes.T
+    stated[window.forearm.attitude_node] = (axes * [0.04, 0.046, 0.01]) @ axes.T
     lost = smoother.graph.solve._lost_to_tightening(stated, window, 0.1)
     np.testing.assert_allclose(lost, (axes * [3.96, 8.91, 0.0]) @ axes.T, atol=1e-12)
 
@@ -585,7 +593,7 @@ def test_the_upper_imu_s_prior_is_tightened_too(built: list[Window], monkeypatch
     assert len(built) == len(TIGHTEN)
     for each, share in zip(built, TIGHTEN, strict=True):
         np.testing.assert_allclose(
-            each.upper[0].attitude_covariance, window.upper[0].attitude_covariance * share**2
+            each.further[0].attitude_covariance, window.further[0].attitude_covariance * share**2
         )
 
 
@@ -656,9 +664,9 @@ def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
         )
         for each in window.joint_measurements
     )
-    graph, _ = build_arm(replace(window, joint_measurements=moved))
+    graph = build(replace(window, joint_measurements=moved)).graph
     after = LinearSystem(graph, best.values, node_of_variables(window)).jacobian.rhs
-    columns = stamp_columns(best.system.jacobian, window, states, knots)
+    columns = stamp_columns(best.system.jacobian, window, best.groups, states, knots)
     change = best.system.jacobian.rhs - after  # the right-hand side is minus the error
     rows = len(columns)
     np.testing.assert_allclose(columns @ late_s, change[:rows], atol=1e-6 * np.abs(change).max())
@@ -672,8 +680,8 @@ def test_synthetic_stamps_widen_the_covariance() -> None:
     def spread(stamp_sigma_s: float) -> FloatArray:
         considered = replace(window.considered, stamp_sigma_s=stamp_sigma_s)
         found = solve(replace(window, considered=considered), with_covariance=True)
-        assert found.pose_covariance is not None
-        return np.asarray(np.trace(found.pose_covariance[:, :3, :3], axis1=1, axis2=2))
+        assert found.forearm.pose_covariance is not None
+        return np.asarray(np.trace(found.forearm.pose_covariance[:, :3, :3], axis1=1, axis2=2))
 
     measured, little, much = (spread(sigma) for sigma in (0.0, 0.01, 0.02))
     assert (little > measured).all()

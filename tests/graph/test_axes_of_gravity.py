@@ -67,10 +67,10 @@ def _slope_sigmas(optimum: module.Optimum, window: Window) -> float:
 
 
 def test_the_prior_is_that_which_was_stated(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph, values = build(window)
-    right = optimise(graph, values, window, 1e-10)
+    graph, values, groups = build(window)
+    right = optimise(graph, values, groups, window, 1e-10)
     assert have_turned(gravity_axes(values), gravity_axes(right.values))
     assert _slope_sigmas(right, window) < 0.02
     monkeypatch.setattr(module, "MOST_TURNS", 0)
-    wrong = optimise(graph, values, window, 1e-10)
+    wrong = optimise(graph, values, groups, window, 1e-10)
     assert _slope_sigmas(wrong, window) > 0.1  # what the test would show without

@@ -39,9 +39,9 @@ def shifted(window: Window, start_s: float, end_s: float, shift_m: np.ndarray) -
 
 def test_shifts_are_those_of_dense_least_squares(window: Window) -> None:
     window = replace(window, considered=None)
-    graph, values = build(window)
+    graph, values, groups = build(window)
     values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    blocks = CameraBlocks.of(window)
+    blocks = CameraBlocks.of(window, groups)
     system = LinearSystem(graph, values, node_of_variables(window), [blocks.columns])
     A = system.jacobian.toarray()
     columns = np.zeros((len(A), blocks.count))
@@ -104,11 +104,11 @@ def test_times_outside_all_pieces_belong_to_none() -> None:
 
 
 def test_the_camera_rows_of_the_forearm_take_part(window: Window) -> None:
-    graph, values = build(window)
-    blocks = CameraBlocks.of(window)
+    graph, values, groups = build(window)
+    blocks = CameraBlocks.of(window, groups)
     system = LinearSystem(graph, values, node_of_variables(window))
     columns = blocks.columns(system.jacobian)
-    for factors in camera_rows(system.jacobian, window):
+    for factors in camera_rows(system.jacobian, window, groups):
         own = columns[factors.rows]
         if factors.joint == "shoulder":
             assert not own.any()

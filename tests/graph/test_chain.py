@@ -10,8 +10,8 @@ import pytest
 from gtsam.symbol_shorthand import C, E, L, M, S, W, X, Y
 from scenes import arm, last_pass
 
-from smoother.graph.build import bias_of_intervals
-from smoother.graph.chain import build_arm
+from smoother.body import UPPER_ARM
+from smoother.graph.build import bias_of_intervals, build
 from smoother.graph.error_columns import node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.shared_prior import shared_keys
@@ -38,12 +38,12 @@ def window() -> Window:
 
 
 def optimum(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    graph, values = build_arm(window)
+    graph, values, _ = build(window)
     return graph, gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
 
 
 def test_both_bodies_meet_in_the_elbow_and_the_upper_one_in_the_shoulder(window: Window) -> None:
-    (run,) = window.upper
+    (run,) = window.further
     assert (run.first, len(run.start.p)) == (0, len(window.t))
     _, values = optimum(window)
     on_forearm, on_upper = values.atPoint3(L(ELBOW)), values.atPoint3(M(ELBOW))
@@ -60,10 +60,10 @@ def test_both_bodies_meet_in_the_elbow_and_the_upper_one_in_the_shoulder(window:
 def test_the_second_imu_leaves_less_open(window: Window) -> None:
     """In the middle of the gap, and nowhere more than without it."""
     both = solve(window, with_covariance=True)
-    alone = solve(replace(window, upper=()), with_covariance=True)
-    assert both.pose_covariance is not None and alone.pose_covariance is not None
+    alone = solve(replace(window, bodies=(window.forearm,)), with_covariance=True)
     with_two, with_one = (
-        np.einsum("nii->n", each[:, :3, :3]) for each in (both.pose_covariance, alone.pose_covariance)
+        np.einsum("nii->n", each[:, :3, :3])
+        for each in (both.forearm.pose_covariance, alone.forearm.pose_covariance)
     )
     assert (with_two < 1.02 * with_one).all()
     middle = np.isfinite(window.velocity_change).nonzero()[0].mean().astype(int)
@@ -72,7 +72,7 @@ def test_the_second_imu_leaves_less_open(window: Window) -> None:
 
 def test_the_answer_covers_the_nodes_with_samples(window: Window) -> None:
     """An IMU that pauses: orientation, position and covariance where it has samples, nan elsewhere."""
-    (run,) = window.upper
+    (run,) = window.further
     half = len(window.t) // 2
     first = run.increments.first
     increments = replace(
@@ -88,8 +88,8 @@ def test_the_answer_covers_the_nodes_with_samples(window: Window) -> None:
     )
     part = replace(run, start=states, increments=increments, attitude_node=min(run.attitude_node, half))
     part = replace(part, attitude=states.R[part.attitude_node])
-    upper = solve(replace(window, upper=(part,)), with_covariance=True).upper
-    assert upper is not None and upper.pose_covariance is not None
+    _, upper = solve(replace(window, bodies=(window.forearm, part)), with_covariance=True).bodies
+    assert upper.pose_covariance is not None
     np.testing.assert_array_equal(upper.known, np.arange(len(window.t)) <= half)
     for values in (upper.states.p, upper.states.v, upper.pose_covariance):
         finite = np.isfinite(values).reshape(len(values), -1)
@@ -113,12 +113,14 @@ def test_the_linear_system_knows_its_variables(window: Window) -> None:
 def test_the_message_holds_all_that_windows_share(window: Window) -> None:
     layout = window.priors.layout
     keys = shared_keys(window, bias_of_intervals(window))
-    assert layout.has_upper_imu and len(set(keys)) == len(keys)
+    assert layout.further and len(set(keys)) == len(keys)
     assert {M(ELBOW), M(SHOULDER)} <= set(keys)
     shared = solve(window, with_covariance=False).message.shared
-    assert shared.mean.shape == (layout.size,) and layout.constants.stop == layout.upper_bias.start
+    assert (
+        shared.mean.shape == (layout.size,) and layout.constants.stop == layout.bias_of(UPPER_ARM.name).start
+    )
     before, after = (np.diag(each.covariance) for each in (window.priors.shared, shared))
-    for rows in (*layout.upper_levers.values(), layout.upper_bias):
+    for rows in (*layout.levers(UPPER_ARM.name).values(), layout.bias_of(UPPER_ARM.name)):
         assert (after[rows] < 1.0001 * before[rows]).all()
         off = (shared.mean - window.priors.shared.mean)[rows] / np.sqrt(before[rows])
         assert np.abs(off).max() < 4.0

@@ -39,7 +39,7 @@ def window_of(made: SimulatedArm, grouped: bool) -> Window:
 
 
 def optimum(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, States]:
-    graph, values = build(window)
+    graph, values, _ = build(window)
     values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     poses = [values.atPose3(X(i)) for i in range(len(window.t))]
     states = States(
@@ -83,7 +83,7 @@ def dense_information(window: Window, values: gtsam.Values, states: States) -> f
 def stated_information(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
 ) -> float:
-    column = partial(offset_column, window=window, states=states)
+    column = partial(offset_column, window=window, groups=build(window).groups, states=states)
     system = LinearSystem(graph, values, node_of_variables(window), [column])
     return offset_information(system, 0, window, states)
 

@@ -16,10 +16,17 @@ from small_window import BIAS_LENGTH_S, GRAVITY_M_S2, LEVERS, UPPER_FIRST, UPPER
 
 import smoother.graph.build
 from smoother.array_types import FloatArray
-from smoother.graph.build import bias_of_intervals, stacked_measurements
-from smoother.graph.chain import FOREARM_TIE_M, TISSUE_S, _tissue, build_arm
-from smoother.graph.imu_factors import DENSITY_STEP, INTEGRATION_VARIANCE
-from smoother.graph.shared_prior import add_shared
+from smoother.body import UPPER_ARM
+from smoother.graph.build import (
+    PARENT_TIE_M,
+    TISSUE_S,
+    _tissue,
+    bias_of_intervals,
+    build,
+    stacked_measurements,
+)
+from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE
+from smoother.graph.shared_prior import shared_factors
 from smoother.recording import JOINTS
 from smoother.window.problem import ImuIncrements, JointMeasurements, NoiseModel, Window
 
@@ -170,7 +177,7 @@ def inertial(
 
 def test_each_factor_has_the_error_of_its_formula(window: Window) -> None:
     """All of them at values that are a little off; the IMU's to what its linearised bias leaves."""
-    graph, start = build_arm(window)
+    graph, start, _ = build(window)
     values = moved(start)
     errors = errors_by_class(graph, values)
     layout, mean, noise = window.priors.layout, window.priors.shared.mean, window.noise
@@ -214,22 +221,22 @@ def test_each_factor_has_the_error_of_its_formula(window: Window) -> None:
         expected.append(cauchy(off, round(window.field.sigma_rad, 5), noise.cauchy))
     np.testing.assert_allclose(errors.pop("AttitudeFactorPose3"), expected, rtol=1e-7)
 
-    (run,) = window.upper
+    (run,) = window.further
     upper = range(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
     at_upper = {i: (*matrix(values.atPose3(Y(i))), values.atVector(W(i))) for i in upper}
     expected = []
     for i, given, covariance in (
-        (window.attitude_node, window.attitude, window.attitude_covariance),
+        (window.forearm.attitude_node, window.forearm.attitude, window.forearm.attitude_covariance),
         (UPPER_FIRST + run.attitude_node, run.attitude, run.attitude_covariance),
     ):
-        turned = R[i] if given is window.attitude else at_upper[i][0]
+        turned = R[i] if given is window.forearm.attitude else at_upper[i][0]
         expected.append(full(given @ log(given.T @ turned), covariance))
     np.testing.assert_allclose(errors.pop("PoseRotationPrior3D"), expected, rtol=1e-6)
     ties, ends = [], []
     gaps = np.gradient(window.t[list(upper)])
     for i, gap_s in zip(upper, gaps, strict=True):
         elbow = values.atPoint3(E(i))
-        ties.append(gaussian(p[i] + R[i] @ levers["elbow"] - elbow, FOREARM_TIE_M))
+        ties.append(gaussian(p[i] + R[i] @ levers["elbow"] - elbow, PARENT_TIE_M))
         tissue = round(noise.tissue_m * np.sqrt(TISSUE_S / gap_s), 3)
         on_upper = at_upper[i][1] + at_upper[i][0] @ values.atPoint3(M(ELBOW))
         ties.append(gaussian(on_upper - elbow, tissue))
@@ -256,7 +263,7 @@ def test_each_factor_has_the_error_of_its_formula(window: Window) -> None:
 
     expected = inertial(
         window,
-        window.increments,
+        window.forearm.increments,
         window.t,
         lambda i: (R[i], p[i], v[i]),
         lambda i: wrist_bias[biases[i]],
@@ -280,7 +287,7 @@ def test_a_shoulder_that_nobody_saw(window: Window) -> None:
     assert window.shoulder is not None
     nowhere = np.full((6, 3), np.nan)
     unseen = replace(window, shoulder=replace(window.shoulder, position=nowhere))
-    graph, start = build_arm(unseen)
+    graph, start, _ = build(unseen)
     values = moved(start)
     off = values.atPoint3(S(0)) - window.shoulder.start[0]
     np.testing.assert_allclose(errors_by_class(graph, values)["PriorFactorPoint3"], [gaussian(off, 1.0)])
@@ -290,7 +297,9 @@ def test_a_bias_of_the_last_interval_alone(window: Window) -> None:
     biases = np.zeros(len(window.t) - 1, dtype=int)
     biases[-1] = 1
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    add_shared(graph, values, window, biases)
+    for _, _, factors, _ in shared_factors(values, window, biases):
+        for factor in factors:
+            graph.add(factor)
     keys = sorted(values.keys())
     assert {B(0), B(1), C(0), C(1)} <= set(keys) and B(2) not in keys
     assert len(errors_by_class(graph, values)["BetweenFactorConstantBias"]) == 2
@@ -315,30 +324,30 @@ def test_tissue_at_one_node(window: Window) -> None:
 
 
 def test_the_graph_begins_at_the_initial_values(window: Window) -> None:
-    _, values = build_arm(window)
+    values = build(window).values
     layout, mean = window.priors.layout, window.priors.shared.mean
-    (run,) = window.upper
+    (run,) = window.further
     for i in range(len(window.t)):
         R, p = matrix(values.atPose3(X(i)))
-        np.testing.assert_allclose(R, window.start.R[i], atol=1e-12)
-        np.testing.assert_array_equal(p, window.start.p[i])
-        np.testing.assert_array_equal(values.atVector(V(i)), window.start.v[i])
+        np.testing.assert_allclose(R, window.forearm.start.R[i], atol=1e-12)
+        np.testing.assert_array_equal(p, window.forearm.start.p[i])
+        np.testing.assert_array_equal(values.atVector(V(i)), window.forearm.start.v[i])
     for k in range(UPPER_NODES):
         R, p = matrix(values.atPose3(Y(UPPER_FIRST + k)))
         np.testing.assert_allclose(R, run.start.R[k], atol=1e-12)
         np.testing.assert_array_equal(p, run.start.p[k])
         np.testing.assert_array_equal(values.atVector(W(UPPER_FIRST + k)), run.start.v[k])
-        elbow = run.start.p[k] + run.start.R[k] @ mean[layout.upper_levers["elbow"]]
+        elbow = run.start.p[k] + run.start.R[k] @ mean[layout.lever("elbow", UPPER_ARM.name)]
         np.testing.assert_allclose(values.atPoint3(E(UPPER_FIRST + k)), elbow)
     assert window.shoulder is not None
     for k in range(6):
         np.testing.assert_array_equal(values.atPoint3(S(k)), window.shoulder.start[k])
     for k in range(2):
         np.testing.assert_allclose(values.atConstantBias(B(k)).vector(), mean[:6])
-        np.testing.assert_allclose(values.atConstantBias(C(k)).vector(), mean[layout.upper_bias])
+        np.testing.assert_allclose(values.atConstantBias(C(k)).vector(), mean[layout.bias_of(UPPER_ARM.name)])
     np.testing.assert_allclose(values.atUnit3(G(0)).point3(), layout.down(mean), atol=1e-12)
     assert values.atDouble(U(0)) == 0.0
-    for joint, rows in layout.upper_levers.items():
+    for joint, rows in layout.levers(UPPER_ARM.name).items():
         np.testing.assert_array_equal(values.atPoint3(M(JOINTS.index(joint))), mean[rows])
     letters = Counter(chr(gtsam.Symbol(key).chr()) for key in sorted(values.keys()))
     assert letters == {

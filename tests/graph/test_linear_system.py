@@ -25,7 +25,7 @@ def window() -> Window:
 
 @pytest.fixture(scope="module")
 def solved(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    graph, values = build(window)
+    graph, values, _ = build(window)
     return graph, gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
 
 
@@ -40,7 +40,7 @@ def system(
 
     def columns(*found: object) -> np.ndarray:
         taken.append(
-            constant_error_columns(*found, window=window, biases=bias_of_intervals(window), R=R)  # type: ignore[arg-type]
+            constant_error_columns(*found, window, build(window).groups, bias_of_intervals(window), R)  # type: ignore[arg-type]
         )
         return taken[0]
 

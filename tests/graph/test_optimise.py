@@ -100,9 +100,9 @@ def test_a_wrong_minimum_is_refused(first_window: Job) -> None:
             return straight
         return descend(graph, values, iterations, tolerance)
 
-    whole, values = build(window)
+    whole, values, groups = build(window)
     with patch.object(smoother.graph.optimise, "_descend", misled):
-        optimum = optimise(whole, values, window, 1e-4)
+        optimum = optimise(whole, values, groups, window, 1e-4)
     assert not optimum.accepted
     assert optimum.graph is not whole
     assert optimum.error < straight.error - 20.0

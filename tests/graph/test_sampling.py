@@ -17,7 +17,6 @@ import smoother.graph.sampling
 import smoother.graph.solve
 from smoother.array_types import FloatArray
 from smoother.graph.build import bias_of_intervals, build
-from smoother.graph.chain import build_arm
 from smoother.graph.error_columns import node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.sampling import sample_window
@@ -66,7 +65,7 @@ def covariance(draws: FloatArray, others: FloatArray | None = None) -> FloatArra
 
 def test_covariances_and_those_between_times_are_those_of_gtsam(window: Window) -> None:
     """Poses half a second apart, velocities and the shoulder, in the gap and outside."""
-    graph, values = build(replace(window, considered=None))
+    graph, values, _ = build(replace(window, considered=None))
     values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     system = LinearSystem(graph, values, node_of_variables(window))
     biases = bias_of_intervals(window)
@@ -103,7 +102,7 @@ def test_both_imus_and_their_biases(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", 0.18)
     monkeypatch.setattr(smoother.graph.sampling, "_SLICE_S", 0.05)
     window = replace(small_window()[0], considered=None)
-    graph, values = build_arm(window)
+    graph, values, _ = build(window)
     values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     system = LinearSystem(graph, values, node_of_variables(window))
     biases = bias_of_intervals(window)
@@ -141,12 +140,12 @@ def test_they_have_the_covariance_that_the_window_states(window: Window) -> None
     with patch.multiple(smoother.graph.solve, COVARIANCE_S=1e-6, SHOULDER_COVARIANCE_S=1e-6):
         solution = solve(window, with_covariance=True, plan=basis(window))
     draws = solution.draws
-    assert draws is not None and draws.shoulder is not None and solution.pose_covariance is not None
-    assert solution.velocity_covariance is not None and solution.shoulder_covariance is not None
+    assert draws is not None and draws.shoulder is not None and solution.forearm.pose_covariance is not None
+    assert solution.forearm.velocity_covariance is not None and solution.shoulder_covariance is not None
     for node in range(0, len(window.t), 5):
         pose = np.concatenate([draws.position[:, node], draws.rotation[:, node]], axis=1)
-        same(covariance(pose), solution.pose_covariance[node])
-        same(covariance(draws.velocity[:, node]), solution.velocity_covariance[node])
+        same(covariance(pose), solution.forearm.pose_covariance[node])
+        same(covariance(draws.velocity[:, node]), solution.forearm.velocity_covariance[node])
     for knot in range(0, draws.shoulder.shape[1], 5):
         same(covariance(draws.shoulder[:, knot]), solution.shoulder_covariance[knot])
 

@@ -10,13 +10,14 @@ import pytest
 from curve import angle_rad
 from scenes import arm, last_pass, plain, point
 from slow_window import Answer, SlowWindow
+from small_window import with_forearm
 
 import smoother.graph.solve
 import smoother.window.nodes
 from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.graph.build import bias_of_intervals
-from smoother.graph.imu_factors import DENSITY_STEP
+from smoother.graph.factors import DENSITY_STEP
 from smoother.graph.solve import solve
 from smoother.simulation import SimulatedArm
 from smoother.window.problem import Window
@@ -65,7 +66,7 @@ def point_pair() -> Pair:
 
 
 def test_states_agree(pair: Pair) -> None:
-    fast, slow = pair.fast.states, pair.slow.states
+    fast, slow = pair.fast.forearm.states, pair.slow.states
     assert 30 <= len(pair.window.t) <= 36
     assert np.abs(fast.p - slow.p).max() < 1e-4  # measured 3e-5
     assert np.abs(fast.v - slow.v).max() < 1e-3
@@ -81,11 +82,11 @@ def test_the_same_optimum(pair: Pair) -> None:
 
 def test_covariances_agree(pair: Pair) -> None:
     """Inverse of J'J: sigmas within 1 %, that is 2 % of the covariance; correlations within 0.02."""
-    assert pair.fast.pose_covariance is not None
-    assert pair.fast.velocity_covariance is not None
+    assert pair.fast.forearm.pose_covariance is not None
+    assert pair.fast.forearm.velocity_covariance is not None
     for fast, slow in (
-        (pair.fast.pose_covariance, pair.slow.pose_covariance),
-        (pair.fast.velocity_covariance, pair.slow.velocity_covariance),
+        (pair.fast.forearm.pose_covariance, pair.slow.pose_covariance),
+        (pair.fast.forearm.velocity_covariance, pair.slow.velocity_covariance),
         (pair.fast.message.shared.covariance[None], pair.slow.shared_covariance[None]),
     ):
         sigma = np.sqrt(np.einsum("nii->ni", slow))
@@ -100,9 +101,9 @@ def test_covariances_between_the_computed_ones(pair: Pair) -> None:
     A sigma that bends upwards at the ends of a window of one second is the worst case: half as much again.
     """
     interpolated = solve(pair.window, with_covariance=True)
-    assert interpolated.pose_covariance is not None
-    assert pair.fast.pose_covariance is not None
-    both = (interpolated.pose_covariance, pair.fast.pose_covariance)
+    assert interpolated.forearm.pose_covariance is not None
+    assert pair.fast.forearm.pose_covariance is not None
+    both = (interpolated.forearm.pose_covariance, pair.fast.forearm.pose_covariance)
     some, every = (np.sqrt(np.einsum("nii->ni", C)) for C in both)
     assert (some / every).min() > 0.85
     assert (some / every).max() < 1.7
@@ -139,16 +140,16 @@ def test_a_wrong_upper_arm_is_corrected_towards_the_truth() -> None:
 def test_a_point_agrees_too(point_pair: Pair) -> None:
     """The strap alone: no lever arms, no shoulder."""
     fast, slow = point_pair.fast, point_pair.slow
-    assert np.abs(fast.states.p - slow.states.p).max() < 1e-4
+    assert np.abs(fast.forearm.states.p - slow.states.p).max() < 1e-4
     sigma = np.sqrt(np.trace(slow.pose_covariance[:, 3:, 3:], axis1=1, axis2=2))
-    assert (angle_rad(fast.states.R, slow.states.R) < SIGMAS * sigma).all()
-    assert fast.pose_covariance is not None
-    ratio = np.einsum("nii->ni", fast.pose_covariance) / np.einsum("nii->ni", slow.pose_covariance)
+    assert (angle_rad(fast.forearm.states.R, slow.states.R) < SIGMAS * sigma).all()
+    assert fast.forearm.pose_covariance is not None
+    ratio = np.einsum("nii->ni", fast.forearm.pose_covariance) / np.einsum("nii->ni", slow.pose_covariance)
     np.testing.assert_allclose(ratio, 1.0, atol=0.02)
 
 
 def test_residuals_are_camera_minus_answer(pair: Pair) -> None:
-    layout, states = pair.window.priors.layout, pair.fast.states
+    layout, states = pair.window.priors.layout, pair.fast.forearm.states
     assert [measured.joint for measured in pair.window.joint_measurements] == list(pair.fast.residuals)
     for measured in pair.window.joint_measurements:
         lever = pair.fast.message.shared.mean[layout.lever(measured.joint)]
@@ -176,9 +177,9 @@ def test_an_outlier_is_held_back_by_the_robust_loss() -> None:
             ]
         ),
     )
-    clean = solve(window, with_covariance=False).states.p
-    held = np.abs(solve(wrong, with_covariance=False).states.p - clean).max()
-    pulled = np.abs(solve(plain(wrong), with_covariance=False).states.p - clean).max()
+    clean = solve(window, with_covariance=False).forearm.states.p
+    held = np.abs(solve(wrong, with_covariance=False).forearm.states.p - clean).max()
+    pulled = np.abs(solve(plain(wrong), with_covariance=False).forearm.states.p - clean).max()
     assert held < 0.005
     assert pulled > 5 * held
 
@@ -189,27 +190,27 @@ def test_an_impact_is_a_larger_accelerometer_noise() -> None:
     factor = DENSITY_STEP**6
     density = window.noise.accelerometer_density
     error = density * np.sqrt(factor**2 - 1) * np.sqrt(np.diff(window.t))
-    with_impacts = replace(window, increments=replace(window.increments, velocity_error=error))
+    with_impacts = with_forearm(window, increments=replace(window.forearm.increments, velocity_error=error))
     louder = replace(window, noise=replace(window.noise, accelerometer_density=density * factor))
     a, b = solve(with_impacts, with_covariance=True), solve(louder, with_covariance=True)
-    np.testing.assert_allclose(a.states.p, b.states.p, atol=1e-9)
-    assert a.pose_covariance is not None
-    assert b.pose_covariance is not None
-    np.testing.assert_allclose(a.pose_covariance, b.pose_covariance, rtol=1e-6, atol=1e-15)
-    without = solve(window, with_covariance=True).pose_covariance
+    np.testing.assert_allclose(a.forearm.states.p, b.forearm.states.p, atol=1e-9)
+    assert a.forearm.pose_covariance is not None
+    assert b.forearm.pose_covariance is not None
+    np.testing.assert_allclose(a.forearm.pose_covariance, b.forearm.pose_covariance, rtol=1e-6, atol=1e-15)
+    without = solve(window, with_covariance=True).forearm.pose_covariance
     assert without is not None
-    assert (np.trace(a.pose_covariance, axis1=1, axis2=2) > np.trace(without, axis1=1, axis2=2)).all()
+    assert (np.trace(a.forearm.pose_covariance, axis1=1, axis2=2) > np.trace(without, axis1=1, axis2=2)).all()
 
 
 def test_noise_that_grows_with_the_motion() -> None:
     """A share of the turning rate: between the answers with the least and the most of it."""
     window = plain(one_window())
-    rate = np.linalg.norm(window.increments.gyro, axis=1)
+    rate = np.linalg.norm(window.forearm.increments.gyro, axis=1)
     share = 0.004
 
     def sigmas(shared: float, density: float) -> FloatArray:
         noise = replace(window.noise, gyroscope_share=shared, gyroscope_density=density)
-        found = solve(replace(window, noise=noise), with_covariance=True).pose_covariance
+        found = solve(replace(window, noise=noise), with_covariance=True).forearm.pose_covariance
         assert found is not None
         return np.asarray(np.sqrt(np.trace(found[:, 3:, 3:], axis1=1, axis2=2)))
 
@@ -228,17 +229,21 @@ def test_an_arm_that_keeps_its_velocity() -> None:
     change = np.full(count, np.inf)
     change[5:15] = 0.02
     held = Pair(replace(window, velocity_change=change))
-    assert np.abs(held.fast.states.v - held.slow.states.v).max() < 1e-3
+    assert np.abs(held.fast.forearm.states.v - held.slow.states.v).max() < 1e-3
     assert held.fast.error == pytest.approx(held.slow.cost, rel=1e-3, abs=1e-3)
-    free = solve(replace(window, velocity_change=np.full(count, np.inf)), with_covariance=False).states.v
-    moved, kept = (np.linalg.norm(np.diff(v, axis=0)[5:15], axis=1) for v in (free, held.fast.states.v))
+    free = solve(
+        replace(window, velocity_change=np.full(count, np.inf)), with_covariance=False
+    ).forearm.states.v
+    moved, kept = (
+        np.linalg.norm(np.diff(v, axis=0)[5:15], axis=1) for v in (free, held.fast.forearm.states.v)
+    )
     assert kept.sum() < moved.sum()
 
 
 def test_long_windows_have_a_bias_every_four_seconds() -> None:
     made = point(1, duration_s=12.0, occlusion_lengths_s=())
     window = every_frame(made)
-    biases, bias = bias_of_intervals(window), solve(window, with_covariance=False).bias
+    biases, bias = bias_of_intervals(window), solve(window, with_covariance=False).forearm.bias
     assert biases[0] == 0
     assert biases[-1] == 2
     assert (np.diff(biases) >= 0).all()

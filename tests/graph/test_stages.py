@@ -82,10 +82,10 @@ def test_with_an_upper_arm_s_imu_there_is_one_stage(monkeypatch: pytest.MonkeyPa
 
 def test_the_upper_arm_comes_in_step_by_step(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
     """Loose at first, from the gap's ends inwards, then as it is; the answer is the straight one's."""
-    graph, values = build(window)
+    graph, values, groups = build(window)
     straight = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     descents = Descents(monkeypatch)
-    found = optimise(graph, values, window, 1e-6)
+    found = optimise(graph, values, groups, window, 1e-6)
     # knots at 0.06 s from one end and at the other's: the middle one is put in at the third step of 0.025
     assert descents.stages == [[LOOSE_M, LOOSE_M], [LOOSE_M, SIGMA_M], [LOOSE_M, SIGMA_M], [SIGMA_M, SIGMA_M]]
     last, stage = (module.LAST_ITERATIONS, 1e-6), (module.STAGE_ITERATIONS, module.STAGE_TOLERANCE)
@@ -120,10 +120,10 @@ def test_another_strategy_where_the_first_ends_high(window: Window, monkeypatch:
 
 def _rise(window: Window) -> float:
     """How much the upper arm's length raises the error in the gap."""
-    graph, values = build(window)
+    graph, values, groups = build(window)
     gap = module._long_gap(window)
     assert gap is not None and gap.knots.tolist() == KNOTS
-    whole = optimise(graph, values, window, 1e-6)
+    whole = optimise(graph, values, groups, window, 1e-6)
     loose = gtsam.NonlinearFactorGraph(graph)
     lengths = [
         i for i in range(graph.size()) if isinstance(graph.at(i), gtsam.RangeFactorWithTransformBias3D)

@@ -12,6 +12,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
+from small_window import with_forearm
 
 import smoother.graph.solve
 from smoother import Config, Recovery, smooth
@@ -134,9 +135,9 @@ def last_pass(recording: Recording, calibration: ArmCalibration, config: Config 
 
 def plain(window: Window, cauchy: float = 1e6) -> Window:
     """The window with white noise only: no robust loss, no impacts, no noise that grows with the motion."""
-    increments = replace(window.increments, velocity_error=np.zeros(len(window.t) - 1))
+    increments = replace(window.forearm.increments, velocity_error=np.zeros(len(window.t) - 1))
     noise = replace(window.noise, cauchy=cauchy, accelerometer_share=0.0, gyroscope_share=0.0)
-    return replace(window, noise=noise, increments=increments)
+    return with_forearm(replace(window, noise=noise), increments=increments)
 
 
 def assert_accurate(scene: Scene, rms_m: float = GAP_RMS_M, max_m: float = GAP_MAX_M) -> None:

@@ -91,15 +91,15 @@ class SlowWindow:
         self.samples = self._samples()
         self.inertial = np.array([self._interval_whitener(i) for i in range(len(self.dt))])
         self.prior = whitener(window.priors.shared.covariance)
-        self.attitude = whitener(window.attitude_covariance)
-        self.R0 = window.attitude
+        self.attitude = whitener(window.forearm.attitude_covariance)
+        self.R0 = window.forearm.attitude
 
     def start(self, seed: int) -> Unknowns:
         """The window's initial values, shaken by a centimetre and two degrees."""
         rng = np.random.default_rng(seed)
         w = self.window
         knots = np.zeros((0, 3)) if w.shoulder is None else w.shoulder.start
-        at = Unknowns(w.start.R, w.start.p, w.start.v, w.priors.shared.mean, knots)
+        at = Unknowns(w.forearm.start.R, w.forearm.start.p, w.forearm.start.v, w.priors.shared.mean, knots)
         x = np.zeros(at.size)
         x[: 9 * len(w.t)] = (rng.normal(size=(len(w.t), 9)) * np.repeat([0.035, 0.01, 0.05], 3)).ravel()
         return at.moved(x)
@@ -109,7 +109,7 @@ class SlowWindow:
 
         An interval with fewer samples than the longest gets samples of no length.
         """
-        increments = self.window.increments
+        increments = self.window.forearm.increments
         count = np.diff(increments.first)
         samples = []
         for k in range(int(count.max())):
@@ -150,7 +150,7 @@ class SlowWindow:
     def residuals(self, x: Unknowns) -> FloatArray:
         w, layout = self.window, self.window.priors.layout
         g = layout.down(x.shared) * w.gravity_magnitude
-        R, p, v = self._increments(x.shared[layout.bias] - w.increments.bias)
+        R, p, v = self._increments(x.shared[layout.bias] - w.forearm.increments.bias)
         back, dt = np.swapaxes(x.R[:-1], 1, 2), self.dt[:, None]
         error = np.hstack(
             [
@@ -165,7 +165,7 @@ class SlowWindow:
             at_node = x.p[measured.node] + x.R[measured.node] @ lever
             out.append(((at_node - measured.position) / measured.sigma_m[:, None]).ravel())
         out.append(self.prior @ (x.shared - w.priors.shared.mean))
-        out.append(self.attitude @ self.R0 @ log(self.R0.T @ x.R[w.attitude_node]))
+        out.append(self.attitude @ self.R0 @ log(self.R0.T @ x.R[w.forearm.attitude_node]))
         in_gap = np.isfinite(w.velocity_change)
         out.append((np.diff(x.v, axis=0)[in_gap] / w.velocity_change[in_gap, None]).ravel())
         return np.concatenate(out + self._shoulder(x))

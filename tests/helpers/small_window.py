@@ -13,15 +13,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
+from smoother.body import FOREARM, UPPER_ARM
 from smoother.window.problem import (
     FieldMeasurements,
     ImuIncrements,
     JointMeasurements,
     NoiseModel,
     Priors,
+    SegmentRun,
     ShoulderMeasurements,
     States,
-    UpperRun,
     Window,
 )
 from smoother.window.shared import SIZE, Considered, Gaussian, SharedLayout, axes_across
@@ -96,7 +97,8 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
     states, increments = moving(rng, t, np.array([0.1, 0.2, 1.9]))
     covered = slice(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
     upper_states, upper_increments = moving(rng, t[covered], np.array([0.0, 0.3, 1.8]))
-    layout = SharedLayout(("elbow", "wrist"), True, axes_across(DOWN), upper)
+    further = (UPPER_ARM.name,) if upper else ()
+    layout = SharedLayout(("elbow", "wrist"), True, axes_across(DOWN), further)
     parts = [increments.bias, np.zeros(2), [UPPER_ARM_M], *LEVERS.values()]
     parts += [*UPPER_LEVERS.values(), upper_increments.bias] if upper else []
     mean = np.concatenate(parts)
@@ -107,7 +109,7 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
     shared = mean + 0.3 * np.concatenate(sigmas) * rng.normal(size=len(mean))
     elbow = states.p + states.R @ shared[layout.lever("elbow")]
     if upper:  # the arm hangs together: the upper IMU is where elbow and orientation put it
-        on_upper = shared[layout.upper_levers["elbow"]]
+        on_upper = shared[layout.lever("elbow", UPPER_ARM.name)]
         upper_states = replace(upper_states, p=elbow[covered] - upper_states.R @ on_upper)
     node = np.array([0, 2, 4, 6, 7, 9])
     across = rng.normal(size=3)
@@ -124,7 +126,8 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
     at = np.array([1, 5, 8])
     in_A = np.einsum("nji,j->ni", states.R[at], in_K) + 0.02 * rng.normal(size=(3, 3))
     field = FieldMeasurements(at, in_A / np.linalg.norm(in_A, axis=1)[:, None], in_K, 0.03)
-    run = UpperRun(
+    run = SegmentRun(
+        segment=UPPER_ARM.name,
         first=UPPER_FIRST,
         start=_shaken(rng, upper_states),
         increments=upper_increments,
@@ -132,29 +135,39 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
         attitude=upper_states.R[4] @ Rotation.from_rotvec([0.02, -0.03, 0.01]).as_matrix(),
         attitude_covariance=covariance(rng, np.full(3, 0.05)),
     )
+    seen_shoulder = ShoulderMeasurements(
+        node, position, np.linspace(0.006, 0.016, len(node)), shoulder + 0.01 * rng.normal(size=(6, 3))
+    )
+    forearm = SegmentRun(
+        segment=FOREARM.name,
+        first=0,
+        start=_shaken(rng, states),
+        increments=increments,
+        attitude_node=3,
+        attitude=states.R[3] @ Rotation.from_rotvec([-0.03, 0.02, 0.04]).as_matrix(),
+        attitude_covariance=covariance(rng, np.array([0.05, 0.06, 0.04])),
+    )
     window = Window(
         index=7,
         t=t,
         core_start_s=float(t[1]),
         core_end_s=float(t[-2]),
-        increments=increments,
+        bodies=(forearm, run) if upper else (forearm,),
         joint_measurements=measured,
-        shoulder=ShoulderMeasurements(
-            node, position, np.linspace(0.006, 0.016, len(node)), shoulder + 0.01 * rng.normal(size=(6, 3))
-        ),
-        start=_shaken(rng, states),
+        shoulder=seen_shoulder,
         velocity_change=change,
-        attitude_node=3,
-        attitude=states.R[3] @ Rotation.from_rotvec([-0.03, 0.02, 0.04]).as_matrix(),
-        attitude_covariance=covariance(rng, np.array([0.05, 0.06, 0.04])),
         priors=Priors(layout, prior, np.repeat([0.02, 0.001], 3) * np.linspace(1.0, 2.0, 6)),
         noise=NOISE,
         gravity_magnitude=GRAVITY_M_S2,
         field=field,
         considered=_considered(rng, layout.size),
-        upper=(run,) if upper else (),
     )
     return window, Truth(states, upper_states, shared, shoulder)
+
+
+def with_forearm(window: Window, **changes: object) -> Window:
+    """The window with something else of the forearm's IMU."""
+    return replace(window, bodies=(replace(window.forearm, **changes), *window.further))
 
 
 def _levers(layout: SharedLayout, shared: FloatArray) -> list[tuple[str, FloatArray]]:

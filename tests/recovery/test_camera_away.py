@@ -16,7 +16,8 @@ from smoother.measurements.segment import Timeline
 from smoother.recording import JointTracks, Recording
 from smoother.recovery.sections import CONTEXT_S, Sections
 from smoother.simulation import SimulatedArm
-from smoother.window.cut import PreparedSegment, cut_times
+from smoother.window.cut import cut_times
+from smoother.window.prepare import PreparedSegment
 from smoother.window.problem import Window
 
 #: The answer reaches so far in these tests, and the camera is away from and until here, s.

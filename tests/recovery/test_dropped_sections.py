@@ -158,7 +158,7 @@ def test_each_window_gets_its_own_field(three_minutes: SimulatedArm) -> None:
     assert windows[0].t[-1] < start_s and windows[-1].t[0] > end_s
     for window in windows:
         assert window.field is not None
-        in_K = np.einsum("nij,nj->ni", window.start.R[window.field.node], window.field.in_A)
+        in_K = np.einsum("nij,nj->ni", window.forearm.start.R[window.field.node], window.field.in_A)
         # 1 % of noise, orientations known to half a degree, and to some where the camera is away for long
         assert np.degrees(np.arccos(in_K @ FIELD_K)).max() < 6.0
 

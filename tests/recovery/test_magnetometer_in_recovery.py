@@ -112,9 +112,9 @@ def test_the_factors_are_the_angle_under_cauchys_loss(made):
     assert with_measurements
     for window in with_measurements:
         field, k = window.field, window.noise.cauchy
-        graph, values = build(window)
-        less, _ = build(replace(window, field=None))
-        seen = np.einsum("nij,nj->ni", window.start.R[field.node], field.in_A)
+        graph, values, _ = build(window)
+        less = build(replace(window, field=None)).graph
+        seen = np.einsum("nij,nj->ni", window.forearm.start.R[field.node], field.in_A)
         off = np.linalg.norm(np.cross(seen, field.in_K), axis=1) / field.sigma_rad
         loss = 0.5 * k**2 * np.log1p((off / k) ** 2)
         # sigma is rounded to 1e-5 rad

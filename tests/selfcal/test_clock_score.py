@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 from small_window import NODES, small_window
 
 from smoother.array_types import FloatArray
+from smoother.body import FOREARM
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
 from smoother.selfcal import clock_fit
 from smoother.selfcal.clock_fit import (
@@ -24,7 +25,7 @@ from smoother.selfcal.clock_fit import (
 )
 from smoother.window.problem import States, Window
 from smoother.window.shared import Gaussian
-from smoother.window.solution import Message, Solution
+from smoother.window.solution import Message, SegmentSolution, Solution
 
 PRIOR_S = 0.07
 
@@ -121,15 +122,15 @@ def test_all_walks_are_found() -> None:
 
 def solution(window: Window, seed: int, information: float) -> Solution:
     rng = np.random.default_rng(seed)
-    states = States(window.start.R, window.start.p, rng.normal(size=(NODES, 3)))
+    states = States(window.forearm.start.R, window.forearm.start.p, rng.normal(size=(NODES, 3)))
     residuals = {
         each.joint: each.sigma_m[:, None] * 2.0 * rng.normal(size=each.position.shape)
         for each in window.joint_measurements
     }
     message = Message(0.0, Gaussian(np.zeros(1), np.eye(1)))
-    return Solution(
-        0, states, None, None, None, None, message, np.zeros((NODES, 6)), residuals, 1, 0.0, information
-    )
+    known, bias = np.ones(NODES, dtype=bool), np.zeros((NODES, 6))
+    forearm = SegmentSolution(FOREARM.name, known, states, None, None, bias)
+    return Solution(0, (forearm,), None, None, message, residuals, 1, 0.0, information)
 
 
 def by_hand(window: Window, answer: Solution) -> tuple[list[tuple[float, float, float]], float]:
@@ -137,7 +138,7 @@ def by_hand(window: Window, answer: Solution) -> tuple[list[tuple[float, float, 
     rows, total = [], 0.0
     for each in window.joint_measurements:
         for k, node in enumerate(each.node):
-            velocity = answer.states.v[node] + each.velocity[k]
+            velocity = answer.forearm.states.v[node] + each.velocity[k]
             residual = answer.residuals[each.joint][k]
             off = np.linalg.norm(residual) / each.sigma_m[k] / window.noise.cauchy
             weight = 1.0 / (1.0 + off**2) / each.sigma_m[k] ** 2
@@ -184,7 +185,8 @@ def test_no_samples_no_score() -> None:
         ),
     )
     answer = solution(still, 0, 1.0)
-    answer = replace(answer, states=replace(answer.states, v=0 * answer.states.v))
+    resting = replace(answer.forearm.states, v=0 * answer.forearm.states.v)
+    answer = replace(answer, bodies=(replace(answer.forearm, states=resting),))
     assert (clock_score([still], [answer]).information == 0).all()  # and no division by zero
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
+from smoother.body import FOREARM
 from smoother.measurements.inertial import STEP_S, InertialSignal
 from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS
@@ -21,12 +22,12 @@ from smoother.window.cut import (
     KEEP_S,
     KNOT_S,
     STILL_ACCELERATION,
-    PreparedSegment,
     cut,
     cut_times,
     window_nodes,
 )
 from smoother.window.nodes import GROUPED_S, group_frames, insert_nodes
+from smoother.window.prepare import PreparedRun, PreparedSegment
 from smoother.window.problem import NoiseModel, Priors, States, Window
 from smoother.window.shared import Gaussian, SharedLayout, axes_across
 
@@ -72,10 +73,11 @@ def prepared_of(gaps: tuple[Gap, ...]) -> PreparedSegment:
     n = len(t)
     R = CURVE.rotation(t).as_matrix()
     covariance = np.eye(3) * (0.1 + 0.2 * np.random.default_rng(0).uniform(size=n)[:, None, None])
+    start = States(R, CURVE.position(t), CURVE.velocity(t))
+    forearm = PreparedRun(FOREARM.name, SIGNAL, 0, start, R, covariance)
     return PreparedSegment(
-        signal=SIGNAL,
         t=t,
-        start=States(R, CURVE.position(t), CURVE.velocity(t)),
+        bodies=(forearm,),
         frame_t_imu=frame_t,
         frame_node=frame_node,
         position=position,
@@ -83,8 +85,6 @@ def prepared_of(gaps: tuple[Gap, ...]) -> PreparedSegment:
         sigma_m=np.full((len(frame_t), len(JOINTS)), 0.01),
         gaps=gaps,
         acceleration_std=np.full(n, 0.5),
-        attitude=R,
-        attitude_covariance=covariance,
         start_s=0.5,
         end_s=END_S,
     )
@@ -183,7 +183,7 @@ def test_measurements_belong_to_their_nodes(steps: list[tuple[float, float]], le
     for index, window in enumerate(windows):
         rows = window_nodes(prepared.t, borders, index, MARGIN_S)
         np.testing.assert_array_equal(window.t, prepared.t[rows])
-        np.testing.assert_array_equal(window.start.p, prepared.start.p[rows])
+        np.testing.assert_array_equal(window.forearm.start.p, prepared.forearm.start.p[rows])
         inside = (prepared.frame_node >= rows.start) & (prepared.frame_node < rows.stop)
         for measured in window.joint_measurements:
             column = JOINTS.index(measured.joint)
@@ -222,7 +222,7 @@ def windows() -> list[Window]:
 
 def integrated(window: Window, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(R, v, p) of an interval from its equivalent samples, by GTSAM's simple steps."""
-    R, v, p, increments = np.eye(3), np.zeros(3), np.zeros(3), window.increments
+    R, v, p, increments = np.eye(3), np.zeros(3), np.zeros(3), window.forearm.increments
     for step in range(increments.first[interval], increments.first[interval + 1]):
         h = increments.h[step]
         for acc in increments.acc[step]:
@@ -235,7 +235,7 @@ def integrated(window: Window, interval: int) -> tuple[FloatArray, FloatArray, F
 def test_increments_are_those_of_their_intervals(windows: list[Window]) -> None:
     """Against the motion in closed form; 100 Hz samples of 8 m/s^2."""
     for window in windows:
-        increments, dt = window.increments, np.diff(window.t)
+        increments, dt = window.forearm.increments, np.diff(window.t)
         assert len(increments.first) == len(window.t)
         total = np.add.reduceat(2 * increments.h, increments.first[:-1])
         np.testing.assert_allclose(total, dt, atol=1e-12)
@@ -269,12 +269,12 @@ def test_the_attitude_prior_is_shared(windows: list[Window]) -> None:
     count = len(windows)
     for index, window in enumerate(windows):
         rows = window_nodes(PREPARED.t, [w.core_start_s for w in windows] + [END_S], index, MARGIN_S)
-        traces = np.trace(PREPARED.attitude_covariance[rows], axis1=1, axis2=2)
+        traces = np.trace(PREPARED.forearm.attitude_covariance[rows], axis1=1, axis2=2)
         best = int(np.argmin(traces))
-        assert window.attitude_node == best
-        np.testing.assert_array_equal(window.attitude, PREPARED.attitude[rows][best])
+        assert window.forearm.attitude_node == best
+        np.testing.assert_array_equal(window.forearm.attitude, PREPARED.forearm.attitude[rows][best])
         expected = np.minimum(traces[best] / 3 * count, FREE_RAD**2) * np.eye(3)
-        np.testing.assert_allclose(window.attitude_covariance, expected, atol=1e-12)
+        np.testing.assert_allclose(window.forearm.attitude_covariance, expected, atol=1e-12)
 
 
 def test_without_a_shoulder_or_a_sample() -> None:

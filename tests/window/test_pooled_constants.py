@@ -18,7 +18,7 @@ from smoother.window.problem import Priors
 from smoother.window.shared import Gaussian, SharedLayout, axes_across
 from smoother.window.solution import Message
 
-LAYOUT = SharedLayout(("elbow", "wrist"), True, axes_across(np.array([0.0, -1.0, 0.0])), True)
+LAYOUT = SharedLayout(("elbow", "wrist"), True, axes_across(np.array([0.0, -1.0, 0.0])), ("upper_arm",))
 
 
 def spd(rng: np.random.Generator, size: int, scale: float = 1.0) -> FloatArray:

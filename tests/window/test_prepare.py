@@ -15,9 +15,8 @@ from smoother.measurements.visibility import Gap, enough_joints
 from smoother.recording import JOINTS
 from smoother.rotation import Rotation
 from smoother.simulation import SimulatedArm
-from smoother.window.cut import PreparedSegment
 from smoother.window.nodes import CLOSEST_S, GAP_NODE_S, GROUPED_S
-from smoother.window.prepare import prepare, reach
+from smoother.window.prepare import PreparedSegment, prepare, reach
 
 SIGMA_M = np.full(len(JOINTS), 0.01)
 MARGIN_S = 2.5
@@ -74,8 +73,9 @@ def test_nodes_fill_the_segment(segment: Segment, prepared: PreparedSegment) -> 
     assert (prepared.t[0], prepared.t[-1]) == (segment.start_s, segment.end_s)
     assert np.diff(prepared.t).min() >= CLOSEST_S
     assert np.diff(prepared.t).max() <= GAP_NODE_S + 1e-9
-    for name in ("attitude", "attitude_covariance", "acceleration_std"):
-        assert len(getattr(prepared, name)) == len(prepared.t)
+    forearm = prepared.forearm
+    for values in (forearm.attitude, forearm.attitude_covariance, prepared.acceleration_std):
+        assert len(values) == len(prepared.t)
 
 
 def test_every_frame_with_a_joint_has_a_node_near_it(prepared: PreparedSegment) -> None:
@@ -106,12 +106,12 @@ def test_initial_values_are_near_the_truth(made: SimulatedArm, prepared: Prepare
     near = np.abs(prepared.t[:, None] - prepared.frame_t_imu[enough_joints(prepared.accepted, 2)]).min(axis=1)
     rows = np.flatnonzero((near < 0.02) & (prepared.t > truth.t_s[0]) & (prepared.t < truth.t_s[-1]))
     true = np.stack([np.interp(prepared.t[rows], truth.t_s, axis) for axis in truth.position.T], axis=1)
-    assert np.median(np.linalg.norm(prepared.start.p[rows] - true, axis=1)) < 0.02
+    assert np.median(np.linalg.norm(prepared.forearm.start.p[rows] - true, axis=1)) < 0.02
     nearest = np.searchsorted(truth.t_s, prepared.t[rows])
     R = Rotation.from_quat(truth.quaternion[nearest], scalar_first=True)
-    off = (Rotation.from_matrix(prepared.start.R[rows]) * R.inv()).magnitude()
+    off = (Rotation.from_matrix(prepared.forearm.start.R[rows]) * R.inv()).magnitude()
     assert np.degrees(np.median(off)) < 6.0
-    np.testing.assert_array_equal(prepared.start.R, prepared.attitude)
+    np.testing.assert_array_equal(prepared.forearm.start.R, prepared.forearm.attitude)
 
 
 def test_a_core_is_solved_with_its_margins(made: SimulatedArm, segment: Segment, clock: Clock) -> None:
@@ -152,11 +152,11 @@ def test_far_from_any_visible_frame_there_are_no_nodes(
         assert one_sided.t[-1] == pytest.approx(shown[-1] + REACH_S)
         assert one_sided.gaps[-1].open_end
         assert one_sided.end_s == one_sided.t[-1]
-    assert np.isfinite(one_sided.start.p).all()
+    assert np.isfinite(one_sided.forearm.start.p).all()
     # beyond the last visible frame the arm rests
     beyond = (one_sided.t < shown[0]) | (one_sided.t > shown[-1])
     assert beyond.sum() > REACH_S / GAP_NODE_S - 2
-    assert not one_sided.start.v[beyond].any()
+    assert not one_sided.forearm.start.v[beyond].any()
 
 
 def test_too_little_seen_is_no_segment(
@@ -179,5 +179,8 @@ def test_a_given_alignment_is_used_as_it_is(made: SimulatedArm, segment: Segment
     again = prepare(segment, made.calibration, clock, SIGMA_M, MARGIN_S, turned)
     assert again is not None
     assert again[1] is turned
-    off = Rotation.from_matrix(again[0].attitude) * Rotation.from_matrix(answer[0].attitude).inv()
+    off = (
+        Rotation.from_matrix(again[0].forearm.attitude)
+        * Rotation.from_matrix(answer[0].forearm.attitude).inv()
+    )
     np.testing.assert_allclose(off.as_rotvec(), np.tile([0.0, 0.3, 0.0], (len(again[0].t), 1)), atol=1e-9)

@@ -131,7 +131,7 @@ def fall_and_information(window: Window) -> tuple[float, float]:
     solution = solve(window, with_covariance=False, with_offset=True)
     total = 0.0
     for measured in window.joint_measurements:
-        velocity = solution.states.v[measured.node] + measured.velocity
+        velocity = solution.forearm.states.v[measured.node] + measured.velocity
         residual = solution.residuals[measured.joint] / measured.sigma_m[:, None] ** 2
         total += float(np.sum(residual * velocity))
     return total, solution.offset_information
@@ -152,7 +152,8 @@ def test_the_offsets_information_is_the_slope_of_the_fall() -> None:
         joint_measurements=tuple(
             replace(
                 measured,
-                position=measured.position + step_s * (solution.states.v[measured.node] + measured.velocity),
+                position=measured.position
+                + step_s * (solution.forearm.states.v[measured.node] + measured.velocity),
             )
             for measured in window.joint_measurements
         ),
@@ -161,7 +162,7 @@ def test_the_offsets_information_is_the_slope_of_the_fall() -> None:
     after, _ = fall_and_information(moved)
     assert (after - before) / step_s == pytest.approx(information, rel=0.05)
     bound = sum(
-        float(np.sum((solution.states.v[s.node] + s.velocity) ** 2 / s.sigma_m[:, None] ** 2))
+        float(np.sum((solution.forearm.states.v[s.node] + s.velocity) ** 2 / s.sigma_m[:, None] ** 2))
         for s in window.joint_measurements
     )
     assert 0.02 * bound < information < 0.98 * bound

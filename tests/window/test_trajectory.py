@@ -14,7 +14,13 @@ from smoother.array_types import FloatArray
 from smoother.measurements.inertial import InertialSignal, integrate
 from smoother.window.problem import States, Window
 from smoother.window.solution import Solution
-from smoother.window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose, merge_windows
+from smoother.window.trajectory import (
+    BLEND_HALF_S,
+    SegmentTrajectory,
+    at_times,
+    joint_from_pose,
+    merge_windows,
+)
 
 
 class Joined:
@@ -36,14 +42,14 @@ def joined() -> Joined:
     return Joined()
 
 
-def analytic(spacing_s: float) -> tuple[Trajectory, InertialSignal, Curve]:
+def analytic(spacing_s: float) -> tuple[SegmentTrajectory, InertialSignal, Curve]:
     """Nodes exactly on an analytic motion, its exact IMU."""
     curve = Curve(8)
     t = np.arange(0.5, 5.5, spacing_s)
     n = len(t)
     states = States(curve.rotation(t).as_matrix(), curve.position(t), curve.velocity(t))
     zero, gravity = np.zeros((n, 6)), np.tile(G * curve.down, (n, 1))
-    motion = Trajectory(t, states, np.zeros((n, 6, 6)), np.zeros((n, 3, 3)), zero, gravity, None, None, {})
+    motion = SegmentTrajectory(t, states, np.zeros((n, 6, 6)), np.zeros((n, 3, 3)), zero, gravity)
     return motion, InertialSignal(curve.imu(100.0, 6.0)), curve
 
 
@@ -59,10 +65,10 @@ def test_there_is_something_to_join(joined: Joined) -> None:
 def test_one_window_is_taken_as_it_is(joined: Joined) -> None:
     window, solution = joined.windows[0], joined.solutions[0]
     alone = merge_windows(window.t, [window], [solution])
-    np.testing.assert_array_equal(alone.states.p, solution.states.p)
-    np.testing.assert_allclose(alone.states.R, solution.states.R, atol=1e-12)
-    np.testing.assert_array_equal(alone.pose_covariance, solution.pose_covariance)
-    np.testing.assert_array_equal(alone.bias, solution.bias)
+    np.testing.assert_array_equal(alone.forearm.states.p, solution.forearm.states.p)
+    np.testing.assert_allclose(alone.forearm.states.R, solution.forearm.states.R, atol=1e-12)
+    np.testing.assert_array_equal(alone.forearm.pose_covariance, solution.forearm.pose_covariance)
+    np.testing.assert_array_equal(alone.forearm.bias, solution.forearm.bias)
 
 
 def test_lever_arms_go_with_the_poses_of_their_window(joined: Joined) -> None:
@@ -80,27 +86,29 @@ def test_far_from_borders_each_window_rules(joined: Joined) -> None:
     for window, solution in zip(joined.windows, joined.solutions, strict=True):
         own = (window.t > window.core_start_s + BLEND_HALF_S) & (window.t < window.core_end_s - BLEND_HALF_S)
         rows = np.searchsorted(joined.t, window.t[own])
-        np.testing.assert_array_equal(joined.motion.states.p[rows], solution.states.p[own])
-        np.testing.assert_allclose(joined.motion.states.R[rows], solution.states.R[own], atol=1e-12)
+        np.testing.assert_array_equal(joined.motion.forearm.states.p[rows], solution.forearm.states.p[own])
+        np.testing.assert_allclose(
+            joined.motion.forearm.states.R[rows], solution.forearm.states.R[own], atol=1e-12
+        )
 
 
 def test_the_blend_lies_between_the_two(joined: Joined) -> None:
     """Near a border the motion is a weighted mean: nowhere farther from either than they are apart."""
-    at = dict(zip(joined.t.tolist(), joined.motion.states.p, strict=True))
+    at = dict(zip(joined.t.tolist(), joined.motion.forearm.states.p, strict=True))
     pairs = zip(zip(joined.windows[:-1], joined.solutions[:-1], strict=True), joined.borders, strict=True)
     for (window, solution), border in pairs:
         index = window.index + 1
         after, later = joined.windows[index], joined.solutions[index]
         for k in np.flatnonzero(np.abs(window.t - border) < BLEND_HALF_S):
             row = int(np.searchsorted(after.t, window.t[k]))
-            a, b, p = solution.states.p[k], later.states.p[row], at[float(window.t[k])]
+            a, b, p = solution.forearm.states.p[k], later.forearm.states.p[row], at[float(window.t[k])]
             assert np.linalg.norm(p - a) + np.linalg.norm(p - b) <= np.linalg.norm(a - b) + 1e-12
 
 
 def test_no_jump_at_the_borders(joined: Joined) -> None:
     """Step from sample to sample less its velocity: at borders as elsewhere, position and orientation."""
     t = np.arange(joined.t[0], joined.t[-1], 0.005)
-    states = at_times(joined.motion, joined.signal, t)
+    states = at_times(joined.motion.forearm, joined.signal, t)
     step = np.diff(states.p, axis=0) - 0.005 * 0.5 * (states.v[1:] + states.v[:-1])
     jump = np.linalg.norm(step, axis=1)
     turn = angle_rad(states.R[:-1], states.R[1:])
@@ -112,7 +120,7 @@ def test_no_jump_at_the_borders(joined: Joined) -> None:
     assert turn[near].max() < 1.1 * max(turn[~near].max(), 0.01)
     # the blend is worth testing: a step this size would be seen
     apart = [
-        np.abs(a.states.p[np.isin(u.t, w.t)] - b.states.p[np.isin(w.t, u.t)]).max()
+        np.abs(a.forearm.states.p[np.isin(u.t, w.t)] - b.forearm.states.p[np.isin(w.t, u.t)]).max()
         for (u, a), (w, b) in zip(
             zip(joined.windows[:-1], joined.solutions[:-1], strict=True),
             zip(joined.windows[1:], joined.solutions[1:], strict=True),
@@ -123,30 +131,30 @@ def test_no_jump_at_the_borders(joined: Joined) -> None:
 
 
 def test_covariances_stay_positive(joined: Joined) -> None:
-    assert np.linalg.eigvalsh(joined.motion.pose_covariance).min() > 0
-    assert np.linalg.eigvalsh(joined.motion.velocity_covariance).min() > 0
+    assert np.linalg.eigvalsh(joined.motion.forearm.pose_covariance).min() > 0
+    assert np.linalg.eigvalsh(joined.motion.forearm.velocity_covariance).min() > 0
 
 
 def test_gravity_keeps_its_length(joined: Joined) -> None:
     """A mean of two directions is shorter by the square of their angle: under a thousandth here."""
-    np.testing.assert_allclose(np.linalg.norm(joined.motion.gravity, axis=1), 9.81, rtol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(joined.motion.forearm.gravity, axis=1), 9.81, rtol=1e-3)
 
 
 def test_at_times_hits_the_nodes(joined: Joined) -> None:
-    states = at_times(joined.motion, joined.signal, joined.t)
-    np.testing.assert_allclose(states.p, joined.motion.states.p, atol=1e-12)
-    np.testing.assert_allclose(states.v, joined.motion.states.v, atol=1e-12)
-    np.testing.assert_allclose(states.R, joined.motion.states.R, atol=1e-12)
+    states = at_times(joined.motion.forearm, joined.signal, joined.t)
+    np.testing.assert_allclose(states.p, joined.motion.forearm.states.p, atol=1e-12)
+    np.testing.assert_allclose(states.v, joined.motion.forearm.states.v, atol=1e-12)
+    np.testing.assert_allclose(states.R, joined.motion.forearm.states.R, atol=1e-12)
 
 
 def test_at_times_arrives_at_the_nodes_from_before(joined: Joined) -> None:
     """A microsecond before a node the answer is the node's, whatever the IMU missed in between."""
     at = joined.t[1:] - 1e-6
-    states = at_times(joined.motion, joined.signal, at)
-    before = joined.motion.states.p[1:] - 1e-6 * joined.motion.states.v[1:]
+    states = at_times(joined.motion.forearm, joined.signal, at)
+    before = joined.motion.forearm.states.p[1:] - 1e-6 * joined.motion.forearm.states.v[1:]
     np.testing.assert_allclose(states.p, before, atol=1e-8)
-    np.testing.assert_allclose(states.v, joined.motion.states.v[1:], atol=1e-3)
-    assert angle_rad(states.R, joined.motion.states.R[1:]).max() < 1e-4
+    np.testing.assert_allclose(states.v, joined.motion.forearm.states.v[1:], atol=1e-3)
+    assert angle_rad(states.R, joined.motion.forearm.states.R[1:]).max() < 1e-4
 
 
 def test_velocity_is_the_derivative_of_position(joined: Joined) -> None:
@@ -154,7 +162,7 @@ def test_velocity_is_the_derivative_of_position(joined: Joined) -> None:
     at = 0.5 * (joined.t[1:] + joined.t[:-1])
     h = 0.0005
     grid = np.sort(np.concatenate([at - h, at, at + h]))
-    states = at_times(joined.motion, joined.signal, grid)
+    states = at_times(joined.motion.forearm, joined.signal, grid)
     slope = (states.p[2::3] - states.p[::3]) / (2 * h)
     # h^2 / 6 of a jerk of 1000 m/s^3 is 4e-5; the fine steps' midpoint rule adds as much
     np.testing.assert_allclose(slope, states.v[1::3], atol=2e-4)
@@ -164,7 +172,7 @@ def test_the_answer_does_not_depend_on_the_other_query_times(joined: Joined) -> 
     """Steps of the integration follow the query times, so equal to its own second-order error only."""
     coarse = np.linspace(joined.t[5], joined.t[-5], 301)
     fine = np.union1d(coarse, np.linspace(joined.t[5], joined.t[-5], 7777))
-    a, b = (at_times(joined.motion, joined.signal, t) for t in (coarse, fine))
+    a, b = (at_times(joined.motion.forearm, joined.signal, t) for t in (coarse, fine))
     row = np.searchsorted(fine, coarse)
     np.testing.assert_allclose(a.p, b.p[row], atol=2e-6)
     np.testing.assert_allclose(a.v, b.v[row], atol=2e-4)
@@ -210,7 +218,7 @@ def test_the_bias_of_each_interval_is_taken_off() -> None:
     np.testing.assert_allclose(a.R, b.R, atol=1e-9)
 
 
-def propagated(motion: Trajectory, signal: InertialSignal, k: int, t: float) -> FloatArray:
+def propagated(motion: SegmentTrajectory, signal: InertialSignal, k: int, t: float) -> FloatArray:
     """A node's state propagated to a time by one integration, written out."""
     step = integrate(signal, np.array([motion.t[k], t]), motion.bias[k])
     h = t - motion.t[k]
@@ -224,8 +232,8 @@ def test_beyond_a_node_the_imu_leads(joined: Joined) -> None:
     k = len(joined.t) // 2
     length = joined.t[k + 1] - joined.t[k]
     t = float(joined.t[k] + 0.02 * length)
-    position = at_times(joined.motion, joined.signal, np.array([t])).p[0]
-    np.testing.assert_allclose(position, propagated(joined.motion, joined.signal, k, t), atol=2e-5)
+    position = at_times(joined.motion.forearm, joined.signal, np.array([t])).p[0]
+    np.testing.assert_allclose(position, propagated(joined.motion.forearm, joined.signal, k, t), atol=2e-5)
 
 
 def test_a_joint_follows_from_the_pose_and_its_lever_arm() -> None:

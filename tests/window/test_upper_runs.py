@@ -41,7 +41,7 @@ def off_in_gap(made: SimulatedArm, windows: list[Window]) -> tuple[float, float]
     squares, steps = [], []
     for window in windows:
         hidden = np.flatnonzero(np.isfinite(window.velocity_change))
-        off = window.start.p[hidden] - interpolate(truth.t_s, truth.position, window.t[hidden])
+        off = window.forearm.start.p[hidden] - interpolate(truth.t_s, truth.position, window.t[hidden])
         squares.append(np.sum(off**2, axis=1))
         steps.append(np.diff(window.t)[hidden])
     return float(np.sqrt(np.mean(np.concatenate(squares)))), float(np.concatenate(steps).max())
@@ -61,7 +61,7 @@ def test_parts_beside_a_pause(made: SimulatedArm) -> None:
     windows = first_pass(made, replace(made.recording, upper_imu=paused))
     for window in windows:
         covered = np.zeros(len(window.t), dtype=bool)
-        for run in window.upper:
+        for run in window.further:
             covered[run.first : run.first + len(run.start.p)] = True
             assert len(run.increments.first) == len(run.start.p)
         inside = (window.t > 12.1) & (window.t < 14.9)
@@ -80,5 +80,5 @@ def test_a_part_without_the_camera_is_left_out(made: SimulatedArm) -> None:
         arm=made.recording.arm.hide(t > 17.5, ("shoulder", "elbow")),
     )
     windows = first_pass(made, recording)
-    starts = [window.t[run.first] for window in windows for run in window.upper]
+    starts = [window.t[run.first] for window in windows for run in window.further]
     assert starts and max(starts) < 12.0

@@ -1,0 +1,181 @@
+"""The factors of a window's graph, one at a time (GTSAM): the IMU between nodes, joints, the shoulder.
+
+Preintegration: Forster et al., TRO 2017.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from itertools import islice
+
+import gtsam
+import numpy as np
+from gtsam import Pose3, Rot3, noiseModel
+from gtsam.symbol_shorthand import G, S, U, V, X
+
+from ..array_types import FloatArray, IntArray
+from ..window.problem import ImuIncrements, NoiseModel, SegmentRun, Window
+from .variables import SegmentKeys, keys_of
+
+#: Rows of an `ImuFactorWithGravityDirection`, and of a factor on a point.
+IMU_ROWS, POINT_ROWS = 9, 3
+#: Error of the integration itself, m^2/s: a millimetre in a second, and intervals of some milliseconds do
+#: not become so much stiffer than the rest that the solver calls the rest free.
+INTEGRATION_VARIANCE = 1e-6
+#: IMU noise goes up in steps of this factor, so that intervals share their parameters.
+DENSITY_STEP = 1.25
+
+
+def imu_factors(
+    window: Window, run: SegmentRun, biases: IntArray
+) -> Iterator[gtsam.ImuFactorWithGravityDirection]:
+    """An IMU between neighbouring nodes of a window.
+
+    Parameters
+    ----------
+    window : Window
+        Its times and noise.
+    run : SegmentRun
+    biases : ndarray of int, shape (n - 1,)
+        Which bias variable each of the window's intervals uses.
+
+    Yields
+    ------
+    factor : gtsam.ImuFactorWithGravityDirection
+        One an interval.
+    """
+    keys, increments, gravity = keys_of(run.segment), run.increments, window.gravity_magnitude
+    levels = noise_levels(increments, np.diff(window.t[run.nodes]), window.noise, gravity)
+    params = {level: preintegration_parameters(window.noise, gravity, *level) for level in set(levels)}
+    own_biases = biases[run.first : run.nodes.stop - 1].tolist()
+    preintegrated = preintegrate(increments, (params[level] for level in levels))
+    for node, (pim, number) in enumerate(zip(preintegrated, own_biases, strict=True), run.first):
+        yield imu_factor(keys, node, node + 1, number, pim, gravity)
+
+
+def preintegrate(
+    increments: ImuIncrements, params: Iterable[gtsam.PreintegrationParams]
+) -> Iterator[gtsam.PreintegratedImuMeasurements]:
+    """The increments of each interval, with the parameters of each."""
+    bias = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
+    samples = zip(
+        *np.moveaxis(increments.acc + increments.bias[:3], 1, 0),
+        increments.gyro + increments.bias[3:],
+        increments.h.tolist(),
+        strict=True,
+    )
+    for count, own in zip(np.diff(increments.first).tolist(), params, strict=True):
+        pim = gtsam.PreintegratedImuMeasurements(own, bias)
+        integrate = pim.integrateMeasurement
+        for first_half, second_half, rate, h in islice(samples, count):
+            integrate(first_half, rate, h)
+            integrate(second_half, rate, h)
+        yield pim
+
+
+def imu_factor(
+    keys: SegmentKeys,
+    before: int,
+    node: int,
+    bias: int,
+    pim: gtsam.PreintegratedImuMeasurements,
+    gravity_magnitude: float,
+) -> gtsam.ImuFactorWithGravityDirection:
+    """One interval of an IMU between two nodes."""
+    return gtsam.ImuFactorWithGravityDirection(
+        keys.pose + before,
+        keys.velocity + before,
+        keys.pose + node,
+        keys.velocity + node,
+        keys.bias + bias,
+        G(0),
+        pim,
+        gravity_magnitude,
+    )
+
+
+def noise_levels(
+    increments: ImuIncrements, dt: FloatArray, noise: NoiseModel, gravity_magnitude: float
+) -> list[tuple[int, int]]:
+    """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s.
+
+    Parameters
+    ----------
+    increments : ImuIncrements
+        Of n - 1 intervals.
+    dt : ndarray, shape (n - 1,), s
+        Their lengths.
+    noise : NoiseModel
+    gravity_magnitude : float, m/s^2
+
+    Returns
+    -------
+    levels : list of tuple of int
+        One an interval, for `preintegration_parameters`.
+    """
+    count = np.diff(increments.first)
+    force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - gravity_magnitude
+    rate = np.linalg.norm(increments.gyro, axis=1)
+    moving = np.add.reduceat(np.abs(force), increments.first[:-1]) / count
+    turning = np.add.reduceat(rate, increments.first[:-1]) / count
+    impacts = increments.velocity_error / np.sqrt(dt)
+    acc = np.hypot(
+        np.hypot(1.0, noise.accelerometer_share / noise.accelerometer_density * moving),
+        impacts / noise.accelerometer_density,
+    )
+    gyro = np.hypot(1.0, noise.gyroscope_share / noise.gyroscope_density * turning)
+    level = np.round(np.log(np.stack([acc, gyro], axis=1)) / np.log(DENSITY_STEP)).astype(int)
+    return [(int(a), int(g)) for a, g in level]
+
+
+@lru_cache(maxsize=1024)
+def preintegration_parameters(
+    noise: NoiseModel, gravity_magnitude: float, acc: int, gyro: int
+) -> gtsam.PreintegrationParams:
+    """Noise of the preintegration at a level of `noise_levels`."""
+    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -gravity_magnitude]))
+    params.setAccelerometerCovariance(np.eye(3) * (DENSITY_STEP**acc * noise.accelerometer_density) ** 2)
+    params.setGyroscopeCovariance(np.eye(3) * (DENSITY_STEP**gyro * noise.gyroscope_density) ** 2)
+    params.setIntegrationCovariance(np.eye(3) * INTEGRATION_VARIANCE)
+    return params
+
+
+def joint_factor(
+    pose: int, lever: int | None, position: FloatArray, model: noiseModel.Base
+) -> gtsam.NonlinearFactor:
+    """A joint where the camera sees it: at a lever arm that is a variable, or at the IMU itself."""
+    if lever is None:
+        return gtsam.GPSFactorArm(pose, position, np.zeros(3), model)
+    return gtsam.GPSFactorArmCalib(pose, lever, position, model)
+
+
+def knot_walk(before: int, knot: int, walk: float, root_s: float) -> gtsam.BetweenFactorPoint3:
+    """A shoulder knot near the one before it; the time between them as its root, sqrt(s)."""
+    model = isotropic(3, round(walk * root_s, 6))
+    return gtsam.BetweenFactorPoint3(S(before), S(knot), np.zeros(3), model)
+
+
+def length_factor(
+    node: int, knot: int, length_m: float, sigma_m: float, elbow: FloatArray
+) -> gtsam.RangeFactorWithTransformBias3D:
+    """The upper arm's length from a shoulder knot to a node's elbow (3,) in {A}; U is its correction."""
+    model, at_elbow = isotropic(1, sigma_m), Pose3(Rot3(), elbow)
+    return gtsam.RangeFactorWithTransformBias3D(X(node), S(knot), U(0), length_m, model, at_elbow)
+
+
+def constant_velocity(node: int, change: float) -> gtsam.BetweenFactorVector:
+    """The forearm's velocity changes by no more than about `change`, m/s, to the next node."""
+    return gtsam.BetweenFactorVector(V(node), V(node + 1), np.zeros(3), isotropic(3, change))
+
+
+@lru_cache(maxsize=4096)
+def isotropic(dimension: int, sigma: float) -> noiseModel.Isotropic:
+    """One noise object for each sigma, however many factors use it."""
+    return noiseModel.Isotropic.Sigma(dimension, sigma)
+
+
+@lru_cache(maxsize=4096)
+def robust(sigma_m: float, cauchy: float) -> noiseModel.Robust:
+    """Cauchy's loss on a point of the camera: what is far off pulls less the farther it is."""
+    return noiseModel.Robust.Create(noiseModel.mEstimator.Cauchy.Create(cauchy), isotropic(3, sigma_m))
