@@ -75,7 +75,7 @@ def plain(text: str | None) -> str:
 
 def settings() -> str:
     """The configuration as `unocclude config` prints it."""
-    from smoother.cli.config_file import to_toml
+    from smoother.cli.config import to_toml
     from smoother.config import Config
 
     return f"```toml\n{to_toml(Config()).strip()}\n```\n"

@@ -1,13 +1,100 @@
-"""All commands on one page. What a command needs is imported when it runs, so that help is quick."""
+"""All commands on one page; each is imported when it is asked for, so that help is quick."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from .lazy_commands import CommandSpec, lazy_group
+
+@dataclass(frozen=True)
+class CommandSpec:
+    """Where a command is.
+
+    Attributes
+    ----------
+    module : str
+        Of this package; its function has the command's name, with `_` for `-`.
+    epilog : str
+        What stands below its help: an example.
+    cls : str
+        The command's class in the module, where it is not typer's.
+    has_settings : bool
+        The settings that the module's `NAME_settings()` gives become options too.
+    """
+
+    module: str
+    epilog: str
+    cls: str = ""
+    has_settings: bool = False
+
+    def command(self, name: str) -> Any:
+        """The command, imported now."""
+        module = import_module(f".{self.module}", __package__)
+        function = getattr(module, name.replace("-", "_"))
+        if self.has_settings:
+            from .options import with_settings
+
+            function = with_settings(function, getattr(module, f"{name}_settings")())
+        app = typer.Typer(add_completion=False, rich_markup_mode=None)
+        app.command(name, cls=getattr(module, self.cls) if self.cls else None, epilog=self.epilog)(function)
+        return typer.main.get_command(app)
+
+
+class LazyCommands(Mapping[str, Any]):
+    """Commands by name; each is imported when it is looked up.
+
+    Parameters
+    ----------
+    specs : mapping of str to CommandSpec
+    groups : mapping
+        Groups by name, as typer made them; they come last.
+    """
+
+    def __init__(self, specs: Mapping[str, CommandSpec], groups: Mapping[str, Any]) -> None:
+        self._specs, self._commands = specs, dict(groups)
+        self._names = [*specs, *groups]
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._commands:
+            self._commands[name] = self._specs[name].command(name)
+        return self._commands[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def lazy_group(specs: Mapping[str, CommandSpec]) -> type[TyperGroup]:
+    """A kind of group that holds commands.
+
+    Parameters
+    ----------
+    specs : mapping of str to CommandSpec
+        By the commands' names, in the order of the help.
+
+    Returns
+    -------
+    group : type
+        For `typer.Typer(cls=...)`.
+    """
+
+    class LazyGroup(TyperGroup):
+        def __init__(self, *, commands: Any = None, **attributes: Any) -> None:
+            super().__init__(commands=commands, **attributes)
+            self.commands = LazyCommands(specs, self.commands)  # type: ignore[assignment]
+
+        def list_commands(self, ctx: Any) -> list[str]:
+            return list(self.commands)
+
+    return LazyGroup
+
 
 _CSV_EXAMPLE = """Example: unocclude import csv session -o session.mcap
 
@@ -32,10 +119,10 @@ def _spec(module: str, example: str, cls: str = "", has_settings: bool = False) 
 
 _COMMANDS = {
     "demo": _spec("demo", "demo"),
-    "info": _spec("info", "info session.mcap"),
-    "check": _spec("check", "check session.mcap --json check.json"),
-    "match": _spec("match", "match session.mcap --json matches.json"),
-    "repair": _spec("repair", "repair broken.mcap -o whole.mcap --json lost.json"),
+    "info": _spec("recordings", "info session.mcap"),
+    "check": _spec("recordings", "check session.mcap --json check.json"),
+    "match": _spec("recordings", "match session.mcap --json matches.json"),
+    "repair": _spec("recordings", "repair broken.mcap -o whole.mcap --json lost.json"),
     "smooth": _spec("smooth", "smooth session.mcap -o out.mcap --calibration arm.toml --report out.html"),
     "validate": _spec(
         "validate", "validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml"
@@ -46,30 +133,30 @@ _COMMANDS = {
     "export": _spec("export", "export recovered.mcap --format trc -o recovered.trc"),
     "view": _spec("view", "view recovered.mcap"),
     "batch": _spec("batch", "batch sessions -o recovered --calibration arm.toml --report", "BatchCommand"),
-    "progress": _spec("sessions", "progress recovered --person p12 --report p12.html"),
+    "progress": _spec("progress", "progress recovered --person p12 --report p12.html"),
     "live": _spec(
         "live",
         "live --imu wrist --skeleton kinect --side right --record session.mcap --foxglove",
         "LiveCommand",
     ),
     "config": _spec("config", "config > settings.toml"),
-    "doctor": _spec("doctor", "doctor"),
+    "doctor": _spec("demo", "doctor"),
 }
 _IMPORTS = {
     "csv": CommandSpec("imports", _CSV_EXAMPLE),
     "files": _spec(
-        "import_files", "import files --skeleton azure.csv --imu forearm_right=dot.csv -o session.mcap"
+        "imports", "import files --skeleton azure.csv --imu forearm_right=dot.csv -o session.mcap"
     ),
-    "formats": _spec("import_files", "import formats"),
-    "describe": _spec("import_describe", "import describe sensor.csv > session/recording.toml"),
+    "formats": _spec("imports", "import formats"),
+    "describe": _spec("imports", "import describe sensor.csv > session/recording.toml"),
     "broad": _spec("imports", "import broad 01_trial.mat -o trial.mcap"),
     "utd-mhad": _spec("imports", "import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap"),
-    "strap": _spec("import_strap", "import strap session.mcap -o with_strap.mcap"),
+    "strap": _spec("imports", "import strap session.mcap -o with_strap.mcap"),
 }
 _CALIBRATIONS = {
     "motion": _spec("calibrate", "calibrate motion a.mcap b.mcap -o arm.toml"),
-    "imu": _spec("calibrate_imu", "calibrate imu poses.mcap -o arm.toml --report imu.html"),
-    "magnetometer": _spec("calibrate_imu", "calibrate magnetometer turning.mcap -o arm.toml"),
+    "imu": _spec("calibrate", "calibrate imu poses.mcap -o arm.toml --report imu.html"),
+    "magnetometer": _spec("calibrate", "calibrate magnetometer turning.mcap -o arm.toml"),
     "clock": _spec(
         "calibrate_clock",
         "calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv",
@@ -79,27 +166,27 @@ _CALIBRATIONS = {
         "calibrate panel --depth d.png --infrared i.png --markers m.csv --intrinsics k.toml"
         " --panel panel.toml -o cal.toml",
     ),
-    "world": _spec("calibrate_world", "calibrate world session.mcap --panel panel.toml -o cal.toml"),
-    "forearm": _spec("calibrate_forearm", "calibrate forearm session.mcap -o arm.toml --report forearm.html"),
+    "world": _spec("calibrate_panel", "calibrate world session.mcap --panel panel.toml -o cal.toml"),
+    "forearm": _spec("calibrate", "calibrate forearm session.mcap -o arm.toml --report forearm.html"),
 }
 _SIMULATIONS = {
     "arm": _spec(
         "simulate", "simulate arm -o sim.mcap --preset realistic --repetitions 3 --seed 7", has_settings=True
     ),
-    "clock": _spec("simulate_clock", "simulate clock -o session --seed 7"),
-    "imu": _spec("simulate_sensor", "simulate imu -o poses.mcap --seed 7"),
-    "magnetometer": _spec("simulate_sensor", "simulate magnetometer -o turning.mcap --seed 7"),
+    "clock": _spec("simulate_rig", "simulate clock -o session --seed 7"),
+    "imu": _spec("simulate_rig", "simulate imu -o poses.mcap --seed 7"),
+    "magnetometer": _spec("simulate_rig", "simulate magnetometer -o turning.mcap --seed 7"),
     "panel": _spec(
-        "simulate_panel",
+        "simulate_rig",
         "simulate panel -o session --poses 8 --seed 7 --mcap session.mcap",
         has_settings=True,
     ),
     "people": _spec(
-        "simulate_people",
+        "simulate",
         "simulate people -o people.mcap --people 2 --sensors 4 --seed 7",
         has_settings=True,
     ),
-    "strap": _spec("simulate_strap", "simulate strap -o session.mcap --seed 7"),
+    "strap": _spec("simulate", "simulate strap -o session.mcap --seed 7"),
 }
 
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from ..runtime.printable import printable
+from .arm_output import end_strictly
 from .load import damage
 from .options import (
     Body,
@@ -25,12 +31,81 @@ from .options import (
     one_side,
 )
 from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
-from .standing import end_strictly
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from ..study.columns import Row
     from ..study.run import Tally
+
+
+#: Recordings that are shown, the latest ones.
+SHOWN = 12
+
+
+@contextmanager
+def study_progress() -> Iterator[Callable[[Tally, Row | None], None]]:
+    """Yield a function (tally, row of the recording that has just ended or None) that renews the table."""
+    if not sys.stderr.isatty():
+        yield lambda tally, row: None
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    latest: deque[Row] = deque(maxlen=SHOWN)
+    with Live(console=Console(stderr=True), refresh_per_second=4, transient=True) as live:
+
+        def show(tally: Tally, row: Row | None) -> None:
+            if row is not None:
+                latest.append(row)
+            live.update(progress_table(tally, latest))
+
+        yield show
+
+
+def progress_table(tally: Tally, latest: deque[Row]) -> Any:
+    """How far a study is, and its latest recordings."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=headline(tally), title_justify="left", title_style="bold")
+    table.add_column("recording", overflow="fold")
+    for column in ("length, s", "gaps", "largest sigma, cm", "times real time"):
+        table.add_column(column, justify="right")
+    table.add_column("")
+    for row in latest:
+        distrusted = row.get("trusted") is False
+        length, sigma, spent = (row.get(name) for name in ("duration_s", "sigma_max_m", "seconds"))
+        cells = (
+            row["recording"],
+            "" if length is None else f"{length:.0f}",
+            "" if row.get("gaps") is None else str(row["gaps"]),
+            "" if sigma is None else f"{100 * sigma:.1f}",
+            "" if length is None or not spent else f"{length / spent:.0f}",
+            row.get("error") or ("not to be trusted" if distrusted else row["status"]),
+        )
+        bad = distrusted or row["status"] == "failed"
+        table.add_row(*[Text(printable(cell)) for cell in cells], style="red" if bad else None)
+    return table
+
+
+def headline(tally: Tally) -> str:
+    """How far a study is, in a line."""
+    sentence = f"{tally.ended} of {tally.total}"
+    if tally.failed:
+        sentence += f", {tally.failed} failed"
+    worked = tally.computed + tally.failed
+    if worked and tally.seconds > 0:
+        left_s = (tally.total - tally.ended) * tally.seconds / worked
+        sentence += f"; {tally.recorded_s / tally.seconds:.0f} times real time, {_clock(left_s)} left"
+    return sentence
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}"
+
 
 #: Rows of the tables that are printed at the end.
 MOST_WORST, MOST_FAILURES = 10, 25
@@ -154,10 +229,9 @@ def batch(
     from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import InputSelection
     from ..study.inputs import find_entries, left_out_note
-    from ..study.limits import Limits
+    from ..study.job import Limits
     from ..study.run import StudySettings, run_study, study_folder
-    from .batch_progress import study_progress
-    from .config_file import read_config
+    from .config import read_config
 
     if scheduler is not None and processes is not None:
         raise typer.BadParameter("--processes is for this machine; with --scheduler the workers decide")

@@ -1,4 +1,4 @@
-"""`unocclude calibrate`: what is measured once and kept in a calibration file; and `calibrate motion`."""
+"""`unocclude calibrate motion`, `forearm`, `imu` and `magnetometer`, and what all calibrations share."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import CalibrationError
-from .estimates import print_arm, print_camera, print_clocks
-from .load import load_arms
+from .arm_output import arms_figures, print_arm, print_camera, print_clocks, say_arm
+from .load import load_arm, load_arms
 from .options import (
     Body,
     CalibrationOutput,
@@ -20,19 +20,21 @@ from .options import (
     Imu,
     Json,
     Processes,
+    RecordingPath,
+    Report,
     Side,
     Skeleton,
     one_side,
 )
-from .output import check_outputs, print_notes, say, say_written, write_json
-from .several_figures import arms_figures, say_arm
+from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
     from calib.file import CalibrationFile
     from calib.protocol import Answer
 
     from ..calibration import ArmCalibration
-    from ..recording import Recording
+    from ..recording import ImuStream, Recording
+
 
 #: Files that a command reads or writes; some may not be given.
 Paths = Iterable[Path | None]
@@ -124,7 +126,7 @@ def motion(
     from calib.motion.motion_calibration import calibrate_motion, motion_answer
     from calib.motion.motion_summary import roll_known
 
-    from .config_file import read_config, with_processes
+    from .config import read_config, with_processes
 
     twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
     if twice:
@@ -201,3 +203,181 @@ def _by_side(
         mine = [(recording, known) for _, recording, known in loaded if recording.side == one]
         arms.append(([recording for recording, _ in mine], mine[0][1]))
     return arms
+
+
+def imu(
+    recording_file: RecordingPath,
+    output: CalibrationOutput,
+    name: Imu = None,
+    gravity: Annotated[
+        float,
+        typer.Option(
+            "--gravity", metavar="M/S^2", help="Where it was recorded; recovering reckons with 9.81."
+        ),
+    ] = 9.81,
+    report: Report = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Find an IMU's offsets, scales and cross-axis from rest poses, and its noise from a long rest.
+
+    Lay the sensor still for three seconds on each of its six sides and on six edges between them, in any
+    order; the rests are found by themselves. One long rest (an hour) instead gives the noise.
+    """
+    from calib.imu.imu_summary import imu_answer, noise_rows
+    from calib.imu.sensor_calibration import calibrate_imu
+
+    if not 9.7 <= gravity <= 9.9:
+        raise typer.BadParameter("--gravity on Earth lies between 9.76 and 9.84 m/s^2")
+    stream, notes = _load(recording_file, output, name, [report, json_file], force)
+    with error_prefix(f"{recording_file}, {stream.name}"):
+        calibration = calibrate_imu(stream, gravity)
+    answer = imu_answer(calibration)
+    if report is not None:
+        from ..report.imu import write_imu_report
+
+        write_imu_report(report, str(recording_file), stream, calibration, force=force)
+    write_answer(answer, output, json_file, force, notes)
+    if rows := noise_rows(calibration):
+        print_table("Noise", ("figure", "x", "y", "z"), rows)
+    print_words(answer)
+    print_notes(notes)
+    say_written(output, json_file, report)
+
+
+def magnetometer(
+    recording_file: RecordingPath,
+    output: CalibrationOutput,
+    name: Imu = None,
+    report: Report = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Find a magnetometer's hard and soft iron from samples in all directions.
+
+    Turn the sensor slowly about all its axes for a minute, on one spot and away from iron, until every side
+    has pointed in every direction.
+    """
+    from calib.imu.imu_summary import magnetometer_answer
+    from calib.imu.magnetometer import calibrate_magnetometer
+
+    stream, notes = _load(recording_file, output, name, [report, json_file], force)
+    if stream.mag is None:
+        raise CalibrationError(
+            f"{recording_file}: {stream.name} has no magnetometer; record its magnetic field as well."
+        )
+    with error_prefix(f"{recording_file}, {stream.name}"):
+        calibration = calibrate_magnetometer(stream.mag)
+    answer = magnetometer_answer(calibration, stream.name)
+    if report is not None:
+        from ..report.magnetometer import write_magnetometer_report
+
+        write_magnetometer_report(report, str(recording_file), stream, calibration, force=force)
+    write_answer(answer, output, json_file, force, notes)
+    print_words(answer)
+    print_notes(notes)
+    say_written(output, json_file, report)
+
+
+def _load(
+    path: Path, output: Path, name: str | None, others: list[Path | None], force: bool
+) -> tuple[ImuStream, list[str]]:
+    """The stream to calibrate, once it is certain that the outputs can be written."""
+    from calib.imu.sensor import sensors_in
+
+    from ..io import read_imu
+
+    sensors_in(load_existing_calibration(output, others, [path], force=force))
+    stream, notes = read_imu(path, name)
+    say(f"{path}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {stream.t_s[-1] - stream.t_s[0]:.0f} s")
+    return stream, notes
+
+
+#: What the measures are called in print.
+MEASURES = {
+    "r": "core to sensor (r)",
+    "d_se": "strap to elbow",
+    "d_sw": "strap to wrist",
+    "d_ul": "upper arm",
+    "forearm": "forearm",
+}
+
+
+def forearm(
+    recording_file: RecordingPath,
+    output: CalibrationOutput,
+    from_s: Annotated[
+        float | None,
+        typer.Option("--from", metavar="S", help="Where the held pose begins, s on the camera's clock."),
+    ] = None,
+    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="Where it ends.")] = None,
+    radius_m: Annotated[
+        float | None,
+        typer.Option("--radius-m", min=0.005, max=0.15, help="Core of the forearm to the sensor, by ruler."),
+    ] = None,
+    strap_to_wrist_m: Annotated[
+        float | None,
+        typer.Option("--strap-to-wrist-m", min=-0.1, max=0.3, help="Strap to the wrist joint, by ruler."),
+    ] = None,
+    config_file: ConfigFile = None,
+    imu: Imu = None,
+    skeleton: Skeleton = None,
+    side: Side = None,
+    body: Body = None,
+    processes: Processes = None,
+    report: Report = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Find lever arms, lengths and the sensor's mounting from a held pose.
+
+    The forearm raised beside the head, palm to the camera, still for a second or more; motion in the same
+    recording says how the sensor is turned against the camera, and is held against what the pose tells. A
+    calibration that exists is added to, without --force.
+    """
+    from calib.forearm.forearm_summary import compare, forearm_answer
+    from calib.forearm.held_pose import calibrate_forearm
+
+    from .config import read_config, with_processes
+
+    if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and to_s <= from_s):
+        raise typer.BadParameter("--from and --to belong together, --to later than --from")
+    load_existing_calibration(output, [json_file, report], [recording_file, config_file], force=force)
+    config = with_processes(read_config(config_file), processes)
+    recording, _ = load_arm(recording_file, None, imu=imu, skeleton=skeleton, side=one_side(side), body=body)
+    calibration = calibrate_forearm(
+        recording,
+        from_s=from_s,
+        to_s=to_s,
+        radius_m=radius_m,
+        strap_to_wrist_m=strap_to_wrist_m,
+        config=config,
+    )
+    answer = forearm_answer(calibration)
+    if report is not None:
+        from ..report.forearm import write_forearm_report
+
+        write_forearm_report(report, recording, calibration, force=force)
+    write_answer(answer, output, json_file, force, recording.notes)
+    lengths = calibration.measured.lengths.items()
+    cells = [
+        (MEASURES[name], f"{1e3 * length.value_m:.1f} +- {1e3 * length.sigma_m:.1f}")
+        for name, length in lengths
+    ]
+    print_table("Measures in the pose, mm", ("measure", "found"), cells)
+    rows = [
+        (
+            row.name,
+            f"{row.pose:.1f} +- {row.pose_sigma:.1f} {row.unit}",
+            f"{row.motion:.1f} +- {row.motion_sigma:.1f} {row.unit}"
+            if row.motion_sigma
+            else "counted from it",
+            f"{row.apart:.1f}",
+        )
+        for row in compare(calibration)
+    ]
+    if rows:
+        print_table("Pose against motion", ("measure", "pose", "motion", "sigmas apart"), rows)
+    print_words(answer)
+    print_notes(recording.notes)
+    say_written(output, json_file, report)

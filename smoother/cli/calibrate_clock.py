@@ -115,7 +115,7 @@ def clock(
 
     from ..io.media.audio import read_sound
     from ..io.media.clock_files import read_broadcast
-    from .config_file import read_config, with_processes
+    from .config import read_config, with_processes
 
     if sound is None and broadcast is None and motion is None:
         raise typer.BadParameter("give --sound with --event-time, --broadcast, --motion, or several of them")

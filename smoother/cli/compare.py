@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import UnoccludeError
-from .comparison_tables import print_comparison
-from .load import load_arms
-from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods
-from .option_groups import with_groups
+from .arm_output import arms_figures, each_arm, say_arm, warn
+from .load import AS_RECORDED, SetUp, load_arms
+from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods, with_strap
 from .options import (
     Align,
     Body,
@@ -33,19 +32,88 @@ from .options import (
     Skeleton,
     SolveLeverArms,
     one_side,
+    with_groups,
 )
-from .output import check_outputs, print_notes, say_written, write_json
-from .progress import progress_bar
-from .remedies import AS_RECORDED, SetUp
-from .several_figures import arms_figures, each_arm, say_arm
-from .standing import warn
-from .strap import with_strap
+from .output import (
+    centimetres,
+    check_outputs,
+    percent,
+    print_notes,
+    print_table,
+    progress_bar,
+    say,
+    say_written,
+    write_json,
+)
 
 if TYPE_CHECKING:
-    from ..evaluation.compare import Comparison
+    from ..evaluation.compare import Comparison, MethodResult
     from ..evaluation.reference import ReferenceAlignment
     from ..recording import Recording, Truth
     from ..result import Recovery
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """Print the tables of a comparison."""
+    what = "forearm IMU" if comparison.point == "sensor" else comparison.point
+    columns = (
+        "method",
+        "rms, cm",
+        "95 %",
+        "max",
+        "rms, deg",
+        "NEES",
+        "inside 95 %",
+        "visible rms, cm",
+        "deg",
+    )
+    title = f"Error of the {what} {comparison.where}, the best method first"
+    print_table(comparison.title(title), columns, [_row(comparison, row) for row in comparison.rows])
+    _print_joints(comparison)
+    _print_lag(comparison)
+
+
+def _row(comparison: Comparison, row: MethodResult) -> tuple[object, ...]:
+    hidden, visible = comparison.figures(row, comparison.part), comparison.figures(row, "visible")
+    if hidden is None or visible is None:
+        return (row.method, *["-"] * 8)
+    return (
+        row.method,
+        centimetres(hidden.position_rms_m),
+        centimetres(hidden.position_p95_m),
+        centimetres(hidden.position_max_m),
+        hidden.orientation_rms_deg,
+        hidden.nees,
+        percent(hidden.coverage_95),
+        centimetres(visible.position_rms_m),
+        visible.orientation_rms_deg,
+    )
+
+
+def _print_joints(comparison: Comparison) -> None:
+    answered = [row for row in comparison.rows if row.validation is not None]
+    joints = list(dict.fromkeys(joint for row in answered for joint in row.validation.points))  # type: ignore[union-attr]
+    if not joints:
+        return
+    rows = []
+    for row in answered:
+        assert row.validation is not None
+        cells = [row.validation.points.get(joint, {}).get(comparison.part) for joint in joints]
+        rows.append(
+            (row.method, *[centimetres(None if each is None else each.position_rms_m) for each in cells])
+        )
+    print_table(comparison.title(f"Joints {comparison.where}, rms, cm"), ("method", *joints), rows)
+
+
+def _print_lag(comparison: Comparison) -> None:
+    say(comparison.camera_words)
+    rows = [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in comparison.rows]
+    title = "Lag left behind the truth, ms (peak of cross-correlation; - where an answer does not follow it)"
+    print_table(comparison.title(title), ("method", "all samples", "in gaps"), rows)
+
+
+def _ms(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:+.1f}"
 
 
 @with_groups
@@ -95,7 +163,7 @@ def compare(
     itself: the live smoother's answers, and two that see only what has arrived.
     """
     from ..evaluation.compare import compare
-    from .config_file import read_config, with_processes
+    from .config import read_config, with_processes
 
     names = choose(methods)
     if live:
@@ -176,8 +244,8 @@ def compare(
 
 def write_page(compared: Sequence[tuple[Recording, Comparison]], path: Path, force: bool) -> None:
     """The comparison of an arm, or of several on one page."""
-    from ..report.arms import write_arms_comparison
     from ..report.method_comparison import write_comparison
+    from ..report.page import write_arms_comparison
 
     if len(compared) > 1:
         write_arms_comparison(compared, path, force=force)

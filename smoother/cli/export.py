@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import RecordingError
+from .arm_output import warn
 from .load import camera_frame_of, damage, load_recoveries
 from .options import Body, Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
-from .standing import warn
 
 if TYPE_CHECKING:
     from ..io.export.prepare import Export

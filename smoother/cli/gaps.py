@@ -6,15 +6,14 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import CalibrationError
-from .gap_tables import gap_figures, print_factors, print_gaps, print_since, tables_by_arm
-from .load import load_arms
-from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods
-from .option_groups import with_groups
+from .arm_output import each_arm
+from .load import AS_RECORDED, SetUp, load_arms
+from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods, with_strap
 from .options import (
     Body,
     BoundaryS,
@@ -33,18 +32,117 @@ from .options import (
     Skeleton,
     SolveLeverArms,
     one_side,
+    with_groups,
 )
-from .output import check_outputs, print_notes, say, say_written, write_json
-from .progress import progress_bar
-from .remedies import AS_RECORDED, SetUp
-from .several_figures import each_arm
-from .strap import with_strap
+from .output import (
+    centimetres,
+    check_outputs,
+    percent,
+    print_notes,
+    print_table,
+    progress_bar,
+    say,
+    say_written,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
-    from ..evaluation.gap_table import GapTable
+    from ..evaluation.gap_table import GapTable, RealGaps, SinceFigures
     from ..evaluation.sigma_factor import LengthFactor
     from ..recording import Recording
+
+
+def gap_figures(table: GapTable, real: RealGaps | None = None) -> dict[str, Any]:
+    """All figures as plain values; `spread` has the quartiles over the gaps of a length."""
+    from ..evaluation.gap_table import spread_by_length
+
+    spread = [
+        {"length_s": length, "methods": {name: each.to_dict() for name, each in methods.items()}}
+        for length, methods in spread_by_length(table.rows).items()
+    ]
+    figures = table.to_dict() | {"spread": spread}
+    return figures if real is None else figures | {"real_gaps": real.to_dict() | {"sentence": real.sentence}}
+
+
+def tables_by_arm(
+    recordings: Sequence[Recording], tables: Sequence[GapTable]
+) -> dict[tuple[str, int | None], GapTable]:
+    """The gaps of each side (and body), of all recordings together."""
+    from ..evaluation.gap_table import pooled
+
+    arms = sorted({(recording.side, recording.body) for recording in recordings}, key=str)
+    return {
+        arm: pooled(
+            [table for one, table in zip(recordings, tables, strict=True) if (one.side, one.body) == arm]
+        )
+        for arm in arms
+    }
+
+
+def print_gaps(table: GapTable, whose: str = "") -> None:
+    """Print error against gap length; `whose` goes into the title."""
+    reference = next((row.reference for row in table.rows if row.reference), "truth")
+    against = "truth" if reference == "truth" else f"camera's hidden samples of the {reference}"
+    rows = []
+    for length, methods in table.lengths.items():
+        for name, result in methods.items():
+            figures = result.figures
+            distances = (
+                figures.position_rms_m,
+                figures.position_median_m,
+                figures.position_p95_m,
+                figures.position_max_m,
+            )
+            rows.append(
+                (
+                    f"{length:g}",
+                    name,
+                    *[None if value is None else f"{100 * value:.2f}" for value in distances],
+                    figures.nees,
+                    percent(figures.coverage_95),
+                    f"{result.gaps}" if not result.failed else f"{result.gaps} ({result.failed} failed)",
+                )
+            )
+    columns = ("gap, s", "method", "rms, cm", "median", "95 %", "max", "NEES", "inside 95 %", "gaps")
+    print_table(f"Error in hidden gaps against the {against}{whose}", columns, rows)
+
+
+def print_since(rows: Sequence[SinceFigures]) -> None:
+    """Print what each method has at a time since the last frame."""
+    if not rows:
+        return
+    columns = ("since the last frame, s", "method", "rms, cm", "median", "95 %", "NEES")
+    cells = [
+        (
+            f"{row.from_s:g} to {row.to_s:g}",
+            row.method,
+            centimetres(row.figures.position_rms_m),
+            centimetres(row.figures.position_median_m),
+            centimetres(row.figures.position_p95_m),
+            row.figures.nees,
+        )
+        for row in rows
+    ]
+    print_table("Error by the time since the last frame that showed the forearm", columns, cells)
+
+
+def print_factors(factors: Sequence[LengthFactor]) -> None:
+    """Print by what sigma would have to grow, by length of gap."""
+    if not factors:
+        return
+    columns = ("gap, s", "for 50 %", "for 95 %", "to be applied", "gaps behind it")
+    rows = [
+        (
+            f"{row.length_s:g}",
+            f"{row.factor_50:.2f}",
+            f"{row.factor_95:.2f}",
+            f"{row.factor:.2f}",
+            f"{row.count} of all lengths" if row.pooled else f"{row.count}",
+        )
+        for row in factors
+    ]
+    print_table("Factor by which sigma would have to grow to hold", columns, rows)
 
 
 @with_groups
@@ -104,7 +202,7 @@ def gaps(
     from ..evaluation.gaps import evaluate_gaps
     from ..evaluation.sigma_factor import factor_sentences
     from ..recording import arm_words
-    from .config_file import read_config, with_processes
+    from .config import read_config, with_processes
 
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
@@ -182,7 +280,7 @@ def gaps(
     notes = [*notes, *(note for recording in recordings for note in recording.notes), *table.notes]
     sentences = [*factor_sentences(factors), real.sentence]
     if report is not None:
-        from ..report.gap_curves import write_gap_curves
+        from ..report.method_comparison import write_gap_curves
 
         name = ", ".join(recording.name for recording in recordings)
         write_gap_curves(table, name, report, notes=(*sentences, *notes), force=force)

@@ -1,19 +1,37 @@
-"""`unocclude import`: recordings from other formats."""
+"""`unocclude import`: recordings from other formats and from files of devices, and the strap from images."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import UnoccludeError
-from .info import print_topics
-from .options import Force, Json, Output, Seed
-from .output import check_mcap, check_outputs, print_notes, write_json
+from .load import load_arm
+from .options import (
+    Body,
+    Calibration,
+    ConfigFile,
+    Force,
+    Imu,
+    Json,
+    Output,
+    Processes,
+    RecordingPath,
+    Report,
+    Seed,
+    Side,
+    Skeleton,
+    one_side,
+)
+from .output import check_mcap, check_outputs, print_notes, print_table, say, say_written, write_json
+from .recordings import print_topics
 
 if TYPE_CHECKING:
     from ..io import RecordingFile
+    from ..io.devices.files import ImuFiles
+    from ..io.media.strap import StrapFound
     from ..recording import Recording
 
 
@@ -107,3 +125,271 @@ def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path 
     write_json(json_file, about.to_dict(), force)
     print_topics(about)
     print_notes(recording.notes)
+
+
+def files(
+    output: Output,
+    paths: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="FOLDER",
+            help="A folder of device files (or the files), each recognised by what is in it.",
+        ),
+    ] = None,
+    skeleton: Annotated[
+        list[Path] | None, typer.Option("--skeleton", metavar="FILE", help="A file with the skeleton.")
+    ] = None,
+    imu: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--imu",
+            metavar="[NAME=]FILE[,FILE]",
+            help="A file with an IMU, or two of its accelerometer and its gyroscope; NAME as in"
+            " recording.toml (forearm_right, upper_arm_left, ..), FILE#SENSOR for one of several.",
+        ),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth",
+            metavar="FILE",
+            help="Poses of the forearm IMU in the camera frame (.csv with t_s,x,y,z,qw,qx,qy,qz); markers of"
+            " a motion capture stay a file of their own, for `validate --truth`.",
+        ),
+    ] = None,
+    skeleton_format: Annotated[
+        str | None,
+        typer.Option("--skeleton-format", metavar="FORMAT", help="Overrules what is recognised."),
+    ] = None,
+    imu_format: Annotated[
+        str | None, typer.Option("--imu-format", metavar="FORMAT", help="Overrules what is recognised.")
+    ] = None,
+    imu_starts_at: Annotated[
+        float | None,
+        typer.Option(
+            "--imu-starts-at",
+            metavar="S",
+            help="When the first IMU sample was taken, seconds after the camera's first frame.",
+        ),
+    ] = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Import files as devices and camera programs write them; `import formats` lists them."""
+    from ..io import describe, write_recording
+    from ..io.devices.files import import_files
+    from ..io.devices.folder import add_truth, sort_files
+    from ..io.devices.registry import FileReader
+
+    reader = FileReader(imu_format, skeleton_format)
+    skeletons, imus = list(skeleton or []), [imu_files(text) for text in imu or []]
+    check_mcap(output)
+    named = [*skeletons, *(p for files in imus for p in files.paths), truth, *(paths or [])]
+    beside = [
+        path for folder in paths or [] if folder.is_dir() for path in folder.glob("*") if path.is_file()
+    ]
+    check_outputs(force, [output, json_file], [*named, *beside])
+    more_skeletons, more_imus, passed_over = sort_files(paths or [], reader, output)
+    file, reports = import_files(
+        skeletons + more_skeletons, imus + more_imus, imu_starts_at_s=imu_starts_at, reader=reader
+    )
+    if truth is not None:
+        reports.append(add_truth(file, truth))
+    for report in reports:
+        say(report.sentence)
+    write_recording(file, output, force=force)
+    about = describe(output)
+    write_json(json_file, {**about.to_dict(), "files": [vars(report) for report in reports]}, force)
+    print_topics(about)
+    print_notes([*file.notes, *passed_over])
+
+
+def imu_files(text: str) -> ImuFiles:
+    """What `--imu [NAME=]FILE[,FILE]` names."""
+    from ..io.devices.files import ImuFiles
+
+    name, sensor, rest = "", "", text.strip()
+    if not Path(rest).exists() and "=" in rest:
+        name, _, rest = (part.strip() for part in rest.partition("="))
+        if not name or any(mark in name for mark in "/\\,"):
+            raise UnoccludeError(f"--imu {text}: give NAME=FILE, as in --imu forearm_right=imu.csv")
+    if not Path(rest).exists() and "#" in rest:
+        rest, _, sensor = rest.rpartition("#")
+    parts = [rest] if Path(rest).exists() else [part.strip() for part in rest.split(",") if part.strip()]
+    if not parts:
+        raise UnoccludeError(f"--imu {text} names no file; give NAME=FILE, as in --imu forearm_right=imu.csv")
+    return ImuFiles(tuple(Path(part) for part in parts), name, sensor)
+
+
+def formats(json_file: Json = None, force: Force = False) -> None:
+    """List the formats of `import files`, and what each is recognised by."""
+    from ..io.devices.registry import formats as importers
+
+    check_outputs(force, [json_file])
+    figures = [
+        {"format": each.key, "title": each.title, "kind": each.kind, "recognised_by": each.recognised_by}
+        for each in importers()
+    ]
+    write_json(json_file, {"formats": figures}, force)
+    columns = ("format", "what it is", "holds", "recognised by")
+    print_table("Formats of device files", columns, [tuple(each.values()) for each in figures])
+
+
+def describe(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="Any table of text.", show_default=False)],
+    name: Annotated[
+        str, typer.Option("--name", metavar="NAME", help="Of the IMU in recording.toml.")
+    ] = "forearm_right",
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Look at a table and print a recording.toml for `import csv`: a guess, its reasons, what is unsure."""
+    from ..errors import RecordingError
+    from ..io.devices.describe_table import guess_of, toml_of
+    from ..io.devices.registry import recognise
+    from ..io.tables.file_head import first_rows, read_head
+    from ..io.tables.text_table import read_sheet
+
+    check_outputs(force, [json_file], [path])
+    head = read_head(path)
+    importer = recognise(head)
+    if importer is not None:
+        option = "--skeleton" if importer.kind == "skeleton" else "--imu"
+        say(f"# {path.name} is recognised as {importer.title}: unocclude import files {option} {path} ..")
+    try:
+        sheet = read_sheet(path)
+    except RecordingError:
+        if importer is None:
+            raise
+        write_json(json_file, {"format": importer.key, "recording_toml": None, "unsure": []}, force)
+        return
+    guess = guess_of(sheet)
+    if not guess.kind:
+        raise RecordingError(
+            f"{path} holds {sheet.layout.width} columns and {len(sheet)} rows, and none of them look like an"
+            f" accelerometer's, a gyroscope's or a joint's; it begins: {first_rows(head)}."
+        )
+    text = toml_of(path, guess, name)
+    say(f"# {len(sheet):,} rows, {sheet.layout.width} columns, parted by {sheet.layout.separator!r}")
+    for sentence in guess.unsure:
+        say(f"# unsure: {sentence}")
+    say(text)
+    figures = {
+        "format": None if importer is None else importer.key,
+        "kind": guess.kind,
+        "recording_toml": text,
+        "columns": guess.columns,
+        "keys": guess.keys,
+        "reasons": guess.reasons,
+        "unsure": guess.unsure,
+    }
+    write_json(json_file, figures, force)
+
+
+#: A length by ruler, m.
+RULER_SIGMA_M = 0.004
+
+
+def strap(
+    recording_file: RecordingPath,
+    output: Output,
+    calibration_file: Calibration = None,
+    radius_m: Annotated[
+        float | None,
+        typer.Option("--radius-m", min=0.01, max=0.1, help="Core of the forearm to the sensor."),
+    ] = None,
+    colour: Annotated[
+        str | None,
+        typer.Option("--colour-topic", metavar="TOPIC", help="Colour images to take."),
+    ] = None,
+    depth: Annotated[
+        str | None,
+        typer.Option("--depth-topic", metavar="TOPIC", help="Depth images to take."),
+    ] = None,
+    passthrough_images: Annotated[
+        bool, typer.Option("--passthrough-images", help="Carry the images over too; they show the patient.")
+    ] = False,
+    config_file: ConfigFile = None,
+    imu: Imu = None,
+    skeleton: Skeleton = None,
+    side: Side = None,
+    body: Body = None,
+    processes: Processes = None,
+    report: Report = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Find the dark strap in the colour images and add it to the recording as the joint `strap`.
+
+    The recording is solved without images first: the sensor's orientation takes the strap from the arm's core
+    to the sensor. Images stream by, memory stays flat. What contradicts the forearm is rejected.
+    """
+    from calib.file import read_calibration
+    from calib.strap.strap_mount import held_radius, mounted_on
+
+    from ..calibration import Length
+    from ..io.media.strap import check_images
+    from ..report.strap import verdict
+    from ..smoothing import smooth
+    from ..strap_search.search import import_strap
+    from .config import read_config, with_processes
+
+    check_mcap(output)
+    check_outputs(force, [output, json_file, report], [recording_file, calibration_file, config_file])
+    config = with_processes(read_config(config_file), processes)
+    recording, known = load_arm(
+        recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
+    )
+    check_images(recording_file, colour, depth)
+    recovery = smooth(recording, known, config)
+    radius = None if radius_m is None else Length(radius_m, RULER_SIGMA_M)
+    if radius is None and calibration_file is not None:
+        radius = held_radius(read_calibration(calibration_file), recording.side)
+    mounted = mounted_on(recovery, radius)
+    sigma = max((recovery.estimates.camera_sigma_m or {}).values(), default=0.008)
+    found = import_strap(
+        recording_file,
+        output,
+        mounted,
+        skeleton=recording.arm.name,
+        side=recording.side,
+        joint_sigma_m=sigma,
+        colour_topic=colour,
+        depth_topic=depth,
+        passthrough_images=passthrough_images,
+        force=force,
+    )
+    sentences = verdict(found)
+    write_json(
+        json_file, {**_figures(found), "verdict": sentences, "notes": [*recording.notes, *found.notes]}, force
+    )
+    if report is not None:
+        from ..report.strap import write_strap_report
+
+        write_strap_report(report, recording.name, found, force=force)
+    total = len(found.reasons)
+    rows = [
+        (what, count, f"{100 * count / max(total, 1):.0f}") for what, count in sorted(found.counts.items())
+    ]
+    print_table(f"The strap in {total} images", ("", "images", "%"), rows)
+    for sentence in sentences:
+        say(sentence)
+    print_notes([*recording.notes, *found.notes])
+    say_written(output, json_file, report)
+
+
+def _figures(found: StrapFound) -> dict[str, Any]:
+    """What was found, as plain values for `--json`."""
+    import numpy as np
+
+    good = [not reason for reason in found.reasons]
+    sigma = found.sigma_m[good]
+    return {
+        "images": len(found.reasons),
+        "found": int(sum(good)),
+        "reasons": found.counts,
+        "sigma_m": np.median(sigma, axis=0) if len(sigma) else None,
+        "along": float(np.median(found.along[good])) if any(good) else None,
+        "colour_topic": found.topics[0],
+        "depth_topic": found.topics[1],
+    }

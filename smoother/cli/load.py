@@ -1,21 +1,26 @@
-"""Inputs of a command: recordings, recoveries, calibrations."""
+"""Inputs of a command: recordings, recoveries, calibrations; and options that undo a wrong set-up."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Annotated, Unpack
 
-from ..errors import UnoccludeError
+import typer
+
+from ..errors import RecordingError, UnoccludeError
 from ..runtime.pool import check_allowance
 from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..io.recording.selection import FileReading
+    from ..measurements.clock import Clock
     from ..measurements.remedy import Remedy
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
+
 
 #: How the reader of a file says that it was cut off or is damaged.
 DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
@@ -97,3 +102,148 @@ def camera_frame_of(path: Path) -> CameraFrame | None:
     file = open_recording(path)
     implied = (arm.camera_frame for arm in file.arms)
     return file.camera_frame or next((frame for frame in implied if frame is not None), None)
+
+
+Mirror = Annotated[
+    str | None,
+    typer.Option("--mirror", metavar="x|y|z", help="The skeleton is mirrored along this axis: undo it."),
+]
+Swap = Annotated[
+    str | None,
+    typer.Option(
+        "--swap",
+        metavar="A,B",
+        help="Two joints are called by each other's name (elbow,wrist), or left,right.",
+    ),
+]
+Negate = Annotated[
+    str | None,
+    typer.Option(
+        "--negate", metavar="SENSOR,..", help="Turn the sign of the accelerometer, gyroscope, or both."
+    ),
+]
+CameraAxes = Annotated[
+    str | None,
+    typer.Option(
+        "--camera-frame", metavar="kinect|optical|zup", help="The camera's axes, whatever the file says."
+    ),
+]
+ClockOffset = Annotated[
+    float | None,
+    typer.Option(
+        "--clock-offset",
+        metavar="S",
+        help="Measured clock: IMU time less camera time. Without it [clock] of --calibration, or the motion.",
+    ),
+]
+#: One standard deviation of a clock that was measured, where none is stated, s.
+CLOCK_SIGMA_S = 0.02
+ClockSigma = Annotated[
+    float | None,
+    typer.Option(
+        "--clock-sigma",
+        metavar="S",
+        help=f"One standard deviation of --clock-offset; {CLOCK_SIGMA_S:g} unless given.",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """Those options together, as a group of a command's options.
+
+    Attributes
+    ----------
+    mirror, swap, negate, camera_frame : str, optional
+        What to undo.
+    clock_offset, clock_sigma : float, s
+        The measured clock, if any; its sigma is 0.02 s unless given.
+    """
+
+    mirror: Mirror = None
+    swap: Swap = None
+    negate: Negate = None
+    camera_frame: CameraAxes = None
+    clock_offset: ClockOffset = None
+    clock_sigma: ClockSigma = None
+
+    def __post_init__(self) -> None:
+        if self.clock_sigma is not None and self.clock_offset is None:
+            raise typer.BadParameter("--clock-sigma belongs to --clock-offset: give the measured clock too")
+
+    def remedy(self) -> tuple[Remedy, bool]:
+        """See `remedy_of`."""
+        return remedy_of(self.mirror, self.swap, self.negate, self.camera_frame)
+
+    def clock(self, calibration_file: Path | None, recording: Recording) -> Clock | None:
+        """See `clock_of`."""
+        return clock_of(self.clock_offset, self.clock_sigma, calibration_file, recording)
+
+
+#: None of them.
+AS_RECORDED = SetUp()
+#: What `--swap` takes besides two joints.
+SIDES = {"left", "right"}
+
+
+def remedy_of(
+    mirror: str | None, swap: str | None, negate: str | None, camera_frame: str | None
+) -> tuple[Remedy, bool]:
+    """What the options undo, and whether left and right are to be swapped.
+
+    Raises
+    ------
+    typer.BadParameter
+        A value is not known.
+    """
+    from ..measurements.remedy import Remedy
+    from ..recording import CameraFrame
+
+    swapped, negated = _names(swap), _names(negate)
+    sides = set(swapped) == SIDES and len(swapped) == 2
+    try:
+        frame = None if camera_frame is None else CameraFrame(camera_frame)
+    except ValueError:
+        names = ", ".join(CameraFrame)
+        raise typer.BadParameter(f"--camera-frame is one of {names}, not '{camera_frame}'") from None
+    if mirror == "" or swap == "" or negate == "":
+        raise typer.BadParameter("--mirror, --swap and --negate need a name each")
+    try:
+        return Remedy(mirror or "", () if sides else swapped, negated, frame), sides
+    except RecordingError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
+def clock_of(
+    offset_s: float | None, sigma_s: float | None, calibration_file: Path | None, recording: Recording
+) -> Clock | None:
+    """The clock that was measured: by option, else by the calibration file; None where it is to be found.
+
+    Raises
+    ------
+    typer.BadParameter
+        A number cannot be.
+    CalibrationError
+        The file's [clock] cannot be used.
+    """
+    from math import isfinite
+
+    from calib.clock.clock_calibration import measured_clock
+    from calib.file import read_calibration
+
+    from ..measurements.clock import constant_clock
+
+    sigma_s = CLOCK_SIGMA_S if sigma_s is None else sigma_s
+    if not sigma_s > 0.0 or not isfinite(sigma_s):
+        raise typer.BadParameter("--clock-sigma is a time above zero, in s")
+    if offset_s is not None:
+        if not isfinite(offset_s):
+            raise typer.BadParameter("--clock-offset is a time in s")
+        return constant_clock(offset_s, sigma_s)
+    if calibration_file is None:
+        return None
+    return measured_clock(read_calibration(calibration_file), recording)

@@ -1,9 +1,9 @@
-"""Recovery methods by name, as the commands offer them."""
+"""Recovery methods by name, as the commands offer them; the strap's lever arm; the limit of sigma."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ import typer
 
 from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES, ORIENTATIONS
 from ..errors import UnoccludeError
+from ..result import Recovery
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
@@ -18,11 +19,12 @@ if TYPE_CHECKING:
     from ..evaluation.live_methods import LivePlay
     from ..measurements.clock import Clock
     from ..recording import Recording
-    from ..result import Recoveries, Recovery
+    from ..result import Recoveries
     from ..runtime.store import Store
 
     Method = Callable[[Recording], Recovery]
     Progress = Callable[[float, str], None]
+
 
 GRAPH = "graph"
 #: Every method, ours first, then the baselines, the strongest first.
@@ -260,3 +262,67 @@ def recover_arms(
         except UnoccludeError as error:
             answers.append(error)
     return together(recordings, answers)
+
+
+#: How far the camera's strap may lie from the IMU where that is to be found, m an axis.
+STRAP_SIGMA_M = 0.02
+
+
+def with_strap(calibration: ArmCalibration | None, recording: Recording) -> ArmCalibration:
+    """The calibration with the strap's lever arm as a variable, unless it holds one."""
+    import numpy as np
+
+    from ..calibration import ArmCalibration, LeverArm
+
+    calibration = calibration or ArmCalibration(side=recording.side)
+    if "strap" not in recording.arm.present:
+        raise typer.BadParameter(
+            "--solve-lever-arms is for recordings with a tracked strap;"
+            " lever arms of the joints are found without it"
+        )
+    strap = LeverArm(np.zeros(3), np.full(3, STRAP_SIGMA_M))
+    return replace(calibration, lever_arms={"strap": strap, **calibration.lever_arms})
+
+
+def with_strap_note(recovery: Recovery) -> Recovery:
+    """The recovery with a note that its positions are the IMU's, not the strap's."""
+    import numpy as np
+
+    arm = recovery.calibration
+    if arm is None or "strap" not in arm.lever_arms:
+        return recovery
+    lever = arm.lever_arms["strap"]
+    note = (
+        f"The tracked strap was found {1e3 * np.linalg.norm(lever.position_m):.1f} mm from the IMU; positions"
+        " are those of the IMU, and a reference of the strap is that far off."
+    )
+    return replace(recovery, notes=(*recovery.notes, note))
+
+
+def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
+    """Mark the samples whose position is less certain than asked for; they stay as they are.
+
+    Parameters
+    ----------
+    recovery : Recovery
+    max_sigma_m : float or None, m
+        Largest standard deviation on the worst axis that is of use; None marks nothing.
+
+    Returns
+    -------
+    recovery : Recovery
+        With the limit among its estimates, from which `io.usable` derives the marks, and a note that says how
+        many samples it concerns.
+    """
+    if max_sigma_m is None:
+        return recovery
+    from ..io.result.usable import certain
+
+    answered = int(certain(recovery).sum())
+    marked = replace(recovery, estimates=replace(recovery.estimates, max_sigma_m=float(max_sigma_m)))
+    below = int(certain(marked).sum())
+    note = (
+        f"{answered - below} of {answered} samples are less certain than {max_sigma_m:g} m (one standard"
+        " deviation) and are marked as not to be used: `usable` is 0 in the CSV export."
+    )
+    return replace(marked, notes=(*recovery.notes, note))

@@ -1,13 +1,20 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, one by one and in groups."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
 from ..baselines.registry import DEFAULT_ORIENTATION, ORIENTATIONS
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
 
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
 Output = Annotated[
@@ -167,3 +174,104 @@ LatencyS = Annotated[
     float,
     typer.Option("--latency", metavar="S", min=0.0, max=1.0, help="Of the camera, for --live, s."),
 ]
+
+
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the options of its groups, in the groups' places.
+
+    Parameters
+    ----------
+    command : callable
+        Parameters whose type is a dataclass stand for its fields, which are annotated as options.
+
+    Returns
+    -------
+    command : callable
+        For typer, under the same name.
+    """
+    own = inspect.signature(command, eval_str=True).parameters
+    kinds = {name: each.annotation for name, each in own.items() if isinstance(each.annotation, type)}
+    groups = {name: kind for name, kind in kinds.items() if is_dataclass(kind)}
+
+    def run(**values: Any) -> None:
+        for name, group in groups.items():
+            values[name] = group(**{each.name: values.pop(each.name) for each in fields(group)})
+        command(**values)
+
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in own.items():
+        parameters += _options(groups[name]) if name in groups else [parameter]
+    return with_signature(run, command, parameters)
+
+
+def with_signature(
+    run: Callable[..., None], command: Callable[..., None], parameters: list[inspect.Parameter]
+) -> Callable[..., None]:
+    """`run` under the command's name and help, with these parameters, as typer reads them."""
+    # keyword-only throughout: options have no order
+    parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    return run
+
+
+def _options(group: type[Any]) -> list[inspect.Parameter]:
+    kinds = get_type_hints(group, include_extras=True)
+    return [
+        inspect.Parameter(
+            each.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if each.default is MISSING else each.default,
+            annotation=kinds[each.name],
+        )
+        for each in fields(group)
+    ]
+
+
+def with_settings(command: Any, settings: dict[str, FieldInfo]) -> Any:
+    """The command with an option for every setting of a simulation."""
+    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "settings"]
+    taken = {parameter.name for parameter in own}
+    fields = {name: field for name, field in settings.items() if name not in taken}
+    more = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
+        for name, field in fields.items()
+    ]
+
+    def run(**values: Any) -> None:
+        command(**values)
+
+    return with_signature(run, command, own + more)
+
+
+def _option(name: str, field: FieldInfo) -> Any:
+    """The option of a setting; None where it is not given."""
+    flag = "--" + name.replace("_", "-")
+    default = field.get_default()
+    text = _shown(default)
+    about = ". ".join(part for part in (field.description, f"[{text}]") if part)
+    if isinstance(default, bool):
+        return Annotated[bool | None, typer.Option(f"{flag}/--no-{flag[2:]}", help=about, show_default=False)]
+    kind: Any = str
+    if isinstance(default, int):
+        kind = int
+    elif isinstance(default, float) or (default is None and float in get_args(field.annotation)):
+        kind = float
+    metavar = "|".join(_choices(field)) or {int: "N", float: "X", str: "X,X,.."}[kind]
+    return Annotated[kind | None, typer.Option(flag, metavar=metavar, help=about, show_default=False)]
+
+
+def _choices(field: FieldInfo) -> list[str]:
+    """Values that a setting may take, where they are named."""
+    if hasattr(field.annotation, "__members__"):
+        return [str(member.value) for member in field.annotation]  # type: ignore[union-attr]
+    return [value for value in get_args(field.annotation) if isinstance(value, str)]
+
+
+def _shown(default: Any) -> str:
+    if default is None:
+        return "none"
+    if isinstance(default, tuple):
+        return ",".join(str(item) for item in default)
+    return str(default.value if hasattr(default, "value") else default).lower()

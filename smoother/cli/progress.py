@@ -1,36 +1,222 @@
-"""A progress bar on stderr, on a terminal only."""
+"""`unocclude progress`: a person's measures over the sessions of a study."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from ..runtime.printable import printable
+import typer
 
-Progress = Callable[[float, str], None]
+from ..errors import UnoccludeError
+from .options import Force, Json, Report
+from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
+
+if TYPE_CHECKING:
+    from ..evaluation.progress import PersonProgress, Series
+
+#: Characters at which a spreadsheet would take a cell for a formula.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+NO_DIAGNOSIS = (
+    "This is no diagnosis: a clear change is one that the measurement's error does not explain; a person also"
+    " varies from day to day."
+)
 
 
-@contextmanager
-def progress_bar(text: str) -> Iterator[Progress]:
-    """Yield a function (part done 0 to 1, what is being done) that moves the bar."""
-    if not sys.stderr.isatty():
-        yield lambda fraction, text: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+def progress(
+    study: Annotated[
+        Path,
+        typer.Argument(metavar="STUDY", help="The folder that `unocclude batch` wrote.", show_default=False),
+    ],
+    person: Annotated[str | None, typer.Option("--person", metavar="NAME", help="Only this person.")] = None,
+    sessions: Annotated[
+        Path | None,
+        typer.Option(
+            "--sessions",
+            metavar="FILE.csv",
+            help="Whose and when each recording is: file, person, session or date [, task]; without it"
+            " folders say it: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap.",
+        ),
+    ] = None,
+    mdc: Annotated[
+        Path | None,
+        typer.Option(
+            "--mdc",
+            metavar="FILE",
+            help="Minimal detectable changes: what `validate --json` wrote, or a .toml with [mdc95].",
+        ),
+    ] = None,
+    measure: Annotated[
+        list[str] | None,
+        typer.Option("--measure", metavar="KEY", help="Only this measure; may be repeated."),
+    ] = None,
+    report: Report = None,
+    json_file: Json = None,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Also write every value as a table.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Show how the measures of a study's persons changed over their sessions, and what can be said of it.
 
-    bar = Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        auto_refresh=False,  # it would take a thread, and worker processes start fastest without
-    )
-    with bar:
-        task = bar.add_task(text, total=1.0)
-        yield lambda fraction, text: bar.update(
-            task, completed=fraction, description=printable(text), refresh=True
+    A change is clear where it is larger than the 95 % interval of the difference and, with --mdc, than the
+    minimal detectable change. The study is one of `batch --measures`.
+    """
+    from ..evaluation.measure_agreement import read_detectable
+    from ..study.progress import progress_of, read_rows, sessions_of
+
+    if not study.is_dir():
+        raise UnoccludeError(f"{study} is no folder; name the one that `unocclude batch` wrote")
+    check_outputs(force, [report, json_file, csv_file], [sessions, mdc])
+    detectable = None if mdc is None else read_detectable(mdc)
+    rows = read_rows(study)
+    attendances, left_out = sessions_of(study, rows, sessions)
+    persons = progress_of(rows, attendances, detectable)
+    persons = [_narrowed(each, measure) for each in _chosen(persons, person)]
+    if report is not None:
+        _write_page(persons, report, force)
+    write_json(json_file, {"persons": [each.to_dict() for each in persons], "left_out": left_out}, force)
+    _write_csv(csv_file, persons, force)
+    for each in persons:
+        _print(each)
+    print_notes(left_out)
+    say(NO_DIAGNOSIS)
+    say_written(report, json_file, csv_file)
+
+
+def _chosen(persons: Sequence[PersonProgress], name: str | None) -> list[PersonProgress]:
+    if name is None:
+        return list(persons)
+    chosen = [each for each in persons if each.person == name]
+    if not chosen:
+        has = ", ".join(each.person for each in persons[:20])
+        raise UnoccludeError(f"the study has no person {name}; it has: {has}")
+    return chosen
+
+
+def _narrowed(progress: PersonProgress, keys: Sequence[str] | None) -> PersonProgress:
+    """Only the measures that were asked for."""
+    from dataclasses import replace
+
+    if not keys:
+        return progress
+    known = {each.key for each in progress.series}
+    for key in keys:
+        if known and key not in known:
+            examples = ", ".join(each.key for each in progress.main[:5])
+            raise UnoccludeError(f"{progress.person} has no measure {key}; measures are as {examples}")
+    return replace(progress, series=tuple(each for each in progress.series if each.key in keys))
+
+
+def _write_page(persons: Sequence[PersonProgress], report: Path, force: bool) -> None:
+    from ..report.progress import write_progress_page
+
+    if len(persons) > 1:
+        names = ", ".join(each.person for each in persons[:20])
+        raise UnoccludeError(f"a page is of one person; choose one with --person: {names}")
+    write_progress_page(persons[0], report, force=force)
+
+
+def _print(progress: PersonProgress) -> None:
+    """Print a person's table, and what takes no part."""
+    say(f"--- {progress.person}: {len(progress.sessions)} sessions ({', '.join(progress.sessions)}) ---")
+    if len(progress.sessions) > 1:
+        columns = ("measure", "first", "last", "change", "95 % interval", "", "recovered")
+        print_table(
+            f"Last session ({progress.sessions[-1]}) against the first ({progress.sessions[0]})",
+            columns,
+            [_cells(each) for each in progress.main if each.change is not None],
         )
+        say(_counted(progress))
+    elif progress.sessions:
+        say("One session only: there is no change to speak of.")
+    print_notes([*progress.notes, *_limits(progress), *progress.left_out])
+
+
+def _cells(series: Series) -> tuple[str, ...]:
+    from ..evaluation.quantity import interval, quantity, worded
+
+    change, unit = series.change, series.unit
+    assert change is not None
+    return (
+        ", ".join(filter(None, (series.name, series.side, series.task))),
+        worded(series.key, change.first.value, unit),
+        worded(series.key, change.last.value, unit),
+        quantity(change.difference, unit, signed=True),
+        interval(change.low, change.high, unit, signed=True) or "-",
+        change.word,
+        percent(max(change.first.recovered_share, change.last.recovered_share)),
+    )
+
+
+def _counted(progress: PersonProgress) -> str:
+    compared, clear = len(progress.compared), len(progress.clear)
+    text = f"{clear} of {compared} measures changed clearly"
+    if compared >= 5:
+        together = sum(each.change.p_together < 0.05 for each in progress.clear if each.change is not None)
+        text += (
+            f"; about {0.05 * compared:.1f} of so many would be called so by chance without any change, and"
+            f" {together} of them stand when all are counted together (Holm)"
+        )
+    return f"{text}."
+
+
+def _limits(progress: PersonProgress) -> list[str]:
+    """What limits the statements: a sentence each, with the measures it is about."""
+    about: dict[str, list[str]] = {}
+    for each in progress.main:
+        for sentence in each.change.limits if each.change is not None else ():
+            about.setdefault(sentence, []).append(each.name)
+    return [
+        f"{sentence} ({', '.join(dict.fromkeys(names))})"
+        if len(names) <= 3
+        else f"{sentence} ({len(names)} measures)"
+        for sentence, names in about.items()
+    ]
+
+
+def _write_csv(path: Path | None, persons: Sequence[PersonProgress], force: bool) -> None:
+    """A row a person, measure and session, with the change since the first."""
+    if path is None:
+        return
+    from ..runtime.outputs import writing
+
+    with (
+        writing(path, force) as temporary,
+        open(temporary, "w", encoding="utf-8", errors="backslashreplace", newline="") as file,
+    ):
+        writer = csv.writer(file)
+        writer.writerow(_COLUMNS)
+        for each in persons:
+            for series in each.series:
+                writer.writerows(_rows(series))
+
+
+_COLUMNS = (
+    *("person", "side", "task", "key", "name", "unit", "session", "day", "value", "low", "high", "sigma"),
+    *("recovered_share", "draws", "change", "change_low", "change_high", "p", "p_together", "mdc95", "word"),
+    "limits",
+)
+
+
+def _rows(series: Series) -> Iterable[list[object]]:
+    about = (series.person, series.side, series.task, series.key, series.name, series.unit)
+    for value, change in zip(series.values, (None, *series.changes), strict=True):
+        own = (value.value, value.low, value.high, value.sigma, value.recovered_share)
+        since: tuple[object, ...] = ("",) * 8
+        if change is not None:
+            since = (
+                *(change.difference, change.low, change.high, change.p, change.p_together, change.mdc95),
+                *(change.word, "; ".join(change.limits)),
+            )
+        yield [_cell(cell) for cell in (*about, value.session, value.day, *own, value.n_draws, *since)]
+
+
+def _cell(value: object) -> object:
+    """A cell that no spreadsheet takes for a formula; empty where there is no number."""
+    if isinstance(value, float):
+        return "" if value != value else f"{value:.6g}"
+    if isinstance(value, str) and value.startswith(_FORMULA):
+        return f"'{value}"
+    return value

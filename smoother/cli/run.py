@@ -5,17 +5,54 @@ from __future__ import annotations
 import errno
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any
 
 import typer
 
 from ..errors import DEBUG, UnoccludeError, debugging, is_out_of_memory
 from ..runtime.printable import printable
-from .signals import ending_tidily
+
+
+@contextmanager
+def ending_tidily() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt; a second one is not heard meanwhile.
+
+    What is ignored (`nohup`) stays so. Only the main thread can be interrupted.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before: dict[int, Any] = {}
+
+    def end(number: int, _: FrameType | None) -> None:
+        for each in before:
+            signal.signal(each, signal.SIG_IGN)
+        if hasattr(signal, "pthread_sigmask") and signal.SIGINT in signal.pthread_sigmask(
+            signal.SIG_BLOCK, ()
+        ):
+            # processes are being started: Ctrl-C is held back, and so is this
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            return
+        raise KeyboardInterrupt
+
+    for name in ("SIGTERM", "SIGHUP", "SIGBREAK"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP, others no SIGBREAK
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            before[number] = signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
 
 OK, FAILED, WRONG_USE = 0, 1, 2
 #: `check`, and `smooth` and `batch` with --strict: a result is not to be trusted.

@@ -1,17 +1,78 @@
-"""`unocclude simulate arm`: a recording with truth. Every setting of the simulation is an option."""
+"""`unocclude simulate arm`, `people`, `strap`: recordings of arms with truth; every setting is an option."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import Force, Json, Output, Seed
-from .output import check_mcap, check_outputs, print_table, say_written, write_json
+from .options import Force, Json, Output, Seed, with_groups
+from .output import check_mcap, check_outputs, print_table, say_command, say_written, write_json
+from .simulate_rig import SimulatedFile
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
+
+    from ..simulation import MarkerCapture
+
+
+_MAP_HEAD = """# Markers of {name}: the mean of a joint's markers is its centre. The plate on the IMU is
+# rigid; its mean is the IMU, and [imu_plate] says where its markers are in the IMU's axes, m.
+# Use: unocclude validate OUT.mcap --truth {name} --markers {map} --calibration {calibration}
+"""
+
+
+@dataclass(frozen=True)
+class MocapFiles:
+    """Names of what a motion capture is written to.
+
+    Attributes
+    ----------
+    c3d, trc : Path
+        The markers, alike.
+    map : Path
+        Which markers make a joint.
+    calibration : Path
+        Where [camera_from_mocap] goes if no other file is named.
+    """
+
+    c3d: Path
+    trc: Path
+    map: Path
+    calibration: Path
+
+    @classmethod
+    def beside(cls, recording: Path, calibration: Path | None) -> MocapFiles:
+        """The names that belong to a recording's; the calibration's may be given."""
+
+        def name(ending: str) -> Path:
+            return recording.with_name(f"{recording.stem}{ending}")
+
+        return cls(
+            name(".c3d"), name(".trc"), name("_markers.toml"), calibration or name("_calibration.toml")
+        )
+
+    @property
+    def markers(self) -> tuple[Path, Path, Path]:
+        """All but the calibration."""
+        return self.c3d, self.trc, self.map
+
+    def write(self, capture: MarkerCapture, force: bool) -> None:
+        """Write the capture as a lab would: its own frame and clock, millimetres, blanks where not seen."""
+        from calib.file import to_toml
+
+        from ..io.export.markers import C3dContent, write_c3d, write_trc
+        from ..runtime.outputs import writing
+
+        write_c3d(self.c3d, C3dContent(capture.names, capture.position, capture.rate_hz), force)
+        write_trc(self.trc, capture.names, capture.t_s, capture.position, capture.rate_hz, force)
+        head = _MAP_HEAD.format(name=self.c3d.name, map=self.map.name, calibration=self.calibration.name)
+        text = head + "\n" + to_toml({"markers": capture.marker_map, "imu_plate": capture.plate})
+        with writing(self.map, force) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
 
 CalibrationOut = Annotated[
     Path | None,
@@ -59,8 +120,7 @@ def arm(
 
     from ..io import write_recording
     from ..simulation import ArmSimulation, MocapSimulation, capture, simulate_arm, simulate_both_arms
-    from .config_file import describe
-    from .mocap_files import MocapFiles
+    from .config import describe
 
     names = preset_names()
     if preset not in names:
@@ -138,7 +198,7 @@ def _write_calibration(calibrations: list[Any], markers: Any, path: Path, force:
         temporary.write_text(calibration_text(file, path), encoding="utf-8", newline="\n")
 
 
-def settings() -> dict[str, FieldInfo]:
+def arm_settings() -> dict[str, FieldInfo]:
     """Every setting of the simulation by name."""
     from ..simulation import ArmSimulation, MocapSimulation
 
@@ -147,7 +207,7 @@ def settings() -> dict[str, FieldInfo]:
 
 def parsed_setting(name: str, value: Any) -> Any:
     """A list of numbers for the settings that are one, the value as it is for the others."""
-    if not isinstance(settings()[name].get_default(), tuple):
+    if not isinstance(arm_settings()[name].get_default(), tuple):
         return value
     try:
         return tuple(float(part) for part in str(value).split(",") if part.strip())
@@ -155,3 +215,118 @@ def parsed_setting(name: str, value: Any) -> Any:
         raise typer.BadParameter(
             f"--{name.replace('_', '-')} takes numbers, as 0.5,1; not '{value}'"
         ) from None
+
+
+#: Settings of an arm that each person draws for themselves, or that a crowd has no use for.
+_NOT_OURS = {"side", "strap", "belly", "frozen_gaps", "swapped_gaps", "still_all"}
+
+
+def people(
+    output: Output,
+    preset: PresetName = "realistic",
+    seed: Seed = 0,
+    json_file: Json = None,
+    force: Force = False,
+    **settings: Any,
+) -> None:
+    """Simulate people before one camera with shuffled IMUs whose names say nothing.
+
+    The truth, which IMU is where, is printed and goes to --json. The settings of the arms that are not given
+    come from the preset.
+    """
+    from pydantic import ValidationError
+
+    from ..io import write_recording
+    from ..io.recording.write import as_session
+    from ..simulation import ArmSimulation, PeopleSimulation, simulate_people
+    from .config import describe
+
+    if preset not in preset_names():
+        raise typer.BadParameter(f"there is no preset '{preset}'; presets: {', '.join(preset_names())}")
+    changes = {name: value for name, value in settings.items() if value is not None}
+    try:
+        crowd = PeopleSimulation(**taken(changes, PeopleSimulation))
+        usual = {"protocol": "random", "duration_s": 20.0}
+        parsed = {name: parsed_setting(name, value) for name, value in changes.items()}
+        config = ArmSimulation.preset(preset, **(usual | parsed))
+        check_mcap(output)
+        check_outputs(force, [output, json_file])
+        simulated = simulate_people(crowd, config, seed)
+    except ValidationError as error:
+        raise typer.BadParameter(f"setting {describe(error)}") from error
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    imus = [one.stream for one in simulated.worn]
+    write_recording(
+        as_session(simulated.name, imus, simulated.arms, simulated.camera_frame), output, force=force
+    )
+    rows = [(one.stream.name, one.body, one.joint, one.clock_offset_s) for one in simulated.worn]
+    figures: dict[str, Any] = {
+        "seed": seed,
+        "people": crowd.model_dump(mode="json"),
+        "config": config.model_dump(mode="json"),
+        "truth": [
+            {"imu": name, "body": body, "joint": joint, "clock_offset_s": offset}
+            for name, body, joint, offset in rows
+        ],
+    }
+    write_json(json_file, figures, force)
+    print_table(simulated.name, ("IMU", "body", "joint", "its clock is ahead, s"), rows)
+    say_written(output, json_file)
+
+
+def people_settings() -> dict[str, FieldInfo]:
+    """Every setting by name: of the people, then of their arms."""
+    from ..simulation import ArmSimulation, PeopleSimulation
+
+    arms = {name: field for name, field in ArmSimulation.model_fields.items() if name not in _NOT_OURS}
+    return {**PeopleSimulation.model_fields, **arms}
+
+
+@with_groups
+def strap(
+    to: SimulatedFile,
+    duration_s: Annotated[
+        float, typer.Option("--duration-s", min=8.0, max=120.0, help="Length of the recording, s.")
+    ] = 20.0,
+    every: Annotated[
+        int, typer.Option("--every", min=1, max=60, help="Images at every so many of the camera's frames.")
+    ] = 5,
+) -> None:
+    """Simulate an arm with images of its strap, for `import strap`.
+
+    Beside FILE lies FILE_truth.toml: where the strap sits. FILE holds the true motion of the IMU.
+    """
+    from ..io.media.strap import write_strap_recording
+    from ..simulation import ArmSimulation, simulate_arm
+    from ..simulation.strap import COLOUR, DEPTH, DEPTH_LATER_S, strap_images, strap_radius_m
+    from .output import progress_bar
+
+    to.check()
+    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=duration_s), to.seed)
+    recording, measures = simulated.recording, simulated.parameters
+    times = recording.arm.t_s[::every]
+    with progress_bar("drawing the arm") as progress:
+        images = []
+        for pair in strap_images(simulated, times, to.seed):
+            images.append(pair)
+            progress(len(images) / len(times), "drawing the arm")
+    write_strap_recording(to.output, recording, images, times, (COLOUR, DEPTH), DEPTH_LATER_S, force=to.force)
+    radius_m = strap_radius_m(simulated)
+    truth = {
+        "strap": {
+            "radius_m": radius_m,
+            "from_elbow_m": float(measures["forearm_m"] - measures["strap_to_wrist_m"]),
+            "along": float(1.0 - measures["strap_to_wrist_m"] / measures["forearm_m"]),
+        }
+    }
+    to.write_truth(truth, images=len(images))
+    rows = [
+        ("images, colour and depth", len(images)),
+        ("forearm's core to the IMU, mm", f"{1e3 * radius_m:.1f}"),
+        ("elbow to the strap, mm", f"{1e3 * truth['strap']['from_elbow_m']:.1f}"),
+        ("the same in parts of the forearm", f"{truth['strap']['along']:.2f}"),
+    ]
+    print_table(to.output.name, ("what", "value"), rows)
+    to.say_written()
+    say_command("import", "strap", to.output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")

@@ -8,10 +8,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .estimates import print_arm, print_camera, print_clock, print_open
-from .load import load_arms
-from .methods import METHODS, baseline_settings, check_draws, choose, recover_arms
-from .option_groups import with_groups
+from .arm_output import (
+    arms_figures,
+    end_strictly,
+    print_arm,
+    print_camera,
+    print_clock,
+    print_open,
+    say_arm,
+    say_untrusted_parts,
+    say_verdict,
+)
+from .load import AS_RECORDED, SetUp, load_arms
+from .methods import (
+    METHODS,
+    baseline_settings,
+    check_draws,
+    choose,
+    recover_arms,
+    with_strap,
+    with_strap_note,
+)
 from .options import (
     Anatomy,
     Body,
@@ -34,13 +51,9 @@ from .options import (
     SolveLeverArms,
     Strict,
     one_side,
+    with_groups,
 )
-from .output import check_mcap, check_outputs, print_notes, say, say_written, write_json
-from .progress import progress_bar
-from .remedies import AS_RECORDED, SetUp
-from .several_figures import arms_figures, say_arm
-from .standing import end_strictly, say_untrusted_parts, say_verdict
-from .strap import with_strap, with_strap_note
+from .output import check_mcap, check_outputs, print_notes, progress_bar, say, say_written, write_json
 
 if TYPE_CHECKING:
     from calib.motion.motion_calibration import ArmEstimates
@@ -93,8 +106,8 @@ def smooth(
     from ..io import write_recovery
     from ..result import is_of_arm
     from ..runtime.disk_store import DiskStore
-    from .config_file import read_config, with_anatomy, with_processes
-    from .limit import limit_sigma
+    from .config import read_config, with_anatomy, with_processes
+    from .methods import limit_sigma
 
     names = choose(method)
     if len(names) != 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,18 +10,44 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import UnoccludeError
+from .arm_output import arms_figures, say_arm, warn
 from .load import camera_frame_of, damage, load_recoveries
-from .measure_tables import pooled_measures, print_measures
 from .options import Align, Body, Force, Json, Report, Result, Side, one_side
 from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
-from .several_figures import arms_figures, say_arm
-from .standing import warn
 
 if TYPE_CHECKING:
     from ..evaluation.agreement import Agreement
+    from ..evaluation.measure_agreement import MeasurePair
     from ..evaluation.validate import Validation
     from ..recording import CameraFrame, Truth
     from ..result import Recovery
+
+
+def pooled_measures(paths: Sequence[Path]) -> list[MeasurePair]:
+    """The pairs of earlier validations, each once."""
+    from ..evaluation.measure_agreement import read_pairs, unique_pairs
+
+    return unique_pairs(pair for path in paths for pair in read_pairs(path))
+
+
+def print_measures(validation: Validation) -> None:
+    """Print the main measures of the session, and how well all that were compared agree."""
+    from ..evaluation.measure_agreement import agreement_cells, pair_cells
+
+    comparison = validation.measures
+    if comparison is None:
+        return
+    _print(validation.title("Measures of the session"), *pair_cells(comparison))
+    _print(
+        validation.title("Agreement of the measures (answer minus truth) over recordings and movements"),
+        *agreement_cells(comparison),
+    )
+
+
+def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    if rows := list(rows):
+        print_table(title, columns, rows)
+
 
 _PARTS = ("all", "occluded", "visible")
 #: More gaps than this are not printed; `--json` has them all.

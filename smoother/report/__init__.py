@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from .arms import write_arms_report
-from .page import write_report
+from .page import write_arms_report, write_report
 
 __all__ = ["write_arms_report", "write_report"]

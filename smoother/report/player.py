@@ -1,22 +1,158 @@
-"""The arms in motion: what the page's player is given of one or several recoveries."""
+"""The arm on the page: its points, flat views of its path, and what the page's player is given."""
 
 from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
-from ..array_types import FloatArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..linalg import interpolate, median_rate_hz
 from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from ..result.untrusted import untrusted_times
-from .path3d import CHAIN, instants
 from .sheet import Html, data_block, headed
 from .space import packed, seen_from, switch, upwards, view_of
-from .style import axis_names
+from .style import OCCLUDED, TRUTH, UNTRUSTED, VISIBLE, axis_names, curve, decimate, dress, split_line
+
+SENSOR = "sensor"
+#: Most camera samples of a point that are drawn.
+MOST_DOTS = 1500
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the arm over time.
+
+    Attributes
+    ----------
+    name : str
+        "sensor" (the IMU on the forearm) or a joint.
+    position, sigma : ndarray, shape (n, 3), m
+        In {K}, at the recovery's times.
+    camera_t_s, camera : ndarray, shape (f,) and (f, 3), s and m
+        What the camera tracked, on the IMU's clock; some thousand samples of it.
+    truth_t_s, truth : ndarray, shape (m,) and (m, 3), s and m
+        The reference, empty without one.
+    """
+
+    name: str
+    position: FloatArray
+    sigma: FloatArray
+    camera_t_s: FloatArray
+    camera: FloatArray
+    truth_t_s: FloatArray
+    truth: FloatArray
+
+
+def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
+    """The points to show, the one that the camera sees best first."""
+    joints = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
+    sensor = _point(SENSOR, recovery, recovery.position, recovery.sigma_m, "strap", truth, None)
+    tracked = [point for point in joints if len(point.camera)]
+    return [*tracked[:1], sensor, *tracked[1:2]]
+
+
+def _joint(recovery: Recovery, name: str, truth: Truth | None) -> Point:
+    covariance = recovery.joint_covariance.get(name)
+    sigma = np.full((len(recovery), 3), np.nan)
+    if covariance is not None:
+        sigma = np.sqrt(np.einsum("nii->ni", covariance))
+    return _point(name, recovery, recovery.joints[name], sigma, name, truth, name)
+
+
+def _point(
+    name: str,
+    recovery: Recovery,
+    position: FloatArray,
+    sigma: FloatArray,
+    joint: str,
+    truth: Truth | None,
+    truth_joint: str | None,
+) -> Point:
+    arm = recovery.arm
+    tracked = [part.tracked(joint) for part in recovery.frame_batches()]
+    frames = np.flatnonzero(np.concatenate(tracked)) if tracked else np.zeros(0, np.int64)
+    frames = frames[decimate(np.zeros(len(frames), bool), MOST_DOTS)]
+    reference = np.zeros((0, 3))
+    if truth is not None:
+        reference = truth.position if truth_joint is None else truth.joints.get(truth_joint, reference)
+    truth_t = truth.t_s if truth is not None and len(reference) else np.zeros(0)
+    return Point(name, position, sigma, arm.t_s[frames], arm.joint(joint)[frames], truth_t, reference)
+
+
+#: How many arms are drawn.
+MOST_ARMS = 8
+#: The joints of an arm in a row.
+CHAIN = ("shoulder", "elbow", "wrist", "hand")
+
+
+def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None) -> go.Figure:
+    """The same path in two flat views: as the camera sees it, and from the side."""
+    names = [f"{name}, m" for name in axis_names(frame)]
+    # right, up of each view, as (axis, drawn backwards)
+    views = {
+        CameraFrame.KINECT: (((0, True), (1, False)), ((2, False), (1, False))),
+        CameraFrame.OPTICAL: (((0, False), (1, True)), ((2, False), (1, True))),
+    }.get(frame or CameraFrame.ZUP, _upright(upwards(frame, recovery.gravity_direction)))
+    titles = (
+        ("as the camera sees it", "from the side")
+        if frame in (CameraFrame.KINECT, CameraFrame.OPTICAL)
+        else None
+    )
+    figure = make_subplots(rows=1, cols=2, subplot_titles=titles)
+    index = decimate(recovery.occluded)
+    good, distrusted = split_line(recovery.position[index], ~recovery.trusted[index])
+    visible, hidden = split_line(good, recovery.occluded[index])
+    lines = [("seen", visible, VISIBLE, "solid"), ("recovered", hidden, OCCLUDED, "solid")]
+    if np.isfinite(distrusted).any():
+        lines = [line for line in lines if np.isfinite(line[1]).any()]
+        lines.append(("not to be trusted", distrusted, UNTRUSTED, "dot"))
+    if truth is not None and len(truth):
+        lines.append(("reference", truth.position[decimate(np.zeros(len(truth), bool))], TRUTH, "dot"))
+    for column, ((right, mirrored), (upward, flipped)) in enumerate(views, start=1):
+        for name, values, colour, dash in lines:
+            line = curve(values[:, right], values[:, upward], name, colour, 1.6, dash, legendgroup=name)
+            figure.add_trace(line.update(showlegend=column == 1), row=1, col=column)
+        figure.update_xaxes(
+            title_text=names[right], autorange="reversed" if mirrored else True, row=1, col=column
+        )
+        figure.update_yaxes(
+            title_text=names[upward],
+            autorange="reversed" if flipped else True,
+            scaleanchor="x" if column == 1 else "x2",
+            row=1,
+            col=column,
+        )
+    return dress(figure, 450, head=75)
+
+
+def _upright(up: FloatArray) -> tuple[tuple[tuple[int, bool], tuple[int, bool]], ...]:
+    """Two views of axes that nobody named: the one that gravity says points up is drawn upwards."""
+    upright = int(np.argmax(np.abs(up)))
+    across = [axis for axis in range(3) if axis != upright]
+    return tuple(((axis, False), (upright, bool(up[upright] < 0))) for axis in across)
+
+
+def instants(recovery: Recovery, occluded: bool) -> IntArray:
+    """Samples at which the arm is drawn: middles of the longest gaps, or spread over what is seen."""
+    answered: BoolArray = np.all(np.isfinite(recovery.position), axis=1)
+    if occluded:
+        longest = sorted(recovery.gaps, key=lambda gap: -gap.length_s)[: MOST_ARMS // 2]
+        middles = [0.5 * (gap.start_s + gap.end_s) for gap in longest]
+        chosen = np.searchsorted(recovery.t_s, middles)
+        chosen = np.clip(chosen, 0, max(len(recovery) - 1, 0)).astype(np.int64)
+        return chosen[answered[chosen]] if len(chosen) and len(recovery) else np.zeros(0, np.int64)
+    seen = np.flatnonzero(answered & ~recovery.occluded)
+    if not len(seen):
+        return seen
+    return seen[np.linspace(0, len(seen) - 1, MOST_ARMS // 2 + 2).astype(int)[1:-1]]
+
 
 #: All arms together take no more than this before they are written as text; longer ones are decimated.
 MOST_BYTES = 5_500_000

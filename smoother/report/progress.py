@@ -10,8 +10,7 @@ from html import escape
 from ..evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, Change, PersonProgress, Series, SessionValue
 from ..evaluation.quantity import first_of, interval, number, quantity, shown_unit, worded
 from .chart import Mark, badge, sessions
-from .sheet import Html, bullets, headed, tabulated, write_sheet
-from .terms import NO_DIAGNOSIS, explained, terms_of
+from .sheet import NO_DIAGNOSIS, Html, bullets, explained, headed, tabulated, terms_of, write_sheet
 
 #: Figures of a page, rows of its table, and sentences of its limits.
 MOST_FIGURES, MOST_ROWS, MOST_LIMITS = 5, 16, 6

@@ -12,8 +12,7 @@ from ..joint_angles import arm_angles, elbow_flexion_sigma
 from ..linalg import unit
 from ..recording import JOINTS, CameraFrame, Truth
 from ..result import FrameResiduals, Recovery
-from .decimate import band, decimate
-from .points import Point
+from .player import Point
 from .sheet import label
 from .style import (
     BAND,
@@ -23,7 +22,9 @@ from .style import (
     TRUTH,
     VISIBLE,
     axis_names,
+    band,
     curve,
+    decimate,
     dots,
     dress,
     seen_and_recovered,

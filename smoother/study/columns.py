@@ -1,18 +1,23 @@
-"""The columns of a study's results: one row a recording and way of computing it."""
+"""The columns of a study's results: one row a recording and way of computing it, and the files of rows."""
 
 from __future__ import annotations
 
+import errno
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from ..measures import Measures
+from ..result import Recovery
+from ..runtime.printable import plain
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from ..recording import Recording
-    from ..result import Recovery
+
 
 Row = dict[str, Any]
 
@@ -179,3 +184,85 @@ def least_trusted(row: Row) -> tuple[bool, bool, float]:
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+#: Of a measure itself; the other fields are of its arm.
+_OWN = tuple(name for name, *_ in MEASURE_FIELDS if name not in ("side", "body", "trusted"))
+
+
+def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:
+    """The measures of sessions, as the column `measures` holds them.
+
+    Parameters
+    ----------
+    measured : sequence of Measures
+        One an arm.
+
+    Returns
+    -------
+    rows : list of dict
+        By the names of `MEASURE_FIELDS`; numbers that are not finite are None. No name of a recording, no
+        time of day.
+    """
+    return [
+        {"side": arm.side, "body": arm.body, "trusted": arm.trusted}
+        | {name: plain(getattr(measure, name)) for name in _OWN}
+        for arm in measured
+        for measure in arm.session
+    ]
+
+
+def measured_arms(recoveries: Sequence[Recovery]) -> list[dict[str, Any]]:
+    """Measure every arm of a recording with the usual settings (`measure_rows`)."""
+    from ..measures import measure
+
+    return measure_rows([measure(recovery) for recovery in recoveries])
+
+
+def rows_table(files: Sequence[str], columns: Iterable[str] | None = None) -> pa.Table:
+    """The rows of all files, one after another; a column that a file lacks is null.
+
+    Read by this thread alone: `pyarrow.dataset` waits for ever for a thread that found no memory.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Of this version or an earlier one.
+    columns : iterable of str, optional
+        Names in `schema()`; None for all.
+
+    Returns
+    -------
+    rows : pyarrow.Table
+
+    Raises
+    ------
+    pyarrow.ArrowException, OSError
+        A file cannot be read.
+    MemoryError
+        Memory does not suffice.
+    """
+    import pyarrow as pa
+
+    wanted = schema() if columns is None else pa.schema([schema().field(name) for name in columns])
+    return pa.concat_tables([wanted.empty_table(), *(_read_file(file, wanted) for file in files)])
+
+
+def _read_file(file: str, wanted: pa.Schema) -> pa.Table:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with open(file, "rb") as stream, parquet.ParquetFile(stream, pre_buffer=False) as rows:
+            there = [name for name in wanted.names if name in rows.schema_arrow.names]
+            table = rows.read(there, use_threads=False)
+            missing = rows.metadata.num_rows
+    except OSError as error:
+        if error.errno == errno.ENOMEM:
+            raise MemoryError(str(error)) from error
+        raise
+    found = [
+        table[field.name].cast(field.type) if field.name in there else pa.nulls(missing, field.type)
+        for field in wanted
+    ]
+    return pa.table(found, schema=wanted)

@@ -1,12 +1,17 @@
-"""One recording of a study, file to file: what a worker does, here or on another machine."""
+"""One recording of a study, file to file: what a worker does, and what time and memory it may take."""
 
 from __future__ import annotations
 
+import ctypes
+import faulthandler
 import json
 import os
 import socket
+import sys
+import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,12 +22,118 @@ from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeErro
 from ..result import is_of_arm
 from ..runtime.inputs import check_input
 from ..runtime.store import Store
-from .columns import DONE, FAILED, Row, figures_of_arms
-from .fingerprint import InputSelection, file_hash, row_id, text_hash
+from .columns import DONE, FAILED, Row, figures_of_arms, measured_arms
+from .fingerprint import (
+    InputSelection,
+    file_hash,
+    person_of,
+    place_of,
+    relative_day,
+    row_id,
+    state_of,
+    text_hash,
+    without_places,
+)
 from .folder import StudyFolder
-from .limits import Limits, TimeUp, limited
-from .measured import measured_arms
-from .privacy import person_of, place_of, relative_day, state_of, without_places
+
+#: A recording that a library holds on to for so much longer than its time ends with its process, s.
+GRACE_S = 60.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one recording may take; 0 = as much as it wants.
+
+    Attributes
+    ----------
+    time_s : float, s
+        From its first byte to its last.
+    memory_bytes : int
+        Private memory of its process; long columns lie in files and do not count. Held to on Linux.
+    """
+
+    time_s: float = 0.0
+    memory_bytes: int = 0
+
+
+class TimeUp(BaseException):
+    """A recording takes too long; no error of the method's own, which must not be dealt with on the way."""
+
+
+@contextmanager
+def limited(limits: Limits) -> Iterator[None]:
+    """Hold what runs within to its limits.
+
+    Raises
+    ------
+    TimeUp
+        Within, when the time is over.
+    MemoryError
+        Within, where more memory is asked for than is allowed.
+    UnoccludeError
+        This system cannot limit memory.
+    """
+    with _memory(limits.memory_bytes), _time(limits.time_s):
+        yield
+
+
+@contextmanager
+def _time(seconds: float) -> Iterator[None]:
+    """Interrupt this thread when the time is over; a library that does not let go ends with the process."""
+    if not seconds:
+        yield
+        return
+    thread, over = threading.get_ident(), threading.Event()
+    lock = threading.Lock()
+
+    def interrupt() -> None:
+        if over.wait(seconds):
+            return
+        with lock:
+            if not over.is_set():
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(TimeUp))
+
+    watcher = threading.Thread(target=interrupt, name="time limit", daemon=True)
+    with open(os.devnull, "w") as nowhere:
+        faulthandler.dump_traceback_later(seconds + GRACE_S, exit=True, file=nowhere)
+        watcher.start()
+        try:
+            yield
+        finally:
+            with lock:
+                over.set()
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), None)
+            faulthandler.cancel_dump_traceback_later()
+
+
+@contextmanager
+def _memory(allowed: int) -> Iterator[None]:
+    """Let the system refuse this process more private memory than it has now and is allowed."""
+    if not allowed:
+        yield
+        return
+    if sys.platform != "linux":
+        raise UnoccludeError("--memory-limit needs Linux; give fewer --processes instead")
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    highest = before[1]
+    wanted = _data_bytes() + allowed
+    if highest != resource.RLIM_INFINITY:
+        wanted = min(wanted, highest)
+    resource.setrlimit(resource.RLIMIT_DATA, (wanted, highest))
+    try:
+        yield
+    finally:
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+def _data_bytes() -> int:
+    """What counts for the limit already: libraries and their threads' stacks."""
+    with open("/proc/self/status", encoding="ascii") as status:
+        return 1024 * int(next(line for line in status if line.startswith("VmData:")).split()[1])
+
 
 #: The recording was done before, by its content; there is nothing to add to the results.
 SAME = "same"

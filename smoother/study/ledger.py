@@ -15,12 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..runtime.outputs import writing
-from .columns import COLUMNS, DONE, FAILED, Row, schema
-from .fingerprint import file_hash
+from .columns import COLUMNS, DONE, FAILED, Row, rows_table, schema
+from .fingerprint import file_hash, place_of, state_of
 from .folder import StudyFolder
 from .job import Known
-from .privacy import place_of, state_of
-from .row_files import rows_table
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -18,11 +18,10 @@ from ..evaluation.progress import (
     without_like_movements,
 )
 from ..evaluation.quantity import BY_MOVEMENT, is_main
-from .columns import DONE, Row
+from .columns import DONE, Row, rows_table
+from .fingerprint import hashed_name
 from .folder import StudyFolder
-from .privacy import hashed_name
-from .row_files import rows_table
-from .sessions import SessionEntry, by_folders, in_order, read_sessions
+from .inputs import SessionEntry, by_folders, in_order, read_sessions
 
 _READ = (
     *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),

@@ -13,13 +13,11 @@ from .. import __version__
 from ..config import Config
 from ..errors import UnoccludeError
 from .columns import DONE, FAILED, Row
-from .fingerprint import InputSelection, config_hash, file_hash, text_hash
+from .fingerprint import InputSelection, config_hash, file_hash, hashed_name, text_hash
 from .folder import StudyFolder
 from .inputs import Entry
-from .job import SAME, Job
+from .job import SAME, Job, Limits
 from .ledger import Ledger
-from .limits import Limits
-from .privacy import hashed_name
 
 if TYPE_CHECKING:
     import pyarrow as pa

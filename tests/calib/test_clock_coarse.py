@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.clock.motion_clock import COARSE_S, clock_from_motion
-from smoother.cli.config_file import with_processes
+from smoother.cli.config import with_processes
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.recording import Recording

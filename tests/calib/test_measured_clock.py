@@ -10,7 +10,7 @@ import pytest
 
 from calib.clock.clock_calibration import measured_clock
 from calib.file import CalibrationFile, write_calibration
-from smoother.cli.remedies import clock_of
+from smoother.cli.load import clock_of
 from smoother.errors import CalibrationError
 from smoother.io import write_recording
 from smoother.io.recording.read_arm import read_arm

@@ -130,7 +130,7 @@ def test_an_optical_point_beside_a_real_imu(tmp_path):
 def test_marks_of_uncertain_answers():
     from arms import make_recording, make_recovery
 
-    from smoother.cli.limit import limit_sigma
+    from smoother.cli.methods import limit_sigma
     from smoother.io.result.usable import usable
 
     recovery = make_recovery(make_recording(4.0), sigma_m=0.01)

@@ -18,10 +18,10 @@ from made_recordings import make
 
 import smoother.live.smoother
 from smoother.cli import live as command
+from smoother.cli.live import StopRequest
 from smoother.cli.live_dashboard import Lines, drawn, words
 from smoother.cli.output import console
 from smoother.cli.run import run
-from smoother.cli.stop_request import StopRequest
 from smoother.io import read_recording, write_recording
 from smoother.live.estimate import Dropped, LiveOutput, LiveState
 from smoother.streams.lsl import lsl_module

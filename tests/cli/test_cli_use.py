@@ -255,7 +255,7 @@ def test_doctor(capsys, tmp_path):
 
 
 def test_doctor_names_what_is_missing(capsys, monkeypatch):
-    import smoother.cli.doctor as doctor
+    import smoother.cli.demo as doctor
 
     monkeypatch.setattr(doctor, "PACKAGES", ("no-such-package",))
     monkeypatch.setattr(doctor, "use_open3d", lambda: "skipped")

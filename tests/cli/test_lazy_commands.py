@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from smoother.cli.app import app
-from smoother.cli.lazy_commands import CommandSpec, LazyCommands
+from smoother.cli.app import CommandSpec, LazyCommands, app
 from smoother.cli.run import run
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
@@ -85,7 +84,7 @@ def test_the_version_imports_no_command() -> None:
 
 
 def test_the_help_of_all_starts_no_server() -> None:
-    assert not loaded("--help") & {"http.server", "ssl", "numpy", "pydantic", "smoother.cli.import_files"}
+    assert not loaded("--help") & {"http.server", "ssl", "numpy", "pydantic", "smoother.cli.imports"}
 
 
 def test_every_place_has_its_command() -> None:

@@ -10,8 +10,8 @@ import pytest
 import typer
 from click.testing import CliRunner
 
-from smoother.cli.option_groups import with_groups
-from smoother.cli.remedies import AS_RECORDED, SetUp
+from smoother.cli.load import AS_RECORDED, SetUp
+from smoother.cli.options import with_groups
 from smoother.cli.run import run
 
 

@@ -16,8 +16,8 @@ from scenes import ALONE
 from calib.motion.motion_summary import known_to
 from smoother.cli import output
 from smoother.cli.demo import print_gaps
+from smoother.cli.output import laid_out
 from smoother.cli.run import run
-from smoother.cli.table_layout import laid_out
 from smoother.evaluation.validate import validate
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
@@ -156,7 +156,7 @@ def test_closed_streams_are_the_null_device(tmp_path: Path, closed: str) -> None
 def test_no_output_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
     """What is printed would be written into it."""
     code = (
-        "import os, sys\nimport smoother.cli.doctor as d\n"
+        "import os, sys\nimport smoother.cli.demo as d\n"
         "def write(*_):\n"
         "  with open('out', 'w') as file:\n"
         "    print('a'); os.write(1, b'b'); os.write(2, b'c'); assert file.fileno() > 2\n"

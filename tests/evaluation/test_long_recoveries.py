@@ -165,7 +165,7 @@ def test_advice_does_not_depend_on_the_blocks(
 
 def test_the_page_of_a_long_recording_is_thinned_first(tmp_path: Path, recovery: Recovery) -> None:
     from smoother.report import write_report
-    from smoother.report.decimate import MOST_POINTS
+    from smoother.report.style import MOST_POINTS
 
     times = 30
     whole = {

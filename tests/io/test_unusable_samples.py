@@ -182,7 +182,7 @@ def test_a_calibration_that_cannot_be(tmp_path: Path, text: str, said: str):
 
 def test_other_toml_files_with_deep_or_long_values(tmp_path: Path):
     from calib.panel.definition import read_panel
-    from smoother.cli.config_file import read_config
+    from smoother.cli.config import read_config
     from smoother.evaluation.mocap.markers import read_marker_map
     from smoother.io.plain.folder import open_csv
 

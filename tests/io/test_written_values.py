@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
-from smoother.cli.config_file import read_config, to_toml
+from smoother.cli.config import read_config, to_toml
 from smoother.config import Config
 from smoother.io import export_csv, read_recovery, write_recovery
 from smoother.io.devices.describe_table import Guess, toml_of

@@ -9,7 +9,7 @@ import pytest
 from made_measures import made_measure, made_measures
 
 from smoother.measures import Measure, Measures
-from smoother.report.measure_words import (
+from smoother.report.measures import (
     both_arms,
     capitalised,
     compared,

@@ -18,8 +18,8 @@ from smoother.measures import BothArms, Measure, Measures
 from smoother.measures.symmetry import COMPARED
 from smoother.report.measures import write_measures_page
 from smoother.report.progress import write_progress_page
+from smoother.study.inputs import SessionEntry
 from smoother.study.progress import progress_of
-from smoother.study.sessions import SessionEntry
 
 EVIL = "</script><script>hacked=1</script><img src=x onerror=hacked=1><b>bold</b>&amp;"
 BADGES = re.compile(r'<span class="word [a-z]+">(?:\S )?([^<]+)</span>')

@@ -16,7 +16,7 @@ from smoother.recording import JOINTS
 from smoother.report import write_report
 from smoother.report.mount import directions, ellipse, mount
 from smoother.report.summary import summary
-from smoother.report.trust import timeline
+from smoother.report.truth_comparison import timeline
 from smoother.result import Estimates
 
 

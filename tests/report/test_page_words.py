@@ -15,8 +15,8 @@ from smoother.evaluation.gap_table import GapSpread
 from smoother.evaluation.validate import validate
 from smoother.recording import CameraFrame
 from smoother.report import write_report
-from smoother.report.gap_curves import curves, decades
-from smoother.report.path3d import flat_views
+from smoother.report.method_comparison import curves, decades
+from smoother.report.player import flat_views
 from smoother.report.sheet import PLOTLY
 from smoother.report.summary import summary
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from smoother.report.decimate import band, decimate, split_line
+from smoother.report.style import band, decimate, split_line
 
 
 def test_short_lines_are_kept_whole():

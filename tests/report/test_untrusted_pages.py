@@ -96,7 +96,7 @@ def red(figure) -> list[np.ndarray]:
 
 
 def test_curves_are_red_there_and_have_no_band() -> None:
-    from smoother.report.points import points
+    from smoother.report.player import points
 
     recovery = replace(made(), estimates=PARTLY)
     figure = coordinates(recovery, points(recovery, None), None)

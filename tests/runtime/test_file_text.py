@@ -10,7 +10,7 @@ import pytest
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
 from calib.panel.definition import read_intrinsics
-from smoother.cli.config_file import read_config
+from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.measure_agreement import _detectable_of_user
 from smoother.evaluation.mocap.markers import read_marker_map

@@ -15,7 +15,7 @@ from calib.file import read_calibration
 from calib.panel.definition import read_intrinsics, read_panel
 from calib.panel.images import read_view
 from smoother.cli import run as cli_run
-from smoother.cli.config_file import read_config
+from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.mocap.markers import read_marker_map
 from smoother.evaluation.truth import read_truth_csv

@@ -20,9 +20,8 @@ from studies import BROKEN, NAMES, batch
 from smoother.study.cluster import run_local
 from smoother.study.columns import DONE, FAILED, Row
 from smoother.study.inputs import find_entries
-from smoother.study.job import Job, run_job
+from smoother.study.job import Job, Limits, TimeUp, limited, run_job
 from smoother.study.ledger import Ledger
-from smoother.study.limits import Limits, TimeUp, limited
 from smoother.study.run import study_folder
 
 Capture = pytest.CaptureFixture[str]

@@ -12,9 +12,9 @@ from studies import NAMES, batch, query, state
 
 from smoother.cli.run import run
 from smoother.study.columns import MEASURE_FIELDS, Row
+from smoother.study.fingerprint import hashed_name, relative_day
 from smoother.study.folder import StudyFolder
 from smoother.study.job import Job, run_job
-from smoother.study.privacy import hashed_name, relative_day
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -12,10 +12,10 @@ from made_measures import made_measure, made_measures, study_row, write_study
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress
+from smoother.study.fingerprint import hashed_name
 from smoother.study.folder import StudyFolder
-from smoother.study.privacy import hashed_name
+from smoother.study.inputs import SessionEntry, by_folders, in_order, read_sessions
 from smoother.study.progress import progress_of, read_rows, sessions_of
-from smoother.study.sessions import SessionEntry, by_folders, in_order, read_sessions
 
 FLEXION = "elbow_flexion_range_deg"
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pytest
 from rich.console import Console
 
-from smoother.cli.batch_progress import headline, progress_table
+from smoother.cli.batch import headline, progress_table
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
 from smoother.report.study import worst_first, write_study

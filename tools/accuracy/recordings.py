@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from calib.motion.motion_calibration import calibrate_motion
 from smoother.calibration import ArmCalibration
-from smoother.cli.config_file import read_config
+from smoother.cli.config import read_config
 from smoother.evaluation.gaps import evaluate_gaps
 from smoother.evaluation.metrics import Figures
 from smoother.evaluation.validate import sample_errors, validate

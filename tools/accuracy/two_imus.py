@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from smoother.cli.config_file import read_config
+from smoother.cli.config import read_config
 from smoother.evaluation.validate import sample_errors
 from smoother.measurements.visibility import Gap
 from smoother.recording import Recording

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from smoother.report.method_styles import PLAIN, STYLES
+from smoother.report.method_comparison import PLAIN, STYLES
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
 _MARKERS = dict(zip(STYLES, "osD^vPX<>.", strict=True))

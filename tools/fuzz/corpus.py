@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
 from made_recordings import make, plain_texts
 from made_results import recovery
 
-from smoother.cli.config_file import to_toml
+from smoother.cli.config import to_toml
 from smoother.config import Config
 from smoother.io import write_recovery
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc

@@ -124,7 +124,7 @@ def calibration(data: bytes) -> None:
 def settings(data: bytes) -> None:
     """A file of settings, of markers, of a panel, of a lens: each reader has it."""
     from calib.panel.definition import read_intrinsics, read_panel
-    from smoother.cli.config_file import read_config
+    from smoother.cli.config import read_config
     from smoother.evaluation.mocap.markers import read_marker_map
 
     path = file_of(data, "b.toml")
