@@ -34,12 +34,11 @@ class CommandSpec:
 
     def command(self, name: str) -> Any:
         """The command, imported now."""
-        module = import_module(f".{self.module}", __package__)
-        function = getattr(module, name.replace("-", "_"))
-        if self.has_settings:
-            from .options import with_settings
+        from .options import with_groups
 
-            function = with_settings(function, getattr(module, f"{name}_settings")())
+        module = import_module(f".{self.module}", __package__)
+        settings = getattr(module, f"{name}_settings")() if self.has_settings else None
+        function = with_groups(getattr(module, name.replace("-", "_")), settings)
         app = typer.Typer(add_completion=False, rich_markup_mode=None)
         app.command(name, cls=getattr(module, self.cls) if self.cls else None, epilog=self.epilog)(function)
         return typer.main.get_command(app)

@@ -18,17 +18,14 @@ from ..runtime.printable import printable
 from .arm_output import end_strictly
 from .load import damage
 from .options import (
-    Body,
+    ANY_ARM,
+    ArmSelection,
     Calibration,
     ConfigFile,
-    Imu,
     Json,
     PassthroughImages,
     Processes,
-    Side,
-    Skeleton,
     Strict,
-    one_side,
 )
 from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
 
@@ -167,10 +164,7 @@ def batch(
         ),
     ] = None,
     json_file: Json = None,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
+    arm: ArmSelection = ANY_ARM,
     passthrough_images: PassthroughImages = False,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try again what failed, not only what may have changed.")
@@ -248,7 +242,7 @@ def batch(
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
         config=read_config(config_file),
-        choice=InputSelection(imu, skeleton, one_side(side), body, passthrough_images),
+        choice=InputSelection(**arm.reading(), passthrough_images=passthrough_images),
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,

@@ -13,18 +13,16 @@ from ..errors import CalibrationError
 from .arm_output import arms_figures, print_arm, print_camera, print_clocks, say_arm
 from .load import load_arm, load_arms
 from .options import (
-    Body,
+    AS_USUAL,
+    NO_FILES,
+    ArmSelection,
     CalibrationOutput,
-    ConfigFile,
     Force,
     Imu,
     Json,
-    Processes,
+    Outputs,
     RecordingPath,
-    Report,
-    Side,
-    Skeleton,
-    one_side,
+    Solving,
 )
 from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 
@@ -41,7 +39,7 @@ Paths = Iterable[Path | None]
 
 
 def load_existing_calibration(
-    output: Path | None, others: Paths, inputs: Paths, *, force: bool, known: Paths = ()
+    output: Path | None, to: Outputs, inputs: Paths, *, known: Paths = ()
 ) -> CalibrationFile:
     """What the file holds already; before the work, as what cannot be read cannot be added to.
 
@@ -49,18 +47,16 @@ def load_existing_calibration(
     ----------
     output : Path, optional
         The calibration file, which may exist.
-    others : iterable of Path
-        Further outputs, which `force` overwrites.
+    to : Outputs
+        What is written besides.
     inputs, known : iterable of Path
         What is read; a calibration in `known` may be the output too.
-    force : bool
-        As given by the user.
     """
     from calib.file import CalibrationFile, read_calibration
 
-    others = [path for path in others if path is not None]
+    others = [path for path in (to.json_file, to.report) if path is not None]
     check_outputs(True, [output, *others], inputs)
-    check_outputs(force, others, known)
+    check_outputs(to.force, others, known)
     return read_calibration(output) if output is not None and output.exists() else CalibrationFile()
 
 
@@ -75,13 +71,11 @@ def print_words(answer: Answer) -> None:
         say(f"next: {sentence}")
 
 
-def write_answer(
-    answer: Answer, output: Path | None, json_file: Path | None, force: bool, notes: Iterable[str] = ()
-) -> None:
+def write_answer(answer: Answer, output: Path | None, to: Outputs, notes: Iterable[str] = ()) -> None:
     """Write the figures with what must be known of the input, and add the answer to the calibration file."""
     from calib.file import write_calibration
 
-    write_json(json_file, {**answer.figures, "notes": list(dict.fromkeys(notes))}, force)
+    write_json(to.json_file, {**answer.figures, "notes": list(dict.fromkeys(notes))}, to.force)
     if output is not None:
         write_calibration(output, answer.table)
 
@@ -107,12 +101,7 @@ def motion(
         Path | None,
         typer.Option("--known", metavar="CAL.toml", help="What is measured already; it counts as given."),
     ] = None,
-    config_file: ConfigFile = None,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
-    processes: Processes = None,
+    solving: Solving = AS_USUAL,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -126,16 +115,13 @@ def motion(
     from calib.motion.motion_calibration import calibrate_motion, motion_answer
     from calib.motion.motion_summary import roll_known
 
-    from .config import read_config, with_processes
-
     twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
     if twice:
         raise typer.BadParameter(f"{twice[0]} is named twice; it would count twice")
-    load_existing_calibration(
-        output, [json_file], [*recording_files, config_file], force=force, known=[known_file]
-    )
-    config = with_processes(read_config(config_file), processes)
-    arms = _by_side(recording_files, known_file, imu, skeleton, one_side(side), body)
+    inputs = [*recording_files, solving.config_file]
+    load_existing_calibration(output, Outputs(None, json_file, force), inputs, known=[known_file])
+    config = solving.config()
+    arms = _by_side(recording_files, known_file, solving.arm)
     several = len(arms) > 1
     answers = []
     for recordings, known in arms:
@@ -167,10 +153,7 @@ def motion(
 def _by_side(
     recording_files: list[Path],
     known_file: Path | None,
-    imu: str | None,
-    skeleton: str | None,
-    side: str | None,
-    body: int | None,
+    selection: ArmSelection,
 ) -> list[tuple[list[Recording], ArmCalibration | None]]:
     """The recordings of each arm, with what is known of it; one arm unless recordings have both.
 
@@ -179,11 +162,7 @@ def _by_side(
     CalibrationError
         Recordings are of several people, or do not say which of two arms they are of.
     """
-    loaded = [
-        (path, *arm)
-        for path in recording_files
-        for arm in load_arms(path, known_file, imu=imu, skeleton=skeleton, side=side, body=body)
-    ]
+    loaded = [(path, *arm) for path in recording_files for arm in load_arms(path, known_file, selection)]
     for path, recording, _ in loaded:
         if recording.body is not None:
             raise CalibrationError(
@@ -215,9 +194,7 @@ def imu(
             "--gravity", metavar="M/S^2", help="Where it was recorded; recovering reckons with 9.81."
         ),
     ] = 9.81,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Find an IMU's offsets, scales and cross-axis from rest poses, and its noise from a long rest.
 
@@ -229,29 +206,27 @@ def imu(
 
     if not 9.7 <= gravity <= 9.9:
         raise typer.BadParameter("--gravity on Earth lies between 9.76 and 9.84 m/s^2")
-    stream, notes = _load(recording_file, output, name, [report, json_file], force)
+    stream, notes = _load(recording_file, output, name, to)
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
     answer = imu_answer(calibration)
-    if report is not None:
+    if to.report is not None:
         from ..report.imu import write_imu_report
 
-        write_imu_report(report, str(recording_file), stream, calibration, force=force)
-    write_answer(answer, output, json_file, force, notes)
+        write_imu_report(to.report, str(recording_file), stream, calibration, force=to.force)
+    write_answer(answer, output, to, notes)
     if rows := noise_rows(calibration):
         print_table("Noise", ("figure", "x", "y", "z"), rows)
     print_words(answer)
     print_notes(notes)
-    say_written(output, json_file, report)
+    say_written(output, to.json_file, to.report)
 
 
 def magnetometer(
     recording_file: RecordingPath,
     output: CalibrationOutput,
     name: Imu = None,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Find a magnetometer's hard and soft iron from samples in all directions.
 
@@ -261,7 +236,7 @@ def magnetometer(
     from calib.imu.imu_summary import magnetometer_answer
     from calib.imu.magnetometer import calibrate_magnetometer
 
-    stream, notes = _load(recording_file, output, name, [report, json_file], force)
+    stream, notes = _load(recording_file, output, name, to)
     if stream.mag is None:
         raise CalibrationError(
             f"{recording_file}: {stream.name} has no magnetometer; record its magnetic field as well."
@@ -269,25 +244,23 @@ def magnetometer(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
     answer = magnetometer_answer(calibration, stream.name)
-    if report is not None:
+    if to.report is not None:
         from ..report.magnetometer import write_magnetometer_report
 
-        write_magnetometer_report(report, str(recording_file), stream, calibration, force=force)
-    write_answer(answer, output, json_file, force, notes)
+        write_magnetometer_report(to.report, str(recording_file), stream, calibration, force=to.force)
+    write_answer(answer, output, to, notes)
     print_words(answer)
     print_notes(notes)
-    say_written(output, json_file, report)
+    say_written(output, to.json_file, to.report)
 
 
-def _load(
-    path: Path, output: Path, name: str | None, others: list[Path | None], force: bool
-) -> tuple[ImuStream, list[str]]:
+def _load(path: Path, output: Path, name: str | None, to: Outputs) -> tuple[ImuStream, list[str]]:
     """The stream to calibrate, once it is certain that the outputs can be written."""
     from calib.imu.sensor import sensors_in
 
     from ..io import read_imu
 
-    sensors_in(load_existing_calibration(output, others, [path], force=force))
+    sensors_in(load_existing_calibration(output, to, [path]))
     stream, notes = read_imu(path, name)
     say(f"{path}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {stream.t_s[-1] - stream.t_s[0]:.0f} s")
     return stream, notes
@@ -319,15 +292,8 @@ def forearm(
         float | None,
         typer.Option("--strap-to-wrist-m", min=-0.1, max=0.3, help="Strap to the wrist joint, by ruler."),
     ] = None,
-    config_file: ConfigFile = None,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
-    processes: Processes = None,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    solving: Solving = AS_USUAL,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Find lever arms, lengths and the sensor's mounting from a held pose.
 
@@ -338,13 +304,11 @@ def forearm(
     from calib.forearm.forearm_summary import compare, forearm_answer
     from calib.forearm.held_pose import calibrate_forearm
 
-    from .config import read_config, with_processes
-
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and to_s <= from_s):
         raise typer.BadParameter("--from and --to belong together, --to later than --from")
-    load_existing_calibration(output, [json_file, report], [recording_file, config_file], force=force)
-    config = with_processes(read_config(config_file), processes)
-    recording, _ = load_arm(recording_file, None, imu=imu, skeleton=skeleton, side=one_side(side), body=body)
+    load_existing_calibration(output, to, [recording_file, solving.config_file])
+    config = solving.config()
+    recording, _ = load_arm(recording_file, None, solving.arm)
     calibration = calibrate_forearm(
         recording,
         from_s=from_s,
@@ -354,11 +318,11 @@ def forearm(
         config=config,
     )
     answer = forearm_answer(calibration)
-    if report is not None:
+    if to.report is not None:
         from ..report.forearm import write_forearm_report
 
-        write_forearm_report(report, recording, calibration, force=force)
-    write_answer(answer, output, json_file, force, recording.notes)
+        write_forearm_report(to.report, recording, calibration, force=to.force)
+    write_answer(answer, output, to, recording.notes)
     lengths = calibration.measured.lengths.items()
     cells = [
         (MEASURES[name], f"{1e3 * length.value_m:.1f} +- {1e3 * length.sigma_m:.1f}")
@@ -380,4 +344,4 @@ def forearm(
         print_table("Pose against motion", ("measure", "pose", "motion", "sigmas apart"), rows)
     print_words(answer)
     print_notes(recording.notes)
-    say_written(output, json_file, report)
+    say_written(output, to.json_file, to.report)

@@ -10,7 +10,12 @@ import typer
 
 from .calibrate import error_prefix, load_existing_calibration, print_words, write_answer
 from .load import load_arm
-from .options import Body, ConfigFile, Force, Imu, Json, Processes, Report, Side, Skeleton, one_side
+from .options import (
+    AS_USUAL,
+    NO_FILES,
+    Outputs,
+    Solving,
+)
 from .output import print_notes, print_table, say, say_written
 
 if TYPE_CHECKING:
@@ -95,15 +100,8 @@ def clock(
         Path | None,
         typer.Option("--known", metavar="CAL.toml", help="With --motion: how the IMU sits on the arm."),
     ] = None,
-    config_file: ConfigFile = None,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
-    processes: Processes = None,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    solving: Solving = AS_USUAL,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Find offset and skew between the clocks of one session: by sound, by broadcast, by motion, or chained.
 
@@ -115,7 +113,6 @@ def clock(
 
     from ..io.media.audio import read_sound
     from ..io.media.clock_files import read_broadcast
-    from .config import read_config, with_processes
 
     if sound is None and broadcast is None and motion is None:
         raise typer.BadParameter("give --sound with --event-time, --broadcast, --motion, or several of them")
@@ -124,8 +121,8 @@ def clock(
     if not all(isfinite(t) for t in event_time or []):
         raise typer.BadParameter("--event-time takes seconds on the IMU's clock")
     clocks = _two("--sound-clocks", sound_clocks or SOUND_CLOCKS)
-    inputs = [sound, broadcast, motion, config_file]
-    load_existing_calibration(output, [json_file, report], inputs, force=force, known=[known_file])
+    inputs = [sound, broadcast, motion, solving.config_file]
+    load_existing_calibration(output, to, inputs, known=[known_file])
     receptions: list[Receptions] = []
     beeps: list[Beep] = []
     clock_in_motion: MotionClock | None = None
@@ -149,10 +146,8 @@ def clock(
             )
         receptions.insert(0, own)
     if motion is not None:
-        config = with_processes(read_config(config_file), processes)
-        recording, known = load_arm(
-            motion, known_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
-        )
+        config = solving.config()
+        recording, known = load_arm(motion, known_file, solving.arm)
         names = _two("--motion-clocks", motion_clocks or f"camera,{recording.imu.name.rpartition('/')[2]}")
         clock_in_motion = clock_from_motion(recording, known, config, names)
         origin_ns = recording.origin_ns
@@ -160,16 +155,17 @@ def clock(
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
     calibration = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
     answer = clock_answer(calibration)
-    if report is not None:
+    if to.report is not None:
         from ..report.clock import write_clock_report
 
-        write_clock_report(report, name, calibration.network, receptions, beeps, clock_in_motion, force=force)
-    write_answer(answer, output, json_file, force, notes)
+        write_clock_report(
+            to.report, name, calibration.network, receptions, beeps, clock_in_motion, force=to.force
+        )
+    write_answer(answer, output, to, notes)
     print_clocks(calibration)
     print_words(answer)
     print_notes(notes)
-    if output is not None or json_file is not None or report is not None:
-        say_written(output, json_file, report)
+    say_written(output, to.json_file, to.report)
 
 
 def _two(option: str, text: str) -> tuple[str, str]:

@@ -11,7 +11,16 @@ import typer
 
 from ..errors import CalibrationError
 from .calibrate import error_prefix, load_existing_calibration, print_words, write_answer
-from .options import CalibrationOutput, Depth, Files, Force, Infrared, IntrinsicsFile, Json, PanelFile, Report
+from .options import (
+    NO_FILES,
+    CalibrationOutput,
+    Depth,
+    Files,
+    Infrared,
+    IntrinsicsFile,
+    Outputs,
+    PanelFile,
+)
 from .output import print_notes, print_table, say, say_written
 
 if TYPE_CHECKING:
@@ -45,9 +54,7 @@ def panel(
         float,
         typer.Option("--mocap-sigma-mm", min=0.001, max=20.0, help="Noise of a mocap marker, an axis."),
     ] = 0.2,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Find where the camera stands in the motion capture's frame, from a panel with four markers.
 
@@ -62,22 +69,22 @@ def panel(
     if panel_file is None:
         raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
     inputs = [*depths, *infrareds, *marked, panel_file, intrinsics_file, recording]
-    load_existing_calibration(output, [json_file, report], inputs, force=force)
+    load_existing_calibration(output, to, inputs)
     known = read_panel(panel_file)
     notes: list[str] = []
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file, notes)
         calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
     answer = panel_answer(calibration)
-    if report is not None:
+    if to.report is not None:
         from ..report.panel import write_panel_report
 
-        write_panel_report(report, calibration, views, force=force)
-    write_answer(answer, output, json_file, force, notes)
+        write_panel_report(to.report, calibration, views, force=to.force)
+    write_answer(answer, output, to, notes)
     print_panel(calibration)
     print_words(answer)
     print_notes(notes)
-    say_written(output, report, json_file)
+    say_written(output, to.report, to.json_file)
 
 
 def _session(
@@ -190,9 +197,7 @@ def world(
     base_topic: Annotated[
         str, typer.Option("--base-topic", metavar="TOPIC", help="In a recording: the IMU on the camera.")
     ] = "base",
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Find how the IMU on the camera sits on it, so that gravity is known in every recording after.
 
@@ -208,7 +213,7 @@ def world(
     if panel_file is None:
         raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
     inputs = [*(path for paths in images for path in paths), panel_file, intrinsics_file, recording]
-    held = load_existing_calibration(output, [json_file, report], inputs, force=force)
+    held = load_existing_calibration(output, to, inputs)
     known = read_panel(panel_file)
     lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
     if recording is not None:
@@ -223,14 +228,14 @@ def world(
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
     answer = world_answer(calibration)
-    if report is not None:
+    if to.report is not None:
         from ..report.world import write_world_report
 
-        write_world_report(report, calibration, notes=notes, force=force)
-    write_answer(answer, output, json_file, force)
+        write_world_report(to.report, calibration, notes=notes, force=to.force)
+    write_answer(answer, output, to)
     print_tables(answer.table.tables)
     print_words(answer)
-    say_written(output, report, json_file)
+    say_written(output, to.report, to.json_file)
 
 
 def _from_files(

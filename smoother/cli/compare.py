@@ -14,25 +14,20 @@ from .arm_output import arms_figures, each_arm, say_arm, warn
 from .load import AS_RECORDED, SetUp, load_arms
 from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods, with_strap
 from .options import (
+    ANY_ARM,
+    NO_FILES,
     Align,
-    Body,
+    ArmSelection,
     BoundaryS,
     Calibration,
     ConfigFile,
-    Force,
-    Imu,
-    Json,
     LatencyS,
     Live,
     Orientation,
+    Outputs,
     Processes,
     RecordingPath,
-    Report,
-    Side,
-    Skeleton,
     SolveLeverArms,
-    one_side,
-    with_groups,
 )
 from .output import (
     centimetres,
@@ -116,7 +111,6 @@ def _ms(value: float | None) -> str:
     return "-" if value is None else f"{1e3 * value:+.1f}"
 
 
-@with_groups
 def compare(
     recording_file: RecordingPath,
     truth_file: Annotated[
@@ -145,16 +139,11 @@ def compare(
     config_file: ConfigFile = None,
     live: Live = False,
     latency_s: LatencyS = 0.1,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
+    arm: ArmSelection = ANY_ARM,
     set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Recover a recording by every method and hold each against the truth: one table, the best first.
 
@@ -163,7 +152,7 @@ def compare(
     itself: the live smoother's answers, and two that see only what has arrived.
     """
     from ..evaluation.compare import compare
-    from .config import read_config, with_processes
+    from .config import read_config
 
     names = choose(methods)
     if live:
@@ -171,15 +160,12 @@ def compare(
     settings = baseline_settings(names, orientation, boundary_s)
     remedy, swap_sides = set_up.remedy()
     inputs = [recording_file, truth_file, calibration_file, markers, config_file]
-    check_outputs(force, [report, json_file], inputs)
-    config = with_processes(read_config(config_file), processes)
+    check_outputs(to.force, [to.report, to.json_file], inputs)
+    config = read_config(config_file, processes)
     arms = load_arms(
         recording_file,
         calibration_file,
-        imu=imu,
-        skeleton=skeleton,
-        side=one_side(side),
-        body=body,
+        arm,
         remedy=remedy,
         swap_sides=swap_sides,
     )
@@ -224,8 +210,8 @@ def compare(
 
     with progress_bar("comparing") as progress:
         compared, left_out = each_arm(recordings, compare_arm)
-    if report is not None:
-        write_page(compared, report, force)
+    if to.report is not None:
+        write_page(compared, to.report, to.force)
     each = []
     for recording, comparison in compared:
         figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
@@ -233,13 +219,13 @@ def compare(
         figures |= {"trusted": estimates.trusted, "verdict": estimates.verdict}
         figures["notes"] = list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes]))
         each.append(figures)
-    write_json(json_file, arms_figures([recording for recording, _ in compared], each), force)
+    write_json(to.json_file, arms_figures([recording for recording, _ in compared], each), to.force)
     warn(list(recovered.values()))
     for recording, comparison in compared:
         say_arm(recording, len(compared))
         print_comparison(comparison)
         print_notes([*recording.notes, *left_out, *comparison.notes])
-    say_written(report, json_file)
+    say_written(to.report, to.json_file)
 
 
 def write_page(compared: Sequence[tuple[Recording, Comparison]], path: Path, force: bool) -> None:

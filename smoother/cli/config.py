@@ -17,15 +17,16 @@ from .output import check_outputs, say, write_json
 Settings = TypeVar("Settings", bound=BaseModel)
 
 
-def read_config(path: Path | None) -> Config:
-    """Read a configuration; what it does not name keeps its default.
+def read_config(path: Path | None, processes: int | None = None, anatomy: str | None = None) -> Config:
+    """Read a configuration; what neither it nor the options name keeps its default.
 
     Raises
     ------
     UnoccludeError
         The file is no TOML, or a setting is unknown or out of range; the text names it.
     """
-    return read_settings(path, Config)
+    config = with_processes(read_settings(path, Config), processes)
+    return config if anatomy is None else with_anatomy(config, anatomy)
 
 
 def read_settings(path: Path | None, kind: type[Settings]) -> Settings:

@@ -15,12 +15,12 @@ from .arm_output import each_arm
 from .load import AS_RECORDED, SetUp, load_arms
 from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods, with_strap
 from .options import (
-    Body,
+    ANY_ARM,
+    ArmSelection,
     BoundaryS,
     Calibration,
     ConfigFile,
     Force,
-    Imu,
     Json,
     LatencyS,
     Live,
@@ -28,11 +28,7 @@ from .options import (
     Processes,
     Report,
     Seed,
-    Side,
-    Skeleton,
     SolveLeverArms,
-    one_side,
-    with_groups,
 )
 from .output import (
     centimetres,
@@ -145,7 +141,6 @@ def print_factors(factors: Sequence[LengthFactor]) -> None:
     print_table("Factor by which sigma would have to grow to hold", columns, rows)
 
 
-@with_groups
 def gaps(
     recording_files: Annotated[
         list[Path],
@@ -171,10 +166,7 @@ def gaps(
     gaps_per_run: Annotated[
         int, typer.Option("--gaps-per-run", min=1, help="Most gaps hidden at the same time.")
     ] = 6,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
+    arm: ArmSelection = ANY_ARM,
     set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
@@ -221,7 +213,7 @@ def gaps(
         from calib.file import read_calibration
 
         read_calibration(keep_in)  # before the work: what cannot be read cannot be added to
-    config = with_processes(read_config(config_file), processes)
+    config = read_config(config_file, processes)
     side_by_side = config.windows.processes or os.cpu_count() or 1
     recordings: list[Recording] = []
     tables: list[GapTable] = []
@@ -232,10 +224,7 @@ def gaps(
             arms = load_arms(
                 path,
                 calibration_file,
-                imu=imu,
-                skeleton=skeleton,
-                side=one_side(side),
-                body=body,
+                arm,
                 remedy=remedy,
                 swap_sides=swap_sides,
             )

@@ -10,20 +10,16 @@ import typer
 from ..errors import UnoccludeError
 from .load import load_arm
 from .options import (
-    Body,
+    AS_USUAL,
+    NO_FILES,
     Calibration,
-    ConfigFile,
     Force,
-    Imu,
     Json,
     Output,
-    Processes,
+    Outputs,
     RecordingPath,
-    Report,
     Seed,
-    Side,
-    Skeleton,
-    one_side,
+    Solving,
 )
 from .output import check_mcap, check_outputs, print_notes, print_table, say, say_written, write_json
 from .recordings import print_topics
@@ -309,15 +305,8 @@ def strap(
     passthrough_images: Annotated[
         bool, typer.Option("--passthrough-images", help="Carry the images over too; they show the patient.")
     ] = False,
-    config_file: ConfigFile = None,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
-    processes: Processes = None,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    solving: Solving = AS_USUAL,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Find the dark strap in the colour images and add it to the recording as the joint `strap`.
 
@@ -332,14 +321,13 @@ def strap(
     from ..report.strap import verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap
-    from .config import read_config, with_processes
 
     check_mcap(output)
-    check_outputs(force, [output, json_file, report], [recording_file, calibration_file, config_file])
-    config = with_processes(read_config(config_file), processes)
-    recording, known = load_arm(
-        recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
+    check_outputs(
+        to.force, [output, to.json_file, to.report], [recording_file, calibration_file, solving.config_file]
     )
+    config = solving.config()
+    recording, known = load_arm(recording_file, calibration_file, solving.arm)
     check_images(recording_file, colour, depth)
     recovery = smooth(recording, known, config)
     radius = None if radius_m is None else Length(radius_m, RULER_SIGMA_M)
@@ -357,16 +345,18 @@ def strap(
         colour_topic=colour,
         depth_topic=depth,
         passthrough_images=passthrough_images,
-        force=force,
+        force=to.force,
     )
     sentences = verdict(found)
     write_json(
-        json_file, {**_figures(found), "verdict": sentences, "notes": [*recording.notes, *found.notes]}, force
+        to.json_file,
+        {**_figures(found), "verdict": sentences, "notes": [*recording.notes, *found.notes]},
+        to.force,
     )
-    if report is not None:
+    if to.report is not None:
         from ..report.strap import write_strap_report
 
-        write_strap_report(report, recording.name, found, force=force)
+        write_strap_report(to.report, recording.name, found, force=to.force)
     total = len(found.reasons)
     rows = [
         (what, count, f"{100 * count / max(total, 1):.0f}") for what, count in sorted(found.counts.items())
@@ -375,7 +365,7 @@ def strap(
     for sentence in sentences:
         say(sentence)
     print_notes([*recording.notes, *found.notes])
-    say_written(output, json_file, report)
+    say_written(output, to.json_file, to.report)
 
 
 def _figures(found: StrapFound) -> dict[str, Any]:

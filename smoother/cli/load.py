@@ -11,6 +11,7 @@ import typer
 
 from ..errors import RecordingError, UnoccludeError
 from ..runtime.pool import check_allowance
+from .options import ANY_ARM, ArmSelection
 from .output import say
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
 def load_arm(
     path: Path,
     calibration_file: Path | None = None,
+    arm: ArmSelection = ANY_ARM,
     remedy: Remedy | None = None,
     **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
@@ -37,6 +39,7 @@ def load_arm(
     Where the recording leaves the side open, a calibration of one arm settles it. Parameters as of
     `io.recording.read_arm`.
     """
+    reading.update(arm.reading())
     check_allowance()
     from ..io.recording.read_arm import read_arm
 
@@ -48,6 +51,7 @@ def load_arm(
 def load_arms(
     path: Path,
     calibration_file: Path | None = None,
+    arm: ArmSelection = ANY_ARM,
     remedy: Remedy | None = None,
     **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
@@ -55,6 +59,7 @@ def load_arms(
 
     Parameters as of `load_arm`.
     """
+    reading.update(arm.reading())
     check_allowance()
     from ..io.recording.read_arm import read_arms
 

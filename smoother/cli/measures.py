@@ -12,7 +12,7 @@ import typer
 
 from .arm_output import arms_figures, say_arm
 from .load import damage, load_recoveries
-from .options import Body, Force, Json, Report, Result, Side, one_side
+from .options import NO_FILES, Body, Outputs, Result, Side, one_side
 from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
@@ -151,9 +151,7 @@ def measures(
         Path | None,
         typer.Option("--csv", metavar="FILE", help="Also write every measure as a row of a table."),
     ] = None,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Measure a result: ranges of motion, reach, speed and smoothness, each with its 95 % interval.
 
@@ -164,25 +162,25 @@ def measures(
     from ..measures import MeasureSettings
     from .config import read_settings
 
-    check_outputs(force, [csv_file, report, json_file], [result, config_file])
+    check_outputs(to.force, [csv_file, to.report, to.json_file], [result, config_file])
     settings = read_settings(config_file, MeasureSettings)
     recoveries = load_recoveries(result, one_side(side), body)
     rows, pairs = measured(recoveries, settings)
-    if report is not None:
+    if to.report is not None:
         from ..report.measures import write_measures_page
 
-        write_measures_page(report, rows, pairs, force=force)
+        write_measures_page(to.report, rows, pairs, force=to.force)
     if csv_file is not None:
-        write_csv(csv_file, rows, pairs, force)
+        write_csv(csv_file, rows, pairs, to.force)
     figures = arms_figures(recoveries, [one.as_dict() for one in rows])
     if pairs:
         figures["symmetry"] = [{"body": both.left.body, "measures": both.as_dict()} for both in pairs]
-    write_json(json_file, figures, force)
+    write_json(to.json_file, figures, to.force)
     for recovery, one in zip(recoveries, rows, strict=True):
         say_arm(recovery, len(recoveries))
         print_arm(one, damage(recovery.notes))
     _print_symmetry(pairs)
-    say_written(csv_file, report, json_file)
+    say_written(csv_file, to.report, to.json_file)
 
 
 def measured(recoveries: list[Recovery], settings: MeasureSettings) -> tuple[list[Measures], list[BothArms]]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from dataclasses import MISSING, fields, is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
@@ -14,6 +14,9 @@ from ..baselines.registry import DEFAULT_ORIENTATION, ORIENTATIONS
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
+
+    from ..config import Config
+    from ..io.recording.selection import Selection
 
 
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
@@ -176,73 +179,152 @@ LatencyS = Annotated[
 ]
 
 
-def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the options of its groups, in the groups' places.
+@dataclass(frozen=True)
+class ArmSelection:
+    """Which arm of a recording, as a group of a command's options.
+
+    Attributes
+    ----------
+    imu, skeleton : str, optional
+        Topics.
+    side : str, optional
+        "left" or "right".
+    body : int, optional
+        The person.
+    """
+
+    imu: Imu = None
+    skeleton: Skeleton = None
+    side: Side = None
+    body: Body = None
+
+    def reading(self) -> Selection:
+        """As keywords for what reads a recording; checks `--side`."""
+        return {
+            "imu": self.imu,
+            "skeleton": self.skeleton,
+            "side": one_side(self.side),
+            "body": self.body,
+        }
+
+
+#: What the recording itself tells.
+ANY_ARM = ArmSelection()
+
+
+@dataclass(frozen=True)
+class Solving:
+    """How a calibration solves a recording of an arm, as a group of its options.
+
+    Attributes
+    ----------
+    config_file : Path, optional
+        Settings.
+    arm : ArmSelection
+    processes : int, optional
+    """
+
+    config_file: ConfigFile = None
+    arm: ArmSelection = ANY_ARM
+    processes: Processes = None
+
+    def config(self) -> Config:
+        """The settings, read."""
+        from .config import read_config
+
+        return read_config(self.config_file, self.processes)
+
+
+#: The defaults, on all cores.
+AS_USUAL = Solving()
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What is written besides, as a group of a command's options.
+
+    Attributes
+    ----------
+    report, json_file : Path, optional
+    force : bool
+        Overwrite what exists.
+    """
+
+    report: Report = None
+    json_file: Json = None
+    force: Force = False
+
+
+#: Nothing besides.
+NO_FILES = Outputs()
+
+
+def with_groups(
+    command: Callable[..., None], settings: Mapping[str, FieldInfo] | None = None
+) -> Callable[..., None]:
+    """The command with the options of its groups in the groups' places, and one for every setting.
 
     Parameters
     ----------
     command : callable
-        Parameters whose type is a dataclass stand for its fields, which are annotated as options.
+        Parameters whose type is a dataclass stand for its fields, which are annotated as options, or groups
+        again.
+    settings : mapping of str to FieldInfo, optional
+        Of a simulation, which the command takes as `**settings`; None where it is not given.
 
     Returns
     -------
     command : callable
         For typer, under the same name.
     """
-    own = inspect.signature(command, eval_str=True).parameters
-    kinds = {name: each.annotation for name, each in own.items() if isinstance(each.annotation, type)}
-    groups = {name: kind for name, kind in kinds.items() if is_dataclass(kind)}
+    signature = inspect.signature(command, eval_str=True)
+    own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+    options = [option for each in own for option in _options(each)]
+    taken = {option.name for option in options}
+    options += [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
+        for name, field in (settings or {}).items()
+        if name not in taken
+    ]
 
     def run(**values: Any) -> None:
-        for name, group in groups.items():
-            values[name] = group(**{each.name: values.pop(each.name) for each in fields(group)})
-        command(**values)
+        mine = {each.name: _taken(each.name, each.annotation, values) for each in own}
+        command(**mine, **values)
 
-    parameters: list[inspect.Parameter] = []
-    for name, parameter in own.items():
-        parameters += _options(groups[name]) if name in groups else [parameter]
-    return with_signature(run, command, parameters)
-
-
-def with_signature(
-    run: Callable[..., None], command: Callable[..., None], parameters: list[inspect.Parameter]
-) -> Callable[..., None]:
-    """`run` under the command's name and help, with these parameters, as typer reads them."""
-    # keyword-only throughout: options have no order
-    parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
     run.__name__, run.__doc__ = command.__name__, command.__doc__
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    # keyword-only throughout: options have no order
+    options = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in options]
+    run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in options}
     return run
 
 
-def _options(group: type[Any]) -> list[inspect.Parameter]:
+def _options(parameter: inspect.Parameter) -> list[inspect.Parameter]:
+    """The parameter itself, or those that its group stands for."""
+    group = parameter.annotation
+    if not is_dataclass(group):
+        return [parameter]
     kinds = get_type_hints(group, include_extras=True)
     return [
-        inspect.Parameter(
-            each.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if each.default is MISSING else each.default,
-            annotation=kinds[each.name],
-        )
+        option
         for each in fields(group)
+        for option in _options(
+            inspect.Parameter(
+                each.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if each.default is MISSING else each.default,
+                annotation=kinds[each.name],
+            )
+        )
     ]
 
 
-def with_settings(command: Any, settings: dict[str, FieldInfo]) -> Any:
-    """The command with an option for every setting of a simulation."""
-    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "settings"]
-    taken = {parameter.name for parameter in own}
-    fields = {name: field for name, field in settings.items() if name not in taken}
-    more = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
-        for name, field in fields.items()
-    ]
-
-    def run(**values: Any) -> None:
-        command(**values)
-
-    return with_signature(run, command, own + more)
+def _taken(name: str, kind: Any, values: dict[str, Any]) -> Any:
+    """The value of an option, or the group made of its options' values; they are taken out."""
+    if not is_dataclass(kind):
+        return values.pop(name)
+    kinds = get_type_hints(kind, include_extras=True)
+    return kind(**{each.name: _taken(each.name, kinds[each.name], values) for each in fields(kind)})  # type: ignore[operator]
 
 
 def _option(name: str, field: FieldInfo) -> Any:

@@ -12,19 +12,16 @@ import typer
 from .arm_output import arms_figures, say_arm
 from .load import AS_RECORDED, SetUp, load_arms
 from .options import (
+    ANY_ARM,
     Anatomy,
-    Body,
+    ArmSelection,
     Calibration,
     ConfigFile,
     Force,
-    Imu,
     Json,
     Processes,
     RecordingPath,
-    Side,
     Skeleton,
-    one_side,
-    with_groups,
 )
 from .output import (
     check_mcap,
@@ -52,10 +49,7 @@ if TYPE_CHECKING:
 
 def info(
     recording_file: RecordingPath,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
+    arm: ArmSelection = ANY_ARM,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -63,7 +57,7 @@ def info(
     from ..io import describe
 
     check_outputs(force, [json_file], [recording_file])
-    about = describe(recording_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body)
+    about = describe(recording_file, **arm.reading())
     write_json(json_file, about.to_dict(), force)
     print_topics(about)
     print_arm(about)
@@ -278,15 +272,11 @@ def print_losses(report: RepairReport) -> None:
 MOST_ROWS = 25
 
 
-@with_groups
 def check(
     recording_file: RecordingPath,
     calibration_file: Calibration = None,
     config_file: ConfigFile = None,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
+    arm: ArmSelection = ANY_ARM,
     set_up: SetUp = AS_RECORDED,
     anatomy: Anatomy = None,
     processes: Processes = None,
@@ -298,20 +288,15 @@ def check(
     Of a long recording the excerpts that tell most are looked at. Every arm that has an IMU is checked. The
     exit code is 0 where a result can be used, 3 where it is not to be trusted, of one arm at least.
     """
-    from .config import read_config, with_anatomy, with_processes
+    from .config import read_config
 
     remedy, swap_sides = set_up.remedy()
     check_outputs(force, [json_file], [recording_file, calibration_file, config_file])
-    config = with_processes(read_config(config_file), processes)
-    if anatomy is not None:
-        config = with_anatomy(config, anatomy)
+    config = read_config(config_file, processes, anatomy)
     arms = load_arms(
         recording_file,
         calibration_file,
-        imu=imu,
-        skeleton=skeleton,
-        side=one_side(side),
-        body=body,
+        arm,
         truth=False,
         remedy=remedy,
         swap_sides=swap_sides,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import Force, Json, Output, Seed, with_groups
+from .options import Force, Json, Output, Seed
 from .output import check_mcap, check_outputs, print_table, say_command, say_written, write_json
 from .simulate_rig import SimulatedFile
 
@@ -283,7 +283,6 @@ def people_settings() -> dict[str, FieldInfo]:
     return {**PeopleSimulation.model_fields, **arms}
 
 
-@with_groups
 def strap(
     to: SimulatedFile,
     duration_s: Annotated[

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import UnoccludeError
-from .options import Force, Json, Output, Seed, with_groups
+from .options import Force, Json, Output, Seed
 from .output import (
     check_mcap,
     check_outputs,
@@ -72,7 +72,6 @@ class SimulatedFile:
         say_written(self.output, self.truth, self.json_file)
 
 
-@with_groups
 def imu(
     to: SimulatedFile,
     poses: Annotated[
@@ -125,7 +124,6 @@ def imu(
     say_command("calibrate", "imu", to.output, "-o", "arm.toml", "--report", "imu.html")
 
 
-@with_groups
 def magnetometer(
     to: SimulatedFile,
     hard_iron: Annotated[

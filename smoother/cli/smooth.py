@@ -30,15 +30,15 @@ from .methods import (
     with_strap_note,
 )
 from .options import (
+    ANY_ARM,
     Anatomy,
-    Body,
+    ArmSelection,
     BoundaryS,
     Calibration,
     ConfigFile,
     Draws,
     DrawSeed,
     Force,
-    Imu,
     Json,
     Orientation,
     Output,
@@ -46,12 +46,8 @@ from .options import (
     Processes,
     RecordingPath,
     Report,
-    Side,
-    Skeleton,
     SolveLeverArms,
     Strict,
-    one_side,
-    with_groups,
 )
 from .output import check_mcap, check_outputs, print_notes, progress_bar, say, say_written, write_json
 
@@ -62,7 +58,6 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
-@with_groups
 def smooth(
     recording_file: RecordingPath,
     output: Output,
@@ -73,10 +68,7 @@ def smooth(
     ] = "graph",
     orientation: Orientation = None,
     boundary_s: BoundaryS = None,
-    imu: Imu = None,
-    skeleton: Skeleton = None,
-    side: Side = None,
-    body: Body = None,
+    arm: ArmSelection = ANY_ARM,
     report: Report = None,
     passthrough_images: PassthroughImages = False,
     max_sigma_m: Annotated[
@@ -106,7 +98,7 @@ def smooth(
     from ..io import write_recovery
     from ..result import is_of_arm
     from ..runtime.disk_store import DiskStore
-    from .config import read_config, with_anatomy, with_processes
+    from .config import read_config
     from .methods import limit_sigma
 
     names = choose(method)
@@ -119,17 +111,12 @@ def smooth(
     remedy, swap_sides = set_up.remedy()
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
-    config = with_processes(read_config(config_file), processes)
-    if anatomy is not None:
-        config = with_anatomy(config, anatomy)
+    config = read_config(config_file, processes, anatomy)
     with DiskStore() as store:  # memory stays flat however long the recording is
         arms = load_arms(
             recording_file,
             calibration_file,
-            imu=imu,
-            skeleton=skeleton,
-            side=one_side(side),
-            body=body,
+            arm,
             store=store,
             truth=False,
             remedy=remedy,

@@ -12,7 +12,7 @@ import typer
 from ..errors import UnoccludeError
 from .arm_output import arms_figures, say_arm, warn
 from .load import camera_frame_of, damage, load_recoveries
-from .options import Align, Body, Force, Json, Report, Result, Side, one_side
+from .options import NO_FILES, Align, Body, Outputs, Result, Side, one_side
 from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -92,9 +92,7 @@ def validate(
     ] = None,
     side: Side = None,
     body: Body = None,
-    report: Report = None,
-    json_file: Json = None,
-    force: Force = False,
+    to: Outputs = NO_FILES,
 ) -> None:
     """Compare a result with a reference: position, orientation, angles, measures, consistency of sigma.
 
@@ -104,7 +102,9 @@ def validate(
     from ..evaluation.reference import read_reference
     from ..evaluation.validate import validate
 
-    check_outputs(force, [report, json_file], [result, truth_file, markers, calibration, *(pool or ())])
+    check_outputs(
+        to.force, [to.report, to.json_file], [result, truth_file, markers, calibration, *(pool or ())]
+    )
     pooled = pooled_measures(pool or ())
     recoveries = load_recoveries(result, one_side(side), body)
     _check_truth_of_several(truth_file, recoveries)
@@ -119,8 +119,8 @@ def validate(
         if validation.measures is not None:
             pooled = validation.measures.together
         results.append((recovery, validation, truth))
-    if report is not None:
-        write_page(results, report, force, axes)
+    if to.report is not None:
+        write_page(results, to.report, to.force, axes)
     validations = []
     for recovery, validation, _ in results:
         damaged = [note for note in damage(recovery.notes) if note not in validation.notes]
@@ -129,7 +129,7 @@ def validate(
         one.to_dict() | {"trusted": recovery.estimates.trusted, "verdict": recovery.estimates.verdict}
         for recovery, one in zip(recoveries, validations, strict=True)
     ]
-    write_json(json_file, arms_figures(recoveries, figures), force)
+    write_json(to.json_file, arms_figures(recoveries, figures), to.force)
     warn(recoveries)
     for recovery, validation in zip(recoveries, validations, strict=True):
         say_arm(recovery, len(recoveries))
