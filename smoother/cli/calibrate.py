@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -71,13 +71,44 @@ def print_words(answer: Answer) -> None:
         say(f"next: {sentence}")
 
 
-def write_answer(answer: Answer, output: Path | None, to: Outputs, notes: Iterable[str] = ()) -> None:
-    """Write the figures with what must be known of the input, and add the answer to the calibration file."""
+def write_answer(
+    answer: Answer,
+    output: Path | None,
+    to: Outputs,
+    calibration: Any,
+    *inputs: Any,
+    notes: Iterable[str] = (),
+) -> None:
+    """Write what a calibration found, everywhere it goes.
+
+    Parameters
+    ----------
+    answer : Answer
+    output : Path, optional
+        The calibration file, which is added to.
+    to : Outputs
+        The page, and the figures with the notes.
+    calibration, *inputs
+        For the page: see `report.calibration_page`.
+    notes : iterable of str
+        What must be known of the input.
+    """
     from calib.file import write_calibration
 
+    if to.report is not None:
+        from ..report.calibration_page import write_calibration_page
+
+        write_calibration_page(to.report, calibration, *inputs, force=to.force)
     write_json(to.json_file, {**answer.figures, "notes": list(dict.fromkeys(notes))}, to.force)
     if output is not None:
         write_calibration(output, answer.table)
+
+
+def say_answer(answer: Answer, notes: Iterable[str], *written: Path | None) -> None:
+    """Print the answer in words, what must be known of the input, and what was written."""
+    print_words(answer)
+    print_notes(notes)
+    say_written(*written)
 
 
 @contextmanager
@@ -145,9 +176,7 @@ def motion(
         print_camera(estimates)
         if sentence := roll_known(estimates.frame):
             say(sentence)
-        print_words(answer)
-    print_notes(notes)
-    say_written(output, json_file)
+        say_answer(answer, notes, output, json_file)
 
 
 def _by_side(
@@ -210,16 +239,10 @@ def imu(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
     answer = imu_answer(calibration)
-    if to.report is not None:
-        from ..report.imu import write_imu_report
-
-        write_imu_report(to.report, str(recording_file), stream, calibration, force=to.force)
-    write_answer(answer, output, to, notes)
+    write_answer(answer, output, to, calibration, str(recording_file), stream, notes=notes)
     if rows := noise_rows(calibration):
         print_table("Noise", ("figure", "x", "y", "z"), rows)
-    print_words(answer)
-    print_notes(notes)
-    say_written(output, to.json_file, to.report)
+    say_answer(answer, notes, output, to.json_file, to.report)
 
 
 def magnetometer(
@@ -244,14 +267,8 @@ def magnetometer(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
     answer = magnetometer_answer(calibration, stream.name)
-    if to.report is not None:
-        from ..report.magnetometer import write_magnetometer_report
-
-        write_magnetometer_report(to.report, str(recording_file), stream, calibration, force=to.force)
-    write_answer(answer, output, to, notes)
-    print_words(answer)
-    print_notes(notes)
-    say_written(output, to.json_file, to.report)
+    write_answer(answer, output, to, calibration, str(recording_file), stream, notes=notes)
+    say_answer(answer, notes, output, to.json_file, to.report)
 
 
 def _load(path: Path, output: Path, name: str | None, to: Outputs) -> tuple[ImuStream, list[str]]:
@@ -318,11 +335,7 @@ def forearm(
         config=config,
     )
     answer = forearm_answer(calibration)
-    if to.report is not None:
-        from ..report.forearm import write_forearm_report
-
-        write_forearm_report(to.report, recording, calibration, force=to.force)
-    write_answer(answer, output, to, recording.notes)
+    write_answer(answer, output, to, calibration, recording, notes=recording.notes)
     lengths = calibration.measured.lengths.items()
     cells = [
         (MEASURES[name], f"{1e3 * length.value_m:.1f} +- {1e3 * length.sigma_m:.1f}")
@@ -342,6 +355,4 @@ def forearm(
     ]
     if rows:
         print_table("Pose against motion", ("measure", "pose", "motion", "sigmas apart"), rows)
-    print_words(answer)
-    print_notes(recording.notes)
-    say_written(output, to.json_file, to.report)
+    say_answer(answer, recording.notes, output, to.json_file, to.report)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .calibrate import error_prefix, load_existing_calibration, print_words, write_answer
+from .calibrate import error_prefix, load_existing_calibration, say_answer, write_answer
 from .load import load_arm
 from .options import (
     AS_USUAL,
@@ -16,7 +16,7 @@ from .options import (
     Outputs,
     Solving,
 )
-from .output import print_notes, print_table, say, say_written
+from .output import print_table, say
 
 if TYPE_CHECKING:
     from calib.clock.beeps import Beep
@@ -155,17 +155,9 @@ def clock(
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
     calibration = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
     answer = clock_answer(calibration)
-    if to.report is not None:
-        from ..report.clock import write_clock_report
-
-        write_clock_report(
-            to.report, name, calibration.network, receptions, beeps, clock_in_motion, force=to.force
-        )
-    write_answer(answer, output, to, notes)
+    write_answer(answer, output, to, calibration, notes=notes)
     print_clocks(calibration)
-    print_words(answer)
-    print_notes(notes)
-    say_written(output, to.json_file, to.report)
+    say_answer(answer, notes, output, to.json_file, to.report)
 
 
 def _two(option: str, text: str) -> tuple[str, str]:

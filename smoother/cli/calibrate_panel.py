@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import CalibrationError
-from .calibrate import error_prefix, load_existing_calibration, print_words, write_answer
+from .calibrate import error_prefix, load_existing_calibration, say_answer, write_answer
 from .options import (
     NO_FILES,
     CalibrationOutput,
@@ -21,7 +21,7 @@ from .options import (
     Outputs,
     PanelFile,
 )
-from .output import print_notes, print_table, say, say_written
+from .output import print_notes, print_table, say
 
 if TYPE_CHECKING:
     from calib.intrinsics import Intrinsics
@@ -76,15 +76,9 @@ def panel(
         views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file, notes)
         calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
     answer = panel_answer(calibration)
-    if to.report is not None:
-        from ..report.panel import write_panel_report
-
-        write_panel_report(to.report, calibration, views, force=to.force)
-    write_answer(answer, output, to, notes)
+    write_answer(answer, output, to, calibration, views, notes=notes)
     print_panel(calibration)
-    print_words(answer)
-    print_notes(notes)
-    say_written(output, to.report, to.json_file)
+    say_answer(answer, notes, output, to.report, to.json_file)
 
 
 def _session(
@@ -228,14 +222,9 @@ def world(
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
     answer = world_answer(calibration)
-    if to.report is not None:
-        from ..report.world import write_world_report
-
-        write_world_report(to.report, calibration, notes=notes, force=to.force)
-    write_answer(answer, output, to)
+    write_answer(answer, output, to, calibration, notes)
     print_tables(answer.table.tables)
-    print_words(answer)
-    say_written(output, to.report, to.json_file)
+    say_answer(answer, (), output, to.report, to.json_file)
 
 
 def _from_files(

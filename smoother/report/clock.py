@@ -2,39 +2,28 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
 
 from calib.clock.beeps import Beep
-from calib.clock.clock_calibration import next_time, open_questions, verdict
+from calib.clock.clock_calibration import ClockCalibration, next_time, open_questions, verdict
 from calib.clock.links import ClockNetwork, Leftover, Receptions
 from calib.clock.motion_clock import MotionClock
 
-from .sheet import figure, label, listing, tabulated, write_sheet
+from .sheet import Page, figure, label, listing, tabulated
 from .style import OCCLUDED, TRUTH, VISIBLE, curve, dots, dress
 
 
-def write_clock_report(
-    path: str | os.PathLike[str],
-    session: str,
-    network: ClockNetwork,
-    receptions: Sequence[Receptions] = (),
-    beeps: Sequence[Beep] = (),
-    motion: MotionClock | None = None,
-    *,
-    force: bool = False,
-) -> None:
-    """Write the page of a solved clock network."""
-    write_sheet(
-        path,
-        f"Clocks: {session}",
+def clock_page(calibration: ClockCalibration) -> Page:
+    """The page of a solved clock network."""
+    network, receptions = calibration.network, calibration.receptions
+    return Page(
+        f"Clocks: {calibration.session}",
         "Offsets are of this session alone.",
         verdict(network),
-        _sections(network, receptions, beeps, motion),
-        force=force,
+        _sections(network, receptions, calibration.beeps, calibration.motion),
     )
 
 

@@ -1,8 +1,8 @@
-"""The page of `calibrate forearm`: the pose drawn, pose against motion, what to record next."""
+"""The forearm and its sensor drawn from the lever arms, and the page of `calibrate forearm`."""
 
 from __future__ import annotations
 
-import os
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,32 +15,186 @@ from calib.forearm.held_pose import ForearmCalibration
 from calib.motion.motion_calibration import ArmEstimates
 from calib.motion.motion_summary import Evidence
 
+from ..array_types import FloatArray
+from ..calibration import LeverArm
 from ..recording import JOINTS, Recording
-from .mount import mount
-from .sheet import figure, listing, tabulated, write_sheet
-from .style import JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, curve, dots, dress
+from .sheet import Page, figure, listing, tabulated
+from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, curve, dots, dress
+
+#: The sensor is drawn as a cube of this size, and its axes so long, cm.
+CUBE_CM, AXIS_CM = 2.0, 4.5
+#: Ellipses are drawn at so many sigmas.
+SIGMAS = 2.0
+_CHAIN = ("elbow", "wrist", "hand")
 
 
-def write_forearm_report(
-    path: str | os.PathLike[str],
-    recording: Recording,
-    calibration: ForearmCalibration,
-    *,
-    force: bool = False,
-) -> None:
-    """Write the page of a forearm calibration."""
-    rows = compare(calibration)
-    subtitle = (
-        f"Arm: {recording.side or 'not named'}. Times are the camera's, seconds after the recording's zero."
+def mount(estimates: ArmEstimates | None) -> go.Figure | None:
+    """The forearm from the side and from above, with the sensor and its axes; None without a lever arm."""
+    if estimates is None or not estimates.calibration.lever_arms:
+        return None
+    levers = estimates.calibration.lever_arms
+    along, away = directions(estimates)
+    names = ("from the side", "from above, the sensor towards you")
+    if estimates.frame is None:
+        names = ("seen from one side", "seen from another")
+    views = tuple(zip(names, (away, np.cross(away, along)), strict=True))
+    figure = make_subplots(
+        rows=2,
+        cols=1,
+        subplot_titles=[name for name, _ in views],
+        shared_xaxes=True,
+        vertical_spacing=0.13,
     )
-    title = f"Forearm from a held pose: {recording.name}"
-    write_sheet(
-        path,
-        title,
-        subtitle,
+    for row, (_, up) in enumerate(views, start=1):
+        onto = np.stack([along, up])
+        for trace in _traces(estimates, onto):
+            trace.update(showlegend=False)
+            figure.add_trace(trace, row=row, col=1)
+        _arrows(figure, onto, row)
+        _lengths(figure, estimates, onto, row)
+    places = 100 * np.array([np.zeros(3), *[lever.position_m for lever in levers.values()]])
+    reach = places @ along
+    sides = np.concatenate([places @ up for _, up in views])
+    widest = 100 * SIGMAS * max(float(np.max(lever.sigma_m)) for lever in levers.values())
+    half = max(np.abs(sides).max() + max(2.5, widest + 0.5), 0.5 * AXIS_CM + 4.0)
+    margin = max(5.0, widest + 1.0)
+    low, high = min(reach.min(), -AXIS_CM) - margin, max(reach.max(), AXIS_CM) + margin
+    figure.update_xaxes(range=[low, high], constrain="domain")
+    for row in (1, 2):
+        figure.update_yaxes(
+            range=[-half, half],
+            scaleanchor="x" if row == 1 else "x2",
+            title_text="cm",
+            constrain="domain",
+            row=row,
+            col=1,
+        )
+    axis = "along the forearm, cm (0 = the sensor)" if estimates.frame is not None else "cm (0 = the sensor)"
+    figure.update_xaxes(title_text=axis, row=2, col=1)
+    height = 190 + 2 * 960 * 2 * half / (high - low)
+    return dress(figure, int(np.clip(height, 420, 900)), head=40, meta={"wide": True})
+
+
+def directions(estimates: ArmEstimates) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors in {A}: along the forearm, and from it to the sensor (or any across it)."""
+    levers = estimates.calibration.lever_arms
+    if estimates.frame is not None:
+        along = estimates.frame.direction
+        away = -(levers["elbow"].position_m - along * (levers["elbow"].position_m @ along))
+    else:
+        farthest = max((lever.position_m for lever in levers.values()), key=np.linalg.norm)
+        size = float(np.linalg.norm(farthest))
+        along = farthest / size if size > 0 else np.array([1.0, 0.0, 0.0])
+        away = np.zeros(3)
+    if np.linalg.norm(away) < 0.003:
+        least = np.eye(3)[int(np.argmin(np.abs(along)))]
+        away = least - along * (least @ along)
+    return along, away / np.linalg.norm(away)
+
+
+def ellipse(lever: LeverArm, onto: FloatArray, sigmas: float = SIGMAS) -> FloatArray:
+    """Outline (n, 2), cm, of a lever arm's uncertainty in a view whose axes are the rows of `onto` (2, 3)."""
+    spread = onto * lever.sigma_m
+    values, axes = np.linalg.eigh(spread @ spread.T)
+    turn = np.linspace(0, 2 * np.pi, 49)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return 100 * (onto @ lever.position_m + sigmas * (circle * np.sqrt(np.maximum(values, 0))) @ axes.T)
+
+
+def _traces(estimates: ArmEstimates, onto: FloatArray) -> list[go.Scatter]:
+    levers = estimates.calibration.lever_arms
+    chain = [joint for joint in _CHAIN if joint in levers]
+    bones = 100 * np.array([onto @ levers[joint].position_m for joint in chain]).reshape(-1, 2)
+    traces = [curve(bones[:, 0], bones[:, 1], None, "#9a8f86", 9, opacity=0.5, hoverinfo="skip")]
+    for joint, lever in levers.items():
+        edge = ellipse(lever, onto)
+        colour = JOINT_COLOURS[joint]
+        outline = curve(edge[:, 0], edge[:, 1], None, colour, 1.2, fill="toself", opacity=0.5)
+        place = 100 * onto @ lever.position_m
+        dot = dots(place[:1], place[1:], joint, colour, 8, text=[joint], textposition="bottom center")
+        traces += [outline.update(hoverinfo="skip"), dot.update(mode="markers+text")]
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * CUBE_CM @ onto.T
+    hull = corners[_hull(corners)]
+    cube = curve(hull[:, 0], hull[:, 1], "sensor", "#333333", 1.5)
+    return [*traces, cube.update(fill="toself", fillcolor="rgba(60, 60, 60, 0.35)")]
+
+
+def _hull(points: FloatArray) -> list[int]:
+    """Corners of the convex hull, closed."""
+    from scipy.spatial import ConvexHull
+
+    corners = ConvexHull(points).vertices.tolist()
+    return [*corners, corners[0]]
+
+
+def _arrows(figure: go.Figure, onto: FloatArray, row: int) -> None:
+    for axis, (name, colour) in enumerate(AXIS_COLOURS.items()):
+        tip = AXIS_CM * onto[:, axis]
+        label = ["", name] if np.linalg.norm(tip) > 0.2 * AXIS_CM else ["", ""]
+        arrow = curve([0, tip[0]], [0, tip[1]], None, colour, 3, showlegend=False, hoverinfo="skip")
+        arrow.update(text=label, textfont={"color": colour, "size": 15}, textposition=_beyond(tip))
+        figure.add_trace(arrow.update(mode="lines+text"), row=row, col=1)
+
+
+def _beyond(tip: FloatArray) -> str:
+    """Where a label stands so that it lies beyond the tip."""
+    if abs(tip[0]) > abs(tip[1]):
+        return "middle right" if tip[0] > 0 else "middle left"
+    return "top center" if tip[1] > 0 else "bottom center"
+
+
+def _lengths(figure: go.Figure, estimates: ArmEstimates, onto: FloatArray, row: int) -> None:
+    """Lengths beside what they measure; the sensor's distance only where it is seen."""
+    levers, frame = estimates.calibration.lever_arms, estimates.frame
+    if frame is None:
+        return
+    elbow, wrist = (100 * onto @ levers[joint].position_m for joint in ("elbow", "wrist"))
+    _label(figure, elbow + 0.4 * (wrist - elbow), _cm(frame.length_m, frame.length_sigma_m), row, -16)
+    if "hand" in levers:
+        hand = 100 * onto @ levers["hand"].position_m
+        length = float(np.linalg.norm(levers["hand"].position_m - levers["wrist"].position_m))
+        _label(figure, 0.5 * (wrist + hand), f"{100 * length:.1f} cm", row, -16)
+    if row == 1:
+        along = frame.direction
+        foot = levers["elbow"].position_m - along * (levers["elbow"].position_m @ along)
+        end = 100 * onto @ foot
+        line = curve([0, end[0]], [0, end[1]], None, "#333333", 1.5, "dot", showlegend=False)
+        figure.add_trace(line.update(hoverinfo="skip"), row=row, col=1)
+        distance = f"{_cm(frame.distance_m, frame.distance_sigma_m)} from the forearm's axis"
+        _label(figure, 0.55 * end, distance, row, 0, "right")
+        if estimates.calibration.upper_arm is not None:
+            length, sigma = estimates.calibration.upper_arm.value_m, estimates.calibration.upper_arm.sigma_m
+            _label(figure, elbow, f"upper arm {_cm(length, sigma)}", row, 34)
+
+
+def _label(
+    figure: go.Figure, at: FloatArray, text: str, row: int, shift: int, anchor: str = "center"
+) -> None:
+    figure.add_annotation(
+        x=at[0],
+        y=at[1],
+        text=text,
+        showarrow=False,
+        xanchor=anchor,
+        xshift=-8 if anchor == "right" else 0,
+        yshift=shift,
+        row=row,
+        col=1,
+    )
+
+
+def _cm(value_m: float, sigma_m: float) -> str:
+    return f"{100 * value_m:.1f} ± {100 * sigma_m:.1f} cm"
+
+
+def forearm_page(calibration: ForearmCalibration, recording: Recording) -> Page:
+    """The page of a forearm calibration."""
+    rows = compare(calibration)
+    return Page(
+        f"Forearm from a held pose: {recording.name}",
+        f"Arm: {recording.side or 'not named'}. Times are the camera's, seconds after the recording's zero.",
         verdict(calibration, rows),
         _sections(recording, calibration, rows),
-        force=force,
     )
 
 

@@ -1,8 +1,7 @@
-"""The page of `calibrate imu`: verdict, rests, coverage, residuals, Allan deviation, what to record next."""
+"""The pages of `calibrate imu` and `calibrate magnetometer`: rests, coverage, residuals, Allan deviation."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,54 +9,38 @@ import numpy as np
 import plotly.graph_objects as go
 
 from calib.imu.accelerometer import sphere_points
-from calib.imu.imu_summary import imu_next, imu_verdict, noise_rows
+from calib.imu.imu_summary import imu_next, imu_verdict, magnetometer_next, magnetometer_verdict, noise_rows
+from calib.imu.magnetometer import MagnetometerCalibration
 from calib.imu.sensor_calibration import ImuCalibration, SensorNoise
 
+from ..array_types import FloatArray
 from ..linalg import unit
 from ..recording import ImuStream
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import Page, figure, listing, tabulated
 from .space import cloud, shaded_cloud, space, view_of
-from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve, dress, shade_times
+from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve, dots, dress, shade_times
 
 #: Samples of the recording that are drawn.
 MOST_POINTS = 6000
 LINE_COLOURS = {"x": VISIBLE, "y": OCCLUDED, "z": JOINT_COLOURS["elbow"]}
 
 
-def write_imu_report(
-    path: str | os.PathLike[str],
-    source: str,
-    imu: ImuStream,
-    calibration: ImuCalibration,
-    *,
-    force: bool = False,
-) -> None:
-    """Write the page of an IMU's calibration.
-
-    Parameters
-    ----------
-    path : path-like
-        The page to write.
-    source : str
-        The recording's name.
-    imu : ImuStream
-        The raw stream.
-    calibration : ImuCalibration
-        Its calibration.
-    force : bool
-        Overwrite a page that exists.
-    """
-    write_sheet(
-        path,
+def imu_page(calibration: ImuCalibration, source: str, imu: ImuStream) -> Page:
+    """The page of an IMU's calibration, from its raw stream and the recording's name."""
+    return Page(
         f"Accelerometer and gyroscope of {imu.name}",
-        f"From {source}: {imu.rate_hz:.0f} Hz, {imu.t_s[-1] - imu.t_s[0]:.0f} s.",
+        recorded_at(source, imu),
         imu_verdict(calibration),
-        _sections(imu, calibration),
-        force=force,
+        _imu_sections(imu, calibration),
     )
 
 
-def _sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
+def recorded_at(source: str, imu: ImuStream) -> str:
+    """The line under the heading: where the samples are from."""
+    return f"From {source}: {imu.rate_hz:.0f} Hz, {imu.t_s[-1] - imu.t_s[0]:.0f} s."
+
+
+def _imu_sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
     yield listing("For the next recording", imu_next(calibration))
     yield figure(
         "Where the sensor lay still",
@@ -67,7 +50,7 @@ def _sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
     )
     acc = calibration.accelerometer
     if acc is not None:
-        yield coverage(
+        yield rest_coverage(
             "Which directions were covered",
             "Dots: direction of up in the sensor's axes, a rest each. The sphere's colour is the standard"
             " deviation of corrected gravity with that side up: dark is well known, bright is where a rest is"
@@ -78,7 +61,7 @@ def _sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
             "How far each rest misses gravity",
             "Before the correction and after it. After it, what is left is noise and the table; a rest that"
             " stands out was not still.",
-            residuals(calibration),
+            rest_residuals(calibration),
         )
         sigmas = np.sqrt(np.diag(acc.covariance))
         rows = [
@@ -130,7 +113,7 @@ def rests(imu: ImuStream, calibration: ImuCalibration) -> go.Figure:
     return dress(plot, 340, xaxis={"title": "s"}, yaxis={"title": "specific force, m/s²"})
 
 
-def coverage(heading: str, caption: str, calibration: ImuCalibration) -> str:
+def rest_coverage(heading: str, caption: str, calibration: ImuCalibration) -> str:
     """Rests on the sphere, coloured by how well each direction is known."""
     acc = calibration.accelerometer
     assert acc is not None
@@ -144,7 +127,7 @@ def coverage(heading: str, caption: str, calibration: ImuCalibration) -> str:
     return sphere(heading, caption, [known, rested], "mm/s²")
 
 
-def residuals(calibration: ImuCalibration) -> go.Figure:
+def rest_residuals(calibration: ImuCalibration) -> go.Figure:
     """Length of each rest less gravity, before and after."""
     acc = calibration.accelerometer
     assert acc is not None
@@ -176,3 +159,86 @@ def sphere(heading: str, caption: str, items: list[dict[str, Any]], unit_of_valu
     corners = 1.4 * np.vstack([np.eye(3), -np.eye(3)])
     view = view_of(corners, np.array([0.0, 0.0, 1.0]), np.array([1.2, -1.0, 0.8]))
     return space(heading, caption, items, view, axes="xyz", ball=0.97, unit_of_values=unit_of_values)
+
+
+#: Samples that are drawn.
+MOST_MAGNETIC = 4000
+
+
+def magnetometer_page(calibration: MagnetometerCalibration, source: str, imu: ImuStream) -> Page:
+    """The page of a magnetometer's calibration, from its raw stream and the recording's name."""
+    return Page(
+        f"Magnetometer of {imu.name}",
+        recorded_at(source, imu),
+        magnetometer_verdict(calibration),
+        _magnetometer_sections(imu, calibration),
+    )
+
+
+def _magnetometer_sections(imu: ImuStream, calibration: MagnetometerCalibration) -> Iterator[str]:
+    assert imu.mag is not None
+    good = np.isfinite(imu.mag).all(axis=1)
+    raw, t = imu.mag[good], imu.t_s[good]
+    step = max(len(raw) // MOST_MAGNETIC, 1)
+    raw, t = raw[::step], t[::step]
+    corrected = calibration.apply(raw)
+    yield listing("For the next recording", magnetometer_next(calibration))
+    yield sphere_coverage(
+        "The sphere, and what was covered of it",
+        "Corrected samples, coloured by how far they lie off the unit sphere: they should cover it evenly."
+        " Grey dots mark where no sample came near. Drag to turn.",
+        corrected,
+    )
+    yield recorded(
+        "As recorded",
+        "Samples as recorded, and the middle of the ellipsoid that they lie on (cross): its distance from"
+        " zero is hard iron, its flattening soft iron.",
+        raw,
+        calibration,
+    )
+    yield figure(
+        "How far the samples lie off the sphere",
+        "Length of the corrected field over time; 1 is undisturbed. Slow waves: the field is not the same"
+        " all over the place. A single bump: something of iron came near.",
+        field_residuals(t, np.linalg.norm(corrected, axis=1)),
+    )
+    rows = [(f"offset {axis}", f"{value:.4g}") for axis, value in zip("xyz", calibration.offset, strict=True)]
+    rows += [("radii", ", ".join(f"{value:.4g}" for value in calibration.radii))]
+    yield tabulated("The ellipsoid", "In the sensor's own unit.", ("number", "value"), rows)
+
+
+def sphere_coverage(heading: str, caption: str, corrected: FloatArray) -> str:
+    """Corrected samples in space, and where there are none."""
+    from scipy.spatial import cKDTree
+
+    length = np.linalg.norm(corrected, axis=1)
+    grid = sphere_points(1500)
+    apart, _ = cKDTree(corrected / length[:, None]).query(grid)
+    empty = grid[apart > 2.0 * np.sin(np.radians(12.0) / 2.0)]
+    off = 100.0 * (length - 1.0)
+    most = max(float(np.percentile(np.abs(off), 99)), 0.1)
+    items = [shaded_cloud(corrected, "samples", off, "blue-red", (-most, most), 0.025)]
+    if len(empty):
+        items.append(cloud(empty, "not covered", "#9a9a9a", 5))
+    return sphere(heading, caption, items, "% off")
+
+
+def recorded(heading: str, caption: str, raw: FloatArray, calibration: MagnetometerCalibration) -> str:
+    """Raw samples and the ellipsoid's middle."""
+    middle, zero = calibration.offset[None], np.zeros((1, 3))
+    items = [
+        cloud(raw, "as recorded", VISIBLE, 2.5),
+        cloud(middle, "middle", OCCLUDED, 14, symbol="cross", words=["middle of the ellipsoid"]),
+        cloud(zero, "zero", TRUTH, 9, words=["zero"]),
+    ]
+    up = np.array([0.0, 0.0, 1.0])
+    view = view_of(np.concatenate([raw, middle, zero]), up, np.array([1.2, -1.0, 0.8]))
+    size = view["radius"]
+    view |= {"axes_at": [0.0, 0.0, 0.0], "axes_length": 0.4 * size}
+    return space(heading, caption, items, view | {"grid": False}, axes="xyz")
+
+
+def field_residuals(t: FloatArray, length: FloatArray) -> go.Figure:
+    """Length of the corrected field over time."""
+    plot = go.Figure(dots(t.astype(np.float32), length.astype(np.float32), None, VISIBLE, 3))
+    return dress(plot, 300, xaxis={"title": "s"}, yaxis={"title": "length"})

@@ -23,9 +23,9 @@ from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
 from . import tables
 from .chart import NOT_TRUSTED, badge
+from .forearm import mount
 from .method_comparison import sections as of_comparison
 from .method_comparison import verdict
-from .mount import mount
 from .player import flat_views, player, points
 from .sheet import Html, bullets, figure, headed, listing, qualified, table, write_sheet
 from .style import MOST_POINTS, decimate

@@ -1,20 +1,22 @@
-"""The page of `calibrate panel`: verdict, images with what was detected, cloud and planes, residuals."""
+"""The pages of `calibrate panel` and `calibrate world`: images, planes, the base IMU, residuals by pose."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
+from calib.panel import panel_table
 from calib.panel.images import View, drawn_depth, drawn_spots
 from calib.panel.panel_calibration import PanelCalibration, SeenPanel
-from calib.panel.panel_table import accuracy, pose_cells, pose_rows, transform_values, verdict
+from calib.panel.panel_table import pose_cells, transform_values
+from calib.world import world_table
+from calib.world.world_calibration import WorldCalibration
 
 from ..array_types import FloatArray
-from .sheet import figure, label, listing, picture, tabulated, write_sheet
+from .sheet import Page, figure, label, listing, picture, tabulated
 from .space import cloud, face, polyline, space, view_of
 from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress
 
@@ -31,42 +33,22 @@ _GROUPS = (
 )
 
 
-def write_panel_report(
-    path: str | os.PathLike[str],
-    calibration: PanelCalibration,
-    views: Sequence[View],
-    *,
-    force: bool = False,
-) -> None:
-    """Write the page of a calibration from the marker panel.
-
-    Parameters
-    ----------
-    path : path-like
-        The page to write.
-    calibration : PanelCalibration
-        The calibration.
-    views : sequence of View
-        The images that it was made of, in the same order.
-    force : bool
-        Overwrite a page that exists.
-    """
-    judgement, poses = verdict(calibration), len(calibration.seen)
-    write_sheet(
-        path,
+def panel_page(calibration: PanelCalibration, views: Sequence[View]) -> Page:
+    """The page of a calibration from the marker panel; `views` are the images of its poses, in that order."""
+    poses = len(calibration.seen)
+    return Page(
         "Camera from motion capture, by the marker panel",
         f"{poses} pose{'s' if poses > 1 else ''} of the panel. Axes are the camera's: x right, y down, z"
         " away.",
-        [judgement.sentence],
-        _sections(calibration, views),
-        force=force,
+        [panel_table.verdict(calibration).sentence],
+        _panel_sections(calibration, views),
     )
 
 
-def _sections(calibration: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
-    judgement = verdict(calibration)
+def _panel_sections(calibration: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
+    judgement = panel_table.verdict(calibration)
     yield listing("What to record next", judgement.next)
-    yield _answer(calibration)
+    yield _panel_answer(calibration)
     yield listing("What else was found", judgement.findings)
     yield in_space(
         "The panel in space",
@@ -86,8 +68,8 @@ def _sections(calibration: PanelCalibration, views: Sequence[View]) -> Iterator[
     yield from _pictures(calibration, views)
 
 
-def _answer(calibration: PanelCalibration) -> str:
-    sigma, ours = accuracy(calibration), transform_values(calibration.solution.camera_from_mocap)
+def _panel_answer(calibration: PanelCalibration) -> str:
+    sigma, ours = panel_table.accuracy(calibration), transform_values(calibration.solution.camera_from_mocap)
     rows = [
         ("rotation qw, qx, qy, qz", _numbers(ours["rotation"], 6), _numbers(sigma.rotation_deg, 3) + " deg"),
         ("translation, m", _numbers(ours["translation"], 5), _numbers(1e3 * sigma.translation_m, 2) + " mm"),
@@ -113,7 +95,7 @@ def _poses(calibration: PanelCalibration) -> str:
     columns = ("pose", "markers", "distance, m", "tilt, deg", "pixels rms", "markers, mm", "plane, mm")
     rows = [
         (row["pose"], ", ".join(row["markers"]), *pose_cells(row), row["depth_pixels"])
-        for row in pose_rows(calibration)
+        for row in panel_table.pose_rows(calibration)
     ]
     return tabulated(
         "Poses",
@@ -212,3 +194,128 @@ def _corners(calibration: PanelCalibration, panel: SeenPanel) -> FloatArray:
 
 def _numbers(values: Sequence[float] | np.ndarray, digits: int) -> str:
     return ", ".join(f"{float(value):.{digits}f}" for value in values)
+
+
+def world_page(calibration: WorldCalibration, notes: Sequence[str] = ()) -> Page:
+    """The page of how the base IMU sits on the camera; `notes` are of the input."""
+    poses = len(calibration.poses)
+    return Page(
+        "Camera from base IMU, by the panel",
+        f"{poses} pose{'s' if poses > 1 else ''} of the panel. Axes of the camera: x right, y down, z away.",
+        [world_table.verdict(calibration).sentence],
+        _world_sections(calibration, notes),
+    )
+
+
+def _world_sections(calibration: WorldCalibration, notes: Sequence[str]) -> Iterator[str]:
+    judgement = world_table.verdict(calibration)
+    yield listing(
+        "What to record next", judgement.next, "Nothing is missing: record the next session likewise."
+    )
+    yield _world_answer(calibration)
+    yield listing("What else was found", judgement.findings)
+    yield on_the_camera(
+        "The base IMU on the camera",
+        "Solid: the camera's axes. Dashed: those of the IMU on it, turned as the answer says. The large dots"
+        " are down as each pose has it (the pose's name is under the pointer): far apart where the camera was"
+        " tilted between poses, which is what gives the heading. Drag to turn.",
+        calibration,
+    )
+    yield figure(
+        "What is left of each pose",
+        "Above: by how much the panel's rotation in the image misses the answer. Below: the largest misfit of"
+        " a pose in standard deviations; one that stands out was not still, or its images are of another"
+        " moment.",
+        misfits(calibration),
+    )
+    rows = [
+        (
+            row["pose"],
+            ", ".join(f"{value:.4f}" for value in row["down"]),
+            f"{row['rotation_deg']:.3f}",
+            f"{row['worst_sigma']:.1f}",
+            f"{row['rest_s']:.1f}",
+        )
+        for row in world_table.pose_rows(calibration)
+    ]
+    columns = (
+        "pose",
+        "down in the camera",
+        "left of its rotation, degrees",
+        "worst misfit, sigmas",
+        "rest, s",
+    )
+    yield tabulated("Poses", "Down is a unit vector in the camera's axes.", columns, rows)
+    yield listing("Notes", dict.fromkeys(notes), "There is nothing to note.")
+
+
+def _world_answer(calibration: WorldCalibration) -> str:
+    sigma, at = world_table.accuracy(calibration), calibration.solution.at
+    bias = np.sqrt(np.diag(calibration.solution.covariance)[3:6])
+    rows = [
+        ("camera from base IMU, qw, qx, qy, qz", _quaternion(calibration.R_K_B), _three(sigma.rotation_deg)),
+        ("panel from its IMU, qw, qx, qy, qz", _quaternion(calibration.R_P_I), _three(sigma.mounting_deg)),
+        ("tilt of the camera, degrees", "", f"{sigma.tilt_deg:.2f}"),
+        ("heading, degrees", "free" if sigma.heading_free else "", _heading(sigma.heading_deg)),
+        (
+            "bias of the base accelerometer, m/s²",
+            ", ".join(f"{value:.4f}" for value in at.rest[:3]),
+            ", ".join(f"{value:.4f}" for value in bias),
+        ),
+    ]
+    return tabulated(
+        "The answer",
+        "A vector of the IMU in the camera's axes: v_camera = R v_imu. Sigmas are one standard deviation,"
+        " rotations in degrees about the camera's axes (the panel's IMU: about its own).",
+        ("", "value", "sigma"),
+        rows,
+    )
+
+
+def on_the_camera(heading: str, caption: str, calibration: WorldCalibration) -> str:
+    """Axes of camera and base IMU, and down in every pose, to be turned."""
+    items = []
+    for axis, (name, colour) in enumerate(AXIS_COLOURS.items()):
+        for R, words, dash in ((np.eye(3), "camera", False), (calibration.R_K_B, "base IMU", True)):
+            ends = np.array([np.zeros(3), R[:, axis]])
+            items.append(polyline(ends, f"{words}'s {name}", colour, 3, dash=dash))
+    rows = world_table.pose_rows(calibration)
+    down = np.array([row["down"] for row in rows], float)
+    items += [polyline(np.array([np.zeros(3), 0.96 * each]), "down", TRUTH, 1) for each in down]
+    items.append(cloud(0.96 * down, "down", TRUTH, 9, words=[row["pose"] for row in rows]))
+    corners = 1.15 * np.vstack([np.eye(3), -np.eye(3)])
+    # seen from behind the camera, a little to the side and from above
+    view = view_of(corners, np.array([0.0, -1.0, 0.0]), np.array([-0.6, -0.6, -1.2]))
+    view |= {"axes_at": [0.0, 0.0, 0.0], "axes_length": 1.0, "grid": False}
+    return space(heading, caption, items, view, axes=("x (right)", "y (down)", "z (away)"))
+
+
+def misfits(calibration: WorldCalibration) -> go.Figure:
+    """Residual rotation and largest misfit, a bar a pose."""
+    from plotly.subplots import make_subplots
+
+    plot, rows = (
+        make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.08),
+        world_table.pose_rows(calibration),
+    )
+    names = [label(row["pose"]) for row in rows]
+    for number, (key, colour) in enumerate((("rotation_deg", VISIBLE), ("worst_sigma", OCCLUDED)), start=1):
+        bars = go.Bar(x=names, y=[row[key] for row in rows], marker_color=colour, showlegend=False)
+        plot.add_trace(bars, row=number, col=1)
+    plot.update_yaxes(title_text="rotation, degrees", rangemode="tozero", row=1, col=1)
+    plot.update_yaxes(title_text="misfit, sigmas", rangemode="tozero", row=2, col=1)
+    return dress(plot, 420, head=20)
+
+
+def _heading(sigma_deg: float) -> str:
+    return f"{sigma_deg:.1f}" if sigma_deg < 90 else "–"
+
+
+def _three(values: FloatArray) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)
+
+
+def _quaternion(R: FloatArray) -> str:
+    from scipy.spatial.transform import Rotation
+
+    return ", ".join(f"{value:.5f}" for value in np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1))

@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from html import escape
 from importlib import resources
 from string import Template
@@ -32,6 +33,26 @@ PLOTLY = "plotly-basic.min.js"
 
 class Html(str):
     """Text that is HTML already, and is not escaped."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a calibration shows of itself.
+
+    Attributes
+    ----------
+    title, subtitle : str
+        Heading, and the line under it.
+    verdict : sequence of str
+        Sentences that stand first.
+    sections : iterable of str
+        HTML, as `write_sheet` takes it.
+    """
+
+    title: str
+    subtitle: str
+    verdict: Sequence[str]
+    sections: Iterable[str]
 
 
 def write_sheet(

@@ -14,7 +14,7 @@ from smoother.calibration import ArmCalibration, LeverArm
 from smoother.measurements.visibility import Reason
 from smoother.recording import JOINTS
 from smoother.report import write_report
-from smoother.report.mount import directions, ellipse, mount
+from smoother.report.forearm import directions, ellipse, mount
 from smoother.report.summary import summary
 from smoother.report.truth_comparison import timeline
 from smoother.result import Estimates
