@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -323,6 +324,13 @@ def test_the_command_line_starts_light():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("package", ["smoother", "smoother.io", "unocclude"])
+def test_all_that_a_package_names_is_there(package: str):
+    module = importlib.import_module(package)
+    for name in module.__all__:  # a name whose module has moved fails here, with the module's name
+        getattr(module, name)
 
 
 def test_no_module_without_a_word_on_it():

@@ -33,7 +33,7 @@ _HOMES = {
     "ImuFiles": ".devices.files",
     "RecordingFile": ".recording.streams",
     "RecordingInfo": ".info",
-    "check_output": "..runtime.atomic",
+    "check_output": "..runtime.outputs",
     "describe": ".info",
     "export_csv": ".export.csv",
     "import_broad": ".plain.datasets",
@@ -43,7 +43,7 @@ _HOMES = {
     "open_csv": ".plain.folder",
     "open_recording": ".recording.read",
     "prepare_export": ".export.prepare",
-    "read_imu": ".recording.imu",
+    "read_imu": ".recording.read_arm",
     "read_recording": ".recording.read",
     "read_recovery": ".result.read",
     "read_recordings": ".recording.read",
@@ -51,7 +51,7 @@ _HOMES = {
     "select_recordings": ".recording.select",
     "write_recording": ".recording.write",
     "write_recovery": ".result.write",
-    "writing": "..runtime.atomic",
+    "writing": "..runtime.outputs",
 }
 __all__ = list(_HOMES)
 
