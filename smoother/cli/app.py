@@ -138,7 +138,7 @@ _COMMANDS = {
         "live --imu wrist --skeleton kinect --side right --record session.mcap --foxglove",
         "LiveCommand",
     ),
-    "config": _spec("config", "config > settings.toml"),
+    "config": _spec("demo", "config > settings.toml"),
     "doctor": _spec("demo", "doctor"),
 }
 _IMPORTS = {

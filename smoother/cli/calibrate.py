@@ -11,9 +11,8 @@ import typer
 
 from ..errors import CalibrationError
 from .arm_output import arms_figures, print_arm, print_camera, print_clocks, say_arm
-from .load import load_arm, load_arms
+from .load import AS_USUAL, Solving, load_arm, load_arms
 from .options import (
-    AS_USUAL,
     NO_FILES,
     ArmSelection,
     CalibrationOutput,
@@ -22,7 +21,6 @@ from .options import (
     Json,
     Outputs,
     RecordingPath,
-    Solving,
 )
 from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 

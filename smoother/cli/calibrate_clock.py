@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .calibrate import error_prefix, load_existing_calibration, say_answer, write_answer
-from .load import load_arm
+from .load import AS_USUAL, Solving, load_arm
 from .options import (
-    AS_USUAL,
     NO_FILES,
     Outputs,
-    Solving,
 )
 from .output import print_table, say
 

@@ -1,4 +1,4 @@
-"""The configuration as a TOML file: read, and printed with its units by `unocclude config`."""
+"""The configuration as a TOML file: read, and printed with its units."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from pydantic import BaseModel, ValidationError
 from ..config import Config
 from ..errors import UnoccludeError
 from ..runtime.inputs import check_input, read_toml
-from .options import ConfigFile, Force, Json
-from .output import check_outputs, say, write_json
 
 Settings = TypeVar("Settings", bound=BaseModel)
 
@@ -125,11 +123,3 @@ def with_anatomy(config: Config, name: str) -> Config:
     if name not in tuple(Anatomy):
         raise typer.BadParameter(f"--anatomy is one of {', '.join(Anatomy)}, not {name}")
     return config.model_copy(update={"arm": config.arm.model_copy(update={"anatomy": Anatomy(name)})})
-
-
-def config(config_file: ConfigFile = None, json_file: Json = None, force: Force = False) -> None:
-    """Print the configuration as TOML, the defaults or what a file makes of them."""
-    check_outputs(force, [json_file], [config_file])
-    settings = read_config(config_file)
-    say(to_toml(settings).rstrip("\n"))
-    write_json(json_file, settings.model_dump(mode="json"), force)

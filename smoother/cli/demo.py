@@ -1,4 +1,4 @@
-"""`unocclude demo` and `doctor`: the main job on a small recording, and whether all that it needs is here."""
+"""`unocclude demo`, `doctor` and `config`: the main job on a small recording, what it needs, its settings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .arm_output import say_untrusted_parts, say_verdict
-from .options import Force, Json, Processes
+from .options import ConfigFile, Force, Json, Processes
 from .output import (
     cell,
     centimetres,
@@ -235,3 +235,13 @@ def memory() -> str:
     except (AttributeError, ValueError, OSError):
         return "not known on this system"
     return f"{total / 2**30:.1f} GiB"
+
+
+def config(config_file: ConfigFile = None, json_file: Json = None, force: Force = False) -> None:
+    """Print the configuration as TOML, the defaults or what a file makes of them."""
+    from .config import read_config, to_toml
+
+    check_outputs(force, [json_file], [config_file])
+    settings = read_config(config_file)
+    say(to_toml(settings).rstrip("\n"))
+    write_json(json_file, settings.model_dump(mode="json"), force)

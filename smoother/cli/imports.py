@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import UnoccludeError
-from .load import load_arm
+from .load import AS_USUAL, Solving, load_arm
 from .options import (
-    AS_USUAL,
     NO_FILES,
     Calibration,
     Force,
@@ -19,10 +18,8 @@ from .options import (
     Outputs,
     RecordingPath,
     Seed,
-    Solving,
 )
 from .output import check_mcap, check_outputs, print_notes, print_table, say, say_written, write_json
-from .recordings import print_topics
 
 if TYPE_CHECKING:
     from ..io import RecordingFile
@@ -119,6 +116,8 @@ def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path 
     write_recording(recording, output, force=force)
     about = describe(output)
     write_json(json_file, about.to_dict(), force)
+    from .recordings import print_topics
+
     print_topics(about)
     print_notes(recording.notes)
 
@@ -196,6 +195,8 @@ def files(
     write_recording(file, output, force=force)
     about = describe(output)
     write_json(json_file, {**about.to_dict(), "files": [vars(report) for report in reports]}, force)
+    from .recordings import print_topics
+
     print_topics(about)
     print_notes([*file.notes, *passed_over])
 

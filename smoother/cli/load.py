@@ -11,11 +11,12 @@ import typer
 
 from ..errors import RecordingError, UnoccludeError
 from ..runtime.pool import check_allowance
-from .options import ANY_ARM, ArmSelection
+from .options import ANY_ARM, ArmSelection, ConfigFile, Processes
 from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
+    from ..config import Config
     from ..io.recording.selection import FileReading
     from ..measurements.clock import Clock
     from ..measurements.remedy import Remedy
@@ -25,6 +26,33 @@ if TYPE_CHECKING:
 
 #: How the reader of a file says that it was cut off or is damaged.
 DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
+
+
+@dataclass(frozen=True)
+class Solving:
+    """How a calibration solves a recording of an arm, as a group of its options.
+
+    Attributes
+    ----------
+    config_file : Path, optional
+        Settings.
+    arm : ArmSelection
+    processes : int, optional
+    """
+
+    config_file: ConfigFile = None
+    arm: ArmSelection = ANY_ARM
+    processes: Processes = None
+
+    def config(self) -> Config:
+        """The settings, read."""
+        from .config import read_config
+
+        return read_config(self.config_file, self.processes)
+
+
+#: The defaults, on all cores.
+AS_USUAL = Solving()
 
 
 def load_arm(

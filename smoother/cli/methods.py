@@ -11,7 +11,6 @@ import typer
 
 from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES, ORIENTATIONS
 from ..errors import UnoccludeError
-from ..result import Recovery
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from ..evaluation.live_methods import LivePlay
     from ..measurements.clock import Clock
     from ..recording import Recording
-    from ..result import Recoveries
+    from ..result import Recoveries, Recovery
     from ..runtime.store import Store
 
     Method = Callable[[Recording], Recovery]

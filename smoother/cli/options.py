@@ -15,7 +15,6 @@ from ..baselines.registry import DEFAULT_ORIENTATION, ORIENTATIONS
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
-    from ..config import Config
     from ..io.recording.selection import Selection
 
 
@@ -210,33 +209,6 @@ class ArmSelection:
 
 #: What the recording itself tells.
 ANY_ARM = ArmSelection()
-
-
-@dataclass(frozen=True)
-class Solving:
-    """How a calibration solves a recording of an arm, as a group of its options.
-
-    Attributes
-    ----------
-    config_file : Path, optional
-        Settings.
-    arm : ArmSelection
-    processes : int, optional
-    """
-
-    config_file: ConfigFile = None
-    arm: ArmSelection = ANY_ARM
-    processes: Processes = None
-
-    def config(self) -> Config:
-        """The settings, read."""
-        from .config import read_config
-
-        return read_config(self.config_file, self.processes)
-
-
-#: The defaults, on all cores.
-AS_USUAL = Solving()
 
 
 @dataclass(frozen=True)
