@@ -18,7 +18,7 @@ from smoother.io.mcap.container import Container
 from smoother.io.mcap.messages import plain_name
 from smoother.io.mcap.records import CHUNK, HEAD, MAGIC, find
 from smoother.io.mcap.top_level import LIMIT_NAME
-from tools.fault_bytes import places, put
+from tools.faults.file_faults import places, put
 
 COUNT = 300
 Rows = list[tuple[str, int, bytes]]

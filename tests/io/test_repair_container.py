@@ -17,7 +17,7 @@ from test_damaged_container import COUNT, read, written
 from smoother.cli.run import run
 from smoother.io import open_recording
 from smoother.io.mcap.repair_container import repair_container
-from tools.fault_bytes import places, put
+from tools.faults.file_faults import places, put
 
 
 def by_package(data: bytes) -> set[tuple[int, int, bytes]]:

@@ -24,8 +24,8 @@ from smoother.recovery.trust import sensor_at_elbow, swapped_joints
 from smoother.selfcal.mounting import closed_form
 from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm, simulate_both_arms
-from tools import setup_cases
-from tools.setup_errors import Job
+from tools.reliability import setup_cases
+from tools.reliability.setup_errors import Job
 
 #: Options that undo a case; of several either one may be meant.
 OFFERED = {

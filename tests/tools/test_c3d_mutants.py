@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from smoother.io.markers.c3d import read_c3d
-from tools.c3d_mutants import ENDS, mutants, outcome, sound_files
+from tools.faults.c3d import ENDS, mutants, outcome, sound_files
 
 pytest.importorskip("ezc3d")
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="mutants are read in forked processes")
@@ -33,7 +33,7 @@ def test_some_mutants(tmp_path: Path):
 
 
 def test_what_is_unexpected_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tools.c3d_mutants.read_c3d", lambda path: os.abort())
+    monkeypatch.setattr("tools.faults.c3d.read_c3d", lambda path: os.abort())
     assert outcome(tmp_path / "a.c3d", np.zeros(1)) == (ENDS[3], "ended by signal 6")
-    monkeypatch.setattr("tools.c3d_mutants.read_c3d", lambda path: 1 / 0)
+    monkeypatch.setattr("tools.faults.c3d.read_c3d", lambda path: 1 / 0)
     assert outcome(tmp_path / "a.c3d", np.zeros(1))[1].startswith("ZeroDivisionError")

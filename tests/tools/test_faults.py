@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from tools import fault_surroundings
-from tools.fault_cases import Workshop, all_cases
-from tools.fault_surroundings import can_mount
-from tools.faults import ENDS, run_all, table
+from tools.faults import surroundings
+from tools.faults.__main__ import ENDS, run_all, table
+from tools.faults.cases import Workshop, all_cases
+from tools.faults.surroundings import can_mount
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="cases run in forked processes")
@@ -60,7 +60,7 @@ def test_the_list_of_faults_is_whole(tmp_path: Path):
 
 
 def test_a_command_that_never_ends_is_killed_with_its_children(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(fault_surroundings, "LONGEST_S", 1)
+    monkeypatch.setattr(surroundings, "LONGEST_S", 1)
     began = time.monotonic()
     program = subprocess.Popen(
         ["sh", "-c", "sleep 600; true"],
@@ -69,7 +69,7 @@ def test_a_command_that_never_ends_is_killed_with_its_children(monkeypatch: pyte
         text=True,
         start_new_session=True,
     )
-    printed, said = fault_surroundings.ended_in_time(program)
+    printed, said = surroundings.ended_in_time(program)
     assert not printed and "did not end within 1 s" in said and program.returncode == -9
     assert time.monotonic() - began < 60
-    assert fault_surroundings.end_of(fault_surroundings.Ended(-9, "", said, []), "")[0] == "UNEXPECTED"
+    assert surroundings.end_of(surroundings.Ended(-9, "", said, []), "")[0] == "UNEXPECTED"

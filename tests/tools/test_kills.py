@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tools.kills import COMMAND, QUICK, Case, broken, hidden, table, try_case
+from tools.faults.kills import COMMAND, QUICK, Case, broken, hidden, table, try_case
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="reads /proc")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from smoother import __version__
-from tools.fault_cases import Case
+from tools.faults.cases import Case
 from tools.reference import __main__ as program
 from tools.reference import inputs, running
 from tools.reference.cases import GROUPS

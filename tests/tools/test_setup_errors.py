@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from smoother.errors import SolveError
 from smoother.recording import JointState
 from smoother.result import Recovery
-from tools import setup_cases, setup_errors
-from tools.setup_cases import CASES, Setup, sound
-from tools.setup_errors import Job, Outcome, draw, run, summarise
+from tools.reliability import setup_cases, setup_errors
+from tools.reliability.setup_cases import CASES, Setup, sound
+from tools.reliability.setup_errors import Job, Outcome, draw, run, summarise
 
 #: What each case may change; `truth` where the answer's coordinates change.
 CHANGES = {

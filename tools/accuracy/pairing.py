@@ -32,7 +32,7 @@ from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import decided
 from smoother.simulation import ArmSimulation, simulate_arm
 from tools.accuracy.check import PRESETS, Check, datasets, parts_option, seeds_option
-from tools.setup_cases import Setup, joints_of_the_other_arm, mirrored_skeleton
+from tools.reliability.setup_cases import Setup, joints_of_the_other_arm, mirrored_skeleton
 
 #: A clock counts as found where it is this near, s.
 FOUND_S = 0.2

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tools.fault_cases import Case, Workshop, all_cases, plain_folder
-from tools.faults import key_of
+from tools.faults.__main__ import key_of
+from tools.faults.cases import Case, Workshop, all_cases, plain_folder
 from tools.reference.masks import PROJECT
 from tools.reference.running import Step
 

@@ -119,7 +119,7 @@ def ended_in_time(program: subprocess.Popen[str]) -> tuple[str, str]:
 
 
 def end_of(ended: Ended, wrong: str, allowed: Sequence[str] = ()) -> End:
-    """What a case ended in, and its sentence: as in `tools/faults.py`.
+    """What a case ended in, and its sentence: as in `tools.faults`.
 
     `wrong`: what the answer lacks, empty where it is right; `allowed`: codes beside 0 and 1.
     """
@@ -223,7 +223,7 @@ def two_at_once(what: str, words: Sequence[str], shop: Path, folder: Path, motio
 
 def killed_worker(after_s: float, words: Sequence[str], shop: Path, folder: Path, motion: Motion) -> End:
     """One of the worker processes is killed."""
-    from tools.kills import Case, try_case
+    from tools.faults.kills import Case, try_case
 
     out = folder / "out"
     out.mkdir()

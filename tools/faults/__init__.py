@@ -1,4 +1,4 @@
-"""A table that a tool puts into a page of the documentation."""
+"""What damaged and hostile files, full disks and killed commands end in, and the table of it in a page."""
 
 from __future__ import annotations
 

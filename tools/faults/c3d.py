@@ -1,4 +1,4 @@
-"""Damaged C3D files read as the commands read them: `python tools/c3d_mutants.py --count 1200`.
+"""Damaged C3D files read as the commands read them: `python -m tools.faults.c3d --count 1200`.
 
 Each mutant is drawn from a seed out of a few sound files: simulated motion capture, files with residuals and
 many parameters, and those named on the command line. It is read in a child with a guard for time and memory,
@@ -20,14 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from smoother.errors import RecordingError
 from smoother.io.devices.marker_skeletons import read_segment_origins
 from smoother.io.export.markers import C3dContent, write_c3d
 from smoother.io.markers.c3d import read_c3d
-from tools import fault_bytes
-from tools.page_table import write_table
+from tools.faults import file_faults, write_table
 
 #: Guard of a mutant: s of the processor and in all, bytes.
 MOST_CPU_S, MOST_S, MOST_MEMORY = 30, 240, 3 << 30
@@ -58,7 +55,7 @@ def sound_files(folder: Path, more: list[Path]) -> list[bytes]:
 def mutants(files: list[bytes], count: int, seed: int) -> list[tuple[str, int, bytes]]:
     """Fault, number of the sound file and bytes of so many mutants; some have several faults."""
     rng = np.random.default_rng(seed)
-    changes = {**fault_bytes.C3D, "parameters filled": _filled}
+    changes = {**file_faults.C3D, "parameters filled": _filled}
     drawn = []
     for number in range(count):
         fault = list(changes)[number % len(changes)]
@@ -75,7 +72,7 @@ def _filled(data: bytes, rng: np.random.Generator) -> bytes:
     for _ in range(int(rng.integers(1, 6))):
         at = int(rng.integers(512, min(len(data), 4096) - 2))
         value = bytes([int(rng.choice([0, 1, 127, 128, 255]))])
-        data = fault_bytes.put(data, at, value * int(rng.integers(1, 3)))
+        data = file_faults.put(data, at, value * int(rng.integers(1, 3)))
     return data
 
 
@@ -140,8 +137,8 @@ def main() -> int:
     text = "\n".join(rows)
     print(f"{text}\nthe slowest took {slowest:.1f} s")
     if options.write:
-        said = f"`python tools/c3d_mutants.py --count {options.count} --seed {options.seed}` gave"
-        write_table(options.write, f"{said}\n\n{text}", "tools/c3d_mutants.py")
+        said = f"`python -m tools.faults.c3d --count {options.count} --seed {options.seed}` gave"
+        write_table(options.write, f"{said}\n\n{text}", "tools.faults.c3d")
     return int(any(ends[ENDS[3]] for ends in counts.values()))
 
 

@@ -1,4 +1,4 @@
-"""The faults of `tools/faults.py`: sound files, and what is done to them."""
+"""The faults of `tools.faults`: sound files, and what is done to them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))  # examples of devices' files
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))  # examples of devices' files
 
 from smoother.cli.run import run
 from smoother.io.recording.write import as_file, write_recording
 from smoother.recording import JOINTS, JointState, Recording
-from tools import fault_bytes, fault_values
-from tools import fault_surroundings as around
-from tools.fault_surroundings import Motion
+from tools.faults import file_faults, value_faults
+from tools.faults import surroundings as around
+from tools.faults.surroundings import Motion
 
 Rng = np.random.Generator
 Change = Callable[[bytes, Rng], bytes]
@@ -96,10 +96,10 @@ class Workshop:
         first.mkdir()
         words = f"simulate arm -o {first}/rec.mcap --calibration-out {first}/cal.toml --seed 3 --mocap"
         _quiet([*words.split(), "--protocol", "random", "--duration-s", str(DURATION_S)])
-        for name, way in fault_bytes.WAYS.items():
+        for name, way in file_faults.WAYS.items():
             (folder / name).mkdir()
             shutil.copy(first / "cal.toml", folder / name)
-            (folder / name / "rec.mcap").write_bytes(fault_bytes.wrapped(first / "rec.mcap", way))
+            (folder / name / "rec.mcap").write_bytes(file_faults.wrapped(first / "rec.mcap", way))
         (folder / "result").mkdir()
         for path in first.iterdir():
             shutil.copy(path, folder / "result")
@@ -170,8 +170,8 @@ def _bytes(path: str, change: Change, rng: Rng) -> Callable[[Path], None]:
 def _containers(shop: Workshop) -> Iterator[Case]:
     """Containers of every way to write them; every fifth is recovered, the others are listed."""
     number = 0
-    for way in fault_bytes.WAYS:
-        for fault, change in fault_bytes.CONTAINER.items():
+    for way in file_faults.WAYS:
+        for fault, change in file_faults.CONTAINER.items():
             for variant in range(6):
                 number += 1
                 smooth = number % 5 == 0
@@ -188,7 +188,7 @@ def _containers(shop: Workshop) -> Iterator[Case]:
 
 def _values(shop: Workshop) -> Iterator[Case]:
     """Sound containers with values, stamps, rates and names that are not."""
-    for fault, (change, variants) in fault_values.RECORDING.items():
+    for fault, (change, variants) in value_faults.RECORDING.items():
         for variant in range(variants):
             yield Case(
                 "recording",
@@ -198,9 +198,9 @@ def _values(shop: Workshop) -> Iterator[Case]:
                 "smooth",
                 SMOOTH,
                 partial(_rewrite, change, shop.rng(fault, variant)),
-                cpu_s=fault_values.LONG.get(fault, 0),
+                cpu_s=value_faults.LONG.get(fault, 0),
             )
-    for fault, by_message in fault_values.MESSAGES.items():
+    for fault, by_message in value_faults.MESSAGES.items():
         for variant in range(8):
             yield Case(
                 "messages",
@@ -210,7 +210,7 @@ def _values(shop: Workshop) -> Iterator[Case]:
                 "smooth",
                 SMOOTH,
                 _bytes(
-                    "rec.mcap", partial(fault_bytes.rewritten, change=by_message), shop.rng(fault, variant)
+                    "rec.mcap", partial(file_faults.rewritten, change=by_message), shop.rng(fault, variant)
                 ),
             )
 
@@ -231,7 +231,7 @@ def _texts(shop: Workshop) -> Iterator[Case]:
         (folder / name).write_text(text)
     command = tuple(["import", "csv", "IN/", "-o", "OUT/new.mcap"])
     for file in ("imu.csv", "skeleton.csv", "recording.toml"):
-        for fault, change in fault_bytes.TEXT.items():
+        for fault, change in file_faults.TEXT.items():
             for variant in range(4):
                 damage = _bytes(file, change, shop.rng(file, fault, variant))
                 yield Case(f"CSV, {file}", fault, f"{fault} {variant}", "csv import", "info", command, damage)
@@ -259,7 +259,7 @@ def plain_folder(path: Path) -> dict[str, str]:
 
 def _markers(shop: Workshop) -> Iterator[Case]:
     """Motion capture as truth."""
-    for ending, faults in (("trc", fault_bytes.TEXT), ("c3d", fault_bytes.C3D)):
+    for ending, faults in (("trc", file_faults.TEXT), ("c3d", file_faults.C3D)):
         words = f"validate IN/out.mcap --truth IN/rec.{ending} --markers IN/rec_markers.toml"
         command = (*words.split(), "--calibration", "IN/cal.toml")
         for fault, change in faults.items():
@@ -309,7 +309,7 @@ def _devices(shop: Workshop) -> Iterator[Case]:
                 continue  # a pair that does not overlap
             (folder / "new.mcap").unlink()
             is_text = b"\0" not in (folder / kind).read_bytes()[:4000]
-            faults = fault_bytes.TEXT if is_text else fault_bytes.BINARY
+            faults = file_faults.TEXT if is_text else file_faults.BINARY
             for fault, change in faults.items():
                 for variant in range(2):
                     damage = _bytes(kind, change, shop.rng(key, fault, variant))
@@ -319,7 +319,7 @@ def _devices(shop: Workshop) -> Iterator[Case]:
 
 
 def _calibrations(shop: Workshop) -> Iterator[Case]:
-    for fault, change in fault_values.CALIBRATION.items():
+    for fault, change in value_faults.CALIBRATION.items():
         for variant in range(4):
             damage = _bytes("cal.toml", change, shop.rng("calibration", fault, variant))
             yield Case("calibration", fault, f"{fault} {variant}", "ours smooth", "smooth", SMOOTH, damage)
@@ -327,16 +327,16 @@ def _calibrations(shop: Workshop) -> Iterator[Case]:
 
 def _results(shop: Workshop) -> Iterator[Case]:
     words = "validate IN/out.mcap --truth IN/rec.mcap"
-    for fault, change in fault_bytes.CONTAINER.items():
+    for fault, change in file_faults.CONTAINER.items():
         for variant in range(4):
             damage = _bytes("out.mcap", change, shop.rng("result", fault, variant))
             name = f"{fault} {variant}"
             yield Case(
                 "result", fault, name, "result validate", "figures", tuple(words.split()), damage, ("all",)
             )
-    for fault, change in fault_values.METADATA.items():
+    for fault, change in value_faults.METADATA.items():
         for variant in range(6):
-            by_record = partial(fault_bytes.other_metadata, change=change)
+            by_record = partial(file_faults.other_metadata, change=change)
             damage = _bytes("out.mcap", by_record, shop.rng("metadata", fault, variant))
             name = f"{fault} {variant}"
             yield Case(

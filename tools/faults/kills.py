@@ -1,4 +1,4 @@
-"""Kill a command at seeded moments, and look at what it leaves: `python -m tools.kills`.
+"""Kill a command at seeded moments, and look at what it leaves: `python -m tools.faults.kills`.
 
 Every case runs the command on a simulated recording of some minutes, sends a signal to it (or kills one of
 its workers) at a random moment, and checks: no process of it is alive after 2 s, the recording is as it was,
@@ -26,9 +26,7 @@ from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from tools.page_table import write_table
+from tools.faults import write_table
 
 #: Runs the command as the installed script does.
 COMMAND = (sys.executable, "-c", "from smoother.cli import main; main()")
@@ -269,7 +267,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="only put what the logs hold into this page")
     options = parser.parse_args()
     if options.write:
-        write_table(options.write, table(options.log), "tools/kills.py")
+        write_table(options.write, table(options.log), "tools.faults.kills")
         return
     command = QUICK if options.quick else COMMAND
     minutes = 1 / 6 if options.quick else options.minutes

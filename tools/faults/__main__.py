@@ -1,4 +1,4 @@
-"""What the commands make of damaged and hostile files: `python tools/faults.py --write docs/reliability.md`.
+"""What the commands make of damaged and hostile files: `python -m tools.faults --write docs/reliability.md`.
 
 Each case is a file with one fault, drawn from a seed, on which the real command runs in a process of its
 own with a guard for time and memory. What it ends in is one of these: right (the answer of the sound file),
@@ -25,13 +25,11 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # the cases lie beside this file
-
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.io import read_recovery
-from tools.fault_cases import Case, Workshop, all_cases
-from tools.page_table import write_table
+from tools.faults import write_table
+from tools.faults.cases import Case, Workshop, all_cases
 
 ENDS = ("right", "note", "sentence", "SILENT", "UNEXPECTED")
 #: A case may take so long, s of the processor and (on a busy machine) in all, and so much memory more, bytes.
@@ -274,8 +272,8 @@ def main() -> int:
         worst = [o for o in outcomes if o.end in ENDS[3:]]
         listed = "".join(f"- {o.end}: {o.case.family}, {o.case.name}: {o.text}\n" for o in worst[:40])
         where = f"\n\nNot as it should be:\n\n{listed}" if worst else ""
-        made = f"`python tools/faults.py --seed {options.seed} --every {options.every}` gave\n\n{text}{where}"
-        write_table(options.write, made, "tools/faults.py")
+        made = f"`python -m tools.faults --seed {options.seed} --every {options.every}` gave\n\n{text}{where}"
+        write_table(options.write, made, "tools.faults")
     return int(any(outcome.end in ENDS[3:] for outcome in outcomes))
 
 

@@ -1,4 +1,4 @@
-"""What the smoother answers on wrong set-ups: `python tools/setup_errors.py --count 200 --sound 40`.
+"""Answers on wrong set-ups: `python -m tools.reliability.setup_errors --count 200 --sound 40`.
 
 Each case is a mistake that people make with sensors, axes, clocks, units or names, put into a simulated
 recording; which case, recording, preset and length is drawn from the seed. `smooth` runs on it without a word
@@ -9,23 +9,19 @@ that it ends with, and whether the result is called trusted. `--sound` adds reco
 from __future__ import annotations
 
 import argparse
-import sys
 import textwrap
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # the cases lie beside this file
 
 from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.validate import sample_errors
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
-from tools.setup_cases import CASES, Setup, sound
+from tools.reliability.setup_cases import CASES, Setup, sound
 
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 PRESETS = ("white", "realistic", "azure")
