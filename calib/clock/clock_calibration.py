@@ -106,12 +106,12 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
     network, beeps = calibration.network, calibration.beeps
     links = network.links()
     apart = disagreements(network)
-    left_open = [*apart, *open_questions(network, calibration.receptions, beeps, calibration.motion)]
+    left_open = [*apart, *open_questions(calibration)]
     sentence, *findings = [text for text in verdict(network) if text not in apart]
     grade = "good" if all(link.sigma_s <= WEAK_S for link in links) else "usable"
     if apart or len(set(network.group.tolist())) > 1:
         grade = "not good enough"
-    advice = next_time(network, calibration.receptions, beeps, calibration.motion)
+    advice = next_time(calibration)
     rows = [
         {
             "from": link.from_clock,
@@ -202,13 +202,10 @@ def disagreements(network: ClockNetwork) -> list[str]:
     ]
 
 
-def open_questions(
-    network: ClockNetwork,
-    receptions: Sequence[Receptions],
-    beeps: Sequence[Beep] = (),
-    motion: MotionClock | None = None,
-) -> list[str]:
+def open_questions(calibration: ClockCalibration) -> list[str]:
     """What the data left open, one sentence each."""
+    network, receptions = calibration.network, calibration.receptions
+    beeps, motion = calibration.beeps, calibration.motion
     sentences = []
     for each in receptions:
         lost = sorted(set(each.node) - set(network.nodes))
@@ -259,15 +256,11 @@ def open_questions(
     return sentences
 
 
-def next_time(
-    network: ClockNetwork,
-    receptions: Sequence[Receptions],
-    beeps: Sequence[Beep] = (),
-    motion: MotionClock | None = None,
-) -> list[str]:
+def next_time(calibration: ClockCalibration) -> list[str]:
     """What to record next, one sentence each."""
+    receptions, beeps, motion = calibration.receptions, calibration.beeps, calibration.motion
     sentences = []
-    links = network.links()
+    links = calibration.network.links()
     if receptions and not beeps and any(0 < _common(receptions, link) < 2 * FEW_ROUNDS for link in links):
         sentences.append("broadcast twenty rounds; every pair of nodes needs several that both heard")
     if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in links):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import plotly.graph_objects as go
 
 from calib.clock.beeps import Beep
 from calib.clock.clock_calibration import ClockCalibration, next_time, open_questions, verdict
-from calib.clock.links import ClockNetwork, Leftover, Receptions
+from calib.clock.links import Leftover
 from calib.clock.motion_clock import MotionClock
 
 from .sheet import Page, figure, label, listing, tabulated
@@ -18,19 +18,17 @@ from .style import OCCLUDED, TRUTH, VISIBLE, curve, dots, dress
 
 def clock_page(calibration: ClockCalibration) -> Page:
     """The page of a solved clock network."""
-    network, receptions = calibration.network, calibration.receptions
     return Page(
         f"Clocks: {calibration.session}",
         "Offsets are of this session alone.",
-        verdict(network),
-        _sections(network, receptions, calibration.beeps, calibration.motion),
+        verdict(calibration.network),
+        _sections(calibration),
     )
 
 
-def _sections(
-    network: ClockNetwork, receptions: Sequence[Receptions], beeps: Sequence[Beep], motion: MotionClock | None
-) -> Iterator[str]:
-    yield listing("For the next recording", next_time(network, receptions, beeps, motion))
+def _sections(calibration: ClockCalibration) -> Iterator[str]:
+    network = calibration.network
+    yield listing("For the next recording", next_time(calibration))
     rows = [
         (
             link.from_clock,
@@ -57,23 +55,21 @@ def _sections(
                 " Crosses were rejected.",
                 residuals(leftover),
             )
-    for beep in beeps:
+    for beep in calibration.beeps:
         yield figure(
             f"The beep that ends at {beep.end_s:.4f} s",
             f"Level of the tone of {beep.frequency_hz:.0f} Hz about its end, what was fitted to it, and the"
             f" end that was found (to {1e3 * beep.sigma_s:.2f} ms).",
             beep_end(beep),
         )
-    if motion is not None:
+    if calibration.motion is not None:
         yield figure(
             "The clock in the motion",
             "Clock offset of each part of the recording with its sigma, and the line through them."
             " Crosses do not fit.",
-            motion_line(motion),
+            motion_line(calibration.motion),
         )
-    yield listing(
-        "What stayed open", open_questions(network, receptions, beeps, motion), "Nothing stayed open."
-    )
+    yield listing("What stayed open", open_questions(calibration), "Nothing stayed open.")
 
 
 def residuals(leftover: Leftover) -> go.Figure:
