@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError, UnoccludeError
-from ..io.markers.trajectories import METRES, without_origin
+from ..io.markers.trajectories import without_origin
 from ..io.recording.selection import named_side
 from ..io.tables.columns import find_sensors, joint_label
 from ..io.tables.joint_columns import find_joint_columns, words_of
 from ..io.tables.skeleton_formats import kinect_states, share_states
-from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
+from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
 from ..recording import JOINTS, CameraFrame, JointState
 from ..runtime.printable import printable
 from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo

@@ -18,7 +18,7 @@ from ..tables.joint_columns import JointColumns, find_joint_columns
 from ..tables.protocol import ImuTable
 from ..tables.raw_skeleton import unit_by_arm
 from ..tables.text_table import Sheet
-from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
+from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, TIME, plain_unit, unit_of_step
 
 
 @dataclass
@@ -91,7 +91,7 @@ _REST = 0.25
 RATES_HZ = (4.0, 4000.0)
 
 
-def time_unit(sheet: Sheet, column: int) -> tuple[str, str]:
+def described_time_unit(sheet: Sheet, column: int) -> tuple[str, str]:
     """Unit of a column of times, and why; "" where it is none."""
     try:
         values, dates = sheet.times(column)
@@ -105,13 +105,11 @@ def time_unit(sheet: Sheet, column: int) -> tuple[str, str]:
         return "", ""
     stated = plain_unit(sheet.unit(column))
     if stated in TIME:
-        unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[TIME[stated]]
+        unit = next(unit for unit, seconds in SECONDS.items() if seconds == TIME[stated])
         return unit, f"stated ({sheet.unit(column)})"
     typical = float(np.median(step))
-    for unit, seconds in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        if RATES_HZ[0] <= 1 / (typical * seconds) <= RATES_HZ[1] and not (unit == "s" and typical == 1):
-            return unit, f"steps of {typical:g} make {1 / (typical * seconds):.1f} samples a second"
-    return "", ""
+    unit = unit_of_step(typical, RATES_HZ, tuple(SECONDS)) or ""
+    return unit, unit and f"steps of {typical:g} make {1 / (typical * SECONDS[unit]):.1f} samples a second"
 
 
 def accelerometer_unit(sheet: Sheet, guess: Guess, acc: tuple[int, int, int] | None) -> None:
@@ -322,12 +320,12 @@ def _time(sheet: Sheet, guess: Guess, used: set[int]) -> FloatArray | None:
     timed = [column for column in free if re.search(_TIME, names[column].replace("_", " "))]
     counted = [column for column in free if re.search(_COUNTER, names[column].replace("_", " "))]
     for column in [*timed, *(free if not sheet.layout.names else [])]:
-        scale, why = time_unit(sheet, column)
+        scale, why = described_time_unit(sheet, column)
         if scale:
             guess.columns["t"] = named(sheet, column)
             guess.keys["time_unit"], guess.reasons["time_unit"] = scale, why
             values, dates = sheet.times(column)
-            factor = 1.0 if dates else {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[scale]
+            factor = 1.0 if dates else SECONDS[scale]
             return values * factor
     rate = _stated_rate(sheet)
     for column in counted:
@@ -373,7 +371,7 @@ def guess_skeleton(sheet: Sheet, joints: JointColumns) -> Guess:
     unit = unit_by_arm({joint: sheet.vectors(columns) for joint, columns in axes.items()})
     guess.keys["position_unit"] = unit[0] if unit else "m"
     guess.reasons["position_unit"] = "arms have an arm's length so" if unit else "NOT KNOWN: no unit fits"
-    scale, why = ("", "") if time is None else time_unit(sheet, time)
+    scale, why = ("", "") if time is None else described_time_unit(sheet, time)
     if time is not None and scale:
         guess.columns["t"] = named(sheet, time)
         guess.keys["time_unit"], guess.reasons["time_unit"] = scale, why

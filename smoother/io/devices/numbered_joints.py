@@ -13,7 +13,7 @@ from ...errors import RecordingError
 from ...recording import CameraFrame
 from ..tables.joint_columns import AZURE, BLAZEPOSE, KINECT_V2, POINT_SETS, joint_name
 from ..tables.protocol import FileHead, SkeletonTable
-from ..tables.raw_skeleton import Conventions, RawSkeleton, time_unit, unit_by_arm
+from ..tables.raw_skeleton import Conventions, RawSkeleton, camera_time_scale, unit_by_arm
 from ..tables.skeleton_formats import (
     azure_states,
     inferred_throughout,
@@ -171,7 +171,7 @@ def _leading(raw: RawSkeleton, columns: FloatArray) -> None:
         if raw.time is None and len(step) and (step >= 0).all() and (step > 0).any():
             if np.isin(step, (0, 1)).all() and (column % 1 == 0).all():
                 raw.frame = column
-            elif time_unit(column, None) is not None:
+            elif camera_time_scale(column, None) is not None:
                 raw.time = column
         elif raw.body is None and (column % 1 == 0).all():
             raw.body = column

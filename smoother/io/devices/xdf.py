@@ -13,7 +13,6 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import CameraFrame
-from ..markers.trajectories import METRES
 from ..tables.columns import find_sensors, imu_of, joint_label, stem_of
 from ..tables.file_head import shown
 from ..tables.imu_checks import paired
@@ -21,6 +20,7 @@ from ..tables.joint_columns import find_joint_columns, words_of
 from ..tables.protocol import FileHead, ImuTable, SkeletonTable
 from ..tables.raw_skeleton import Conventions, RawSkeleton
 from ..tables.skeleton_formats import kinect_states, states_of
+from ..tables.units import METRES
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ..tables.file_head import shown
-
-#: Metres in a unit, by the names that files use.
-METRES = {
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-    **dict.fromkeys(("dm", "decimeters", "decimetres"), 0.1),
-    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetres"), 0.01),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetres"), 0.001),
-    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
-}
+from ..tables.units import METRES
 
 
 @dataclass(frozen=True)

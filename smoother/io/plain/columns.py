@@ -14,7 +14,6 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
 from ...runtime.inputs import check_input
-from ...units import STANDARD_GRAVITY
 from ..recording.decode import joint_code
 from ..tables.file_head import decode, shown
 from ..tables.joint_columns import joint_name
@@ -22,12 +21,9 @@ from ..tables.protocol import ImuTable, SkeletonTable
 from ..tables.raw_skeleton import BodyRows
 from ..tables.table_layout import SEPARATORS, TableLayout, is_data, layout_of, split_line
 from ..tables.text_table import Sheet, read_sheet, sheet_of_text
+from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, SECONDS
 
 Column = str | int
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-ACCELERATION = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
-ANGULAR_VELOCITY = {"rad/s": 1.0, "deg/s": np.pi / 180, "mdps": np.pi / 180_000}
 _LAYOUT_KEYS = {"separator", "skip_rows", "columns", "time_unit", "rate_hz"}
 
 

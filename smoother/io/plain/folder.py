@@ -25,10 +25,8 @@ from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInf
 from ..tables.file_head import shown
 from ..tables.imu_checks import paired
 from ..tables.protocol import SkeletonTable
+from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES
 from .columns import (
-    ACCELERATION,
-    ANGULAR_VELOCITY,
-    METRES,
     CameraKeys,
     ImuKeys,
     read_imu_columns,

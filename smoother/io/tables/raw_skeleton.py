@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
-from ..markers.trajectories import METRES, without_origin
+from ..markers.trajectories import without_origin
 from .file_head import shown
 from .joint_columns import JointName
 from .protocol import SkeletonTable
+from .units import CAMERA_SECONDS, METRES, unit_of_step
 
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.
 ARM_M = (0.09, 0.6)
@@ -124,8 +125,7 @@ def _middle(points: list[FloatArray]) -> FloatArray:
 _LARGEST_BODY = 2**31 - 1
 #: Frame rates of cameras, Hz: a time in another unit makes none of them.
 _RATES_HZ = (4.0, 260.0)
-_SCALES = (1.0, 1e-3, 1e-6, 1e-9, 1e-7)  # s, ms, us, ns, ticks of 100 ns
-SCALE_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns", 1e-7: "ticks of 100 ns"}
+_UNIT_OF = {seconds: unit for unit, seconds in CAMERA_SECONDS.items()}
 
 
 @dataclass
@@ -221,7 +221,7 @@ def frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray,
     return np.cumsum(is_new) - 1, time[is_new]
 
 
-def time_unit(time: FloatArray, stated: float | None) -> float | None:
+def camera_time_scale(time: FloatArray, stated: float | None) -> float | None:
     """Seconds in a unit of frame times.
 
     Parameters
@@ -240,11 +240,9 @@ def time_unit(time: FloatArray, stated: float | None) -> float | None:
     step = step[step > 0]
     if not len(step):
         return stated
-    typical = float(np.median(step))
-    for scale in (*(() if stated is None else (stated,)), *_SCALES):
-        if _RATES_HZ[0] <= 1.0 / (typical * scale) <= _RATES_HZ[1]:
-            return scale
-    return stated
+    units = (_UNIT_OF.get(stated, ""), *CAMERA_SECONDS) if stated else tuple(CAMERA_SECONDS)
+    unit = unit_of_step(float(np.median(step)), _RATES_HZ, units)
+    return stated if unit is None else CAMERA_SECONDS[unit]
 
 
 def without_position(state: NDArray[np.int8], position: FloatArray) -> NDArray[np.int8]:
@@ -439,7 +437,7 @@ class RawSkeleton:
         """What tells frames apart, seconds in a unit of it (None: no times), the rate without times."""
         if self.time is not None and np.isfinite(self.time).any():
             self.time = np.where(np.isfinite(self.time), self.time, np.nan)
-            scale = time_unit(self.time, self.time_scale)
+            scale = camera_time_scale(self.time, self.time_scale)
             if scale is None:
                 raise RecordingError(
                     f"{self.path}: its times make no camera's rate in s, ms, us or ns; export the times of"
@@ -447,7 +445,7 @@ class RawSkeleton:
                 )
             if scale != self.time_scale:
                 self.notes.append(
-                    f"Times count as {SCALE_NAMES.get(scale, scale)}: so they make a camera's rate."
+                    f"Times count as {_UNIT_OF.get(scale, scale)}: so they make a camera's rate."
                 )
             return self.time, scale, None
         rate = self.rate_hz or conventions.rate_hz

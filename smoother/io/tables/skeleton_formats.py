@@ -18,6 +18,7 @@ from .protocol import FileHead, SkeletonTable
 from .raw_skeleton import Conventions, RawSkeleton, unit_by_arm
 from .table_layout import layout_of
 from .text_table import Sheet, read_sheet
+from .units import SECONDS
 
 #: States (N,) from the cells of a confidence column, numbers or words made numbers.
 StateReader = Callable[[FloatArray], NDArray[np.int8]]
@@ -72,7 +73,7 @@ def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[Ra
         if dates:
             raw.time_scale = 1.0
         elif raw.time_scale is None:
-            raw.time_scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(sheet.unit(columns.time))
+            raw.time_scale = SECONDS.get(sheet.unit(columns.time))
         if _counts_frames(raw.time) and raw.time_scale is None:
             raw.frame, raw.time = raw.time, None
     elif columns.frame is not None:

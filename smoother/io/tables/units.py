@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,18 @@ TIME = {
     **dict.fromkeys(("ms", "milliseconds", "msec", "msecs", "millis"), 1e-3),
     **dict.fromkeys(("us", "usec", "microseconds", "micros"), 1e-6),
     **dict.fromkeys(("ns", "nsec", "nanoseconds", "nanos"), 1e-9),
+}
+#: s in one unit, units in the order in which they are tried.
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+#: s in one unit of cameras' clocks, by the unit in sentences.
+CAMERA_SECONDS = {**SECONDS, "ticks of 100 ns": 1e-7}
+#: Metres in a unit, by the names that files use.
+METRES = {
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
+    **dict.fromkeys(("dm", "decimeters", "decimetres"), 0.1),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetres"), 0.01),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetres"), 0.001),
+    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
 }
 _OTHERS = (
     *("ut", "t", "nt", "mt", "gauss", "ga", "mgauss", "au", "a.u.", "arbitrary", "local_flux", "flux"),
@@ -115,9 +128,15 @@ def time_unit(stated: str, times: FloatArray) -> str | None:
     dt = dt[dt > 0]
     if not len(dt):
         return None
-    mean = float(np.minimum(dt, 20 * np.median(dt)).mean())
-    fitting = [unit for unit in ("s", "ms", "us", "ns") if _RATES[0] < 1 / (mean * TIME[unit]) < _RATES[1]]
-    return stated if stated in fitting else next(iter(fitting), None)
+    return unit_of_step(float(np.minimum(dt, 20 * np.median(dt)).mean()), _RATES, (stated, *SECONDS))
+
+
+def unit_of_step(step: float, rates_hz: tuple[float, float], units: Sequence[str]) -> str | None:
+    """The first unit in which a step of times makes a rate within bounds; None where none does."""
+    for unit in units:
+        if unit in CAMERA_SECONDS and rates_hz[0] <= 1 / (step * CAMERA_SECONDS[unit]) <= rates_hz[1]:
+            return unit
+    return None
 
 
 def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str:
