@@ -18,6 +18,7 @@ ACC, GYRO = motion(COUNT)
 DEG = np.degrees(GYRO)
 TIME = np.arange(COUNT) * 0.01
 MICROS = (np.arange(COUNT) * 10_000 + 4_000_000).astype(np.int64)
+NANOS = (np.arange(COUNT) * 10_000_000 + 123_456_789_000).astype(np.int64)
 
 
 def _xyz(form: str) -> list[str]:
@@ -28,26 +29,47 @@ def _lines(path: Path, *lines: str) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def xsens_dot(path: Path) -> None:
-    """As the DOT app exports it."""
-    header = ",".join(["PacketCounter", "SampleTimeFine", *_xyz("Acc_{}"), *_xyz("Gyr_{}")])
-    body = rows(np.arange(1, COUNT + 1), MICROS, ACC, DEG)
-    _lines(path, "sep=,", "DeviceTag:,left wrist", "OutputRate:,100Hz", "", header, *body)
+def _table(*lines: str, columns: tuple[np.ndarray, ...], **layout: str) -> Callable[[Path], None]:
+    """Writes a plain table: the lines above the rows, the header last, and the columns."""
+    return lambda path: _lines(path, *lines, *rows(*columns, **layout))
 
 
-def xsens_mt(path: Path) -> None:
-    """As MT Manager exports it."""
-    header = "\t".join(["Counter", *_xyz("Acc_{}"), *_xyz("Gyr_{}"), *_xyz("Mag_{}")])
-    body = rows((65_500 + np.arange(COUNT)) % 65_536, ACC, GYRO, ACC, separator="\t", end="\t")
-    _lines(path, "// Start Time: 0", "// Update Rate: 100.0Hz", header, *body)
-
-
-def shimmer(path: Path) -> None:
-    """As Consensys exports it."""
-    names = ["S_Timestamp_Unix_CAL", *_xyz("S_Accel_WR_{}_CAL"), *_xyz("S_Gyro_{}_CAL")]
-    units = ["ms", *["m/(s^2)"] * 3, *["deg/s"] * 3]
-    body = rows(1.6294033377807312e12 + 10.0 * np.arange(COUNT), ACC, DEG, end=",")
-    _lines(path, '"sep=,"', ",".join(names) + ",", ",".join(units) + ",", *body)
+#: One of each plain table of an IMU; a new one is tested by being here.
+xsens_dot = _table(
+    *("sep=,", "DeviceTag:,left wrist", "OutputRate:,100Hz", ""),
+    ",".join(["PacketCounter", "SampleTimeFine", *_xyz("Acc_{}"), *_xyz("Gyr_{}")]),
+    columns=(np.arange(1, COUNT + 1), MICROS, ACC, DEG),
+)
+xsens_mt = _table(
+    *("// Start Time: 0", "// Update Rate: 100.0Hz"),
+    "\t".join(["Counter", *_xyz("Acc_{}"), *_xyz("Gyr_{}"), *_xyz("Mag_{}")]),
+    columns=((65_500 + np.arange(COUNT)) % 65_536, ACC, GYRO, ACC),
+    separator="\t",
+    end="\t",
+)
+shimmer = _table(
+    '"sep=,"',
+    ",".join(["S_Timestamp_Unix_CAL", *_xyz("S_Accel_WR_{}_CAL"), *_xyz("S_Gyro_{}_CAL")]) + ",",
+    ",".join(["ms", *["m/(s^2)"] * 3, *["deg/s"] * 3]) + ",",
+    columns=(1.6294033377807312e12 + 10.0 * np.arange(COUNT), ACC, DEG),
+    end=",",
+)
+ximu = _table(
+    ",".join(["Timestamp (us)", *_xyz("Gyroscope {} (deg/s)"), *_xyz("Accelerometer {} (g)")]),
+    columns=(MICROS, DEG, ACC / GRAVITY),
+)
+nilspod = _table(
+    "t,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z,baro",
+    columns=(TIME, DEG, ACC, np.ones(COUNT)),
+)
+phyphox = _table(
+    ",".join(
+        f'"{name}"' for name in ("Time (s)", *_xyz("Acceleration {} (m/s^2)"), *_xyz("Gyroscope {} (rad/s)"))
+    ),
+    columns=(TIME, ACC, GYRO),
+    form="{:.9E}",
+)
+android = _table("timestamp,ax,ay,az,gx,gy,gz", columns=(NANOS, ACC, GYRO))
 
 
 def apdm(path: Path) -> None:
@@ -59,17 +81,6 @@ def apdm(path: Path) -> None:
             units += [unit] * 3
             columns.append(values)
     _lines(path, "Test Name:,7", "Sample Rate:,100,Hz", ",".join(names), ",".join(units), *rows(*columns))
-
-
-def ximu(path: Path) -> None:
-    """As the x-IMU3 software writes it."""
-    header = ["Timestamp (us)", *_xyz("Gyroscope {} (deg/s)"), *_xyz("Accelerometer {} (g)")]
-    _lines(path, ",".join(header), *rows(MICROS, DEG, ACC / GRAVITY))
-
-
-def nilspod(path: Path) -> None:
-    """As NilsPodLib writes it."""
-    _lines(path, "t,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z,baro", *rows(TIME, DEG, ACC, np.ones(COUNT)))
 
 
 def metamotion(path: Path, values: np.ndarray = ACC / GRAVITY, unit: str = "g") -> None:
@@ -91,18 +102,6 @@ def sensorlog(path: Path) -> None:
     stamps = [f"2020-01-10 14:23:{5 + t:06.3f} +0100" for t in TIME]
     body = rows(7 + TIME, -ACC / GRAVITY, GYRO)
     _lines(path, ",".join(header), *(f"{s},{row}" for s, row in zip(stamps, body, strict=True)))
-
-
-def phyphox(path: Path) -> None:
-    """As phyphox exports it."""
-    names = ["Time (s)", *_xyz("Acceleration {} (m/s^2)"), *_xyz("Gyroscope {} (rad/s)")]
-    _lines(path, ",".join(f'"{name}"' for name in names), *rows(TIME, ACC, GYRO, form="{:.9E}"))
-
-
-def android(path: Path) -> None:
-    """As a watch's logger writes it."""
-    nanos = (np.arange(COUNT) * 10_000_000 + 123_456_789_000).astype(np.int64)
-    _lines(path, "timestamp,ax,ay,az,gx,gy,gz", *rows(nanos, ACC, GYRO))
 
 
 def mvnx(path: Path) -> None:

@@ -37,6 +37,17 @@ def test_only_one_importer_recognises_an_example(tmp_path: Path, key: str):
     assert importer is not None and importer.key == key
 
 
+@pytest.mark.parametrize("key", sorted(made.IMUS))
+def test_an_example_holds_the_motion(tmp_path: Path, key: str):
+    made.IMUS[key](tmp_path / "file")
+    table = format_named(key).read(tmp_path / "file")[0]
+    coarse = 0.1 if key == "axivity" else 2e-5  # 16 bits, or six decimals of a g or a degree
+    assert table.acc is None or np.allclose(table.acc, made.ACC, atol=coarse)
+    assert table.gyro is None or np.allclose(table.gyro, made.GYRO, atol=coarse)
+    assert table.acc is not None or table.gyro is not None
+    assert table.t_s is None or np.allclose(np.diff(table.t_s), 0.01, atol=1e-4)
+
+
 def test_heads(tmp_path: Path):
     for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"):
         assert decode("t,x\n1,2\n".encode(encoding)) == "t,x\n1,2\n"
