@@ -1,14 +1,17 @@
-"""Every arm of a file that has an IMU: chosen, read, written and read back."""
+"""Both arms of one person, arms of several people, clocks far apart: which IMU is on which arm."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import (
@@ -20,10 +23,19 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.streams import RecordingFile
-from smoother.io.recording.write import as_file
+from smoother.io.recording.assign import choose
+from smoother.io.recording.bodies import join_bodies, people, unswap_bodies
+from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
+from smoother.io.recording.write import as_file, as_session
+from smoother.recording import JOINTS, JointState
 from smoother.result import Recoveries, arm_tags
-from smoother.simulation import ArmSimulation, SimulatedArm, simulate_both_arms
+from smoother.simulation import (
+    ArmSimulation,
+    PeopleSimulation,
+    SimulatedArm,
+    simulate_both_arms,
+    simulate_people,
+)
 from tests.helpers.made_results import recovery
 
 
@@ -188,3 +200,156 @@ def test_one_arms_stream_alone_says_what_fits(file: RecordingFile) -> None:
     upper = replace(worn, topic="/imu/upper_arm_right")
     with pytest.raises(RecordingError, match=f"more than one .* give --imu {worn.topic}"):
         select_recording(replace(file, imus=[worn, upper]), imu="right")
+
+
+Crowd = tuple[RecordingFile, dict[str, tuple[int | None, str]]]
+
+
+@pytest.fixture(scope="module")
+def crowd() -> Crowd:
+    """Two people, an IMU on each of three limbs and one on the table."""
+    arm = ArmSimulation.preset("white", protocol="random", duration_s=15.0)
+    who = PeopleSimulation(people=2, sensors=4, on_table=1, hanging=0.0, in_time=0.0, clocks_apart_s=0.2)
+    made = simulate_people(who, arm, 10)
+    return as_session(made.name, [one.stream for one in made.worn], made.arms, made.camera_frame), made.truth
+
+
+def renumbered(arms: list[ArmFrames], number: Callable[[int, float], int | None]) -> list[ArmFrames]:
+    """The same arms under other numbers: `number(body, share of the frames)`, None = not seen."""
+    made: dict[tuple[int, str], ArmFrames] = {}
+    for arm in arms:
+        for row in range(len(arm.stamp_ns)):
+            body = number(arm.body, row / len(arm.stamp_ns))
+            if body is None:
+                continue
+            if (body, arm.side) not in made:
+                nothing = np.full_like(arm.position, np.nan)
+                made[body, arm.side] = replace(
+                    arm, body=body, position=nothing, state=np.zeros_like(arm.state)
+                )
+            target = made[body, arm.side]
+            target.position[row], target.state[row] = arm.position[row], arm.state[row]
+    return list(made.values())
+
+
+def assert_same_arms(found: list[ArmFrames], truth: list[ArmFrames], rows: np.ndarray) -> None:
+    assert {(arm.body, arm.side) for arm in found} == {(arm.body, arm.side) for arm in truth}
+    for arm in truth:
+        (mine,) = [one for one in found if (one.body, one.side) == (arm.body, arm.side)]
+        np.testing.assert_array_equal(mine.position[rows], arm.position[rows])
+
+
+def test_every_worn_forearm_is_taken_with_its_body(crowd: Crowd) -> None:
+    file, truth = crowd
+    arms = select_recordings(file)
+    wrists = {name: where for name, where in truth.items() if where[1].startswith("wrist")}
+    assert {body for body, _ in wrists.values()} == {0, 1}
+    assert {arm.imu.name: (arm.body, f"wrist_{arm.side}") for arm in arms} == wrists
+    (table,) = [name for name, (body, _) in truth.items() if body is None]
+    (above,) = [name for name, (_, joint) in truth.items() if joint.startswith("upper_arm")]
+    for arm in arms:
+        assert any(f"IMU {arm.imu.name} and " in note and "probability" in note for note in arm.notes)
+        assert any(f"IMU {table} is on no limb in view" in note for note in arm.notes)
+        assert any(f"IMU {above} is on upper_arm" in note and "not used" in note for note in arm.notes)
+        assert arm.upper_imu is None and "of body" in arm.arm_label
+    assert len(select_recordings(file, side="left")) == 1
+    (only,) = select_recordings(file, body=1)
+    assert only.side == "right" and only.imu.name == next(n for n, where in wrists.items() if where[0] == 1)
+
+
+def test_exchanged_numbers_are_put_back(crowd: Crowd) -> None:
+    file, _ = crowd
+    swapped = renumbered(file.arms, lambda body, share: 1 - body if 0.3 < share < 0.7 else body)
+    found, notes = unswap_bodies(swapped)
+    assert_same_arms(found, file.arms, np.arange(len(file.arms[0].stamp_ns)))
+    assert len(notes) == 1 and "exchange their numbers" in notes[0]
+    same, none = unswap_bodies(file.arms)
+    assert not none and all(one is other for one, other in zip(same, file.arms, strict=True))
+
+
+def test_who_comes_back_where_they_were_is_joined_by_place(crowd: Crowd) -> None:
+    file, _ = crowd
+    away = renumbered(
+        file.arms, lambda body, share: body if body == 0 or share < 0.45 else None if share < 0.5 else 7
+    )
+    found, notes = join_bodies(away)
+    rows = np.flatnonzero(np.arange(len(away[0].stamp_ns)) / len(away[0].stamp_ns) >= 0.5)
+    assert_same_arms(found, file.arms, rows)
+    assert len(notes) == 2 and all("where it was" in note for note in notes)
+
+
+def exchanged_places(file: RecordingFile) -> RecordingFile:
+    """Both are lost; one comes back where the other stood, both under new numbers."""
+    new = {0: 5, 1: 6}
+    arms = renumbered(
+        file.arms, lambda body, share: body if share < 0.48 else None if share < 0.52 else new[body]
+    )
+    place = {arm.body: np.nanmean(arm.position[:, 0], axis=0) for arm in arms if arm.side == "right"}
+    for arm in arms:
+        if arm.body in (5, 6):
+            there = arm.state != JointState.NOT_TRACKED
+            arm.position[there] += place[1 if arm.body == 5 else 0] - place[arm.body]
+    return replace(file, arms=arms)
+
+
+def test_imus_tell_who_came_back_where_the_other_stood() -> None:
+    arm = ArmSimulation.preset("white", protocol="random", duration_s=30.0)
+    who = PeopleSimulation(people=2, sensors=4, on_table=0, hanging=0.0, in_time=0.0, clocks_apart_s=0.2)
+    made = simulate_people(who, arm, 2)
+    assert {body for body, _ in made.truth.values()} == {0, 1}  # both wear something
+    file = as_session(made.name, [one.stream for one in made.worn], made.arms, made.camera_frame)
+    moved = exchanged_places(file)
+    by_place, _ = join_bodies(moved.arms)
+    by_imu, notes = people(moved)
+    assert {one.body for one in by_imu} == {one.body for one in by_place} == {0, 1}
+    last = len(moved.arms[0].stamp_ns) - 1
+    for one in by_imu:
+        (origin,) = [a for a in moved.arms if (a.body, a.side) == ({0: 5, 1: 6}[one.body], one.side)]
+        np.testing.assert_array_equal(one.position[last], origin.position[last])
+    wrong = next(a for a in by_place if a.body == 0 and a.side == "right")
+    (other,) = [a for a in moved.arms if (a.body, a.side) == (6, "right")]
+    np.testing.assert_array_equal(wrong.position[last], other.position[last])  # place alone is fooled
+    assert any("the IMU that both wear" in note for note in notes)
+    assert any("they wear different IMUs" in note for note in notes)
+
+
+def scene(shift_s: float, same: bool = False) -> RecordingFile:
+    """Two arms that move each in its own way, and an IMU that turns as the right one does."""
+    t = np.arange(0, 40, 0.01)
+    arms, rates = [], []
+    for seed, side in ((1, "left"), (1 if same else 2, "right")):
+        rng = np.random.default_rng(seed)
+        angle = gaussian_filter1d(rng.normal(0, 1, (2, len(t))), 30, axis=1) * 8
+        direction = np.stack([np.cos(angle[0]) * np.cos(angle[1]), np.sin(angle[0]) * np.cos(angle[1]),
+                              np.sin(angle[1])], axis=1)  # fmt: skip
+        rates.append(np.cross(direction, np.gradient(direction, 0.01, axis=0)))
+        frames = slice(None, None, 3)
+        count = len(t[frames])
+        position, state = np.full((count, len(JOINTS), 3), np.nan), np.zeros((count, len(JOINTS)), np.int8)
+        noise = rng.normal(0, 0.004, (2, count, 3))
+        elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
+        position[:, elbow], position[:, wrist] = noise[0], 0.25 * direction[frames] + noise[1]
+        state[:, [elbow, wrist]] = 2
+        stamp = np.rint(t[frames] * 1e9).astype(np.int64)
+        arms.append(ArmFrames("/skeleton", "camera", 0, side, stamp, position, state))
+    stamp = np.rint((t + shift_s) * 1e9).astype(np.int64)
+    turns = Rotation.from_rotvec(0.01 * rates[1])
+    R_K_A = [Rotation.identity()]
+    for turn in turns[1:]:
+        R_K_A.append(turn * R_K_A[-1])
+    to_sensor = Rotation.concatenate(R_K_A).inv()
+    acc, gyro = to_sensor.apply([0, 0, 9.81]), to_sensor.apply(rates[1])
+    imu = ImuSamples("/imu/device", "device", stamp, acc, gyro)
+    return RecordingFile(Path("a.mcap"), imus=[imu], arms=arms)
+
+
+@pytest.mark.parametrize("shift_s", [0.1, -8.0, 11.8])
+def test_the_arm_is_told_by_motion(shift_s: float):
+    choice = choose(scene(shift_s))
+    assert choice.side == "right"
+    assert ("s apart" in choice.notes[0]) == (abs(shift_s) > 1)
+
+
+def test_arms_that_move_alike_are_left_open():
+    with pytest.raises(RecordingError, match="does not tell which belong together; choose with --side"):
+        choose(scene(8.0, same=True))

@@ -1,4 +1,4 @@
-"""An upper-arm IMU in files: found by its name, written and read back, in results and exports."""
+"""IMUs on the upper arm and on the trunk, from files to a recording and back."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.assign import choose
-from smoother.io.recording.streams import RecordingFile
-from smoother.recording import ImuStream, Recording
+from smoother.io.recording.assign import choose, role
+from smoother.io.recording.streams import ImuSamples, RecordingFile
+from smoother.measurements.remedy import Remedy
+from smoother.recording import FOREARM_JOINTS, ImuStream, Recording, TrunkSensors
 from smoother.result import Recovery
+from smoother.result.trunk_motion import TrunkMotion
 from smoother.result.upper_motion import UpperMotion
 
 
@@ -139,3 +141,114 @@ def test_columns(tmp_path: Path) -> None:
 def test_without_one_the_columns_are_as_before(tmp_path: Path) -> None:
     export_csv(made_recovery(), tmp_path / "a.csv")
     assert "upper" not in (tmp_path / "a.csv").read_text().splitlines()[0]
+
+
+def with_trunk(side: str = "right") -> Recording:
+    made = make(side=side)
+    imu, arm = made.imu, made.arm
+    other = replace(arm, position=arm.position + np.array([0.36, 0.0, 0.0]))
+    other = other.hide(np.ones(len(other), bool), FOREARM_JOINTS)  # as the simulation has it
+    return replace(
+        made, trunk=TrunkSensors(ImuStream("/imu/trunk", imu.t_s, 0.5 * imu.acc, 0.1 * imu.gyro), other)
+    )
+
+
+@pytest.mark.parametrize("name", ["/imu/trunk", "/sternum/imu", "/chest_sensor", "/Torso/data", "imu_thorax"])
+def test_names_of_the_trunk(name: str) -> None:
+    none = np.zeros((0, 3))
+    assert role(ImuSamples(name, "", np.zeros(0, np.int64), none, none)) == "trunk"
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_round_trip_with_the_trunk(tmp_path: Path, side: str) -> None:
+    made = with_trunk(side)
+    write_recording(made, tmp_path / "a.mcap")
+    back = read_recording(tmp_path / "a.mcap")
+    assert back.trunk is not None and made.trunk is not None
+    assert back.side == side and back.imu.name == f"/imu/forearm_{side}"
+    np.testing.assert_array_equal(back.trunk.imu.acc, made.trunk.imu.acc)
+    np.testing.assert_array_equal(back.trunk.imu.gyro, made.trunk.imu.gyro)
+    assert back.trunk.other_arm is not None and made.trunk.other_arm is not None
+    tracked = made.trunk.other_arm.tracked("shoulder")
+    assert tracked.any()
+    np.testing.assert_array_equal(back.trunk.other_arm.tracked("shoulder"), tracked)
+    np.testing.assert_array_equal(
+        back.trunk.other_arm.joint("shoulder")[tracked], made.trunk.other_arm.joint("shoulder")[tracked]
+    )
+    assert any("is on the trunk by its name" in note for note in back.notes)
+    assert describe(tmp_path / "a.mcap").trunk_imu == "/imu/trunk"
+
+
+def test_both_arms_share_the_trunk(tmp_path: Path) -> None:
+    """Each arm's other arm is the one with the other IMU, whole."""
+    write_recording([with_trunk("right"), with_trunk("left")], tmp_path / "a.mcap")
+    file = open_recording(tmp_path / "a.mcap")
+    assert sum(imu.topic == "/imu/trunk" for imu in file.imus) == 1
+    for side in ("left", "right"):
+        one = select_recording(file, side=side)
+        assert one.side == side and one.trunk is not None and one.trunk.other_arm is not None
+        assert "wrist" in one.trunk.other_arm.present
+
+
+def test_an_arm_alone_and_two_trunks(tmp_path: Path) -> None:
+    made = with_trunk()
+    assert made.trunk is not None
+    write_recording(replace(made, trunk=TrunkSensors(made.trunk.imu)), tmp_path / "a.mcap")
+    alone = read_recording(tmp_path / "a.mcap")
+    assert alone.trunk is not None and alone.trunk.other_arm is None
+    file = open_recording(tmp_path / "a.mcap")
+    (trunk,) = (imu for imu in file.imus if imu.topic == "/imu/trunk")
+    file.imus.append(replace(trunk, topic="/imu/chest"))
+    both = select_recording(file)
+    assert both.trunk is None
+    assert any("/imu/trunk, /imu/chest none was taken" in note for note in both.notes)
+
+
+def test_a_mirrored_skeleton_is_mirrored_whole() -> None:
+    made = with_trunk()
+    turned = Remedy(mirror="x").applied(made)
+    assert turned.trunk is not None and made.trunk is not None
+    assert turned.trunk.other_arm is not None and made.trunk.other_arm is not None
+    np.testing.assert_array_equal(
+        turned.trunk.other_arm.position, made.trunk.other_arm.position * [-1.0, 1.0, 1.0]
+    )
+
+
+def trunk_of(count: int) -> TrunkMotion:
+    rng = np.random.default_rng(4)
+    quaternion = rng.normal(size=(count, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    root = rng.normal(size=(count, 3, 3))
+    motion = TrunkMotion(
+        quaternion, 1e-3 * root @ root.transpose(0, 2, 1), np.eye(3), np.full(3, 0.02), 0.05, "/imu/trunk"
+    )
+    for values in (motion.quaternion, motion.covariance):
+        values[40:44] = np.nan
+    return motion
+
+
+def test_a_result_keeps_the_trunk(tmp_path: Path) -> None:
+    made = made_recovery()
+    made = replace(made, trunk=trunk_of(len(made)))
+    write_recovery(made, tmp_path / "a.mcap")
+    (back,) = read_recovery(tmp_path / "a.mcap")
+    assert back.trunk is not None and made.trunk is not None
+    np.testing.assert_allclose(back.trunk.quaternion, made.trunk.quaternion, atol=1e-12)
+    np.testing.assert_array_equal(back.trunk.covariance, made.trunk.covariance)
+    np.testing.assert_array_equal(back.trunk.R_T_D, made.trunk.R_T_D)
+    np.testing.assert_array_equal(back.trunk.mount_sigma_rad, made.trunk.mount_sigma_rad)
+    assert (back.trunk.clock_offset_s, back.trunk.name) == (0.05, "/imu/trunk")
+    export_csv(back, tmp_path / "a.csv")
+    with open(tmp_path / "a.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[10]["trunk_qw"]) == pytest.approx(made.trunk.quaternion[10, 0], abs=1e-8)
+    assert float(rows[10]["trunk_sigma_deg"]) == pytest.approx(made.trunk.sigma_deg[10], abs=1e-8)
+    assert rows[41]["trunk_qw"] == "" and list(rows[0])[-1] == "usable"
+    assert "shoulder_plane_trunk_deg" not in rows[0]  # no IMU on the upper arm
+
+
+def test_a_notebook_finds_it() -> None:
+    made = made_recovery()
+    arrays = replace(made, trunk=trunk_of(len(made))).rows(slice(0, 20)).to_arrays()
+    assert arrays["trunk_quaternion"].shape == (20, 4) and arrays["trunk_sigma_deg"].shape == (20,)
+    assert "trunk_quaternion" not in made.to_arrays()
