@@ -17,10 +17,10 @@ from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import describe, open_csv, open_recording, read_recording, select_recording, write_recording
 from smoother.io.recording.bodies import join_bodies
 from smoother.io.recording.match_streams import motion_agreement
-from smoother.io.recording.stamps import increasing
 from smoother.io.recording.streams import ArmFrames
 from smoother.io.recording.write import as_file
 from smoother.io.wire.schemas import message_class
+from smoother.measurements.timestamps import increasing
 from smoother.recording import ImuStream, JointState, JointTracks, Recording
 
 

@@ -16,9 +16,9 @@ from calib.panel.images import stated_size
 from smoother.errors import CalibrationError, RecordingError, UnoccludeError
 from smoother.io import read_recording
 from smoother.io.recording.clean import clean_arm, clean_imu, unusable_samples
-from smoother.io.recording.stamps import largest_group
 from smoother.io.recording.streams import ArmFrames, ImuSamples
 from smoother.io.recording.write import write_recording
+from smoother.measurements.timestamps import largest_group
 from smoother.recording import JointState, Recording
 
 T = 10**18 + np.arange(0, 8 * 10**9, 10**7)

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
+from ...measurements.timestamps import begins_frames
 from ...recording import CameraFrame
-from ..recording.stamps import begins_frames
 from ..tables.joint_columns import (
     AZURE,
     BLAZEPOSE,

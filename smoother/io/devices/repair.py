@@ -9,8 +9,15 @@ import numpy as np
 
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
-from ...measurements.timestamps import counted, even_times, needs_counting, unwrapped
-from ..recording.stamps import clock_resets, increasing, resets_message
+from ...measurements.timestamps import (
+    clock_resets,
+    counted,
+    even_times,
+    increasing,
+    needs_counting,
+    resets_message,
+    unwrapped,
+)
 from ..tables.file_head import amount
 from ..tables.protocol import ImuTable, SkeletonTable
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
+from ...measurements.timestamps import begins_frames, clock_resets, resets_message
 from ...recording import JointState, Recording
 from ...runtime.inputs import check_input, inside, read_toml
 from ..devices.files import add_imu, add_skeleton, rate_note, times_of
@@ -20,7 +21,6 @@ from ..mcap.stamps import nanoseconds
 from ..recording.decode import JointRows, frames_of, joint_code
 from ..recording.read import select_recording
 from ..recording.selection import Selection
-from ..recording.stamps import begins_frames, clock_resets, resets_message
 from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
 from ..tables.file_head import shown
 from ..tables.imu_checks import paired

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import runs
+from ...measurements.timestamps import clock_resets, increasing
 from ...recording import JOINTS, JointState
 from ...runtime.store import Store, batches, sampled
 from ...units import STANDARD_GRAVITY
-from .stamps import clock_resets, increasing, kept
+from .stamps import kept
 from .streams import ArmFrames, ImuSamples, PoseSamples
 
 #: Names of two causes.
