@@ -23,9 +23,10 @@ from smoother.selfcal.rounds import self_calibrate
 from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.window.priors import with_measured_noise
 
-from ..file import CalibrationFile
+from ..file import CalibrationFile, with_sigma_table
 from ..forearm.forearm_frame import ForearmFrame, forearm_frame
 from ..protocol import Answer
+from .hidden_gaps import hidden_gap_factors, short_recordings
 from .motion_summary import (
     ClockOffset,
     Evidence,
@@ -159,9 +160,21 @@ def motion_answer(estimates: ArmEstimates) -> Answer:
         sigma,
         motion_verdict(arm, estimates.not_determined),
         estimates.not_determined,
-        CalibrationFile().with_arm(arm),
+        _file_of(arm),
         estimates.figures,
     )
+
+
+def _file_of(arm: ArmCalibration) -> CalibrationFile:
+    """The arm, and how much wider sigma must be in gaps where hidden ones have shown that."""
+    file = CalibrationFile().with_arm(arm)
+    if arm.sigma_factors is None:
+        return file
+    rows = [
+        {"length_s": row.length_s, "factor": round(row.factor, 4), "count": row.gaps}
+        for row in arm.sigma_factors.by_length
+    ]
+    return with_sigma_table(file, rows, "the camera's joints", [])
 
 
 def names_given(known: ArmCalibration | None) -> tuple[str, ...]:
@@ -303,6 +316,8 @@ def calibrate_motion(
     frame = forearm_frame(calibration)
     if calibration.R_F_A is None and frame is not None:
         calibration = replace(calibration, R_F_A=frame.R_F_A)
+    if calibration.sigma_factors is None and (short := short_recordings(recordings)):
+        calibration = replace(calibration, sigma_factors=hidden_gap_factors(short, calibration, config))
     evidence = gather(segments, calibration.forearm_direction)
     coarse = [clock for _, clock in moved]
     offsets = _offsets(recordings, coarse, {segment.recording for segment in segments}, solved)

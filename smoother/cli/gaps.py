@@ -43,9 +43,11 @@ from .output import (
 )
 
 if TYPE_CHECKING:
+    from calib.sigma_factor import LengthFactor
+
     from ..calibration import ArmCalibration
     from ..evaluation.gap_table import GapTable, RealGaps, SinceFigures
-    from ..evaluation.sigma_factor import LengthFactor
+    from calib.sigma_factor import LengthFactor
     from ..recording import Recording
 
 
@@ -190,9 +192,10 @@ def gaps(
     been shown at that moment, by the time since the last frame. Every arm that has an IMU takes
     part, by itself and together with the others.
     """
+    from calib.sigma_factor import factor_sentences
+
     from ..evaluation.gap_table import compare_real_gaps, pooled, since_last_frame
     from ..evaluation.gaps import evaluate_gaps
-    from ..evaluation.sigma_factor import factor_sentences
     from ..recording import arm_words
     from .config import read_config, with_processes
 
@@ -317,8 +320,7 @@ def keep(
         No gap has an answer, or the errors are no matter of sigma.
     """
     from calib.file import CalibrationFile, with_sigma_table, write_calibration
-
-    from ..evaluation.sigma_factor import LARGEST_FACTOR
+    from calib.sigma_factor import LARGEST_FACTOR
 
     if not factors:
         raise CalibrationError(f"{path} was not written: no hidden gap has an answer with a sigma")

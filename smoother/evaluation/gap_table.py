@@ -8,13 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.sigma_factor import LengthFactor, length_factors
+
 from ..array_types import FloatArray
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Recording
 from ..units import GRAVITY
 from .hidden_gaps import GapErrors, HiddenGap
 from .metrics import Figures, summarise
-from .sigma_factor import LengthFactor, length_factors
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.sigma_factor import LEVELS, needed_factors
+
 from ..array_types import BoolArray, FloatArray
 from ..linalg import robust_sigma
 from ..measurements.visibility import accepted_samples, visible_frames
@@ -15,7 +17,6 @@ from ..recording import JOINTS, Recording
 from ..result import Recovery
 from .align import linear_at, position_at, truth_at
 from .metrics import Figures, orientation_error_deg, squared_sigmas, summarise
-from .sigma_factor import LEVELS, needed_factors
 
 #: Frames without the forearm up to this long do not end a visible run, s.
 FLICKER_S = 0.2

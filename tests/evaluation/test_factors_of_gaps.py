@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from smoother.array_types import FloatArray
-from smoother.evaluation.sigma_factor import (
+from calib.sigma_factor import (
     ENOUGH_GAPS,
     factor_sentences,
     hierarchical_quantile,
     length_factors,
     needed_factors,
 )
+from smoother.array_types import FloatArray
 
 
 def spread(rng: np.random.Generator, count: int) -> FloatArray:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.sigma_factor import LEVELS
 from smoother.evaluation.gap_table import GapRow, GapTable, pooled, table_of
 from smoother.evaluation.hidden_gaps import GapErrors, HiddenGap
-from smoother.evaluation.sigma_factor import LEVELS
 
 
 def errors(*metres: float) -> GapErrors:

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from ..array_types import FloatArray
+from smoother.array_types import FloatArray
 
 #: Levels of the regions that are asked for.
 LEVELS = (0.5, 0.95)
