@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import FloatArray
+from ..filters import gaussian_smoothed
 from ..linalg import runs, unit
 from ..measurements.segment import without_spikes
 from ..measurements.timestamps import PAUSE_SAMPLES
 from ..measurements.visibility import Rejection
-from ..recording import ImuStream, Recording
+from ..recording import JOINTS, ImuStream, JointState, Recording
 from ..result import Recovery
+from ..result.verdict import UntrustedInterval
 from ..rotation import Rotation, chained
 
 #: Over so long a time, s; looked at so often, s.
@@ -132,6 +134,11 @@ MEAN_SIGMA_DEG = 0.4
 TURNED_DEG, TURNED_SIGMAS, TURNED_SHARE = 4.5, 3.5, 0.7
 #: Fewer filled samples are not worth a word.
 FEW_FILLED = 5
+#: An IMU lies still that turns by less than this, rad/s (mean over so long, s), for so long, s. The forearm
+#: turns where more than a share of at least so many frames is this far from their median direction: noise of
+#: 3 cm on a forearm is 7 degrees.
+STILL_RAD_S, STILL_MEAN_S, STILL_S = 0.03, 0.1, 3.0
+STILL_TURN_DEG, STILL_SHARE, STILL_FRAMES = 20.0, 0.2, 30
 
 
 def strap_slipped(
@@ -283,6 +290,52 @@ def camera_turned(recovery: Recovery, recording: Recording, gyroscope_bias: Floa
             " degrees or more about the vertical, which the IMU did not feel: the camera was moved, or the"
             " sensor turned on the arm; positions before and after are not in one frame"
         )
+
+
+def imu_lies_still(
+    recovery: Recovery, recording: Recording, gyroscope_bias: FloatArray
+) -> Iterator[UntrustedInterval]:
+    """Times at which the IMU does not turn at all while the camera sees the forearm turn.
+
+    It was taken off, or the camera follows somebody else: a forearm cannot turn without its sensor.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        With residuals.
+    recording : Recording
+        What it was made of.
+    gyroscope_bias : ndarray, shape (3,), rad/s
+    """
+    residuals, imu = recovery.residuals, recording.imu
+    if residuals is None or len(imu) < 3:
+        return
+    slow = np.zeros(len(imu), bool)
+    for first, last in _batches(imu):  # its columns may lie on disk
+        speed = np.linalg.norm(np.asarray(imu.gyro[first:last]) - gyroscope_bias, axis=1)
+        mean = gaussian_smoothed(speed[:, None], max(STILL_MEAN_S * imu.rate_hz, 1.0))[:, 0]
+        slow[first:last] = mean < STILL_RAD_S
+    for still in runs(slow):
+        start_s, end_s = float(imu.t_s[still.start]), float(imu.t_s[still.stop - 1])
+        if end_s - start_s < STILL_S:
+            continue
+        frames = slice(*np.searchsorted(residuals.t_s, [start_s, end_s]).tolist())
+        elbow, wrist = (JOINTS.index(joint) for joint in ("elbow", "wrist"))
+        position, state = recording.arm.position[frames], recording.arm.state[frames]
+        seen = (state[:, [elbow, wrist]] == JointState.TRACKED).all(axis=1)
+        if seen.sum() < STILL_FRAMES:
+            continue
+        direction = unit(position[seen, wrist] - position[seen, elbow])
+        away = direction @ unit(np.median(direction, axis=0))
+        if np.mean(away < np.cos(np.radians(STILL_TURN_DEG))) > STILL_SHARE:
+            yield UntrustedInterval(
+                start_s,
+                end_s,
+                (
+                    f"from {start_s:.1f} to {end_s:.1f} s the IMU lies still while the camera sees the"
+                    " forearm turn: it was taken off, or the skeleton is somebody else's",
+                ),
+            )
 
 
 def _down_in_camera(recovery: Recovery, imu: ImuStream) -> tuple[FloatArray, FloatArray]:

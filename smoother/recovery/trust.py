@@ -23,7 +23,7 @@ from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, JointTracks, Record
 from ..result import Recovery, SelfCheck
 from ..result.verdict import gap_verdicts
 from ..selfcal.pairing import doubtful, unproved
-from .change_signs import camera_pushed, camera_turned, skeleton_filled, strap_slipped
+from .change_signs import camera_pushed, camera_turned, imu_lies_still, skeleton_filled, strap_slipped
 from .imu_signs import (
     PLATEAU_SHARE,
     SLOW_HZ,
@@ -248,7 +248,11 @@ def with_verdict(
         trusted=not reasons,
         reasons=reasons,
         cautions=cautions,
-        untrusted=(*recovery.estimates.untrusted, *lost.untrusted),
+        untrusted=(
+            *recovery.estimates.untrusted,
+            *lost.untrusted,
+            *imu_lies_still(recovery, recording, _gyroscope_bias(recovery)),
+        ),
     )
     return replace(recovery, estimates=estimates)
 
