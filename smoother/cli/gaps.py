@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
     from ..calibration import ArmCalibration
     from ..evaluation.gap_table import GapTable, RealGaps, SinceFigures
-    from calib.sigma_factor import LengthFactor
     from ..recording import Recording
 
 
