@@ -231,3 +231,102 @@ def choose_truth(
                 "none was taken."
             ]
     return (poses[0], []) if poses else (None, [])
+
+
+_ONLY_ONE_ARM = (
+    "the skeleton shows the {} arm only: give --swap left,right if the camera's program exchanged the two"
+)
+
+
+def choose_upper(file: RecordingFile, forearm: ImuSamples, side: str) -> tuple[ImuSamples | None, list[str]]:
+    """The IMU that names say is on the same upper arm, or None, and a sentence on it.
+
+    One without a side in its name counts as on the arm of the only forearm IMU.
+    """
+    uppers = [imu for imu in file.imus if imu is not forearm and role(imu) == "upper_arm"]
+    sided = [imu for imu in uppers if side and named_side(imu.topic, imu.frame_id) == side]
+    other_forearms = [i for i in file.imus if i is not forearm and role(i) in ("", "forearm")]
+    free = [imu for imu in uppers if not named_side(imu.topic, imu.frame_id)]
+    fitting = sided or ([] if other_forearms else free)
+    if not side and not fitting and not other_forearms:
+        fitting = uppers
+    if len(fitting) == 1:
+        return fitting[0], [f"IMU {fitting[0].topic} is on the same arm's upper arm by its name."]
+    if len(fitting) > 1:
+        names = ", ".join(imu.topic for imu in fitting)
+        return None, [
+            f"Of the upper-arm IMUs {names} none was taken: their names do not tell which is meant."
+        ]
+    return None, []
+
+
+def wanted_arms(
+    file: RecordingFile, skeleton: str | None, side: str | None, body: int | None
+) -> list[ArmFrames]:
+    """The tracked arms that fit what was asked for.
+
+    Raises
+    ------
+    RecordingError
+        There is none; the message lists those that are there.
+    """
+    if not file.arms and not file.frames_without_body:
+        raise RecordingError(
+            f"{file.path} has no skeleton (unocclude.Skeleton, or MarkerArray of the Azure Kinect driver); "
+            f"it has {topics_of(file)}; record the body tracking as well."
+        )
+    seen = [arm for arm in file.arms if arm.tracked]
+    if not seen:
+        frames = max((len(arm.stamp_ns) for arm in file.arms), default=file.frames_without_body)
+        raise RecordingError(
+            f"{file.path} has {frames} skeleton frames and no forearm joint is tracked in any of them; "
+            "record again with the arm in view of the camera for some seconds."
+        )
+    fitting = [
+        arm
+        for arm in seen
+        if (skeleton is None or is_named(skeleton, arm.topic, arm.frame_id))
+        and (not side or arm.side in (side, ""))
+        and (body is None or arm.body == body)
+    ]
+    if not fitting:
+        wanted = [
+            f"--{name} {value}"
+            for name, value in (("skeleton", skeleton), ("side", side), ("body", body))
+            if value is not None
+        ]
+        raise RecordingError(
+            f"{file.path}: no tracked arm fits {' '.join(wanted)}; it has "
+            f"{', '.join(arm.label for arm in seen)}{_what_arm_fits(seen, skeleton, side)}."
+        )
+    return fitting
+
+
+def _what_arm_fits(seen: list[ArmFrames], skeleton: str | None, side: str | None) -> str:
+    """What to give instead of options that no arm fits, for the end of a sentence."""
+    named = named_side(skeleton or "")
+    if named and not side and any(arm.side == named for arm in seen):
+        return f"; a topic may hold both arms: for the {named} one give --side {named}"
+    sides = {arm.side for arm in seen}
+    if side and sides == {OTHER_SIDE[side]}:
+        return f"; {_ONLY_ONE_ARM.format(OTHER_SIDE[side])}"
+    return ""
+
+
+def why_no_pair(imus: list[ImuSamples], arms: list[ArmFrames], side: str | None) -> str:
+    """Why no IMU may be on an arm of that side, and what to do, for the end of a sentence."""
+    worn = {named_side(imu.topic, imu.frame_id) for imu in imus}
+    if len(worn) != 1 or not (named := worn.pop()):
+        return "choose with --imu, --skeleton, --side or --body"
+    other, topic = OTHER_SIDE[named], imus[0].topic
+    if {arm.side for arm in arms if arm.tracked} == {other}:
+        return (
+            f"{topic} is on the {named} arm by its name, and {_ONLY_ONE_ARM.format(other)}; if the IMU was"
+            f" worn on the {other} arm, import it again as forearm_{other}"
+        )
+    if side == other:
+        return (
+            f"{topic} is on the {named} arm by its name: leave --side out, or give --side {named}; if it was"
+            f" worn on the {other} arm, import it again as forearm_{other}"
+        )
+    return "choose with --imu, --skeleton, --side or --body"
