@@ -1,1 +1,1 @@
-"""Recordings as devices and camera programs write them: one importer, one file."""
+"""Recordings as devices and camera programs write them: what recognises, reads and joins them."""
