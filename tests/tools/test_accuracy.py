@@ -45,6 +45,14 @@ def test_the_table_of_long_gaps(capsys: pytest.CaptureFixture[str]):
     assert len(re.findall(r"50 %: \d+ %   95 %: \d+ %", printed)) == 4  # position and orientation
 
 
+def test_the_sum_over_simulated_arms(capsys: pytest.CaptureFixture[str]):
+    main("arm --preset white --seeds 0:1 --set repetitions=1".split())
+    printed = capsys.readouterr().out
+    (seed,) = re.findall(r"occluded +(\S+) / +(\S+) cm", printed)
+    assert re.findall(r"occluded: rms +(\S+) cm  max +(\S+) cm", printed) == [seed]
+    assert "visible: rms" in printed and "inside the region that should hold" in printed
+
+
 def test_short_gaps_with_one_imu_and_two(capsys: pytest.CaptureFixture[str]):
     settings = "short --presets white --seeds 0:1 --set duration_s=16"
     main(settings.split())

@@ -90,7 +90,7 @@ def broad(options: argparse.Namespace) -> Iterator[str]:
             line.append(f"{100 * np.sqrt(e / n):5.2f} ({c / n:4.1f})")
         runs = len(LENGTHS_S) * len(options.seeds)
         yield (f"{path.stem[:42]:42} {'  '.join(line)}   {(time.perf_counter() - began) / runs:.1f} s a run")
-    tally.show()
+    yield from tally.show()
 
 
 def arm(options: argparse.Namespace) -> Iterator[str]:
@@ -119,7 +119,7 @@ def arm(options: argparse.Namespace) -> Iterator[str]:
                 tally.add(part, getattr(figures, part))
         squares.append(sample_errors(recovery, simulated.recording.truth).squared_sigmas[recovery.occluded])
         yield (f"seed {seed:3}: {_parts(figures.to_dict())} {_found(recovery, simulated)} {spent:.1f} s")
-    tally.show()
+    yield from tally.show()
     yield (f"  occluded samples inside the region that should hold  {_coverage(np.concatenate(squares))}")
 
 
