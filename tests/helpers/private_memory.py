@@ -9,9 +9,9 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[2]))
 
-from tools.benchmark import memory
+from tools.benchmark import isolated
 
-PrivatePeak = partial(memory.PrivatePeak, look_s=0.002)
+PrivatePeak = partial(isolated.PrivatePeak, look_s=0.002)
 
 
 def program_output(program: str, *arguments: object) -> str:

@@ -10,9 +10,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tools.figures import jobs, measure
-from tools.figures.tables import tables
-from tools.figures.without import WITHOUT
+from tools.figures import measure
+from tools.figures.measure import WITHOUT, tables
 
 SHORT_S = 12.0
 
@@ -20,19 +19,19 @@ SHORT_S = 12.0
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated recordings of twelve seconds."""
-    monkeypatch.setattr(jobs, "DURATION_S", SHORT_S)
+    monkeypatch.setattr(measure, "DURATION_S", SHORT_S)
 
 
 def test_a_job_has_a_row_a_gap_and_method(short):
-    rows = jobs.run_job(jobs.Job("realistic", "500", 0.5, ("graph", "hold")))
+    rows = measure.run_job(measure.Job("realistic", "500", 0.5, ("graph", "hold")))
     assert {row["method"] for row in rows} == {"graph", "hold"}
     assert len(rows) % 2 == 0 and all(row["failure"] == "" and 0 < row["rms_m"] < 0.5 for row in rows)
     assert json.loads(json.dumps(rows)) == rows
 
 
 def test_every_ingredient_can_be_taken_away(short):
-    whole = jobs.run_job(jobs.Job("realistic", "500", 1.0, ("graph",)))
-    without = jobs.run_job(jobs.Job("ingredients", "500", 1.0, tuple(WITHOUT)))
+    whole = measure.run_job(measure.Job("realistic", "500", 1.0, ("graph",)))
+    without = measure.run_job(measure.Job("ingredients", "500", 1.0, tuple(WITHOUT)))
     assert {row["method"] for row in without} == set(WITHOUT)
     assert all(row["failure"] == "" for row in without)
     # the very gaps of the whole graph, so that they can stand side by side
@@ -43,11 +42,11 @@ def test_every_ingredient_can_be_taken_away(short):
 
 
 def test_jobs_that_say_most_come_first():
-    todo = list(jobs.jobs(["realistic", "clean", "ingredients"], seeds=2))
+    todo = list(measure.jobs(["realistic", "clean", "ingredients"], seeds=2))
     assert len({job.name for job in todo}) == len(todo)
-    assert {job.length_s for job in todo if job.data == "realistic"} == set(jobs.LENGTHS_S)
+    assert {job.length_s for job in todo if job.data == "realistic"} == set(measure.LENGTHS_S)
     lengths = [job.length_s for job in todo if job.data != "ingredients"]
-    assert lengths == sorted(lengths, key=jobs.LENGTHS_S.index)
+    assert lengths == sorted(lengths, key=measure.LENGTHS_S.index)
 
 
 def row(method: str, length_s: float, start_s: float, rms_m: float | None, recording: str = "a") -> dict:
@@ -102,7 +101,7 @@ def test_summed_up_and_drawn(tmp_path: Path):
 
 def test_what_is_done_is_not_done_again(tmp_path: Path, capsys):
     kept = tmp_path / "rows.jsonl"
-    todo = [jobs.Job("realistic", "500", 0.5)]
+    todo = [measure.Job("realistic", "500", 0.5)]
     kept.write_text(json.dumps({"job": todo[0].name, "data": "realistic", "rows": []}) + "\n")
     measure.measure(todo, kept, processes=1)
     assert len(measure.read_rows(kept)) == 1 and capsys.readouterr().out == ""

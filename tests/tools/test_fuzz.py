@@ -14,8 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from smoother.errors import UnoccludeError
 from tools.fuzz import __main__ as fuzzing
 from tools.fuzz.corpus import seeds, write_seeds
-from tools.fuzz.limits import Limits, _peak_mb
-from tools.fuzz.one import _without_arrays
+from tools.fuzz.one import Limits, _peak_mb, _without_arrays
 from tools.fuzz.targets import LONGEST, names, once, target
 
 SEEDS = seeds()
@@ -60,12 +59,12 @@ def test_an_input_that_takes_too_much_is_a_finding(monkeypatch: pytest.MonkeyPat
     held: list[bytearray] = []
     limits = Limits(lambda data: held.append(bytearray(b"1") * int(data)))
     limits(b"10")
-    monkeypatch.setattr("tools.fuzz.limits.MOST_MB", _peak_mb(RUSAGE_SELF) - limits.resting_mb + 100.0)
+    monkeypatch.setattr("tools.fuzz.one.MOST_MB", _peak_mb(RUSAGE_SELF) - limits.resting_mb + 100.0)
     limits(b"80000000")
     with pytest.raises(MemoryError, match="MB for 9 bytes"):
         limits(b"120000000")
     limits(b"10")  # the peak stays where it was
-    monkeypatch.setattr("tools.fuzz.limits.MOST_S", -1.0)
+    monkeypatch.setattr("tools.fuzz.one.MOST_S", -1.0)
     with pytest.raises(TimeoutError, match="processor"):
         limits(b"10")
 

@@ -25,7 +25,9 @@ from tools.reliability.judging import (
     Interval,
     Outcome,
     Rated,
+    Row,
     rated,
+    summarise,
     trial_of,
     trusted_samples,
 )
@@ -33,9 +35,7 @@ from tools.reliability.motions import EXERCISES, SPECIAL, perform
 from tools.reliability.pairs import preset_jobs, preset_pair
 from tools.reliability.real import known_offset_s
 from tools.reliability.scene import Scene, draw_scene
-from tools.reliability.sensors import ideal_imu
-from tools.reliability.table import Row, summarise
-from tools.reliability.trackers import Tracker, film, plan_gaps
+from tools.reliability.sensors import Tracker, film, ideal_imu, plan_gaps
 
 #: Cases that are a choice of exercise, length or rate, and leave the scene as it was drawn.
 DRAWN = {"sound", "sound at another rate", "sound short"}

@@ -21,10 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from smoother.runtime.printable import plain
+from tools.benchmark.whole import METHODS, Beside, exactness_of_file, run_method, run_smooth
 
 from . import tables
-from .beside import METHODS, Beside, run_method, run_smooth
-from .exactness import exactness_of_file
 from .isolated import Stopped, isolated
 from .profile import READ, WRITE, profile
 from .recordings import Made, make

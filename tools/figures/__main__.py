@@ -47,7 +47,7 @@ def main() -> None:
 
         draw(options.output, options.gap)
     elif options.command == "tables":
-        from .tables import tables
+        from tools.figures.measure import tables
 
         print("\n".join(tables(json.loads(options.file.read_text(encoding="utf-8")))))
     else:
@@ -56,8 +56,9 @@ def main() -> None:
 
 def curves(options: argparse.Namespace) -> None:
     """Measure what is not measured yet, and draw."""
+    from tools.figures.measure import jobs
+
     from .curves import draw
-    from .jobs import jobs
     from .measure import measure, read_rows, summed_up
 
     options.rows.parent.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from tools.fuzz.corpus import write_seeds
-from tools.fuzz.limits import Limits
+from tools.fuzz.one import Limits
 from tools.fuzz.targets import LONGEST, names, once
 
 #: An input may take so long on the wall, s, and the process with what atheris keeps so much memory, MB; what

@@ -10,22 +10,123 @@ from collections import Counter
 from io import BytesIO
 from pathlib import Path
 
+import device_files
 import numpy as np
+import skeleton_files
+from library_files import write_bag, write_opal
+from made_recordings import make, plain_texts
+from made_results import recovery
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
-
-from made_recordings import make, plain_texts
-from made_results import recovery
-
+from calib.intrinsics import Intrinsics
 from smoother.cli.config import to_toml
 from smoother.config import Config
 from smoother.io import write_recovery
+from smoother.io.devices.registry import formats
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc
+from smoother.io.media.images import (
+    CAMERA_CALIBRATION,
+    COMPRESSED_IMAGE,
+    RAW_IMAGE,
+    jpeg_image,
+    lens_message,
+    raw_image,
+)
 from smoother.io.recording.write import write_recording
-from tools.fuzz.device_seeds import device_seeds
-from tools.fuzz.media_seeds import media_seeds
+from smoother.io.tables.joint_columns import BLAZEPOSE
+from smoother.io.wire.schemas import message_class
+
+_NS = 1_700_000_000 * 10**9
+
+
+def media_seeds() -> dict[str, list[bytes]]:
+    """Inputs by target."""
+    import cv2
+    from scipy.io import savemat, wavfile
+
+    grey = np.arange(64, dtype=np.uint16).reshape(8, 8)
+    pictures = [cv2.imencode(".png", image)[1].tobytes() for image in (grey, grey.astype(np.uint8))]
+    pictures.append(cv2.imencode(".jpg", grey.astype(np.uint8))[1].tobytes())
+    sounds = []
+    for kind in (np.int16, np.uint8, np.float32, np.int32):
+        file = BytesIO()
+        wavfile.write(file, 8000, np.arange(16).reshape(8, 2).astype(kind))
+        sounds.append(file.getvalue())
+    trial = BytesIO()
+    savemat(trial, {"d_iner": np.ones((6, 6)), "d_skel": np.ones((20, 3, 4))}, do_compression=False)
+    return {"picture": pictures, "sound": sounds, "matlab": [trial.getvalue()], "media": [_media(grey)]}
+
+
+def _media(grey: np.ndarray) -> bytes:
+    """A container of an image each kind, a lens and two blocks of sound."""
+    audio = message_class("foxglove.RawAudio")(
+        data=struct.pack("<8h", *range(8)), format="pcm-s16", sample_rate=8000, number_of_channels=1
+    )
+    audio.timestamp.FromNanoseconds(_NS)
+    lens = Intrinsics(8, 8, 8.0, 8.0, 4.0, 4.0, (0.0,) * 5)
+    messages = [
+        (RAW_IMAGE, raw_image("depth", "16UC1", grey, _NS)),
+        (COMPRESSED_IMAGE, jpeg_image("colour", grey.astype(np.uint8), _NS)),
+        (CAMERA_CALIBRATION, lens_message("depth", lens, _NS)),
+        ("foxglove.RawAudio", audio.SerializeToString()),
+    ]
+    file = BytesIO()
+    writer = Writer(file, compression=CompressionType.NONE, enable_crcs=False)
+    writer.start()
+    for name, data in messages:
+        schema = writer.register_schema(name, "protobuf", b"")
+        channel = writer.register_channel(f"/{name}", "protobuf", schema)
+        for _ in range(2):
+            writer.add_message(channel, _NS, data, _NS)
+    writer.finish()
+    return file.getvalue()
+
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
+
+
+#: Text is cut to so many lines: that is enough to be recognised, and read in a tenth of the time.
+_LINES = 24
+
+
+def device_seeds() -> dict[str, list[bytes]]:
+    """Files by importer; an importer whose library is absent has none."""
+    makers = {
+        **device_files.EXAMPLES,
+        "rosbag1": lambda path: write_bag(path, samples=4, frames=2),
+        "apdm-hdf5": lambda path: write_opal(path, count=12),
+        "pose-json": _landmarks,
+    }
+    seeds: dict[str, list[bytes]] = {}
+    with tempfile.TemporaryDirectory() as name:
+        for importer in formats():
+            path = Path(name) / importer.key
+            try:
+                makers[importer.key](path)
+            except ImportError:
+                seeds[importer.key] = [b"\0"]
+                continue
+            data = path.read_bytes()
+            lines = data.split(b"\n")
+            is_table = len(lines) > _LINES and b"\0" not in data
+            seeds[importer.key] = [b"\n".join(lines[:_LINES]) + b"\n" if is_table else data]
+    return seeds
+
+
+def _landmarks(path: Path) -> None:
+    """Landmarks of MediaPipe as a program of one's own writes them."""
+    rows = [
+        [{"x": x, "y": y, "z": z, "visibility": 0.9} for x, y, z in frame]
+        for frame in skeleton_files.landmarks(4).tolist()
+    ]
+    assert len(rows[0]) == len(BLAZEPOSE)
+    frames = [{"timestamp_ms": 40 * at, "world_landmarks": row} for at, row in enumerate(rows)]
+    path.write_text(json.dumps({"frames": frames}), encoding="utf-8")
+
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
+
 
 #: Plain CDR, little endian.
 _CDR = b"\0\1\0\0"

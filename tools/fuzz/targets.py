@@ -5,14 +5,97 @@ A target imports its reader itself: only that is instrumented, which takes a sec
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Callable
 from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 
 from smoother.errors import UnoccludeError
-from tools.fuzz import device_targets, message_targets
-from tools.fuzz.files import file_of, place
+
+_SHM = Path("/dev/shm")
+
+
+@cache
+def _folder(process: int) -> tempfile.TemporaryDirectory[str]:
+    """A folder of this process, that goes when it ends."""
+    return tempfile.TemporaryDirectory(prefix="unocclude_fuzz_", dir=_SHM if _SHM.is_dir() else None)
+
+
+def place(name: str) -> Path:
+    """A file's place."""
+    return Path(_folder(os.getpid()).name) / name
+
+
+def file_of(data: bytes, name: str) -> Path:
+    """The bytes as a file."""
+    path = place(name)
+    path.write_bytes(data)
+    return path
+
+
+def any_device(data: bytes) -> None:
+    """A file of any device, recognised by its content."""
+    from smoother.io.devices.files import import_files
+    from smoother.io.devices.folder import sort_files
+    from smoother.io.devices.registry import FileReader
+
+    path, reader = file_of(data, "export.csv"), FileReader()
+    skeletons, imus, _ = sort_files([path], reader)
+    import_files(skeletons, imus, reader=reader)
+
+
+def one_device(key: str, data: bytes) -> None:
+    """A file that the user says is of this device."""
+    from smoother.io.devices.files import ImuFiles, import_files
+    from smoother.io.devices.registry import FileReader, format_named
+    from smoother.io.tables.protocol import ImuTable, SkeletonTable
+
+    path, reader = file_of(data, "export.dat"), FileReader(key, key)
+    tables = reader.read(path, format_named(key))
+    skeletons = [path] if any(isinstance(table, SkeletonTable) for table in tables) else []
+    imus = [ImuFiles((path,))] if any(isinstance(table, ImuTable) for table in tables) else []
+    import_files(skeletons, imus, reader=reader)
+
+
+def _fed(data: bytes, encoding: str, schemas: tuple[str, ...]) -> None:
+    """Messages of each schema, cut from the input by its first byte."""
+    from smoother.io.mcap.messages import Topic, TopicMessages
+    from smoother.io.recording.decode import plain_decoder, skeleton_decoder
+    from smoother.io.recording.json_messages import json_decoder
+
+    size = max(data[0], 1) * 8 if data else 1
+    start = np.arange(1, max(len(data), 2), size)
+    stop = np.minimum(start + size, len(data))
+    for schema in schemas:
+        topic = Topic("/imu/forearm", schema, "", b"", encoding)
+        decoder = plain_decoder(topic) or skeleton_decoder(topic) or json_decoder(topic)
+        assert decoder is not None, schema
+        decoder.feed(TopicMessages(np.arange(len(start)), data, start, np.maximum(stop, start)))
+        if hasattr(decoder, "arms"):
+            decoder.arms()
+        else:
+            decoder.stream()
+
+
+def cdr(data: bytes) -> None:
+    """ROS 2 messages."""
+    kinds = ("Imu", "MagneticField")
+    schemas = [f"sensor_msgs/msg/{kind}" for kind in kinds]
+    _fed(data, "cdr", (*schemas, "geometry_msgs/msg/PoseStamped", "visualization_msgs/msg/MarkerArray"))
+
+
+def protobuf(data: bytes) -> None:
+    """Our messages and Foxglove's."""
+    _fed(data, "protobuf", ("unocclude.Imu", "unocclude.Skeleton", "foxglove.PoseInFrame"))
+
+
+def json_messages(data: bytes) -> None:
+    """Messages in JSON."""
+    _fed(data, "json", ("unocclude.Imu", "unocclude.Skeleton", "foxglove.PoseInFrame"))
+
 
 #: Inputs longer than this teach nothing more, bytes.
 LONGEST = 1 << 16
@@ -148,9 +231,9 @@ _READERS: dict[str, Callable[[bytes], None]] = {
     "repair": repair,
     "result": result,
     "media": media,
-    "cdr": message_targets.cdr,
-    "protobuf": message_targets.protobuf,
-    "json": message_targets.json_messages,
+    "cdr": cdr,
+    "protobuf": protobuf,
+    "json": json_messages,
     "trc": trc,
     "c3d": c3d,
     "csv": csv,
@@ -160,7 +243,7 @@ _READERS: dict[str, Callable[[bytes], None]] = {
     "calibration": calibration,
     "settings": settings,
     "study": study,
-    "devices": device_targets.any_device,
+    "devices": any_device,
 }
 _DEVICE = "device-"
 
@@ -176,7 +259,7 @@ def names() -> tuple[str, ...]:
 def target(name: str) -> Callable[[bytes], None]:
     """A target by its name."""
     if name.startswith(_DEVICE):
-        return partial(device_targets.one_device, name.removeprefix(_DEVICE))
+        return partial(one_device, name.removeprefix(_DEVICE))
     return _READERS[name]
 
 

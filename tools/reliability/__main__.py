@@ -15,11 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tools.reliability.judging import Row, head, summarise
+
 from .cases import CASES, SOUND, UNUSUAL, WRONG, Case
 from .judging import run, trial_of
 from .pairs import preset_jobs, preset_pair
 from .scene import draw_scene
-from .table import Row, head, summarise
 
 #: Pairs of our own are as long as a session's exercise, s.
 PAIR_S = (40.0, 72.0)

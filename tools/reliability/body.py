@@ -1,4 +1,4 @@
-"""A person for the second simulator: bones, postures, and how the sensor sits on the wrist.
+"""The body of the second simulator, and paths through its postures.
 
 The person's frame {P} is a level camera's that the person faces: x to the person's right, y up, z away from
 the camera, so forward is -z. Upper arm {U}: y shoulder to elbow, z the axis of flexion. Forearm {F}: origin
@@ -8,11 +8,14 @@ of a right arm; a left arm is its mirror image.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation, Slerp
 
 from smoother.array_types import FloatArray
 from smoother.linalg import unit
@@ -129,3 +132,226 @@ def reaching(target: FloatArray, bones: Bones, swivel_deg: float = 0.0, **more: 
     cosine = (a * a + far * far - b * b) / (2 * a * far)
     elbow = a * (cosine * along + np.sqrt(1.0 - cosine * cosine) * side)
     return pointing(elbow, far * along - elbow, **more)
+
+
+#: Postures are blended on a grid this fine, smoothed, and then read through quintic splines, Hz.
+GRID_HZ = 200.0
+#: Columns of the grid: quaternion x, y, z, w of `R_P_U`, angles, trunk's and girdle's shift.
+_UPPER, _FLEXION, _PRONATION, _WRIST, _TRUNK, _GIRDLE = slice(0, 4), 4, 5, 6, slice(7, 10), slice(10, 13)
+
+
+@dataclass(frozen=True)
+class Move:
+    """A movement to a posture in so many seconds, s; the same posture again is a pause."""
+
+    duration_s: float
+    to: Posture
+
+
+def slow_noise(
+    t_s: FloatArray, columns: int, sigma: float, tau_s: float, rng: np.random.Generator
+) -> FloatArray:
+    """(N, columns) smooth random curves of a standard deviation, with features as long as `tau_s`."""
+    step_s = float(t_s[1] - t_s[0])
+    width = max(tau_s / step_s / 2.0, 1.0)
+    raw = gaussian_filter1d(rng.normal(size=(len(t_s), columns)), width, axis=0)
+    return np.asarray(sigma * raw * np.sqrt(2.0 * width * np.sqrt(np.pi)))
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """How a person differs from the plan.
+
+    Attributes
+    ----------
+    sway_m : float, m
+        Slow sway of the trunk, an axis.
+    wander_deg : float, degrees
+        Slow wandering of the arm's angles.
+    tremor_deg, tremor_hz : float
+        Size (rms at the elbow and in pronation) and rate of a tremor; 0 for none.
+    smooth_s : float, s
+        Width of the smoothing over the moves.
+    """
+
+    sway_m: float = 0.006
+    wander_deg: float = 1.5
+    tremor_deg: float = 0.0
+    tremor_hz: float = 5.0
+    smooth_s: float = 0.05
+
+
+class ArmPath:
+    """A right arm's postures over time, as splines."""
+
+    def __init__(
+        self, start: Posture, moves: Sequence[Move], jitter: Jitter, rng: np.random.Generator
+    ) -> None:
+        end_s = sum(move.duration_s for move in moves)
+        t_s = np.arange(int(end_s * GRID_HZ) + 1) / GRID_HZ
+        grid = np.empty((len(t_s), 13))
+        begin_s, last = 0.0, start
+        for move in moves:
+            rows = (t_s >= begin_s - 1e-9) & (t_s <= begin_s + move.duration_s + 1e-9)
+            x = np.clip((t_s[rows] - begin_s) / move.duration_s, 0.0, 1.0)
+            share = np.clip(x**3 * (10 - 15 * x + 6 * x**2), 0.0, 1.0)  # least jerk
+            both = Rotation.from_quat(np.stack([last.upper.as_quat(), move.to.upper.as_quat()]))
+            grid[rows, _UPPER] = Slerp([0.0, 1.0], both)(share).as_quat()
+            grid[rows, 4:] = _numbers(last) + share[:, None] * (_numbers(move.to) - _numbers(last))
+            begin_s, last = begin_s + move.duration_s, move.to
+        flip = np.where((grid[1:, _UPPER] * grid[:-1, _UPPER]).sum(axis=1) < 0, -1.0, 1.0)
+        grid[1:, _UPPER] *= np.cumprod(flip)[:, None]
+        grid = gaussian_filter1d(grid, jitter.smooth_s * GRID_HZ, axis=0, mode="nearest")
+        _wander(grid, t_s, jitter, rng)
+        self.t_s, self._grid = t_s, grid
+        self._spline = make_interp_spline(t_s, grid, k=5)
+
+    @property
+    def duration_s(self) -> float:
+        """Where the path ends, s."""
+        return float(self.t_s[-1])
+
+    def at(self, t_s: FloatArray) -> tuple[Rotation, FloatArray]:
+        """`R_P_U`, and the further columns (N, 9), at times (N,)."""
+        values = self._spline(np.clip(t_s, 0.0, self.duration_s))
+        return Rotation.from_quat(values[:, _UPPER]), values[:, 4:]
+
+
+def _numbers(posture: Posture) -> FloatArray:
+    return np.array([posture.flexion, posture.pronation, posture.wrist, *posture.trunk, *posture.girdle])
+
+
+def _wander(grid: FloatArray, t_s: FloatArray, jitter: Jitter, rng: np.random.Generator) -> None:
+    """Add what no two repetitions share: sway, wandering angles, a tremor."""
+    wander, sway = np.radians(jitter.wander_deg), jitter.sway_m
+    turn = slow_noise(t_s, 3, wander, 1.2, rng)
+    angles = slow_noise(t_s, 3, wander, 1.0, rng) * [1.0, 2.0, 2.0]
+    grid[:, _TRUNK] += slow_noise(t_s, 3, sway, 1.5, rng)
+    grid[:, _GIRDLE] += slow_noise(t_s, 3, 0.3 * sway, 0.8, rng)
+    if jitter.tremor_deg:
+        phase = 2 * np.pi * np.cumsum(jitter.tremor_hz + slow_noise(t_s, 1, 0.4, 1.0, rng)[:, 0]) / GRID_HZ
+        size = np.radians(jitter.tremor_deg) * np.sqrt(2) * np.exp(slow_noise(t_s, 1, 0.3, 2.0, rng)[:, 0])
+        shake = (size * np.sin(phase))[:, None]
+        turn += 0.3 * shake * rng.normal(size=3)
+        angles += shake * [0.6, 1.0, 0.8]
+    upper = Rotation.from_quat(grid[:, _UPPER]) * Rotation.from_rotvec(turn)
+    quaternion = upper.as_quat()
+    flip = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    quaternion[1:] *= np.cumprod(flip)[:, None]
+    grid[:, _UPPER] = quaternion
+    grid[:, _FLEXION] = _bounded(grid[:, _FLEXION] + angles[:, 0])
+    grid[:, _PRONATION] += angles[:, 1]
+    grid[:, _WRIST] += angles[:, 2]
+
+
+def _bounded(flexion: FloatArray) -> FloatArray:
+    """Flexion that never goes below zero: bent back smoothly from a degree or two on."""
+    soft = np.radians(1.5)
+    return np.asarray(soft * np.logaddexp(0.0, flexion / soft))
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where the camera stands.
+
+    Attributes
+    ----------
+    R_K_P : ndarray, shape (3, 3)
+        The person's axes to the camera's.
+    person_K : ndarray, shape (3,), m
+        The neck at rest, in {K}.
+    """
+
+    R_K_P: FloatArray
+    person_K: FloatArray
+
+    @property
+    def gravity(self) -> FloatArray:
+        """(3,) m/s^2 in {K}."""
+        return -9.81 * self.R_K_P @ UP
+
+
+def draw_camera(rng: np.random.Generator, *, yaw_deg: float = 25.0) -> Camera:
+    """A camera on a stand or a shelf: tilted, to the person's side, 1.5 to 2.8 m away."""
+    yaw, pitch, roll = rng.uniform(-yaw_deg, yaw_deg), rng.uniform(-12, 6), rng.normal(0, 1.0)
+    R_K_P = Rotation.from_euler("zxy", [roll, pitch, yaw], degrees=True).as_matrix()
+    return Camera(R_K_P, np.array([rng.uniform(-0.3, 0.3), rng.uniform(-0.1, 0.4), rng.uniform(1.5, 2.8)]))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A person before a camera.
+
+    Attributes
+    ----------
+    bones : Bones
+        Of the person.
+    right, left : ArmPath
+        Both arms; the left one's is mirrored, and its trunk is the right one's.
+    camera : Camera
+        Who looks.
+    wobble : callable
+        Times (N,) to rotation vectors (N, 3), rad: the strap's own turning on the forearm, in {A}.
+    """
+
+    bones: Bones
+    right: ArmPath
+    left: ArmPath
+    camera: Camera
+    wobble: Callable[[FloatArray], FloatArray]
+
+    def frames(self, t_s: FloatArray, *, left: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Shoulder (N, 3) m, `R_P_U` and `R_P_F` (N, 3, 3) in {P}, of an arm as if it were the right one."""
+        upper, values = (self.left if left else self.right).at(t_s)
+        flexion, pronation = values[:, 0], values[:, 1]
+        bend = Rotation.from_euler("ZY", np.stack([flexion, pronation], axis=1))
+        trunk = self.right.at(t_s)[1][:, 3:6] * ([-1.0, 1.0, 1.0] if left else 1.0)
+        shoulder = np.array([self.bones.half_shoulders, 0.0, 0.0]) + trunk + values[:, 6:9]
+        return shoulder, upper.as_matrix(), (upper * bend).as_matrix()
+
+    def joints(self, t_s: FloatArray, *, left: bool = False) -> dict[str, FloatArray]:
+        """Joints of an arm (N, 3), m in {K}, by name."""
+        shoulder, R_P_U, R_P_F = self.frames(t_s, left=left)
+        elbow = shoulder + self.bones.upper_arm * R_P_U[:, :, 1]
+        wrist = elbow + self.bones.forearm * R_P_F[:, :, 1]
+        bend = (self.left if left else self.right).at(t_s)[1][:, 2:3]
+        hand = wrist + self.bones.hand * (np.cos(bend) * R_P_F[:, :, 1] + np.sin(bend) * R_P_F[:, :, 0])
+        joints = {"shoulder": shoulder, "elbow": elbow, "wrist": wrist, "hand": hand}
+        return {name: self._to_camera(place, left) for name, place in joints.items()}
+
+    def trunk_points(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """Points of the trunk (N, 3), m in {K}: right hip, belly."""
+        trunk = self.right.at(t_s)[1][:, 3:6]
+        places = {"hip": np.array([0.11, -0.52, 0.0]), "belly": np.array([0.02, -0.35, -0.12])}
+        return {name: self._to_camera(place + trunk, False) for name, place in places.items()}
+
+    def imu_pose(self, t_s: FloatArray, *, left: bool = False) -> tuple[FloatArray, FloatArray]:
+        """`R_K_A` (N, 3, 3) and the sensor's place (N, 3), m in {K}.
+
+        A sensor on the left arm sits at the mirrored place, its axes turned as a right-handed one's can be.
+        """
+        shoulder, R_P_U, R_P_F = self.frames(t_s, left=left)
+        place = shoulder + self.bones.upper_arm * R_P_U[:, :, 1] + R_P_F @ self.bones.imu_in_forearm
+        R_P_A = R_P_F @ self.bones.R_F_A
+        if left:
+            mirror = np.diag([-1.0, 1.0, 1.0])
+            R_P_A = mirror @ R_P_A @ mirror
+        R_P_A = (Rotation.from_matrix(R_P_A) * Rotation.from_rotvec(self.wobble(t_s))).as_matrix()
+        return self.camera.R_K_P @ R_P_A, self._to_camera(place, left)
+
+    def turned(self, camera: Camera) -> Motion:
+        """The same motion before another camera."""
+        return replace(self, camera=camera)
+
+    def _to_camera(self, place_P: FloatArray, left: bool) -> FloatArray:
+        mirrored = place_P * ([-1.0, 1.0, 1.0] if left else 1.0)
+        return mirrored @ self.camera.R_K_P.T + self.camera.person_K
+
+
+def draw_wobble(
+    duration_s: float, deg: float, rng: np.random.Generator
+) -> Callable[[FloatArray], FloatArray]:
+    """A strap that turns to and fro on the skin by so many degrees rms."""
+    t_s = np.arange(0.0, duration_s + 0.5, 0.02)
+    spline = make_interp_spline(t_s, slow_noise(t_s, 3, np.radians(deg), 0.5, rng), k=5)
+    return lambda t: np.asarray(spline(np.clip(t, 0.0, t_s[-1])))

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from smoother.array_types import BoolArray, FloatArray
 from smoother.linalg import interpolate, unit
 from smoother.recording import JOINTS, JointState
+from tools.reliability.body import Motion, slow_noise
+from tools.reliability.sensors import FOREARM, TRACKED, in_columns
 
 from .motions import EXERCISES, Gaps
-from .path import Motion, slow_noise
 from .scene import Scene, View, as_it_is, worn_imu
 from .sensors import bursts_lost, evenly_restamped, turned_on_the_arm
-from .trackers import FOREARM, TRACKED, in_columns
 
 ALL_JOINTS = [JOINTS.index(joint) for joint in TRACKED]
 ELBOW, WRIST, HAND = FOREARM

@@ -16,11 +16,11 @@ from smoother.array_types import FloatArray
 from smoother.linalg import unit
 from smoother.measures import measure
 from smoother.smoothing import smooth
+from tools.reliability.sensors import TRACKERS
 
 from .judging import ONE_PROCESS
 from .motions import EXERCISES, SPECIAL
 from .scene import Scene, draw_scene
-from .trackers import TRACKERS
 
 KEYS = ("range", "min", "max", "p5", "p50", "p95")
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.array_types import FloatArray
+from tools.reliability.body import ArmPath, Camera, Jitter, Motion, Move, draw_camera, draw_wobble
 
 from .body import Bones, Posture, draw_bones, pointing, reaching
-from .path import ArmPath, Camera, Jitter, Motion, Move, draw_camera, draw_wobble
 
 #: Occlusions, as (start, end) pairs, s of true time.
 Gaps = tuple[tuple[float, float], ...]

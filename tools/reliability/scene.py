@@ -11,11 +11,11 @@ import numpy as np
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.recording import CameraFrame, ImuStream, JointState, JointTracks, Recording
+from tools.reliability.body import Motion
+from tools.reliability.sensors import TRACKERS, Film, Tracker, film, plan_gaps
 
 from .motions import Gaps, perform
-from .path import Motion
 from .sensors import ImuErrors, ideal_imu, measured
-from .trackers import TRACKERS, Film, Tracker, film, plan_gaps
 
 #: True time and places (N, 3) of the body to what the skeleton's coordinates call them.
 View = Callable[[FloatArray, FloatArray], FloatArray]

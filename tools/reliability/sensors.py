@@ -1,16 +1,18 @@
-"""What an IMU on a wrist measures of the second simulator's motion: ideal samples, then errors."""
+"""The sensors of the second simulator: an IMU, and what skeleton trackers make of a body."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
-from smoother.recording import ImuStream
-
-from .path import Motion
+from smoother.linalg import runs, unit
+from smoother.recording import JOINTS, ImuStream, JointState, JointTracks
+from tools.reliability.body import Motion
+from tools.reliability.motions import Gaps
 
 #: The motion is looked at at least so often, Hz.
 FINE_HZ = 1000.0
@@ -119,3 +121,147 @@ def turned_on_the_arm(imu: ImuStream, R_A_new: FloatArray, rows: BoolArray) -> I
     acc, gyro = imu.acc.copy(), imu.gyro.copy()
     acc[rows], gyro[rows] = acc[rows] @ R_A_new, gyro[rows] @ R_A_new
     return replace(imu, acc=acc, gyro=gyro)
+
+
+#: Joints that the tracker knows, in the order of their columns; the strap's column stays empty.
+TRACKED = JOINTS[:4]
+FOREARM = [JOINTS.index(joint) for joint in ("elbow", "wrist", "hand")]
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """How well a tracker sees.
+
+    Attributes
+    ----------
+    white_m : float, m
+        White noise, per axis.
+    slow_m : tuple of float, m
+        Noise with a memory, 3D rms, by joint.
+    memory_s : float, s
+        Of the slow noise.
+    offset_m : float, m
+        Constant error of a joint, 3D, half of it fixed to the camera and half to the limb.
+    rate_hz : float, Hz
+        Frames a second.
+    dropped : float
+        Fraction of the frames that never arrive.
+    """
+
+    white_m: float
+    slow_m: tuple[float, ...]
+    memory_s: float
+    offset_m: float
+    rate_hz: float = 30.0
+    dropped: float = 0.01
+
+
+#: Depth cameras and networks from good to poor.
+TRACKERS = {
+    "good": Tracker(0.003, (0.004, 0.005, 0.007, 0.010), 0.3, 0.006),
+    "ordinary": Tracker(0.005, (0.008, 0.012, 0.018, 0.025), 0.5, 0.010),
+    "poor": Tracker(0.006, (0.015, 0.022, 0.040, 0.050), 0.6, 0.015),
+}
+
+
+def plan_gaps(duration_s: float, rng: np.random.Generator, *, every_s: float = 5.0) -> Gaps:
+    """When the arm will be hidden: one or more gaps of 0.5 to 4 s, at least 1.5 s of sight between them."""
+    gaps: list[tuple[float, float]] = []
+    t_s = rng.uniform(3.0, 6.0)
+    while True:
+        length_s = float(rng.choice([0.5, 1.0, 1.5, 2.0, 3.0, 4.0]))
+        if t_s + length_s > duration_s - 2.5:
+            break
+        gaps.append((t_s, t_s + length_s))
+        t_s += length_s + 1.5 + rng.exponential(every_s - 1.5)
+    # a short recording has one all the same
+    return tuple(gaps) or ((0.5 * duration_s - 0.6, 0.5 * duration_s + 0.6),)
+
+
+@dataclass(frozen=True)
+class Film:
+    """Frames of a tracker before they are stamped.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (F,), s
+        True times.
+    true : ndarray, shape (F, 5, 3), m
+        Where the joints are, in {K}.
+    error : ndarray, shape (F, 5, 3), m
+        What the tracker adds to any joint that it sees.
+    position : ndarray, shape (F, 5, 3), m
+        What it states; nan where nothing.
+    state : ndarray of int8, shape (F, 5)
+        `JointState` values.
+    hidden : ndarray of bool, shape (F,)
+        The arm is behind something, whatever the tracker states.
+    """
+
+    t_s: FloatArray
+    true: FloatArray
+    error: FloatArray
+    position: FloatArray
+    state: np.ndarray
+    hidden: BoolArray
+
+    def tracks(self, offset_s: float, rng: np.random.Generator) -> JointTracks:
+        """The frames on the camera's clock (t_imu = t_camera + offset), stamped 1 ms unevenly."""
+        stamp = self.t_s - offset_s + np.clip(rng.normal(0, 0.001, len(self.t_s)), -0.004, 0.004)
+        position = np.where(self.state[:, :, None] == JointState.NOT_TRACKED, np.nan, self.position)
+        return JointTracks("skeleton", stamp, position, self.state.copy())
+
+    def between(self, start_s: float, end_s: float) -> BoolArray:
+        """(F,) frames between two true times."""
+        return np.asarray((self.t_s >= start_s) & (self.t_s < end_s))
+
+
+def in_columns(joints: dict[str, FloatArray]) -> FloatArray:
+    """Joints by name (F, 3) as (F, 5, 3), nan where there is none."""
+    columns = np.full((len(next(iter(joints.values()))), len(JOINTS), 3), np.nan)
+    for name, place in joints.items():
+        columns[:, JOINTS.index(name)] = place
+    return columns
+
+
+def film(motion: Motion, tracker: Tracker, duration_s: float, gaps: Gaps, rng: np.random.Generator) -> Film:
+    """What a tracker makes of a person who is hidden now and then."""
+    times_rng, noise_rng, state_rng = rng.spawn(3)
+    t_s = np.arange(times_rng.uniform(0, 1) / tracker.rate_hz, duration_s, 1.0 / tracker.rate_hz)
+    t_s = t_s[times_rng.uniform(size=len(t_s)) >= tracker.dropped]
+    true = in_columns(motion.joints(t_s))
+    error = tracker_error(motion, tracker, t_s, noise_rng)
+    hidden = np.zeros(len(t_s), dtype=bool)
+    state = np.zeros((len(t_s), len(JOINTS)), dtype=np.int8)
+    state[:, : len(TRACKED)] = JointState.TRACKED
+    for start_s, end_s in gaps:
+        inside = (t_s >= start_s) & (t_s < end_s)
+        hidden |= inside
+        later = (t_s >= start_s + state_rng.uniform(0, 0.12)) & (t_s < end_s)
+        state[inside, 2:4] = JointState.NOT_TRACKED
+        state[later, 1] = JointState.NOT_TRACKED
+    state[hidden & (state_rng.uniform(size=len(t_s)) < 0.05), 0] = JointState.NOT_TRACKED
+    state[state_rng.uniform(size=len(t_s)) < 0.01, 3] = JointState.NOT_TRACKED  # hands are lost at any time
+    return Film(t_s, true, error, true + error, state, hidden)
+
+
+def tracker_error(motion: Motion, tracker: Tracker, t_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """(F, 5, 3) m: white and slow noise, constant errors of the camera and of the limbs."""
+    frames = len(t_s)
+    error = rng.normal(0, tracker.white_m, (frames, len(JOINTS), 3))
+    memory = np.exp(-1.0 / (tracker.rate_hz * tracker.memory_s))
+    drive = rng.normal(size=(frames, len(TRACKED), 3)) * np.sqrt(1 - memory**2)
+    drive[0] /= np.sqrt(1 - memory**2)
+    slow = lfilter([1.0], [1.0, -memory], drive, axis=0)
+    error[:, : len(TRACKED)] += slow * (np.array(tracker.slow_m) / np.sqrt(3))[:, None]
+    joints = motion.joints(t_s)
+    along = unit(joints["wrist"] - joints["elbow"])
+    for column in range(len(TRACKED)):
+        error[:, column] += 0.6 * tracker.offset_m * unit(rng.normal(size=3))
+        error[:, column] += 0.6 * tracker.offset_m * rng.normal() * along
+    return np.asarray(error)
+
+
+def hidden_runs(mask: BoolArray) -> list[slice]:
+    """Runs of hidden frames, the longest first."""
+    return sorted(runs(mask), key=lambda run: run.start - run.stop)
