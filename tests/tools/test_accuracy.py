@@ -46,7 +46,7 @@ def test_the_table_of_long_gaps(capsys: pytest.CaptureFixture[str]):
 
 
 def test_the_sum_over_simulated_arms(capsys: pytest.CaptureFixture[str]):
-    main("arm --preset white --seeds 0:1 --set repetitions=1".split())
+    main(["arm", "--preset", "white", "--seeds", "0:1", "--set", "repetitions=1"])
     printed = capsys.readouterr().out
     (seed,) = re.findall(r"occluded +(\S+) / +(\S+) cm", printed)
     assert re.findall(r"occluded: rms +(\S+) cm  max +(\S+) cm", printed) == [seed]

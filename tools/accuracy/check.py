@@ -111,5 +111,10 @@ def datasets(name: str) -> Path:
 
 
 def rms(values: ArrayLike) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def known_rms(values: ArrayLike) -> float:
     """Root mean square of what is a number."""
     return float(np.sqrt(np.nanmean(np.square(values))))

@@ -25,8 +25,8 @@ from tools.accuracy.check import (
     PRESETS,
     Check,
     changes,
+    known_rms,
     option,
-    rms,
     seeds_option,
 )
 
@@ -68,7 +68,7 @@ def compare_imus(options: argparse.Namespace) -> Iterator[str]:
                 gaps[imus] += _gaps(recovery, simulated, length_s, options.at_end)
         for imus in (1, 2):
             yield from _show(length_s, imus, gaps[imus], spent[imus])
-        one, two = (rms(np.concatenate([gap.distance_m for gap in gaps[imus]])) for imus in (1, 2))
+        one, two = (known_rms(np.concatenate([gap.distance_m for gap in gaps[imus]])) for imus in (1, 2))
         yield (f"    two against one: error {two / one:.2f}, time {spent[2] / spent[1]:.2f}")
 
 
@@ -104,7 +104,7 @@ def compare_short_gaps(options: argparse.Namespace) -> Iterator[str]:
 
 
 def _short_line(length_s: float, one: list[ChainErrors], two: list[ChainErrors]) -> str:
-    first, second = (rms(np.concatenate([gap.distance_m for gap in gaps])) for gaps in (one, two))
+    first, second = (known_rms(np.concatenate([gap.distance_m for gap in gaps])) for gaps in (one, two))
     squares = [np.nanmean(np.concatenate([gap.squared_sigmas for gap in gaps])) / 3 for gaps in (one, two)]
     name = "all" if np.isinf(length_s) else f"{length_s:g} s"
     verdict = "" if second <= NEVER_WORSE * first else "  two are worse"
@@ -208,11 +208,12 @@ def _show(length_s: float, imus: int, gaps: list[ChainErrors], seconds: float) -
     distance = every("distance_m")
     last = np.array([gap.heading_deg[-40:] for gap in gaps if len(gap.heading_deg) >= 40])
     yield (
-        f"{length_s:4g} s, {imus} IMU, {len(gaps):3} gaps: rms {100 * rms(distance):5.2f} cm  max"
+        f"{length_s:4g} s, {imus} IMU, {len(gaps):3} gaps: rms {100 * known_rms(distance):5.2f} cm  max"
         f" {100 * np.nanmax(distance):5.2f}  squared error / sigma^2"
         f" {np.nanmean(every('squared_sigmas')) / 3:4.2f}  wrist to shoulder"
-        f" {100 * rms(every('wrist_to_shoulder_m')):5.2f} cm  orientation {rms(every('angle_deg')):4.2f}"
-        f" deg  relative heading at the end {rms(last) if np.isfinite(last).any() else np.nan:4.2f} deg"
+        f" {100 * known_rms(every('wrist_to_shoulder_m')):5.2f} cm"
+        f"  orientation {known_rms(every('angle_deg')):4.2f}"
+        f" deg  relative heading at the end {known_rms(last) if np.isfinite(last).any() else np.nan:4.2f} deg"
         f"  answered {100 * np.isfinite(distance).mean():.1f} %  {seconds:.1f} s"
     )
 
