@@ -28,7 +28,7 @@ from .result import Recovery
 from .runtime.pool import Pool, one_blas_thread
 from .runtime.store import Store
 from .selfcal.excerpts import informative_excerpts
-from .selfcal.given_check import contradictions
+from .selfcal.mounting import contradictions
 from .selfcal.pairing import pair
 from .selfcal.rounds import self_calibrate
 from .selfcal.upper_arm import calibrate_upper_arm

@@ -61,8 +61,7 @@ def test_topics_and_columns(tmp_path, monkeypatch):
     from smoother import read_recording, smooth
     from smoother.config import Config
     from smoother.io.export.csv import csv_columns
-    from smoother.result.trunk_motion import TrunkMotion
-    from smoother.result.upper_motion import UpperMotion
+    from smoother.result.segment_motion import TrunkMotion, UpperMotion
 
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     recording = read_recording(ROOT / "data" / "demo.mcap")

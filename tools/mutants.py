@@ -74,13 +74,10 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         "tests/graph/test_lag_elimination.py",
         "tests/graph/test_lag_window.py",
     ),
-    **{
-        f"smoother/graph/lag_{name}.py": (
-            "tests/graph/test_lag_window.py",
-            "tests/live/test_live_smoother.py",
-        )
-        for name in ("factors", "window")
-    },
+    "smoother/graph/lag_window.py": (
+        "tests/graph/test_lag_window.py",
+        "tests/live/test_live_smoother.py",
+    ),
     "smoother/selfcal/clock_fit.py": (_ALONE, "tests/selfcal/test_clock_score.py"),
     "smoother/measurements/outliers.py": (
         _ALONE,

@@ -13,7 +13,7 @@ from ..measurements.clock import Clock
 from ..measurements.visibility import REASONS, Gap
 from ..recording import JOINTS, Recording
 from ..result import Draws, FrameResiduals
-from ..result.upper_motion import UpperMotion
+from ..result.segment_motion import UpperMotion
 from ..rotation import Rotation
 from ..runtime.store import Store
 from ..selfcal.self_calibration import SelfCalibration

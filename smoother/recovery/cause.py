@@ -17,12 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import UPPER_ARM
 from ..calibration import ArmCalibration
 from ..errors import CalibrationError, SolveError
 from ..measurements.clock import Clock
 from ..measurements.remedy import AXES, Remedy
 from ..measurements.segment import Timeline, down_hint
-from ..recording import JOINTS, CameraFrame, JointState, Recording
+from ..recording import CameraFrame, JointState, Recording
 from ..result import Recovery
 from ..selfcal.excerpts import informative_recording
 from ..selfcal.mounting import ClosedForm, closed_form
@@ -87,7 +88,7 @@ def alternatives(recording: Recording) -> Iterator[Alternative]:
         )
     yield Alternative(
         "the IMU seems to sit on the upper arm",
-        _upper_arm_as_forearm,
+        lambda given: replace(given, arm=UPPER_ARM.seen_as_forearm(given.arm)),
         "strap it to the forearm, near the wrist",
     )
 
@@ -129,16 +130,6 @@ def _turning(recording: Recording, factor: float) -> Recording:
 
 def _sized(recording: Recording, factor: float) -> Recording:
     return replace(recording, arm=replace(recording.arm, position=recording.arm.position * factor))
-
-
-def _upper_arm_as_forearm(recording: Recording) -> Recording:
-    """Shoulder and elbow called elbow and wrist; nothing else is there."""
-    arm = recording.arm
-    position, state = np.full_like(arm.position, np.nan), np.zeros_like(arm.state)
-    for joint, name in (("shoulder", "elbow"), ("elbow", "wrist")):
-        position[:, JOINTS.index(name)] = arm.joint(joint)
-        state[:, JOINTS.index(name)] = arm.state[:, JOINTS.index(joint)]
-    return replace(recording, arm=replace(arm, position=position, state=state))
 
 
 #: The IMU was not on this forearm where nothing that was tried fits, the forearm's direction is off by more

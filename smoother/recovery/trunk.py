@@ -18,7 +18,7 @@ from ..measurements.segment import without_spikes
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import ImuStream, JointTracks, Recording, TrunkSensors
 from ..result import Recovery
-from ..result.trunk_motion import TrunkMotion
+from ..result.segment_motion import TrunkMotion
 from ..rotation import Rotation
 from ..runtime.store import Store
 from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_trunk

@@ -32,13 +32,13 @@ from .imu_signs import (
     doubtful_scale,
     force_scale,
     input_faults,
+    lost_samples,
     paused_in_gaps,
     rate,
     spikes,
     wrong_scale,
     zeros,
 )
-from .lost_samples import lost_samples
 
 #: A bone's length varies less than this, m, and less than this part of what is no bone: upper arms vary by
 #: 0.01 to 0.03, shoulder to wrist by 0.06 to 0.12 as the elbow bends.

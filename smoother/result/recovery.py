@@ -21,8 +21,7 @@ from .columns import arrow_table, flat_columns
 from .draws import Draws, turned_by
 from .estimates import Estimates
 from .frame_residuals import BATCH_ROWS, FrameResiduals
-from .trunk_motion import TrunkMotion
-from .upper_motion import UpperMotion
+from .segment_motion import TrunkMotion, UpperMotion
 from .verdict import GapVerdict, gap_verdicts, trusted_at
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from ..measurements.clock import Clock
 from ..measurements.outliers import reject_by_camera
 from ..measurements.segment import Timeline, without_spikes
 from ..measurements.timestamps import dejitter, split_at_pauses
-from ..recording import JOINTS, ImuStream, JointTracks, Recording
+from ..recording import ImuStream, Recording
 from ..runtime.pool import Pool
 from ..runtime.store import Store
 from .excerpts import informative_excerpts
@@ -28,8 +28,6 @@ from .pairing import synchronise_coarsely
 from .rounds import self_calibrate
 from .self_calibration import SelfCalibration
 
-#: Joint of the upper arm by the joint of the forearm that stands for it.
-STANDS_FOR = {"elbow": "shoulder", "wrist": "elbow"}
 #: A run's ends are held so much longer, s.
 PADDING_S = 0.02
 #: Rounds at most: the windows with both IMUs refine all but the clock.
@@ -82,9 +80,8 @@ class UpperArm:
         own = self.model
 
         def with_upper(arm: ArmCalibration, levers: ArmCalibration) -> ArmCalibration:
-            upper_imu = {
-                STANDS_FOR[joint]: lever for joint, lever in levers.lever_arms.items() if joint in STANDS_FOR
-            }
+            joints = UPPER_ARM.as_forearm
+            upper_imu = {joints[name]: lever for name, lever in levers.lever_arms.items() if name in joints}
             return replace(arm, upper_imu=upper_imu)
 
         bias = np.concatenate([np.zeros(3), own.initial.gyroscope_bias])
@@ -131,10 +128,15 @@ def calibrate_upper_arm(
     if recording.upper_imu is None:
         return None, ""
     name = recording.upper_imu.name
-    as_forearm = _as_forearm(recording, recording.upper_imu)
+    arm = UPPER_ARM.seen_as_forearm(recording.arm)
+    as_forearm = replace(recording, imu=recording.upper_imu, arm=arm, truth=None, upper_imu=None)
     known = ArmCalibration(
         side=given.side,
-        lever_arms={joint: given.upper_imu[of] for joint, of in STANDS_FOR.items() if of in given.upper_imu},
+        lever_arms={
+            name: given.upper_imu[joint]
+            for name, joint in UPPER_ARM.as_forearm.items()
+            if joint in given.upper_imu
+        },
     )
     try:
         as_forearm, coarse = synchronise_coarsely(as_forearm)
@@ -146,7 +148,7 @@ def calibrate_upper_arm(
         model = self_calibrate(excerpts, known, config, workers, rounds=ROUNDS)
     except UnoccludeError as error:
         return None, f"{name} was left out: {str(error).removeprefix(f'{recording.name}: ')}"
-    if set(STANDS_FOR) - set(model.estimate.lever_arms) or model.mounting_unknown:
+    if set(UPPER_ARM.as_forearm) - set(model.estimate.lever_arms) or model.mounting_unknown:
         return None, (
             f"{name} was left out: the upper arm hardly moved in view; raise the arm and turn it about there"
         )
@@ -176,17 +178,6 @@ def _longer(run: ImuStream) -> ImuStream:
         np.pad(values, ((len(more), len(more)), (0, 0)), mode="edge") for values in (run.acc, run.gyro)
     )
     return replace(run, t_s=t_s, acc=acc, gyro=gyro)
-
-
-def _as_forearm(recording: Recording, imu: ImuStream) -> Recording:
-    """The upper arm in place of the forearm."""
-    arm = recording.arm
-    position, state = np.full_like(np.asarray(arm.position), np.nan), np.zeros_like(np.asarray(arm.state))
-    for joint, stands_for in STANDS_FOR.items():
-        position[:, JOINTS.index(joint)] = arm.position[:, JOINTS.index(stands_for)]
-        state[:, JOINTS.index(joint)] = arm.state[:, JOINTS.index(stands_for)]
-    tracks = JointTracks(arm.name, arm.t_s, position, state)
-    return replace(recording, imu=imu, arm=tracks, truth=None, upper_imu=None)
 
 
 def _on_forearm_clock(t_upper: FloatArray, upper: Clock, forearm: Clock, store: Store) -> FloatArray:

@@ -161,7 +161,7 @@ def prepare(
     if measured.sum() < 2:
         return None
     first_s, last_s = frame_t_imu[measured][[0, -1]].tolist()
-    with_upper = takes_part(segment, calibration)
+    with_upper = bool(segment.upper) and bool(further_segments(calibration))
     start_s, end_s = max(segment.start_s, first_s - REACH_S), min(segment.end_s, last_s + REACH_S)
     core_start_s, core_end_s = max(start_s, segment.core_start_s), min(end_s, segment.core_end_s)
     if core_end_s - core_start_s < 0.1:
@@ -325,9 +325,10 @@ def _local_lines(t: FloatArray, x: FloatArray, half_s: float = 0.12) -> tuple[Fl
     return value, np.clip(slope, -6.0, 6.0)
 
 
-def takes_part(segment: Segment, calibration: ArmCalibration) -> bool:
-    """Whether an upper-arm IMU has samples in a segment, and is known enough to be used."""
-    return bool(segment.upper) and bool(calibration.upper_imu) and "elbow" in calibration.lever_arms
+def further_segments(calibration: ArmCalibration) -> tuple[str, ...]:
+    """Names of the segments beyond the forearm whose IMU is known enough to take part."""
+    known = bool(calibration.upper_imu) and UPPER_ARM.shared_joint in calibration.lever_arms
+    return (UPPER_ARM.name,) if known else ()
 
 
 def prepare_upper(

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..array_types import FloatArray
-from ..body import UPPER_ARM
 from ..calibration import ArmCalibration, Length, LeverArm
 from ..config import Config
 from ..linalg import robust_sigma
 from ..measurements.alignment import Alignment
 from ..measurements.segment import Segment
 from ..recording import JOINTS, ImuStream, JointTracks
-from .prepare import PreparedSegment
+from .prepare import PreparedSegment, further_segments
 from .problem import NoiseModel, Priors
 from .shared import Gaussian, SharedLayout, axes_across
 
@@ -130,12 +129,6 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
         variance[layout.bias_of(segment)] = variance[layout.bias]
     walk = np.repeat([config.imu.accelerometer_bias_walk, config.imu.gyroscope_bias_walk], 3)
     return Priors(layout, Gaussian(mean, np.diag(variance)), walk)
-
-
-def further_segments(calibration: ArmCalibration) -> tuple[str, ...]:
-    """Names of the segments beyond the forearm whose IMU is known enough to take part."""
-    known = bool(calibration.upper_imu) and UPPER_ARM.shared_joint in calibration.lever_arms
-    return (UPPER_ARM.name,) if known else ()
 
 
 def upper_arm_seen(segments: list[Segment], config: Config) -> Length:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from smoother.calibration import ArmCalibration
 from smoother.joint_angles import wrapped_deg
 from smoother.result import Recovery
-from smoother.result.upper_motion import UpperMotion
+from smoother.result.segment_motion import UpperMotion
 from smoother.shoulder_angles import SHOULDER_ANGLES, shoulder_angles
 
 #: A level Kinect (x to its left, y up, z forward) before a person who looks along -z, their right at +x.

@@ -27,8 +27,7 @@ from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.measurements.remedy import Remedy
 from smoother.recording import FOREARM_JOINTS, ImuStream, Recording, TrunkSensors
 from smoother.result import Recovery
-from smoother.result.trunk_motion import TrunkMotion
-from smoother.result.upper_motion import UpperMotion
+from smoother.result.segment_motion import TrunkMotion, UpperMotion
 
 
 def with_upper(name: str = "/imu/upper_arm_right", side: str = "right") -> Recording:

@@ -15,7 +15,7 @@ from smoother.measures import Measures, MeasureSettings, measure, measure_both
 from smoother.measures.definitions import MeasureDefinition, definition_of, interval
 from smoother.measures.symmetry import symmetry_index
 from smoother.result import Estimates, Recovery
-from smoother.result.upper_motion import UpperMotion
+from smoother.result.segment_motion import UpperMotion
 from smoother.result.verdict import UntrustedInterval
 from smoother.runtime.printable import plain
 

@@ -9,8 +9,8 @@ import pytest
 
 from smoother.config import Config
 from smoother.recording import Recording
-from smoother.recovery import lost_samples as module
-from smoother.recovery.lost_samples import clock_steps, lost_samples
+from smoother.recovery import imu_signs as module
+from smoother.recovery.imu_signs import clock_steps, lost_samples
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth

@@ -12,7 +12,7 @@ from smoother.linalg import unit
 from smoother.recording import TrunkSensors
 from smoother.recovery.trunk import with_trunk
 from smoother.result import Recovery
-from smoother.result.upper_motion import UpperMotion
+from smoother.result.segment_motion import UpperMotion
 from smoother.runtime.store import Store
 from smoother.shoulder_angles import trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm

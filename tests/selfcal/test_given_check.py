@@ -14,7 +14,7 @@ from smoother import smooth
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
-from smoother.selfcal.given_check import contradictions
+from smoother.selfcal.mounting import contradictions
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.joint_angles import wrapped_deg
 from smoother.result import Recovery
-from smoother.result.trunk_motion import TrunkMotion
-from smoother.result.upper_motion import UpperMotion
+from smoother.result.segment_motion import TrunkMotion, UpperMotion
 from smoother.shoulder_angles import SHOULDER_ANGLES, TRUNK_ANGLES, shoulder_angles, trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth

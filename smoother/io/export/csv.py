@@ -10,8 +10,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...joint_angles import elbow_flexion_sigma, recovery_angles
 from ...result import Recovery
-from ...result.trunk_motion import TrunkMotion
-from ...result.upper_motion import UpperMotion
+from ...result.segment_motion import TrunkMotion, UpperMotion
 from ...runtime.outputs import writing
 from ...shoulder_angles import shoulder_angles, trunk_angles
 from ..mcap.stamps import nanoseconds

@@ -17,8 +17,7 @@ from ...errors import RecordingError
 from ...measurements.visibility import Reason
 from ...recording import JOINTS, JointTracks
 from ...result import Draws, Estimates, FrameResiduals, Recovery
-from ...result.trunk_motion import TrunkMotion
-from ...result.upper_motion import UpperMotion
+from ...result.segment_motion import TrunkMotion, UpperMotion
 from ...rotation import Rotation
 from ..mcap.container import Container
 from ..mcap.messages import Topic, plain_name
