@@ -265,7 +265,7 @@ def clock_of(
     """
     from math import isfinite
 
-    from calib.clock.clock_calibration import measured_clock
+    from calib.clock.measured import measured_clock
     from calib.file import read_calibration
 
     from ..measurements.clock import constant_clock

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.clock.clock_calibration import measured_clock
+from calib.clock.measured import measured_clock
 from calib.file import CalibrationFile, write_calibration
 from smoother.cli.load import clock_of
 from smoother.errors import CalibrationError

@@ -62,7 +62,7 @@ def test_what_is_asked_wrongly(people, tmp_path: Path, capsys: pytest.CaptureFix
     assert run(["match", str(recording), "--json", str(recording)]) != 0
     assert "read by this command" in capsys.readouterr().err
     assert run(["simulate", "people", "-o", str(tmp_path / "x.mcap"), "--sensors", "24"]) != 0
-    assert "commands for IMUs" in capsys.readouterr().err
+    assert "places for IMUs" in capsys.readouterr().err
     assert not (tmp_path / "x.mcap").exists()
 
 
