@@ -11,7 +11,6 @@ import numpy as np
 from ...errors import RecordingError
 from ...runtime.store import Store
 from .bodies import people
-from .match_streams import agreement_far_apart, motion_agreement
 from .selection import (
     Selection,
     StreamChoice,
@@ -109,6 +108,8 @@ def _side(imu: ImuSamples, arm: ArmFrames) -> str:
 def _pair_by_motion(
     file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], store: Store | None
 ) -> tuple[tuple[ImuSamples, ArmFrames], str]:
+    from .match_streams import agreement_far_apart, motion_agreement  # SciPy: where it is used
+
     matches = _matches(file, pairs, store)
     matched = [(pair, match) for pair, match in matches if match.limb and match.limb.segment == "wrist"]
     if len(matched) == 1:
