@@ -26,7 +26,6 @@ from smoother.window.priors import with_measured_noise
 from ..file import CalibrationFile, with_sigma_table
 from ..forearm.forearm_frame import ForearmFrame, forearm_frame
 from ..protocol import Answer
-from .hidden_gaps import hidden_gap_factors, short_recordings
 from .motion_summary import (
     ClockOffset,
     Evidence,
@@ -293,6 +292,8 @@ def calibrate_motion(
     CalibrationError
         No recording shows the forearm together with the IMU, or they are of different arms or mountings.
     """
+    from .hidden_gaps import hidden_gap_factors, short_recordings  # with SciPy, which `smooth` does not need
+
     config = config or Config()
     if recordings:  # of one mounting: one sensor
         config = with_measured_noise(config, recordings[0].imu)
