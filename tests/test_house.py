@@ -103,6 +103,39 @@ REPLACED = set(
         "peers",
     ]
 )
+#: Names that standard words replaced: no class, function or constant has them.
+REPLACED_NAMES = set(
+    [
+        "ends_the_process",
+        "units_said",
+        "UNSAID",
+        "set_back",
+        "_gone_on",
+        "drop_outlying",
+        "Carrying",
+        "bead_clouds",
+        "Outgoing",
+        "Fingerprint",
+        "Attendance",
+        "LACKS",
+        "BENT",
+        "OPPOSITE",
+        "Follower",
+        "Succession",
+        "Jump",
+        "Ending",
+        "held_calibration",
+        "naming",
+        "naming_the_cause",
+        "judged",
+        "bring",
+        "Settled",
+        "settle",
+        "WideTurns",
+        "deceive",
+        "dim_belly",
+    ]
+)
 
 
 def python_files(*folders: str) -> list[Path]:
@@ -302,6 +335,18 @@ def test_words_that_the_glossary_replaced_are_gone():
         for name in public_names(path)
         if not name.startswith("_") and name.lower() in REPLACED
     ]
+    assert not wrong
+
+
+def test_names_that_standard_words_replaced_are_gone():
+    wrong = []
+    for path in python_files("smoother", "calib", "tools"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = getattr(node, "name", None) or (
+                node.id if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) else None
+            )
+            if name in REPLACED_NAMES:
+                wrong.append(f"{path.relative_to(ROOT)}: {name}")
     assert not wrong
 
 

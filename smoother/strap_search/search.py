@@ -137,7 +137,7 @@ def _locate_all(
     rows: list[tuple[float, FloatArray, FloatArray, float, float, str]] = []
     first: int | None = None
 
-    def settle(colour: ImageMessage) -> None:
+    def add_image(colour: ImageMessage) -> None:
         nonlocal first
         first = colour.stamp_ns if first is None else first
         t = (colour.stamp_ns - first) / 1e9
@@ -160,9 +160,9 @@ def _locate_all(
         while waiting and (
             len(waiting) == AHEAD or (depths and depths[-1].stamp_ns > waiting[0].stamp_ns + TOGETHER_S * 1e9)
         ):
-            settle(waiting.popleft())
+            add_image(waiting.popleft())
     while waiting:
-        settle(waiting.popleft())
+        add_image(waiting.popleft())
     results = cameras.found
     if rows:
         t_s, place, sigma, along, in_profile, reasons = zip(*rows, strict=True)
