@@ -40,11 +40,10 @@ if TYPE_CHECKING:
     from smoother import validate as validate
     from smoother import write_recording as write_recording
     from smoother import write_recovery as write_recovery
+    from smoother.io.recording.selection import Selection
     from smoother.measurements.clock import Clock
     from smoother.runtime.store import Store
     from smoother.smoothing import Progress
-
-    from ..io.recording.selection import Selection
 
 __all__ = sorted([*smoother.__all__, "measures"])
 
@@ -109,7 +108,7 @@ def smooth(
 
     given, file = (calibration, None) if isinstance(calibration, ArmCalibration) else (None, calibration)
     if not isinstance(recording, Recording):
-        from ..io.recording.read_arm import read_arm
+        from smoother.io.recording.read_arm import read_arm
 
         recording, of_file = read_arm(recording, file, store=store, truth=False, **selection)
         given = given or of_file
