@@ -21,6 +21,7 @@ STACK = (
         "body",
         "calibration",
         "config",
+        "error_radius",
         "filters",
         "linalg",
         "rotation",

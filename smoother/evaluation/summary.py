@@ -7,9 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..error_radius import pooled_radius
 from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
 from ..result import Estimates, GapVerdict, Recovery
+
+#: About so many samples are pooled to one distance.
+_MOST_POOLED = 4000
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,8 @@ class GapSummary:
         Part of the samples in it that have an answer, 0 to 1.
     verdict : GapVerdict or None
         Whether its answer is to be trusted; None where nobody judged.
+    error_95_m : float or None, m
+        The IMU's position lies within this distance in 95 of 100 cases, at the least certain moment of it.
     """
 
     gap: Gap
@@ -38,6 +44,7 @@ class GapSummary:
     sigma_max_flexion_deg: float | None
     answered: float
     verdict: GapVerdict | None = None
+    error_95_m: float | None = None
 
     @property
     def one_sided(self) -> bool:
@@ -54,6 +61,10 @@ class GapSummary:
         """Why it is not."""
         return () if self.verdict is None else self.verdict.reasons
 
+    def is_wider_than(self, error_95_m: float) -> bool:
+        """Whether the position is stated, and may be farther off than this somewhere in the gap."""
+        return self.error_95_m is not None and self.error_95_m > error_95_m
+
     def is_weaker_than(self, sigma_m: float) -> bool:
         """Whether the position is stated, and less certain than this somewhere in the gap."""
         return self.sigma_max_m is not None and self.sigma_max_m > sigma_m
@@ -69,6 +80,7 @@ class GapSummary:
             "sigma_max_m": self.sigma_max_m,
             "sigma_max_deg": self.sigma_max_deg,
             "sigma_max_flexion_deg": self.sigma_max_flexion_deg,
+            "error_95_m": self.error_95_m,
             "answered": self.answered,
             "trusted": self.trusted,
             "reasons": list(self.reasons),
@@ -90,7 +102,8 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
         answered = float(inside.answered.mean()) if len(inside) else 0.0
         sigma_m, sigma_deg = _largest(inside.worst_sigma_m), _largest(inside.sigma_deg)
         flexion_deg = _largest(elbow_flexion_sigma(inside))
-        summaries.append(GapSummary(gap, sigma_m, sigma_deg, flexion_deg, answered, verdict))
+        error_m = _largest(inside.error_95_m)
+        summaries.append(GapSummary(gap, sigma_m, sigma_deg, flexion_deg, answered, verdict, error_m))
     return summaries
 
 
@@ -110,6 +123,7 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "occluded_s": float(sum(gap.length_s for gap in recovery.gaps)),
         "gaps": [summary.to_dict() for summary in gap_summaries(recovery)],
         "sigma_m": sigma_figures(recovery),
+        "error_95_m": error_figures(recovery),
         "clock_offset_s": recovery.clock_offset_s,
         "clock_offset_sigma_s": recovery.clock_offset_sigma_s,
         "gravity_direction": recovery.gravity_direction,
@@ -132,6 +146,32 @@ def sigma_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str
     sigma, occluded = recovery.worst_sigma_m, recovery.occluded
     counts = np.ones(len(recovery), bool) if only is None else only
     return {"visible": _sigmas(sigma, counts & ~occluded), "occluded": _sigmas(sigma, counts & occluded)}
+
+
+def error_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str, dict[str, float | None]]:
+    """How far off the IMU's position is in 95 of 100 cases, m, while seen and in gaps.
+
+    Parameters
+    ----------
+    recovery : Recovery
+    only : ndarray of bool, shape (N,), optional
+        Samples that count; None for all.
+
+    Returns
+    -------
+    figures : dict
+        Under `visible` and `occluded`: `all`, over all of these samples (what a truth's 95th percentile of
+        3D errors is compared with), and `max`, at the least certain moment; None where nothing is stated.
+    """
+    radius, occluded = recovery.error_95_m, recovery.occluded
+    counts = np.isfinite(radius) if only is None else only & np.isfinite(radius)
+    figures = {}
+    for part, chosen in (("visible", counts & ~occluded), ("occluded", counts & occluded)):
+        rows = np.flatnonzero(chosen)
+        rows = rows[:: max(1, len(rows) // _MOST_POOLED)]
+        pooled = pooled_radius(recovery.pose_covariance[rows][:, :3, :3])
+        figures[part] = {"all": pooled, "max": _largest(radius[chosen])}
+    return figures
 
 
 def verdict_figures(estimates: Estimates) -> dict[str, object]:

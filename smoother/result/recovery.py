@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
+from ..error_radius import error_radius
 from ..errors import UnoccludeError
 from ..linalg import median_rate_hz, rotation_sigma_deg
 from ..measurements.visibility import Gap
@@ -286,6 +287,11 @@ class Recovery:
     def worst_sigma_m(self) -> FloatArray:
         """(N,) standard deviation of the IMU's position on its worst axis, m."""
         return self._of_each(lambda batch: batch.sigma_m.max(axis=1), float)
+
+    @property
+    def error_95_m(self) -> FloatArray:
+        """(N,) the distance within which the IMU's position lies in 95 of 100 cases, m."""
+        return self._of_each(lambda batch: error_radius(batch.pose_covariance[:, :3, :3]), float)
 
     @property
     def sigma_deg(self) -> FloatArray:

@@ -35,6 +35,7 @@ def test_figures_without_a_covariance():
     )
     figures = recovery_figures(blank)
     assert figures["sigma_m"]["occluded"] == {"median": None, "max": None}
+    assert figures["error_95_m"]["occluded"] == {"all": None, "max": None}
     assert figures["calibration"] is None
     assert figures["gaps"][0]["sigma_max_m"] is None
     assert recovery_figures(recovery)["calibration"]["upper_arm_m"] == 0.31
