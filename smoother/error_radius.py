@@ -75,6 +75,16 @@ def pooled_radius(covariance: FloatArray, probability: float = SHARE) -> float |
     return float(np.quantile(radii, probability, overwrite_input=True))
 
 
+def in_cm(metres: float) -> str:
+    """A length in words: "2.1 cm", "115 cm"."""
+    return f"{100.0 * metres:.1f} cm" if abs(metres) < 1.0 else f"{100.0 * metres:.0f} cm"
+
+
+def within_words(radius_m: float) -> str:
+    """The distance of 95 of 100 errors as sentences say it: "within 2.1 cm in 95 of 100 cases"."""
+    return f"within {in_cm(radius_m)} in 95 of 100 cases"
+
+
 @lru_cache(maxsize=256)
 def _chi_squares(probability: float) -> tuple[float, float, float]:
     """Quantiles of chi-square with one, two and three degrees of freedom."""

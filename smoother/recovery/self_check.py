@@ -13,6 +13,7 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..calibration import SigmaFactors
+from ..error_radius import pooled_radius
 from ..errors import SolveError
 from ..graph.solve import solve
 from ..measurements.visibility import MISSING_S, Gap, enough_joints
@@ -60,6 +61,10 @@ class HiddenStretch:
         Samples inside the 95 % region.
     nees : float
         Mean squared error in sigmas / 3.
+    error_m : tuple of float, m
+        3D error of each sample.
+    stated_95_m : float, m
+        Distance within which 95 of 100 of them should lie.
     """
 
     start_s: float
@@ -69,6 +74,8 @@ class HiddenStretch:
     stated_m: float = float("nan")
     inside: int = 0
     nees: float = float("nan")
+    error_m: tuple[float, ...] = ()
+    stated_95_m: float = float("nan")
 
     @property
     def failed(self) -> bool:
@@ -253,14 +260,17 @@ def _recovered(
     finite = np.isfinite(squared)
     if not finite.any():
         return HiddenStretch(gap.start_s, gap.end_s)
+    lengths = np.linalg.norm(error[finite], axis=1)
     return HiddenStretch(
         gap.start_s,
         gap.end_s,
         samples=int(finite.sum()),
-        rms_m=float(np.sqrt(np.mean(np.sum(error[finite] ** 2, axis=1)))),
+        rms_m=float(np.sqrt(np.mean(lengths**2))),
         stated_m=float(np.sqrt(np.mean(np.trace(covariance[finite], axis1=1, axis2=2)))),
         inside=int((squared[finite] < INSIDE_95).sum()),
         nees=float(squared[finite].mean()) / 3.0,
+        error_m=tuple(lengths.tolist()),
+        stated_95_m=pooled_radius(covariance[finite]) or float("nan"),
     )
 
 
@@ -288,6 +298,8 @@ def summary(stretches: Sequence[HiddenStretch]) -> SelfCheck:
         worst_nees=max(each.nees for each in answered),
         sigma_factor=_sigma_factor([each.nees for each in answered]),
         failed=sum(each.failed for each in stretches),
+        error_95_m=float(np.percentile([error for each in answered for error in each.error_m], 95.0)),
+        stated_95_m=rms([each.stated_95_m for each in answered]),
     )
 
 

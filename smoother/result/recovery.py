@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
-from ..error_radius import error_radius
+from ..error_radius import error_radius, within_words
 from ..errors import UnoccludeError
 from ..linalg import median_rate_hz, rotation_sigma_deg
 from ..measurements.visibility import Gap
@@ -139,13 +139,13 @@ class Recovery:
             (
                 f"{gap.start_s:.2f}",
                 f"{gap.length_s:.2f}",
-                "no answer" if (sigma := self._largest_sigma_m(gap)) is None else f"{100 * sigma:.1f}",
+                "no answer" if (radius := self._error_95_m(gap)) is None else f"{100 * radius:.1f}",
                 "one side" if gap.open_start or gap.open_end else "both sides",
                 "yes" if verdict.trusted else f"no: {'; '.join(verdict.reasons)}",
             )
             for gap, verdict in zip(self.gaps[:MOST_GAPS], self.gap_verdicts, strict=False)
         ]
-        columns = ("gap from, s", "length, s", "largest sigma, cm", "seen from", "trusted")
+        columns = ("gap from, s", "length, s", "within (95 %), cm", "seen from", "trusted")
         shown = len(columns) if self.has_verdict else len(columns) - 1
         table = table_html(columns[:shown], [row[:shown] for row in rows]) if rows else ""
         more = len(self.gaps) - len(rows)
@@ -162,8 +162,8 @@ class Recovery:
             f" at {median_rate_hz(self.t_s):.1f} Hz"
         ]
         if self.gaps:
-            sigmas = [sigma for gap in self.gaps if (sigma := self._largest_sigma_m(gap)) is not None]
-            known = f"; largest sigma {100 * max(sigmas):.1f} cm" if sigmas else "; no answer in them"
+            radii = [radius for gap in self.gaps if (radius := self._error_95_m(gap)) is not None]
+            known = f"; at worst {within_words(max(radii))}" if radii else "; no answer in them"
             lengths_s = [gap.length_s for gap in self.gaps]
             lines.append(
                 f"{len(self.gaps)} gap{'s' if len(self.gaps) > 1 else ''}, {sum(lengths_s):.1f} s occluded,"
@@ -178,11 +178,11 @@ class Recovery:
             lines.append(shorten(self.estimates.verdict, _VERDICT_LENGTH, placeholder=" .."))
         return lines
 
-    def _largest_sigma_m(self, gap: Gap) -> float | None:
-        """Of the IMU's position in a gap, m; None where there is no answer."""
+    def _error_95_m(self, gap: Gap) -> float | None:
+        """Where the IMU is least certain in a gap, m; None where there is no answer."""
         inside = slice(*np.searchsorted(self.t_s, [gap.start_s, gap.end_s]).tolist())
-        sigma = self.rows(inside).worst_sigma_m
-        return float(np.nanmax(sigma)) if np.isfinite(sigma).any() else None
+        radius = self.rows(inside).error_95_m
+        return float(np.nanmax(radius)) if np.isfinite(radius).any() else None
 
     def _picture(self) -> str:
         """Position of the wrist, or of the IMU where there is none, with bands of two sigmas (SVG)."""

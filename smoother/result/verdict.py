@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..error_radius import in_cm, within_words
 from ..measurements.visibility import Gap
 
 
@@ -121,6 +122,9 @@ class SelfCheck:
         What sigma in gaps was multiplied by; 1 where the stretches do not ask for more.
     note : str
         Why there are none, or fewer than wanted.
+    error_95_m, stated_95_m : float, m
+        95 % of the hidden samples were recovered to within the first; the second is what was stated of it
+        (`error_radius`), the camera's own noise included. Nan where a file does not state them.
     """
 
     stretches: int
@@ -133,6 +137,8 @@ class SelfCheck:
     sigma_factor: float = 1.0
     note: str = ""
     failed: int = 0
+    error_95_m: float = float("nan")
+    stated_95_m: float = float("nan")
 
     @property
     def sentence(self) -> str:
@@ -144,10 +150,11 @@ class SelfCheck:
         if self.unanswered == self.stretches:
             return f"{hidden}: it could not be recovered."
         lost = f"; {self.unanswered} could not be recovered" if self.unanswered else ""
-        return (
-            f"{hidden}: recovered to {100 * self.rms_m:.1f} cm (stated {100 * self.stated_sigma_m:.1f} cm)"
-            f"{lost}."
-        )
+        if np.isfinite(self.error_95_m):
+            found = f"{within_words(self.error_95_m)} (stated: {in_cm(self.stated_95_m)})"
+        else:  # of a file that states the rms only
+            found = f"{in_cm(self.rms_m)} rms (stated {in_cm(self.stated_sigma_m)})"
+        return f"{hidden}: recovered to {found}{lost}."
 
     def plain(self) -> dict[str, object]:
         """Plain values by name; None for what is not known."""

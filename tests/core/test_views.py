@@ -47,9 +47,9 @@ def test_a_recovery_in_some_lines(recovery: Recovery) -> None:
     lines = repr(recovery).splitlines()
     assert 3 <= len(lines) <= 5 and max(map(len, lines)) <= 230
     assert recovery.name in lines[0] and f"{len(recovery)} samples" in lines[0]
-    assert f"{len(recovery.gaps)} gap" in lines[1] and "largest sigma" in lines[1]
-    worst = max(np.nanmax(recovery.worst_sigma_m[_inside(recovery, gap)]) for gap in recovery.gaps)
-    assert f"largest sigma {100 * worst:.1f} cm" in lines[1]
+    assert f"{len(recovery.gaps)} gap" in lines[1] and "at worst within" in lines[1]
+    worst = max(np.nanmax(recovery.error_95_m[_inside(recovery, gap)]) for gap in recovery.gaps)
+    assert f"at worst within {100 * worst:.1f} cm in 95 of 100 cases" in lines[1]
 
 
 def _inside(recovery: Recovery, gap) -> np.ndarray:

@@ -16,7 +16,9 @@ from smoother.simulation import ArmSimulation, simulate_arm
 
 
 def stretch(nees: float, rms_m: float = 0.02, samples: int = 30) -> HiddenStretch:
-    return HiddenStretch(0.0, 1.0, samples, rms_m, rms_m / max(np.sqrt(nees), 1e-3), samples, nees)
+    stated_m = rms_m / max(np.sqrt(nees), 1e-3)
+    errors = (rms_m,) * samples
+    return HiddenStretch(0.0, 1.0, samples, rms_m, stated_m, samples, nees, errors, 1.6 * stated_m)
 
 
 def test_failed_stretches_are_counted_and_the_worst_is_kept() -> None:
@@ -32,6 +34,13 @@ def test_an_over_confident_sigma_is_widened_by_what_is_no_chance() -> None:
     assert summary(sound).sigma_factor == pytest.approx(1.0, abs=0.15)
     bold = [stretch(4.0 * float(value)) for value in rng.chisquare(3, 12) / 3.0]
     assert 1.3 < summary(bold).sigma_factor < 2.0
+
+
+def test_the_95th_percentile_is_over_all_samples_and_so_is_what_was_stated_of_it() -> None:
+    check = summary([stretch(1.0, 0.01, 60), stretch(1.0, 0.03, 30), HiddenStretch(3.0, 4.0)])
+    assert check.error_95_m == pytest.approx(0.03)
+    assert check.stated_95_m == pytest.approx(1.6 * np.sqrt((60 * 0.01**2 + 30 * 0.03**2) / 90))
+    assert summary([stretch(1.0, 0.01, 97), stretch(1.0, 0.5, 3)]).error_95_m == pytest.approx(0.01)
 
 
 def test_no_stretch_says_why() -> None:

@@ -70,9 +70,14 @@ def test_other_values_than_intervals_stay_in_further(values: object) -> None:
 
 
 def test_the_self_check_speaks_plainly() -> None:
-    assert SelfCheck(8, 0, 1.7, 0.011, 0.010).sentence == (
-        "Hidden 8 times for 1.7 s where the camera saw the arm: recovered to 1.1 cm (stated 1.0 cm)."
+    check = SelfCheck(8, 0, 1.7, 0.011, 0.010, error_95_m=0.021, stated_95_m=0.028)
+    assert check.sentence == (
+        "Hidden 8 times for 1.7 s where the camera saw the arm: recovered to within 2.1 cm in 95 of 100 cases"
+        " (stated: 2.8 cm)."
     )
+    assert SelfCheck(8, 0, 1.7, 0.011, 0.010).sentence == (
+        "Hidden 8 times for 1.7 s where the camera saw the arm: recovered to 1.1 cm rms (stated 1.0 cm)."
+    ), "a file that states the rms only"
     assert SelfCheck(2, 2, 1.7).sentence.endswith("it could not be recovered.")
     assert SelfCheck(0, note="the camera never saw the arm long enough").sentence == (
         "Self-check: the camera never saw the arm long enough."
