@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .recording import FOREARM_JOINTS, JOINTS, JointTracks
+from .recording.joint_tracks import FOREARM_JOINTS, JOINTS, JointTracks
 
 
 @dataclass(frozen=True)
@@ -17,14 +17,22 @@ class BodySegment:
     Attributes
     ----------
     name : str
+    label : str
+        In sentences, after "the".
+    prefix : str
+        Of the names of columns on its IMU.
     axes : str
         Letter of its IMU's axes.
     joints : tuple of str
         Those with a lever arm in these axes.
     parent : str
-        The segment whose chain it continues; "" of the first one, which the camera's joints are tied to.
+        The segment whose chain it continues; "" of the first one.
     shared_joint : str
         The joint that it has in common with its parent; "" of the first one.
+    camera_joints : tuple of str
+        Joints whose camera samples are tied to it rather than to its parent, where it has an IMU.
+    remedy : str
+        What to do where its motion does not tell how its IMU sits.
     letters : str
         Of its variables in a graph: pose, velocity, bias, lever arm, and the shared joint's position.
     as_forearm : mapping of str to str
@@ -32,12 +40,21 @@ class BodySegment:
     """
 
     name: str
+    label: str
+    prefix: str
     axes: str
     joints: tuple[str, ...]
     parent: str
     shared_joint: str
+    camera_joints: tuple[str, ...]
+    remedy: str
     letters: str
     as_forearm: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def carries_parent(self) -> bool:
+        """It lies between its parent and the trunk, as the upper arm does."""
+        return bool(self.parent) and self.as_forearm["wrist"] == self.shared_joint
 
     def seen_as_forearm(self, arm: JointTracks) -> JointTracks:
         """Tracks of this segment in place of the forearm, and of nothing else."""
@@ -49,15 +66,38 @@ class BodySegment:
         return replace(arm, position=position, state=state)
 
 
-FOREARM = BodySegment("forearm", "A", FOREARM_JOINTS, parent="", shared_joint="", letters="xvbl")
+FOREARM = BodySegment(
+    "forearm",
+    "forearm",
+    "",
+    "A",
+    FOREARM_JOINTS,
+    parent="",
+    shared_joint="",
+    camera_joints=FOREARM_JOINTS,
+    remedy="",
+    letters="xvbl",
+)
 UPPER_ARM = BodySegment(
     "upper_arm",
+    "upper arm",
+    "upper",
     "B",
     ("elbow", "shoulder"),
     parent="forearm",
     shared_joint="elbow",
+    camera_joints=(),
+    remedy="raise the arm and turn it about there",
     letters="ywcme",
     as_forearm={"elbow": "shoulder", "wrist": "elbow"},
 )
 #: The segments that an IMU may be on in a window's graph, by name; the forearm's is always there.
 SEGMENTS = {segment.name: segment for segment in (FOREARM, UPPER_ARM)}
+#: Those beyond the forearm.
+FURTHER = tuple(segment for segment in SEGMENTS.values() if segment.parent)
+
+
+def segment_of(joint: str, segments: Iterable[str]) -> str:
+    """Which of some segments with IMUs a joint's camera samples are tied to: the last that claims it."""
+    claims = [name for name in segments if joint in SEGMENTS[name].camera_joints]
+    return claims[-1] if claims else FOREARM.name

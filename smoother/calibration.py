@@ -5,7 +5,7 @@ Its file belongs to the package `calib`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -86,6 +86,25 @@ class SigmaFactors:
 
 
 @dataclass(frozen=True)
+class SegmentMounting:
+    """How an IMU sits on a segment beyond the forearm.
+
+    Attributes
+    ----------
+    lever_arms : dict of str to LeverArm
+        Of the segment's two joints, in that IMU's axes.
+    tissue_m : float, m
+        How far the joints are from constant there, an axis: soft tissue.
+    R_bone : ndarray, shape (3, 3), or None
+        Maps a vector from that IMU's axes to the bone's (ISB); None where unknown.
+    """
+
+    lever_arms: dict[str, LeverArm]
+    tissue_m: float = 0.01
+    R_bone: FloatArray | None = None
+
+
+@dataclass(frozen=True)
 class ArmCalibration:
     """How the IMU sits on one forearm, and the arm's measures.
 
@@ -105,11 +124,8 @@ class ArmCalibration:
         In {A}; None where unknown.
     sigma_factors : SigmaFactors or None
         How much wider positions in gaps must be stated for this camera; None where nobody looked.
-    upper_imu : dict of str to LeverArm
-        Elbow and shoulder in the axes {B} of an IMU on the upper arm; empty where there is none.
-    R_U_B : ndarray, shape (3, 3), or None
-        Maps a vector from that IMU's axes to the upper arm's (y elbow to shoulder, z the axis of elbow
-        flexion from the medial to the lateral epicondyle).
+    mountings : dict of str to SegmentMounting
+        Of IMUs on further segments, by the segment's name ("upper_arm": elbow and shoulder in {B}).
     """
 
     side: str = ""
@@ -119,8 +135,26 @@ class ArmCalibration:
     accelerometer_bias: FloatArray | None = None
     gyroscope_bias: FloatArray | None = None
     sigma_factors: SigmaFactors | None = None
-    upper_imu: dict[str, LeverArm] = field(default_factory=dict)
-    R_U_B: FloatArray | None = None
+    mountings: dict[str, SegmentMounting] = field(default_factory=dict)
+
+    @property
+    def upper_imu(self) -> dict[str, LeverArm]:
+        """Elbow and shoulder in the axes {B} of an IMU on the upper arm; empty where there is none."""
+        return self.mountings["upper_arm"].lever_arms if "upper_arm" in self.mountings else {}
+
+    @property
+    def R_U_B(self) -> FloatArray | None:
+        """Maps a vector from that IMU's axes to the upper arm's, (3, 3); None where unknown.
+
+        y points from elbow to shoulder, z along the axis of elbow flexion from the medial to the lateral
+        epicondyle.
+        """
+        return self.mountings["upper_arm"].R_bone if "upper_arm" in self.mountings else None
+
+    def with_bone_axes(self, segment: str, R_bone: FloatArray | None) -> ArmCalibration:
+        """The same with the axes of a segment's bone (3, 3) in its IMU's."""
+        mounting = replace(self.mountings[segment], R_bone=R_bone)
+        return replace(self, mountings=self.mountings | {segment: mounting})
 
     @property
     def forearm_direction(self) -> FloatArray | None:

@@ -28,10 +28,10 @@ from .result import Recovery
 from .runtime.pool import Pool, one_blas_thread
 from .runtime.store import Store
 from .selfcal.excerpts import informative_excerpts
+from .selfcal.further_imu import calibrate_further_imus, joined, without_joints_of
 from .selfcal.mounting import contradictions
 from .selfcal.pairing import pair
 from .selfcal.rounds import self_calibrate
-from .selfcal.upper_arm import calibrate_upper_arm
 from .window.priors import with_measured_noise, with_measured_shoulder
 
 #: Called with a fraction (0..1) and a word for the step.
@@ -151,14 +151,14 @@ def _solved(
         raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
     misfits = tuple(contradictions(excerpts, given))
     clock_sigma_s = OFFSET_SIGMA_S if measured is None else measured.sigma_s
-    model = self_calibrate(excerpts, given, config, workers, clock_sigma_s)
-    #    An IMU on the upper arm, where there is one: how it sits, and its clock.
-    upper, note = calibrate_upper_arm(recording, model, given, config, workers, store)
-    if upper is not None:
-        model = upper.joined(model)
-    recording = replace(recording, notes=(*recording.notes, *([note] if note else [])))
+    #    IMUs on other segments, where there are any: how they sit, and their clocks.
+    further, left_out = calibrate_further_imus(recording, given, config, workers)
+    own = [without_joints_of(excerpt, further) for excerpt in excerpts]
+    model = self_calibrate(own, given, config, workers, clock_sigma_s)
+    model, further, used = joined(model, further, store)
+    recording = replace(recording, notes=(*recording.notes, *left_out, *used))
     # 3. First pass: every section alone; its windows answer with a Gaussian on what all share.
-    sections = Sections(recording, timeline, model.clock, upper)
+    sections = Sections(recording, timeline, model.clock, further)
     task = Task.of(recording, sections, model, config, timeline.usual_gap_s(recording.arm.t_s))
     first = FirstPass.over(
         sections, task, workers, store, lambda share: report(0.2 + 0.35 * share, "first pass")

@@ -61,7 +61,7 @@ def test_topics_and_columns(tmp_path, monkeypatch):
     from smoother import read_recording, smooth
     from smoother.config import Config
     from smoother.io.export.csv import csv_columns
-    from smoother.result.segment_motion import TrunkMotion, UpperMotion
+    from smoother.result.segment_motion import SegmentMotion, TrunkMotion
 
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     recording = read_recording(ROOT / "data" / "demo.mcap")
@@ -69,10 +69,10 @@ def test_topics_and_columns(tmp_path, monkeypatch):
     own = (recovery.position, recovery.quaternion, recovery.pose_covariance)
     # as if with an IMU on the upper arm and one on the trunk
     trunk = TrunkMotion(recovery.quaternion, recovery.pose_covariance[:, 3:, 3:], np.eye(3), np.zeros(3))
-    recovery = replace(recovery, upper=UpperMotion(*own, np.zeros(3)), trunk=trunk)
+    recovery = replace(recovery, segments={"upper_arm": SegmentMotion(*own, np.zeros(3))}, trunk=trunk)
     still = np.zeros((20, 2, 3), np.float32)
     ends = recovery.t_s[[0, -1]]
-    draws = Draws(ends, 0, still, still, dict.fromkeys(recovery.joints, still), still)
+    draws = Draws(ends, 0, still, still, dict.fromkeys(recovery.joints, still), {"upper_arm": still})
     write_recovery(replace(recovery, draws=draws), tmp_path / "out.mcap")
     with open(tmp_path / "out.mcap", "rb") as file:
         channels = make_reader(file).get_summary().channels.values()

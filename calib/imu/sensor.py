@@ -166,9 +166,9 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
     if base is not None:
         base, more = _corrected(base, calibration, store)
         notes += more
-    upper = recording.upper_imu
-    if upper is not None:
-        upper, more = _corrected(upper, calibration, store)
+    further = {}
+    for name, stream in recording.further_imus.items():
+        further[name], more = _corrected(stream, calibration, store)
         notes += more
     trunk = recording.trunk
     if trunk is not None:
@@ -182,7 +182,7 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
             f" {recording.imu.name} and was taken as it is"
         )
     notes = [*recording.notes, *notes]
-    return replace(recording, imu=imu, base_imu=base, upper_imu=upper, trunk=trunk, notes=tuple(notes))
+    return replace(recording, imu=imu, base_imu=base, further_imus=further, trunk=trunk, notes=tuple(notes))
 
 
 def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tuple[list[ImuStream], bool]:

@@ -124,7 +124,7 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
         velocity=_speed(recovery.t_s, position if has_pose else recovery.position),
         joints=joints,
         joint_covariance={name: np.zeros((len(recovery), 3, 3)) for name in joints},
-        upper=None,
+        segments={},
         draws=None,
     )
     answer = replace(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..body import SEGMENTS
 from ..error_radius import pooled_radius
 from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
@@ -241,15 +242,12 @@ def _calibration(recovery: Recovery) -> dict[str, object] | None:
         "R_F_A": arm.R_F_A,
         "accelerometer_bias": arm.accelerometer_bias,
         "gyroscope_bias": arm.gyroscope_bias,
-        **(
-            {}
-            if not arm.upper_imu
-            else {
-                "upper_imu": {
-                    joint: {"position_m": lever.position_m, "sigma_m": lever.sigma_m}
-                    for joint, lever in arm.upper_imu.items()
-                },
-                "R_U_B": arm.R_U_B,
+        **{
+            f"{SEGMENTS[name].prefix}_imu": {
+                joint: {"position_m": lever.position_m, "sigma_m": lever.sigma_m}
+                for joint, lever in mounting.lever_arms.items()
             }
-        ),
+            for name, mounting in arm.mountings.items()
+        },
+        **({"R_U_B": arm.R_U_B} if arm.upper_imu else {}),
     }

@@ -158,9 +158,10 @@ def _add_imu(built: WindowGraph, window: Window, run: SegmentRun, biases: IntArr
 
 def _add_joints(built: WindowGraph, window: Window) -> None:
     """`GPSFactorArmCalib` (the lever arm is a variable) or `GPSFactorArm` at the IMU itself."""
-    keys, cauchy = keys_of(FOREARM.name), window.noise.cauchy
+    cauchy = window.noise.cauchy
     for measured in window.joint_measurements:
-        lever = keys.lever_of(measured.joint) if measured.joint in window.priors.layout.joints else None
+        keys, known = keys_of(measured.segment), window.priors.layout.levers(measured.segment)
+        lever = keys.lever_of(measured.joint) if measured.joint in known else None
         nodes, positions, sigmas = stacked_measurements(measured, cauchy)
         factors = [
             joint_factor(keys.pose + node, lever, position, robust(sigma, cauchy))
@@ -299,7 +300,7 @@ def _add_shared_joint(built: WindowGraph, window: Window, run: SegmentRun) -> No
     own, parent, joint = keys_of(segment.name), keys_of(segment.parent), segment.shared_joint
     lever = window.priors.shared.mean[window.priors.layout.lever(joint, segment.name)]
     nodes, factors = np.arange(run.first, run.nodes.stop), []
-    for k, (node, sigma) in enumerate(zip(nodes.tolist(), _tissue(window, nodes), strict=True)):
+    for k, (node, sigma) in enumerate(zip(nodes.tolist(), _tissue(window, run, nodes), strict=True)):
         point = own.point + node
         built.values.insert(point, run.start.p[k] + run.start.R[k] @ lever)
         for keys, model in ((parent, isotropic(3, PARENT_TIE_M)), (own, isotropic(3, sigma))):
@@ -313,7 +314,7 @@ def _add_shoulder_end(built: WindowGraph, window: Window, run: SegmentRun) -> No
     if window.shoulder is None or "shoulder" not in SEGMENTS[run.segment].joints:
         return
     keys, knots = keys_of(run.segment), np.asarray(window.shoulder.node)
-    tissue = _tissue(window, knots)
+    tissue = _tissue(window, run, knots)
     inside = np.flatnonzero((knots >= run.first) & (knots < run.nodes.stop))
     factors = (
         gtsam.ReferenceFrameFactorPoint3Pose3(
@@ -324,8 +325,8 @@ def _add_shoulder_end(built: WindowGraph, window: Window, run: SegmentRun) -> No
     built.add("shoulder end", run.segment, factors, POINT_ROWS, knots[inside])
 
 
-def _tissue(window: Window, nodes: IntArray) -> list[float]:
-    """Sigma of a point in {B} at nodes (k,): tissue moves slowly, so what is denser does not say more."""
+def _tissue(window: Window, run: SegmentRun, nodes: IntArray) -> list[float]:
+    """Sigma of a joint in the IMU's axes at nodes (k,): tissue moves slowly, what is denser says no more."""
     step = np.gradient(window.t[nodes]) if len(nodes) > 1 else np.full(len(nodes), TISSUE_S)
-    sigma = window.noise.tissue_m * np.sqrt(np.maximum(TISSUE_S / step, 1.0))
+    sigma = dict(window.noise.tissue_m)[run.segment] * np.sqrt(np.maximum(TISSUE_S / step, 1.0))
     return [float(each) for each in np.round(sigma, 3)]

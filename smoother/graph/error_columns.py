@@ -7,12 +7,12 @@ state-space methods to navigation problems, 1966).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, G, S, X
+from gtsam.symbol_shorthand import B, G, S
 
 from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
@@ -160,7 +160,8 @@ def _weight(jacobian: Jacobian, rows: slice, joint: str, window: Window) -> Floa
         knots = columns[S(0)].start, columns[S(len(window.shoulder.node) - 1)].stop  # type: ignore[union-attr]
         mine = (column >= knots[0]) & (column < knots[1])
     else:
-        first = columns[X(0)].start
+        segment = window.priors.layout.segment_of(joint)
+        first = columns[keys_of(segment).pose + window.runs(segment)[0].first].start
         mine = (column >= first) & ((column - first) % 6 >= 3)
     return np.sqrt(np.bincount(row[mine], value[mine] ** 2, minlength=rows.stop - rows.start))
 
@@ -212,7 +213,7 @@ def evidence(
 
 
 def offset_column(
-    jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup], states: States
+    jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup], states: Mapping[str, States]
 ) -> FloatArray:
     """Column of the whitened Jacobian for a clock offset of the window's own.
 
@@ -222,8 +223,8 @@ def offset_column(
     window : Window
     groups : sequence of FactorGroup
         Of the graph.
-    states : States
-        At its nodes.
+    states : mapping of str to States
+        Of each segment at the nodes.
 
     Returns
     -------
@@ -234,7 +235,8 @@ def offset_column(
     column = np.zeros((0, 1))
     for factors in camera_rows(jacobian, window, groups):
         if factors.joint in by_joint:
-            mean, _ = _velocity_at_nodes(by_joint[factors.joint], states, window.noise.cauchy)
+            measured = by_joint[factors.joint]
+            mean, _ = _velocity_at_nodes(measured, states[measured.segment], window.noise.cauchy)
             rows = np.zeros((factors.rows.stop, 1))
             rows[: len(column)] = column
             rows[factors.rows] = factors.weight[:, None] * mean.reshape(-1, 1)
@@ -243,7 +245,11 @@ def offset_column(
 
 
 def stamp_columns(
-    jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup], states: States, knots: FloatArray
+    jacobian: Jacobian,
+    window: Window,
+    groups: Sequence[FactorGroup],
+    states: Mapping[str, States],
+    knots: FloatArray,
 ) -> FloatArray:
     """Columns of the whitened Jacobian for errors of the frames' times, linear between knots.
 
@@ -253,8 +259,8 @@ def stamp_columns(
     window : Window
     groups : sequence of FactorGroup
         Of the graph.
-    states : States
-        At its nodes.
+    states : mapping of str to States
+        Of each segment at the nodes.
     knots : ndarray, shape (m,), s
         Even, from before the first node to after the last.
 
@@ -273,7 +279,9 @@ def stamp_columns(
     return columns
 
 
-def offset_information(system: LinearSystem, column: int, window: Window, states: States) -> float:
+def offset_information(
+    system: LinearSystem, column: int, window: Window, states: Mapping[str, States]
+) -> float:
     """Information on one clock offset for the whole window, all variables eliminated.
 
     Parameters
@@ -283,15 +291,16 @@ def offset_information(system: LinearSystem, column: int, window: Window, states
     column : int
         Its number among them; the others are held fixed.
     window : Window
-    states : States
-        The solution's, at the nodes.
+    states : mapping of str to States
+        The solution's, of each segment at the nodes.
 
     Returns
     -------
     information : float, 1/s^2
     """
     scatter = sum(
-        _velocity_at_nodes(measured, states, window.noise.cauchy)[1] for measured in window.joint_measurements
+        _velocity_at_nodes(measured, states[measured.segment], window.noise.cauchy)[1]
+        for measured in window.joint_measurements
     )
     return scatter + system.extra_information(column)
 

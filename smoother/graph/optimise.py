@@ -128,7 +128,9 @@ def _in_stages(
     gap = _long_gap(window)
     if gap is None:
         return _descend(graph, values, MAX_ITERATIONS, tolerance)
-    if window.further:  # its start values lie in the right minimum: the upper arm's direction is measured
+    if (
+        window.reaches_shoulder
+    ):  # its start values lie in the right minimum: the upper arm's direction is measured
         return _descend(graph, values, LAST_ITERATIONS, min(tolerance, LAST_TOLERANCE))
     (lengths,) = (group.factors for group in groups if group.kind == "length")
 

@@ -15,7 +15,7 @@ import numpy as np
 from gtsam.symbol_shorthand import G, S, V, X
 
 from ..array_types import FloatArray, IntArray
-from ..body import SEGMENTS, UPPER_ARM
+from ..body import FOREARM, SEGMENTS, UPPER_ARM
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.problem import Window
 from ..window.shared import STRAP_PLACE
@@ -25,12 +25,23 @@ from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
 from .variables import DIMENSION, keys_of
 
-#: Variables of a node in the order of their random numbers, by the letter of their keys.
-_LETTERS = "xvsywe"
+#: Streams of random numbers: forearm and upper arm share one, any other segment has its own, so that its
+#: being there changes nothing of theirs. By stream the letters of a node's variables in their order.
+_SHARED_STREAM = (FOREARM.name, UPPER_ARM.name)
+_LETTERS = {"node": "xvsywe"} | {
+    f"node {name}": segment.letters[0] + segment.letters[1] + segment.letters[4]
+    for name, segment in SEGMENTS.items()
+    if name not in _SHARED_STREAM
+}
+_WIDTHS = {stream: sum(DIMENSION[each] for each in letters) for stream, letters in _LETTERS.items()}
+#: Where a variable's numbers begin, one stream after the other.
 _FIRST = dict(
-    zip(_LETTERS, np.cumsum([0, *(DIMENSION[letter] for letter in _LETTERS)])[:-1].tolist(), strict=True)
+    zip(
+        "".join(_LETTERS.values()),
+        np.cumsum([0, *(DIMENSION[each] for each in "".join(_LETTERS.values()))])[:-1].tolist(),
+        strict=True,
+    )
 )
-_WIDTH = sum(DIMENSION[letter] for letter in _LETTERS)
 #: Random numbers of the biases belong to slices of time so long, s, as windows cut them differently.
 _SLICE_S = 0.5
 
@@ -98,16 +109,16 @@ def sample_window(
         rotation=rotation,
         velocity=of([V(i) for i in count]),
         shoulder=shoulder,
-        upper_rotation=_upper(values, window, plan, of) if window.priors.layout.further else None,
+        turns={name: _turns(values, window, name, plan, of) for name in window.priors.layout.further},
     )
 
 
-def _upper(
-    values: gtsam.Values, window: Window, plan: DrawPlan, of: Callable[[list[int]], FloatArray]
+def _turns(
+    values: gtsam.Values, window: Window, segment: str, plan: DrawPlan, of: Callable[[list[int]], FloatArray]
 ) -> FloatArray:
-    """Rotation errors of the upper-arm IMU at all nodes; nan where it has no samples."""
+    """Rotation errors of a further IMU at all nodes; nan where it has no samples."""
     rotation = np.full((plan.count, len(window.t), 3), np.nan)
-    for run in window.runs(UPPER_ARM.name):
+    for run in window.runs(segment):
         rows, pose = range(run.first, run.nodes.stop), keys_of(run.segment).pose
         R = np.array([values.atPose3(pose + i).rotation().matrix() for i in rows])
         rotation[:, rows] = np.einsum("nij,knj->kni", R, of([pose + i for i in rows])[:, :, :3])
@@ -154,10 +165,12 @@ def _bias_normals(system: LinearSystem, window: Window, biases: IntArray, plan: 
     edges = np.linspace(start, end, count + 1)
     first = np.ceil(edges / _SLICE_S - 0.5).astype(int)
     for number, segment in enumerate(window.priors.layout.segments):
-        at, bias = 6 * number, keys_of(segment).bias
+        bias, shares = keys_of(segment).bias, segment in _SHARED_STREAM
+        stream, at = ("bias", 6 * number) if shares else (f"bias {segment}", 0)
         for k in range(count):
             slices = (np.arange(first[k], max(first[k + 1], first[k] + 1)) + 0.5) * _SLICE_S
-            of_slices = plan.at_times("bias", slices, 6 * len(SEGMENTS))[:, :, at : at + 6]
+            width = 6 * len(_SHARED_STREAM) if shares else 6
+            of_slices = plan.at_times(stream, slices, width)[:, :, at : at + 6]
             rows = system.border_rows([bias + k])
             normals[:, rows] = of_slices.sum(axis=1) / np.sqrt(len(slices))
     return normals
@@ -170,7 +183,12 @@ def _chain(
     from scipy.linalg import solve_triangular  # only where motions are drawn
 
     width = system.jacobian.width
-    normals = plan.at_times("node", t, _WIDTH)
+    letters = {chr(gtsam.Symbol(key).chr()) for key in nodes}
+    normals = plan.at_times("node", t, _WIDTHS["node"])
+    for name, width in list(_WIDTHS.items())[1:]:
+        met = not letters.isdisjoint(_LETTERS[name])
+        more = plan.at_times(name, t, width) if met else np.zeros((plan.count, len(t), width))
+        normals = np.concatenate([normals, more], axis=2)
     # the node of each column, and which of the node's random numbers it has
     place = np.full((width, 2), -1)
     for key, node in nodes.items():

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import G, L, S, U
+from gtsam.symbol_shorthand import G, S, U
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..body import FOREARM
 from ..errors import SolveError
 from ..linalg import interpolate
-from ..recording import JOINTS
 from ..window.draw_plan import DrawPlan
 from ..window.problem import States, Window
 from ..window.shared import STRAP_PLACE, Gaussian
@@ -46,8 +45,8 @@ COVARIANCE_S = 0.5
 COVARIANCE_NEAR_S = 0.1
 NEAR_S = 0.5
 SHOULDER_COVARIANCE_S = 0.1
-#: The same near gaps, in them and for the shoulder where a second IMU takes part, s.
-UPPER_COVARIANCE_S = 0.25
+#: The same near gaps, in them and for the shoulder where IMUs reach up to it, s.
+CHAIN_COVARIANCE_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -188,14 +187,16 @@ def _read(
     graph, values, groups = optimum.graph, optimum.values, optimised.groups
     biases = bias_of_intervals(window)
     bodies = _bodies(values, window, biases)
-    states = bodies[0].states
+    states = {body.segment: body.states for body in bodies}
     following, offset, draws = None, 0.0, None
     shifts: tuple[BlockShift, ...] = ()
     if with_covariance or with_message or with_evidence or with_offset:
         extra: list[ExtraColumns] = []
         if with_evidence or window.considered is not None:
             extra.append(
-                partial(constant_error_columns, window=window, groups=groups, biases=biases, R=states.R)
+                partial(
+                    constant_error_columns, window=window, groups=groups, biases=biases, R=bodies[0].states.R
+                )
             )
         knots = _stamp_knots(window) if with_covariance else np.zeros(0)
         if len(knots):
@@ -317,7 +318,7 @@ class _Following:
         covariance[:constant, :constant] = window.considered.covariance
         covariance[constant:, constant:] = window.considered.stamp_covariance(knots)
         jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
-        # an upper-arm IMU adds rows at the end, which the excerpts were solved without
+        # further IMUs add rows at the end, which the excerpts were solved without
         shared = np.zeros((window.priors.layout.size, len(covariance)))
         shared[: len(window.considered.shared), :constant] = window.considered.shared
         pull = np.zeros((system.extras.start, len(covariance)))
@@ -371,8 +372,8 @@ def _in_camera(covariance: FloatArray, R: FloatArray) -> FloatArray:
 
 
 def _covariance_nodes(window: Window) -> IntArray:
-    """Where the covariance of a window is computed; with two IMUs it hardly changes over a gap."""
-    near_s = UPPER_COVARIANCE_S if window.further else COVARIANCE_NEAR_S
+    """Where a window's covariance is computed; a chain up to the shoulder hardly changes it over a gap."""
+    near_s = CHAIN_COVARIANCE_S if window.reaches_shoulder else COVARIANCE_NEAR_S
     return _spaced(window.t, np.isfinite(window.velocity_change), COVARIANCE_S, near_s)
 
 
@@ -404,7 +405,7 @@ def _shoulder(
     position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
     if following is None:
         return position, None
-    apart_s = UPPER_COVARIANCE_S if window.further else SHOULDER_COVARIANCE_S
+    apart_s = CHAIN_COVARIANCE_S if window.reaches_shoulder else SHOULDER_COVARIANCE_S
     knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), apart_s)
     covariance = following.of_variables([S(k) for k in knots])
     return position, interpolate(t[knots], covariance, t)
@@ -431,11 +432,12 @@ def _message(values: gtsam.Values, following: _Following | None, window: Window,
     return Message(t_s=float(0.5 * (window.t[0] + window.t[-1])), shared=Gaussian(mean, covariance))
 
 
-def _residuals(values: gtsam.Values, window: Window, states: States) -> dict[str, FloatArray]:
+def _residuals(values: gtsam.Values, window: Window, states: Mapping[str, States]) -> dict[str, FloatArray]:
     residuals = {}
     for measured in window.joint_measurements:
-        key = L(JOINTS.index(measured.joint))
-        lever = values.atPoint3(key) if measured.joint in window.priors.layout.joints else np.zeros(3)
-        answer = states.p[measured.node] + states.R[measured.node] @ lever
+        known, keys = window.priors.layout.levers(measured.segment), keys_of(measured.segment)
+        lever = values.atPoint3(keys.lever_of(measured.joint)) if measured.joint in known else np.zeros(3)
+        own = states[measured.segment]
+        answer = own.p[measured.node] + own.R[measured.node] @ lever
         residuals[measured.joint] = measured.position - measured.shift - answer
     return residuals

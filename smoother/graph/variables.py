@@ -47,19 +47,22 @@ def keys_of(segment: str) -> SegmentKeys:
 
 
 #: Dimension of a variable.
-DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
-DIMENSION |= {"y": 6, "w": 3, "c": 6, "e": 3, "m": 3}
+DIMENSION = {"g": 2, "u": 1, "s": 3}
 _READ: dict[str, Callable[[gtsam.Values, int], Any]] = {
-    "x": gtsam.Values.atPose3,
-    "v": gtsam.Values.atVector,
-    "b": gtsam.Values.atConstantBias,
     "g": gtsam.Values.atUnit3,
     "u": gtsam.Values.atDouble,
-    "l": gtsam.Values.atPoint3,
     "s": gtsam.Values.atPoint3,
-    "c": gtsam.Values.atConstantBias,
-    "m": gtsam.Values.atPoint3,
 }
+_KINDS = (
+    (6, gtsam.Values.atPose3),
+    (3, gtsam.Values.atVector),
+    (6, gtsam.Values.atConstantBias),
+    (3, gtsam.Values.atPoint3),
+    (3, gtsam.Values.atPoint3),
+)
+for _segment in SEGMENTS.values():
+    for _letter, (_dimension, _read) in zip(_segment.letters, _KINDS, strict=False):
+        DIMENSION[_letter], _READ[_letter] = _dimension, _read
 #: The dimension by the letter's number, and where a key has its letter (GTSAM's `Symbol`).
 _SIZE = np.zeros(128, int)
 _SIZE[[ord(letter) for letter in DIMENSION]] = list(DIMENSION.values())

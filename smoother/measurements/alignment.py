@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..body import SEGMENTS
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, nearest_rotation
 from ..recording import JOINTS
@@ -260,7 +261,10 @@ def _spread(profiles: FloatArray, decay: float) -> FloatArray:
 
 def located(calibration: ArmCalibration) -> BoolArray:
     """(5,) joints that can take part: of the others nobody knows where they are on the arm."""
-    return np.array([joint == "shoulder" or lever_of(calibration, joint) is not None for joint in JOINTS])
+    known = {"shoulder", *(joint for joint in JOINTS if lever_of(calibration, joint) is not None)}
+    for name, mounting in calibration.mountings.items():
+        known |= set(SEGMENTS[name].camera_joints) & mounting.lever_arms.keys()
+    return np.array([joint in known for joint in JOINTS])
 
 
 def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:

@@ -357,22 +357,25 @@ FILTER_RATE_HZ = 120.0
 
 
 @dataclass(frozen=True)
-class UpperRunSamples:
-    """An upper-arm IMU between two of its pauses.
+class ImuRun:
+    """The IMU on a segment beyond the forearm, between two of its pauses.
 
     Attributes
     ----------
+    segment : str
+        Name of the segment (`body.SEGMENTS`).
     signal : InertialSignal
         Its samples, on the forearm IMU's clock.
     attitude : InertialAttitude
         Its orientation in a frame of its own with z up, heading drifting.
     """
 
+    segment: str
     signal: InertialSignal
     attitude: InertialAttitude
 
 
-def upper_run_samples(imu: ImuStream) -> UpperRunSamples:
+def imu_run(segment: str, imu: ImuStream) -> ImuRun:
     """The samples (without a pause, on the forearm IMU's clock) with their inertial attitude."""
     signal = InertialSignal(imu)
-    return UpperRunSamples(signal, inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)))
+    return ImuRun(segment, signal, inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)))

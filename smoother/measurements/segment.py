@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..array_types import BoolArray, FloatArray
 from ..recording import ImuStream, JointState, JointTracks, Recording
 from .clock import LARGEST_OFFSET_S, Clock
-from .inertial import InertialAttitude, InertialSignal, UpperRunSamples, inertial_attitude
+from .inertial import ImuRun, InertialAttitude, InertialSignal, inertial_attitude
 from .timestamps import dejitter, split_at_pauses, synthetic_stamps
 from .visibility import MISSING_S, accepted_samples, enough_joints, joints_needed
 
@@ -58,8 +58,8 @@ class Segment:
         How well `down` is known, an axis; None = roughly.
     core_start_s, core_end_s : float, s
         What the answer is wanted for; the time around it only supports it.
-    upper : tuple of UpperRunSamples
-        Of an IMU on the upper arm, on this one's clock, between its pauses.
+    further : tuple of ImuRun
+        Of IMUs on other segments, on this one's clock, between their pauses.
     """
 
     signal: InertialSignal
@@ -78,7 +78,7 @@ class Segment:
     down_sigma_rad: float | None = None
     core_start_s: float = -np.inf
     core_end_s: float = np.inf
-    upper: tuple[UpperRunSamples, ...] = ()
+    further: tuple[ImuRun, ...] = ()
 
     def between(self, start_s: float, end_s: float) -> Segment:
         """The same segment with a narrower time range (IMU clock), and the frames in and around it.

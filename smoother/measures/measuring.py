@@ -97,7 +97,7 @@ def drawn_motion(recovery: Recovery, k: int) -> Recovery:
     calibration, upper, trunk = drawn.calibration, recovery.upper, recovery.trunk
     if upper is not None and calibration is not None and calibration.R_U_B is not None:
         off = Rotation.from_rotvec(rng.normal(0.0, upper.mount_sigma_rad)).as_matrix()
-        drawn = replace(drawn, calibration=replace(calibration, R_U_B=off @ calibration.R_U_B))
+        drawn = replace(drawn, calibration=calibration.with_bone_axes("upper_arm", off @ calibration.R_U_B))
     if trunk is not None:
         known = np.flatnonzero(np.isfinite(trunk.quaternion).all(axis=1))
         R_K_T = Rotation.from_quat(trunk.quaternion[known], scalar_first=True)

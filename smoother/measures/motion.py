@@ -103,14 +103,16 @@ def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
 
     n = len(grid.t_s)
     occluded = recovery.occluded[nearest_rows(recovery.t_s, grid.t_s)]
-    upper, trunk = recovery.upper, recovery.trunk
-    if upper is not None:
-        upper = replace(
-            upper,
-            position=filtered(upper.position),
-            quaternion=turned(upper.quaternion),
+    trunk = recovery.trunk
+    segments = {
+        name: replace(
+            motion,
+            position=filtered(motion.position),
+            quaternion=turned(motion.quaternion),
             pose_covariance=_zeros(n, 6, 6),
         )
+        for name, motion in recovery.segments.items()
+    }
     if trunk is not None:
         trunk = replace(trunk, quaternion=turned(trunk.quaternion), covariance=_zeros(n, 3, 3))
     return replace(
@@ -124,7 +126,7 @@ def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
         velocity_covariance=_zeros(n, 3, 3),
         joints={joint: filtered(position) for joint, position in recovery.joints.items()},
         joint_covariance={joint: _zeros(n, 3, 3) for joint in recovery.joint_covariance},
-        upper=upper,
+        segments=segments,
         trunk=trunk,
         draws=None,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,8 +68,9 @@ class Recording:
         What was dropped or decided on reading, one sentence each.
     gravity_sigma_rad : float, rad, optional
         How well `gravity_hint` is known, an axis; to some degrees where None.
-    upper_imu : ImuStream, optional
-        An IMU on the same arm's upper arm, on a clock of its own, in its own axes {B}.
+    further_imus : mapping of str to ImuStream
+        IMUs on other segments of the same arm (`body.SEGMENTS`: "upper_arm"), each on a clock of its own, in
+        its own axes.
     body : int, optional
         The camera's number of the person, where several are told apart.
     trunk : TrunkSensors, optional
@@ -94,7 +95,7 @@ class Recording:
     name: str = "recording"
     notes: tuple[str, ...] = ()
     gravity_sigma_rad: float | None = None
-    upper_imu: ImuStream | None = None
+    further_imus: Mapping[str, ImuStream] = field(default_factory=dict)
     body: int | None = None
     trunk: TrunkSensors | None = None
     applied_fixes: tuple[str, ...] = ()
@@ -105,6 +106,16 @@ class Recording:
     def arm_label(self) -> str:
         """Which arm, in words: "right arm of body 2"; without a side "arm"."""
         return arm_words(self.side, self.body)
+
+    @property
+    def upper_imu(self) -> ImuStream | None:
+        """The IMU on the same arm's upper arm; None without one."""
+        return self.further_imus.get("upper_arm")
+
+    def with_imu(self, segment: str, imu: ImuStream | None) -> Recording:
+        """The same with another IMU on a segment beyond the forearm ("upper_arm"); without it where None."""
+        others = {name: stream for name, stream in self.further_imus.items() if name != segment}
+        return replace(self, further_imus=others if imu is None else others | {segment: imu})
 
     def __repr__(self) -> str:
         return lines_text(self._lines())
@@ -207,6 +218,7 @@ class Recording:
         imu = imu_of(t, acc, gyro, mag, name)
         arm = joints_of(frame_t, joints, states or {}, name)
         hint = None if gravity_hint is None else direction_of(gravity_hint, name)
-        if upper_imu is not None:
-            check_imu(upper_imu, "the upper arm's ", name)
-        return cls(imu, arm, side, frame, hint, truth=truth, name=name, upper_imu=upper_imu)
+        further = {} if upper_imu is None else {"upper_arm": upper_imu}
+        for segment, stream in further.items():
+            check_imu(stream, f"the {segment.replace('_', ' ')}'s ", name)
+        return cls(imu, arm, side, frame, hint, truth=truth, name=name, further_imus=further)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,15 +11,15 @@ from ..measurements.clock import Clock
 from ..measurements.visibility import REASONS, Gap
 from ..recording import JOINTS, Recording
 from ..result import Draws, FrameResiduals
-from ..result.segment_motion import UpperMotion
+from ..result.segment_motion import SegmentMotion
 from ..rotation import Rotation
 from ..runtime.store import Store
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.draw_plan import DrawPlan
 from ..window.solution import Message
 from ..window.trajectory import mix, share_after, turn_to
-from .drawn_samples import JOINT, SectionDraws
-from .samples import SectionAnswer, UpperAnswer, humerus_axes
+from .drawn_samples import SectionDraws
+from .samples import ElbowAxis, FurtherAnswer, SectionAnswer, bone_axes
 
 
 def blend(column: NDArray, rows: slice, value: FloatArray, share: FloatArray) -> None:
@@ -52,8 +50,8 @@ def between_quaternions(before: FloatArray, after: FloatArray, share: FloatArray
     return out
 
 
-class UpperColumns:
-    """The answers on an upper-arm IMU at a recording's samples, neighbours blended over their border.
+class FurtherColumns:
+    """The answers on IMUs of further segments at a recording's samples, neighbours blended over their border.
 
     Parameters
     ----------
@@ -65,47 +63,51 @@ class UpperColumns:
 
     def __init__(self, count: int, store: Store) -> None:
         self._count, self._store = count, store
-        self._columns: dict[str, FloatArray] = {}
-        self._answers: list[UpperAnswer] = []
+        self._columns: dict[str, dict[str, FloatArray]] = {}
+        self._elbow: dict[str, list[ElbowAxis]] = {}
 
-    def add(self, answer: UpperAnswer | None, rows: slice, share: FloatArray) -> None:
+    def add(self, answer: FurtherAnswer, rows: slice, share: FloatArray) -> None:
         """The next section's answer at its samples; its share against the one before at each of them."""
-        if answer is None:
-            return
-        if not self._columns:
-            for name, size in (("position", (3,)), ("quaternion", (4,)), ("pose_covariance", (6, 6))):
-                self._columns[name] = self._store.array((self._count, *size))
+        name = answer.segment
+        if name not in self._columns:
+            self._columns[name] = {
+                column: self._store.array((self._count, *size))
+                for column, size in (("position", (3,)), ("quaternion", (4,)), ("pose_covariance", (6, 6)))
+            }
+        columns = self._columns[name]
         both = slice(rows.start, rows.start + int(np.count_nonzero(share < 1.0)))
-        before = self._columns["quaternion"][both].copy()
-        for name, column in self._columns.items():
-            blend(column, rows, getattr(answer, name), share)
+        before = columns["quaternion"][both].copy()
+        for column, values in columns.items():
+            blend(values, rows, getattr(answer, column), share)
         turned = between_quaternions(before, answer.quaternion[: len(before)], share)
         known = np.asarray(np.isfinite(answer.quaternion[: len(before)]).all(axis=1))
-        self._columns["quaternion"][both] = np.where(known[:, None], turned, before)
-        empty = np.zeros((0, 0))  # of the samples nothing more is needed
-        self._answers.append(replace(answer, position=empty, quaternion=empty, pose_covariance=empty))
+        columns["quaternion"][both] = np.where(known[:, None], turned, before)
+        self._elbow.setdefault(name, []).append(answer.elbow)
 
     def calibration(self, model: SelfCalibration, side: str) -> ArmCalibration:
-        """The arm's calibration with the bone's axes in that IMU."""
-        if not self._columns:
-            return model.estimate
-        R_U_B, _ = humerus_axes(self._answers, model.estimate, side, model.tissue_m)
-        return replace(model.estimate, R_U_B=R_U_B)
+        """The arm's calibration with the bones' axes in these IMUs."""
+        calibration = model.estimate
+        for name in self._columns:
+            R_bone, _ = bone_axes(name, self._elbow[name], calibration.mountings[name], side)
+            calibration = calibration.with_bone_axes(name, R_bone)
+        return calibration
 
-    def motion(
+    def motions(
         self, recording: Recording, model: SelfCalibration, coarse_clock: Clock | None
-    ) -> UpperMotion | None:
-        """The whole of it; None without such an IMU. The coarse clock moved the camera's stamps before."""
-        if not self._columns or recording.upper_imu is None:
-            return None
-        _, sigma = humerus_axes(self._answers, model.estimate, recording.side, model.tissue_m)
+    ) -> dict[str, SegmentMotion]:
+        """The whole of them by segment. The coarse clock moved the camera's stamps before."""
         moved_s = 0.0 if coarse_clock is None else coarse_clock.mean_s
-        return UpperMotion(
-            **self._columns,
-            mount_sigma_rad=sigma,
-            clock_offset_s=model.upper_clock_offset_s + moved_s,
-            name=recording.upper_imu.name,
-        )
+        return {
+            name: SegmentMotion(
+                **columns,
+                mount_sigma_rad=bone_axes(
+                    name, self._elbow[name], model.estimate.mountings[name], recording.side
+                )[1],
+                clock_offset_s=model.further_clock_offset_s[name] + moved_s,
+                name=recording.further_imus[name].name,
+            )
+            for name, columns in self._columns.items()
+        }
 
 
 class DrawColumns:
@@ -143,16 +145,7 @@ class DrawColumns:
             return None
         # a draw at a time is how they are read; a time after the other is how they lie
         columns = {name: np.moveaxis(values, 0, 1) for name, values in self._columns.items()}
-        return Draws(
-            t_s=self._imu_t[:: self._plan.every],
-            seed=self._plan.seed,
-            position=columns["position"],
-            rotation=columns["rotation"],
-            joints={
-                name.removeprefix(JOINT): values for name, values in columns.items() if name.startswith(JOINT)
-            },
-            upper_rotation=columns.get("upper_rotation"),
-        )
+        return Draws.from_columns(self._imu_t[:: self._plan.every], self._plan.seed, columns)
 
 
 class ArmColumns:

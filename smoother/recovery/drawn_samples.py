@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
-from ..body import UPPER_ARM
+from ..body import SEGMENTS
 from ..linalg import interpolate
 from ..measurements.alignment import lever_of
+from ..result.draws import JOINT, TURN
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.draw_plan import DrawPlan, root_of
@@ -25,9 +26,6 @@ from .samples import (
     unknown_mounting,
 )
 
-#: Names of the columns of joints begin so.
-JOINT = "joint_"
-
 
 @dataclass(frozen=True)
 class SectionDraws:
@@ -38,7 +36,7 @@ class SectionDraws:
     samples : ndarray of int, shape (m,)
         Which of the section's samples.
     columns : dict of str to ndarray of float32, shape (m, k, 3)
-        Deviations from the answer by name, `joint_` before a joint's; see `result.Draws`.
+        Deviations from the answer by name, as `result.Draws.columns` has them.
     """
 
     samples: IntArray
@@ -98,6 +96,11 @@ def sample_draws(
     # 4. Joints follow the pose; their lever arms have errors of their own.
     columns = {"position": p, "rotation": r}
     levers = lever_errors(model, layout, plan)
+    turns = {
+        name: _turns(drawn.turns[name], motion, t)
+        for name in drawn.turns
+        if (motion := trajectory.of(name)) is not None
+    }
     for joint in answer.joints:
         if joint == "shoulder":
             if drawn.shoulder is not None:
@@ -112,9 +115,7 @@ def sample_draws(
     if place_m or turn_rad:
         columns["position"] = p + np.einsum("nij,kj->kni", R, place_m * plan.once("mounting", 3))
         columns["rotation"] = r + np.einsum("nij,kj->kni", R, turn_rad * plan.once("mounting turn", 3))
-    upper = trajectory.of(UPPER_ARM.name)
-    if drawn.upper_rotation is not None and upper is not None:
-        columns["upper_rotation"] = _upper(drawn.upper_rotation, upper, t)
+    columns |= {SEGMENTS[name].prefix + TURN: turned for name, turned in turns.items()}
     return SectionDraws(
         samples,
         {name: np.moveaxis(values, 0, 1).astype(np.float32) for name, values in columns.items()},
@@ -143,10 +144,10 @@ def lever_errors(model: SelfCalibration, layout: SharedLayout, plan: DrawPlan) -
     return errors
 
 
-def _upper(rotation: FloatArray, upper: SegmentTrajectory, t: FloatArray) -> FloatArray:
-    """Turns (k, m, 3) of the upper-arm IMU; nan where it has no samples."""
-    at_samples = _linear(upper.t, rotation, t)
-    covariance = interpolate(upper.t, upper.pose_covariance, t)
+def _turns(rotation: FloatArray, motion: SegmentTrajectory, t: FloatArray) -> FloatArray:
+    """Turns (k, m, 3) of a further IMU; nan where it has no samples."""
+    at_samples = _linear(motion.t, rotation, t)
+    covariance = interpolate(motion.t, motion.pose_covariance, t)
     known = np.isfinite(covariance).all(axis=(1, 2))
     at_samples[:, ~known] = np.nan
     if known.any():

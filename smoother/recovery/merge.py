@@ -15,7 +15,7 @@ from ..recording import JOINTS, Recording
 from ..result import Estimates, Recovery
 from ..runtime.store import Store
 from ..selfcal.self_calibration import SelfCalibration
-from .blended_columns import ArmColumns, DrawColumns, UpperColumns, merged_gaps
+from .blended_columns import ArmColumns, DrawColumns, FurtherColumns, merged_gaps
 from .magnetometer import Magnetometer
 from .notes import notes_on
 from .second_pass import SecondAnswer
@@ -51,12 +51,13 @@ def merge(
         Where the columns live.
     """
     columns = ArmColumns(recording, task.joints, store)
-    upper = UpperColumns(len(recording.imu), store)
+    further = FurtherColumns(len(recording.imu), store)
     drawn = DrawColumns(recording.imu.t_s, task.plan, store)
     unexplained: list[Gap] = []
     for answer in answers:
         share, rows = columns.add(answer.answer, answer.messages), answer.answer.samples
-        upper.add(answer.upper, rows, share)
+        for each in answer.answer.further:
+            further.add(each, rows, share)
         drawn.add(answer.draws, rows, share)
         unexplained = merged_gaps(unexplained, answer.unexplained)
     model = task.model
@@ -72,7 +73,7 @@ def merge(
         joints=columns.joints,
         joint_covariance=columns.joint_covariance,
         gaps=gaps,
-        calibration=upper.calibration(model, recording.side),
+        calibration=further.calibration(model, recording.side),
         gravity_direction=columns.gravity_direction(),
         clock_offset_s=clock.mean_s,
         clock_offset_sigma_s=clock.sigma_s,
@@ -85,7 +86,7 @@ def merge(
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}),
         estimates=_estimates(model, np.mean(columns.bias, axis=0)),
-        upper=upper.motion(recording, model, coarse_clock),
+        segments=further.motions(recording, model, coarse_clock),
         body=recording.body,
         trunk=None,  # beside the arm: `with_trunk`
         draws=drawn.draws(),

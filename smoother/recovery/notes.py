@@ -56,7 +56,7 @@ def notes_on(
         *_clock(timeline, clock),
         *_mounting(model),
         *_rejected(residuals),
-        *_open_gaps(gaps, bool(model.estimate.upper_imu)),
+        *_open_gaps(gaps, "upper_arm" in model.estimate.mountings),
         *_unanswered(recording, timeline, gaps),
         *_unexplained(unexplained),
     )

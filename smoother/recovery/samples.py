@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..body import UPPER_ARM
-from ..calibration import ArmCalibration
+from ..body import FOREARM, SEGMENTS, segment_of
+from ..calibration import ArmCalibration, LeverArm, SegmentMounting
 from ..linalg import interpolate, rotate_covariance, unit
-from ..measurements.alignment import lever_of, located
+from ..measurements.alignment import located
 from ..measurements.clock import Clock
 from ..measurements.inertial import InertialSignal
 from ..measurements.segment import Segment
@@ -22,7 +22,14 @@ from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.prepare import PreparedSegment
 from ..window.problem import States
-from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose, segment_at
+from ..window.trajectory import (
+    BLEND_HALF_S,
+    SegmentTrajectory,
+    Trajectory,
+    at_times,
+    joint_from_pose,
+    segment_at,
+)
 
 #: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
 UNKNOWN_LEVER_M = 0.08
@@ -49,6 +56,7 @@ class SectionAnswer:
     frames : rows of the camera's frames that are the section's own.
     residual, used, reason : at them, see `FrameResiduals`.
     gravity : (3,) mean, m/s^2 in {K}.
+    further : of the IMUs on other segments at the same samples.
     """
 
     samples: slice
@@ -67,6 +75,7 @@ class SectionAnswer:
     used: BoolArray
     reason: NDArray[np.uint8]
     gravity: FloatArray
+    further: tuple[FurtherAnswer, ...] = ()
 
 
 def sample_section(
@@ -104,7 +113,11 @@ def sample_section(
     if len(t) > 1:
         acceleration = IMU_DELAY_S * np.gradient(states.v, t, axis=0)
         velocity += acceleration[:, :, None] * acceleration[:, None, :]
-    joints = {joint: _joint(joint, states.R, states.p, pose, calibration, trajectory, t) for joint in names}
+    further = {body.segment: further_poses(body, prepared, clock, t) for body in trajectory.bodies[1:]}
+    poses = {FOREARM.name: (states, pose)} | further
+    joints = {
+        joint: _joint(joint, *poses[segment_of(joint, poses)], calibration, trajectory, t) for joint in names
+    }
     place_m, turn_rad = unknown_mounting(model)  # joints that are seen are known all the same
     pose += np.diag([place_m**2] * 3 + [turn_rad**2] * 3)
     frame_t = segment.frame_t_imu(clock)
@@ -129,7 +142,25 @@ def sample_section(
         used=segment.accepted[own] & located(calibration),
         reason=segment.reason[own],
         gravity=trajectory.forearm.gravity.mean(axis=0),
+        further=tuple(
+            FurtherAnswer.of(name, *own, {joint: place for joint, (place, _) in joints.items()}, t)
+            for name, own in further.items()
+        ),
     )
+
+
+def further_poses(
+    motion: SegmentTrajectory, prepared: PreparedSegment, clock: Clock, t: FloatArray
+) -> tuple[States, FloatArray]:
+    """States of a further IMU at times (n,) on the forearm IMU's clock, and pose covariances (n, 6, 6)."""
+    states = segment_at(motion, prepared, t)
+    known = np.isfinite(states.p[:, 0])
+    pose = np.full((len(t), 6, 6), np.nan)
+    if known.any():
+        v = states.v[known]
+        pose[known] = widen_turns(interpolate(motion.t, motion.pose_covariance, t)[known])
+        pose[known, :3, :3] += clock.local_sigma_s**2 * v[:, :, None] * v[:, None, :]
+    return states, pose
 
 
 def poses_at(
@@ -214,23 +245,31 @@ def large_rotation_uncertainty(pose_covariance: FloatArray) -> LargeRotationUnce
 
 def _joint(
     joint: str,
-    R: FloatArray,
-    p: FloatArray,
+    states: States,
     pose_covariance: FloatArray,
     calibration: ArmCalibration,
     motion: Trajectory,
     t: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """A joint's position and covariance at the samples: a lever arm on the pose, or the shoulder."""
+    nothing = np.full((len(t), 3), np.nan), np.full((len(t), 3, 3), np.nan)
     if joint == "shoulder":
         if motion.shoulder is None or motion.shoulder_covariance is None:
-            return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)
+            return nothing
         return interpolate(motion.t, motion.shoulder, t), interpolate(motion.t, motion.shoulder_covariance, t)
-    if lever_of(calibration, joint) is None:
-        return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)
-    lever = calibration.lever_arms.get(joint)
+    lever = lever_on(joint, calibration, motion)
+    if lever is None and joint != "strap":
+        return nothing
     lever_covariance = None if lever is None else np.diag(lever.sigma_m**2)
-    return joint_from_pose(R, p, pose_covariance, motion.lever_at(joint, t), lever_covariance)
+    return joint_from_pose(states.R, states.p, pose_covariance, motion.lever_at(joint, t), lever_covariance)
+
+
+def lever_on(joint: str, calibration: ArmCalibration, motion: Trajectory) -> LeverArm | None:
+    """A joint's lever arm in the axes of the IMU that its camera samples are tied to; None where unknown."""
+    segment = segment_of(joint, [body.segment for body in motion.bodies])
+    if segment == FOREARM.name:
+        return calibration.lever_arms.get(joint)
+    return calibration.mountings[segment].lever_arms.get(joint)
 
 
 def frame_residuals(
@@ -245,17 +284,20 @@ def frame_residuals(
     rows = np.flatnonzero((frame_t >= motion.t[0]) & (frame_t <= motion.t[-1]))
     if not len(rows):
         return residual
-    states = at_times(motion.forearm, prepared.forearm.signal, frame_t[rows])
+    states = {FOREARM.name: at_times(motion.forearm, prepared.forearm.signal, frame_t[rows])}
+    for body in motion.bodies[1:]:
+        if SEGMENTS[body.segment].camera_joints:
+            states[body.segment] = segment_at(body, prepared, frame_t[rows])
     for column, joint in enumerate(JOINTS):
         if joint == "shoulder":
             if motion.shoulder is not None:
                 answer = interpolate(motion.t, motion.shoulder, frame_t[rows])
                 residual[rows, column] = position[rows, column] - answer
             continue
-        if lever_of(calibration, joint) is not None:
-            lever = motion.lever_at(joint, frame_t[rows])
-            arm = np.einsum("nij,nj->ni", states.R, lever)
-            residual[rows, column] = position[rows, column] - states.p - arm
+        if joint == "strap" or lever_on(joint, calibration, motion) is not None:
+            own = states[segment_of(joint, states)]
+            arm = np.einsum("nij,nj->ni", own.R, motion.lever_at(joint, frame_t[rows]))
+            residual[rows, column] = position[rows, column] - own.p - arm
     return residual
 
 
@@ -266,77 +308,77 @@ APART_S = 1.0
 
 
 @dataclass(frozen=True)
-class UpperAnswer:
-    """The upper-arm IMU at the samples of a section; see `UpperMotion`.
+class ElbowAxis:
+    """What some samples with a bent elbow say of its axis, as a segment's IMU sees it.
 
     Attributes
     ----------
-    position, quaternion, pose_covariance : ndarray, shape (n, 3), (n, 4), (n, 6, 6)
-        nan where it has no samples.
-    axis : ndarray, shape (3, 3)
-        Sum of a a' over samples with a bent elbow, a the normal of the arm's plane in {B}.
-    mean_axis : ndarray, shape (3,)
+    scatter : ndarray, shape (3, 3)
+        Sum of a a', a the normal of the arm's plane in the IMU's axes.
+    mean : ndarray, shape (3,)
         Sum of a.
     weight : float
         Independent samples in both.
     """
 
+    scatter: FloatArray
+    mean: FloatArray
+    weight: float
+
+    @classmethod
+    def of(cls, joints: dict[str, FloatArray], R_K_B: FloatArray, t: FloatArray) -> ElbowAxis:
+        """Of the joints (n, 3) and the IMU's orientations (n, 3, 3) at times (n,)."""
+        axes = _plane_normals(joints, R_K_B)
+        weight = len(axes) * float(np.median(np.diff(t))) / APART_S if len(t) > 1 else 0.0
+        share = weight / max(len(axes), 1)
+        return cls(share * axes.T @ axes, share * axes.sum(axis=0), weight)
+
+
+@dataclass(frozen=True)
+class FurtherAnswer:
+    """The IMU on a segment beyond the forearm at the samples of a section; see `SegmentMotion`.
+
+    Attributes
+    ----------
+    segment : str
+        Name of the segment.
+    position, quaternion, pose_covariance : ndarray, shape (n, 3), (n, 4), (n, 6, 6)
+        nan where it has no samples.
+    elbow : ElbowAxis
+        For the bone's axes.
+    """
+
+    segment: str
     position: FloatArray
     quaternion: FloatArray
     pose_covariance: FloatArray
-    axis: FloatArray
-    mean_axis: FloatArray
-    weight: float
+    elbow: ElbowAxis
+
+    @classmethod
+    def of(
+        cls,
+        segment: str,
+        states: States,
+        pose_covariance: FloatArray,
+        joints: dict[str, FloatArray],
+        t: FloatArray,
+    ) -> FurtherAnswer:
+        """From the states and covariances at the samples' times (n,), and the arm's joints there."""
+        known = np.isfinite(states.p[:, 0])
+        quaternion = np.full((len(t), 4), np.nan)
+        if known.any():
+            quaternion[known] = Rotation.from_matrix(states.R[known]).as_quat(scalar_first=True)
+        elbow = ElbowAxis.of(joints, states.R, t)
+        return cls(segment, states.p, quaternion, pose_covariance, elbow)
+
+    def without_samples(self) -> FurtherAnswer:
+        """What is still needed when the samples are written."""
+        empty = np.zeros((0, 0))
+        return replace(self, position=empty, quaternion=empty, pose_covariance=empty)
 
 
-def sample_upper(
-    answer: SectionAnswer,
-    imu_t: FloatArray,
-    trajectory: Trajectory,
-    prepared: PreparedSegment,
-    model: SelfCalibration,
-) -> UpperAnswer | None:
-    """The upper-arm IMU at the samples that a section answers for.
-
-    Parameters
-    ----------
-    answer : SectionAnswer
-        Of the forearm.
-    imu_t : ndarray, shape (n,), s
-        Stamps of these samples.
-    trajectory : Trajectory
-        Of the second pass.
-    prepared : PreparedSegment
-    model : SelfCalibration
-        As all sections have it.
-
-    Returns
-    -------
-    upper : UpperAnswer or None
-        None where the recording has no such IMU.
-    """
-    upper = trajectory.of(UPPER_ARM.name)
-    if upper is None:
-        return None
-    states = segment_at(upper, prepared, imu_t)
-    known = np.isfinite(states.p[:, 0])
-    quaternion = np.full((len(imu_t), 4), np.nan)
-    pose = np.full((len(imu_t), 6, 6), np.nan)
-    if known.any():
-        quaternion[known] = Rotation.from_matrix(states.R[known]).as_quat(scalar_first=True)
-        v = states.v[known]
-        covariance = widen_turns(interpolate(upper.t, upper.pose_covariance, imu_t)[known])
-        covariance[:, :3, :3] += model.clock.local_sigma_s**2 * v[:, :, None] * v[:, None, :]
-        pose[known] = covariance
-    axes = _axes(answer, states.R)
-    weight = len(axes) * float(np.median(np.diff(imu_t))) / APART_S if len(imu_t) > 1 else 0.0
-    share = weight / max(len(axes), 1)
-    return UpperAnswer(states.p, quaternion, pose, share * axes.T @ axes, share * axes.sum(axis=0), weight)
-
-
-def _axes(answer: SectionAnswer, R_K_B: FloatArray) -> FloatArray:
+def _plane_normals(joints: dict[str, FloatArray], R_K_B: FloatArray) -> FloatArray:
     """Normals (m, 3) of the plane of upper arm and forearm in {B}, where the elbow is bent."""
-    joints = answer.joints
     if not {"shoulder", "elbow", "wrist"} <= joints.keys():
         return np.zeros((0, 3))
     upper, fore = unit(joints["shoulder"] - joints["elbow"]), unit(joints["elbow"] - joints["wrist"])
@@ -346,8 +388,23 @@ def _axes(answer: SectionAnswer, R_K_B: FloatArray) -> FloatArray:
         return normal[size > MIN_ELBOW_SIN] / size[size > MIN_ELBOW_SIN, None]
 
 
+def bone_axes(
+    segment: str, elbow_axes: Sequence[ElbowAxis], mounting: SegmentMounting, side: str
+) -> tuple[FloatArray | None, FloatArray]:
+    """A bone's axes in its IMU's (3, 3), and how far they may be off about each (3,), rad.
+
+    Of a segment without a definition of its axes there are none; what is known is its direction.
+    """
+    if SEGMENTS[segment].carries_parent:
+        return humerus_axes(elbow_axes, mounting, side)
+    near, far = (mounting.lever_arms[SEGMENTS[segment].as_forearm[end]] for end in ("elbow", "wrist"))
+    length_m = float(np.linalg.norm(far.position_m - near.position_m))
+    lever_rad = float(np.hypot(near.sigma_m.max(), far.sigma_m.max())) / length_m
+    return None, np.full(3, np.hypot(lever_rad, mounting.tissue_m / (0.5 * length_m)))
+
+
 def humerus_axes(
-    answers: Sequence[UpperAnswer], calibration: ArmCalibration, side: str, tissue_m: float
+    elbow_axes: Sequence[ElbowAxis], mounting: SegmentMounting, side: str
 ) -> tuple[FloatArray | None, FloatArray]:
     """The bone's axes in {B}, and how far they may be off.
 
@@ -356,13 +413,11 @@ def humerus_axes(
 
     Parameters
     ----------
-    answers : sequence of UpperAnswer
+    elbow_axes : sequence of ElbowAxis
         Of all sections.
-    calibration : ArmCalibration
-        Its `upper_imu` holds elbow and shoulder in {B}.
+    mounting : SegmentMounting
+        Elbow and shoulder in {B}.
     side : str
-    tissue_m : float, m
-        How far soft tissue moves both.
 
     Returns
     -------
@@ -371,15 +426,15 @@ def humerus_axes(
     sigma_rad : ndarray, shape (3,), rad
         About each axis of the bone.
     """
-    elbow, shoulder = calibration.upper_imu["elbow"], calibration.upper_imu["shoulder"]
+    elbow, shoulder = mounting.lever_arms["elbow"], mounting.lever_arms["shoulder"]
     along = shoulder.position_m - elbow.position_m
     length_m = float(np.linalg.norm(along))
     y = along / length_m
-    weight = sum(answer.weight for answer in answers)
-    mean = sum((answer.mean_axis for answer in answers), np.zeros(3))
-    scatter = sum((answer.axis for answer in answers), np.zeros((3, 3)))
+    weight = sum(axis.weight for axis in elbow_axes)
+    mean = sum((axis.mean for axis in elbow_axes), np.zeros(3))
+    scatter = sum((axis.scatter for axis in elbow_axes), np.zeros((3, 3)))
     across = mean - (mean @ y) * y
-    tissue_rad = tissue_m / (0.5 * length_m)
+    tissue_rad = mounting.tissue_m / (0.5 * length_m)
     lever_rad = float(np.hypot(elbow.sigma_m.max(), shoulder.sigma_m.max())) / length_m
     sigma = np.hypot(np.array([lever_rad, 0.0, lever_rad]), tissue_rad)
     if weight < 1.0 or np.linalg.norm(across) < MIN_ELBOW_SIN * weight:

@@ -15,7 +15,7 @@ from ..window.solution import BlockShift, Message, Solution
 from ..window.trajectory import merge_draws, merge_windows
 from .drawn_samples import SectionDraws, sample_draws
 from .first_pass import SecondJob
-from .samples import SectionAnswer, UpperAnswer, sample_section, sample_upper
+from .samples import SectionAnswer, sample_section
 from .self_check import HiddenStretch, hide_and_recover
 from .task import SectionState, Task
 
@@ -32,8 +32,6 @@ class SecondAnswer:
         At its samples.
     messages : list of Message
         One a window.
-    upper : UpperAnswer or None
-        Of an upper-arm IMU at the same samples.
     unexplained : tuple of Gap
         Long gaps whose motion the model does not explain.
     check : SectionCheck
@@ -46,7 +44,6 @@ class SecondAnswer:
     messages: list[Message]
     unexplained: tuple[Gap, ...]
     check: SectionCheck
-    upper: UpperAnswer | None = None
     draws: SectionDraws | None = None
 
 
@@ -112,7 +109,6 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         and any(gap.start_s < window.t[-1] and gap.end_s > window.t[0] for window in refused)
     )
     rows = slice(answer.samples.start - state.first_sample, answer.samples.stop - state.first_sample)
-    upper = sample_upper(answer, state.imu_t[rows], trajectory, state.prepared, task.model)
     draws = None
     if task.plan is not None:
         drawn = merge_draws(state.prepared.t, windows, solutions)
@@ -122,9 +118,7 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         solutions,
         hide_and_recover(state.prepared.with_start(trajectory.forearm.states), windows, job.priors, task),
     )
-    return SecondAnswer(
-        answer, [solution.message for solution in solutions], unexplained, check, upper, draws
-    )
+    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, check, draws)
 
 
 def _optimised(job: SecondJob, task: Task) -> tuple[SectionState, list[WindowOptimum] | None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..measurements.clock import Clock
-from ..measurements.inertial import upper_run_samples
+from ..measurements.inertial import imu_run
 from ..measurements.segment import FEWEST_SAMPLES, Segment, SegmentTraits, Timeline, make_segment
 from ..measurements.visibility import MISSING_S
 from ..recording import ImuStream, JointTracks, Recording
-from ..selfcal.upper_arm import UpperArm
+from ..selfcal.further_imu import FurtherImu
 from ..window.cut import KEEP_S
 from ..window.prepare import REACH_S
 
@@ -22,8 +22,8 @@ from ..window.prepare import REACH_S
 SECTION_S = 60.0
 #: What is read more on both sides, s: for the inertial filter, the alignment and the margins of the windows.
 CONTEXT_S = 12.0
-#: Of an upper-arm IMU so much more, s: it has to cover the last node.
-UPPER_MORE_S = 0.5
+#: Of an IMU on another segment so much more, s: it has to cover the last node.
+FURTHER_MORE_S = 0.5
 #: A border may be so far from its even place, as a share of the sections' length; there is none otherwise.
 FARTHEST = 0.45
 #: Visible time that a border lacks around it counts as so many times as much distance from its place.
@@ -64,8 +64,8 @@ class SectionData:
         The samples' dejittered times.
     traits : SegmentTraits
         Of the recording.
-    upper : tuple of ImuStream
-        Of an IMU on the upper arm, on the forearm IMU's clock, between its pauses.
+    further : tuple of (str, ImuStream)
+        Of IMUs on other segments, by the segment's name, on the forearm IMU's clock, between their pauses.
     """
 
     section: Section
@@ -73,15 +73,17 @@ class SectionData:
     arm: JointTracks
     even_t_imu: FloatArray
     traits: SegmentTraits
-    upper: tuple[ImuStream, ...] = ()
+    further: tuple[tuple[str, ImuStream], ...] = ()
 
     def segment(self) -> Segment | None:
         """The section as a segment; None where the camera saw nothing of the forearm."""
         segment = make_segment(self.imu, self.even_t_imu, self.arm, self.section.frames, self.traits)
         if segment is None:
             return None
-        upper = tuple(upper_run_samples(imu) for imu in self.upper)
-        return replace(segment, core_start_s=self.section.start_s, core_end_s=self.section.end_s, upper=upper)
+        runs = tuple(imu_run(name, imu) for name, imu in self.further)
+        return replace(
+            segment, core_start_s=self.section.start_s, core_end_s=self.section.end_s, further=runs
+        )
 
 
 class Sections:
@@ -95,8 +97,8 @@ class Sections:
         Of the recording.
     clock : Clock
         Takes the camera's times to the IMU's.
-    upper : UpperArm, optional
-        An IMU on the upper arm.
+    further : sequence of FurtherImu
+        IMUs on other segments, on the forearm IMU's clock.
 
     Attributes
     ----------
@@ -104,9 +106,13 @@ class Sections:
     """
 
     def __init__(
-        self, recording: Recording, timeline: Timeline, clock: Clock, upper: UpperArm | None = None
+        self,
+        recording: Recording,
+        timeline: Timeline,
+        clock: Clock,
+        further: Sequence[FurtherImu] = (),
     ) -> None:
-        self._recording, self._timeline, self._upper = recording, timeline, upper
+        self._recording, self._timeline, self._further = recording, timeline, further
         frame_t_imu = clock.to_imu(recording.arm.t_s)
         visible_times = _visible_times(frame_t_imu[timeline.visible])
         self.all: list[Section] = []
@@ -128,10 +134,10 @@ class Sections:
         for section in self.all:
             imu, arm = self._recording.imu.select(section.samples), self._recording.arm.select(section.frames)
             even_t = self._timeline.even_t_imu[section.samples]
-            runs = (
-                ()
-                if self._upper is None
-                else self._upper.runs(imu.t_s[0] - UPPER_MORE_S, imu.t_s[-1] + UPPER_MORE_S)
+            runs = tuple(
+                (each.segment.name, run)
+                for each in self._further
+                for run in each.runs(imu.t_s[0] - FURTHER_MORE_S, imu.t_s[-1] + FURTHER_MORE_S)
             )
             yield SectionData(section, _imu_here(imu), _arm_here(arm), even_t, self._timeline.traits, runs)
 

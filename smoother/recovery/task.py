@@ -103,7 +103,7 @@ class Task:
             model=model,
             config=config,
             prior=first_priors(model.initial, model.prior, config),
-            noise=replace(noise_of(config, model.upper_arm_sigma_m), tissue_m=model.tissue_m),
+            noise=noise_of(config, model.upper_arm_sigma_m, model.prior),
             sharing=windows,
             joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
             magnetometer=with_field,

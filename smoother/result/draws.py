@@ -7,9 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import FURTHER, SEGMENTS
 from ..errors import UnoccludeError
 from ..rotation import Rotation
 
+#: Names of the columns of joints begin so, those of further segments' rotations end so.
+JOINT, TURN = "joint_", "_rotation"
 #: Drawn times further apart than this do not belong to one motion, s.
 APART_S = 1.0
 
@@ -30,8 +33,8 @@ class Draws:
         In {K}: R_drawn = Exp(rotation) R_answer.
     joints : dict of str to ndarray of float32, shape (n, m, 3), m
         By joint in {K}, drawn minus answer.
-    upper_rotation : ndarray of float32, shape (n, m, 3), rad, or None
-        The same of an IMU on the upper arm; None without one.
+    turns : dict of str to ndarray of float32, shape (n, m, 3), rad
+        The same of IMUs on further segments, by the segment's name.
     """
 
     t_s: FloatArray
@@ -39,10 +42,23 @@ class Draws:
     position: FloatArray
     rotation: FloatArray
     joints: dict[str, FloatArray] = field(default_factory=dict)
-    upper_rotation: FloatArray | None = None
+    turns: dict[str, FloatArray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def columns(self) -> dict[str, FloatArray]:
+        """All quantities by the names that files have for them."""
+        columns = {"position": self.position, "rotation": self.rotation}
+        columns |= {JOINT + joint: drawn for joint, drawn in self.joints.items()}
+        return columns | {SEGMENTS[name].prefix + TURN: drawn for name, drawn in self.turns.items()}
+
+    @classmethod
+    def from_columns(cls, t_s: FloatArray, seed: int, columns: dict[str, FloatArray]) -> Draws:
+        """What `columns` gives."""
+        joints = {name.removeprefix(JOINT): v for name, v in columns.items() if name.startswith(JOINT)}
+        turns = {body.name: columns[body.prefix + TURN] for body in FURTHER if body.prefix + TURN in columns}
+        return cls(t_s, seed, columns["position"], columns["rotation"], joints, turns)
 
     def first(self, count: int) -> Draws:
         """The first few of them: a draw does not depend on how many others there are."""
@@ -51,7 +67,7 @@ class Draws:
             position=self.position[:count],
             rotation=self.rotation[:count],
             joints={joint: drawn[:count] for joint, drawn in self.joints.items()},
-            upper_rotation=None if self.upper_rotation is None else self.upper_rotation[:count],
+            turns={segment: drawn[:count] for segment, drawn in self.turns.items()},
         )
 
     def at(self, k: int, t_s: FloatArray) -> Deviation:
@@ -88,7 +104,7 @@ class Draws:
             velocity,
             value(self.rotation),
             {joint: value(drawn) for joint, drawn in self.joints.items()},
-            None if self.upper_rotation is None else value(self.upper_rotation),
+            {segment: value(drawn) for segment, drawn in self.turns.items()},
         )
 
 
@@ -104,15 +120,15 @@ class Deviation:
         In {K}: R_drawn = Exp(rotation) R_answer.
     joints : dict of str to ndarray, shape (N, 3), m
         By joint in {K}, those that were drawn.
-    upper_rotation : ndarray, shape (N, 3), rad, or None
-        Of an IMU on the upper arm.
+    turns : dict of str to ndarray, shape (N, 3), rad
+        Of IMUs on further segments.
     """
 
     position: FloatArray
     velocity: FloatArray
     rotation: FloatArray
     joints: dict[str, FloatArray]
-    upper_rotation: FloatArray | None
+    turns: dict[str, FloatArray]
 
 
 def turned_by(rotation: FloatArray, quaternion: FloatArray) -> FloatArray:

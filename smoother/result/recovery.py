@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray, IntArray
+from ..body import SEGMENTS
 from ..calibration import ArmCalibration
 from ..error_radius import error_radius, within_words
 from ..errors import UnoccludeError
@@ -22,7 +23,7 @@ from .columns import arrow_table, flat_columns
 from .draws import Draws, turned_by
 from .estimates import Estimates
 from .frame_residuals import BATCH_ROWS, FrameResiduals
-from .segment_motion import TrunkMotion, UpperMotion
+from .segment_motion import SegmentMotion, TrunkMotion
 from .verdict import GapVerdict, gap_verdicts, trusted_at
 
 if TYPE_CHECKING:
@@ -84,8 +85,8 @@ class Recovery:
         The effective configuration, as plain values.
     estimates : Estimates
         What was found besides the motion.
-    upper : UpperMotion, optional
-        Of an IMU on the upper arm, at the same samples.
+    segments : dict of str to SegmentMotion
+        Of IMUs on further segments, at the same samples, by the segment's name ("upper_arm").
     trunk : TrunkMotion, optional
         Of an IMU on the trunk, at the same samples.
     body : int, optional
@@ -117,10 +118,15 @@ class Recovery:
     notes: tuple[str, ...] = ()
     config: dict[str, object] = field(default_factory=dict)
     estimates: Estimates = field(default_factory=Estimates)
-    upper: UpperMotion | None = None
+    segments: dict[str, SegmentMotion] = field(default_factory=dict)
     trunk: TrunkMotion | None = None
     body: int | None = None
     draws: Draws | None = None
+
+    @property
+    def upper(self) -> SegmentMotion | None:
+        """Of an IMU on the upper arm; None without one."""
+        return self.segments.get("upper_arm")
 
     @property
     def arm_label(self) -> str:
@@ -213,7 +219,7 @@ class Recovery:
             velocity_covariance=part(self.velocity_covariance),
             joints={joint: part(values) for joint, values in self.joints.items()},
             joint_covariance={joint: part(values) for joint, values in self.joint_covariance.items()},
-            upper=None if self.upper is None else self.upper.rows(rows),
+            segments={name: motion.rows(rows) for name, motion in self.segments.items()},
             trunk=None if self.trunk is None else self.trunk.rows(rows),
         )
 
@@ -241,12 +247,13 @@ class Recovery:
                 f"{self.name}: no motions were drawn; ask `unocclude smooth` for them with --draws 64"
             )
         moved = self.draws.at(k, self.t_s)
-        upper = self.upper
-        if upper is not None:
-            turned = upper.quaternion
-            if moved.upper_rotation is not None:
-                turned = turned_by(moved.upper_rotation, turned)
-            upper = replace(upper, quaternion=turned, pose_covariance=_zeros(upper.pose_covariance))
+        segments = {}
+        for name, motion in self.segments.items():
+            turned = motion.quaternion
+            if name in moved.turns:
+                turned = turned_by(moved.turns[name], turned)
+            zeros = _zeros(motion.pose_covariance)
+            segments[name] = replace(motion, quaternion=turned, pose_covariance=zeros)
         return replace(
             self,
             position=self.position + moved.position,
@@ -256,7 +263,7 @@ class Recovery:
             velocity_covariance=_zeros(self.velocity_covariance),
             joints={joint: at + moved.joints.get(joint, 0.0) for joint, at in self.joints.items()},
             joint_covariance={joint: _zeros(each) for joint, each in self.joint_covariance.items()},
-            upper=upper,
+            segments=segments,
             draws=None,
         )
 
@@ -347,9 +354,10 @@ class Recovery:
         for joint in (name for name in JOINTS if name in self.joints):
             arrays[joint] = self.joints[joint]
             arrays[f"{joint}_sigma"] = np.sqrt(np.einsum("nii->ni", self.joint_covariance[joint]))
-        if self.upper is not None:
-            arrays |= {"upper_imu": self.upper.position, "upper_imu_quaternion": self.upper.quaternion}
-            arrays |= {"upper_sigma": self.upper.sigma_m, "upper_sigma_deg": self.upper.sigma_deg}
+        for name, motion in self.segments.items():
+            of = SEGMENTS[name].prefix
+            arrays |= {f"{of}_imu": motion.position, f"{of}_imu_quaternion": motion.quaternion}
+            arrays |= {f"{of}_sigma": motion.sigma_m, f"{of}_sigma_deg": motion.sigma_deg}
         if self.trunk is not None:
             arrays |= {"trunk_quaternion": self.trunk.quaternion, "trunk_sigma_deg": self.trunk.sigma_deg}
         return arrays | {"trusted": self.trusted} if self.has_verdict else arrays

@@ -11,22 +11,22 @@ from ..linalg import rotation_sigma_deg
 
 
 @dataclass(frozen=True)
-class UpperMotion:
-    """An upper-arm IMU at the forearm IMU's times; nan where it has no samples.
+class SegmentMotion:
+    """The IMU on a segment beyond the forearm at the forearm IMU's times; nan where it has no samples.
 
     Attributes
     ----------
     position : ndarray, shape (N, 3), m
         In {K}.
     quaternion : ndarray, shape (N, 4)
-        qw, qx, qy, qz of `R_K_B`.
+        qw, qx, qy, qz: from the IMU's axes to {K}.
     pose_covariance : ndarray, shape (N, 6, 6), m and rad
         Of (position in {K}, rotation vector in {K}).
     mount_sigma_rad : ndarray, shape (3,), rad
-        How far the bone's axes may be from where `ArmCalibration.R_U_B` has them, soft tissue included,
+        How far the bone's axes may be from where `SegmentMounting.R_bone` has them, soft tissue included,
         about each of them.
     clock_offset_s : float, s
-        t_upper = t_camera + offset, mean.
+        t_own = t_camera + offset, mean.
     name : str
         Of the IMU.
     """
@@ -36,9 +36,9 @@ class UpperMotion:
     pose_covariance: FloatArray
     mount_sigma_rad: FloatArray
     clock_offset_s: float = float("nan")
-    name: str = "upper_arm"
+    name: str = ""
 
-    def rows(self, rows: slice | IntArray) -> UpperMotion:
+    def rows(self, rows: slice | IntArray) -> SegmentMotion:
         """Some of the samples."""
         return replace(
             self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,10 +47,9 @@ class SelfCalibration:
         How far from constant the upper arm's length is.
     direction_spread_rad : float, rad
         How far the forearm's direction in the sensor may be from the estimate; nan where it was given.
-    tissue_m : float, m
-        How far elbow and shoulder are from constant in an upper-arm IMU's axes; 0 without one.
-    upper_clock_offset_s : float, s
-        t_upper = t_camera + offset, mean, of the camera's stamps as `clocks` have them; nan without one.
+    further_clock_offset_s : dict of str to float, s
+        By segment with a further IMU t_own = t_camera + offset, mean, of the camera's stamps as `clocks` have
+        them.
     interrupted_s : float, s
         Median time between two pauses of an IMU that pauses too often; nan where it does not.
     """
@@ -64,8 +63,7 @@ class SelfCalibration:
     errors: ConstantErrors
     upper_arm_sigma_m: float
     direction_spread_rad: float = float("nan")
-    tissue_m: float = 0.0
-    upper_clock_offset_s: float = float("nan")
+    further_clock_offset_s: dict[str, float] = field(default_factory=dict)
     interrupted_s: float = float("nan")
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
-from ..calibration import ArmCalibration, Length, LeverArm
+from ..calibration import ArmCalibration, Length, LeverArm, SegmentMounting
 from ..recording import CameraFrame, ImuStream, JointState, Recording, TrunkSensors, Truth
 from ..units import GRAVITY
 from .body import BodyMeasures, draw_measures
@@ -29,14 +29,14 @@ from .camera import (
 )
 from .config import ArmSimulation, PointSimulation
 from .inertial import (
+    SegmentImuMotion,
     TrunkImuMotion,
-    UpperArmMotion,
     draw_trunk_axes,
     draw_upper_mount,
     ideal_imu,
     measure,
+    measure_segment,
     measure_trunk,
-    measure_upper_arm,
 )
 from .motion import ArmMotion, MotionModel, Stage, TrunkTurn, draw_stage, draw_wobble, tilt_rotation
 from .people import mounted_anew, varied
@@ -67,8 +67,8 @@ class SimulatedArm:
         Frames in which the camera cannot see the forearm, whatever it states.
     motion : MotionModel
         The motion itself, for further sensors.
-    upper_motion : UpperArmMotion or None
-        Of the upper-arm IMU, where there is one.
+    further_motions : dict of str to SegmentImuMotion
+        Of the IMUs on further segments, by the segment's name.
     trunk_motion : TrunkImuMotion or None
         Of the trunk's IMU, where there is one.
     """
@@ -79,8 +79,18 @@ class SimulatedArm:
     ideal_imu: ImuStream
     occluded: BoolArray
     motion: MotionModel
-    upper_motion: UpperArmMotion | None = None
+    further_motions: dict[str, SegmentImuMotion] = field(default_factory=dict)
     trunk_motion: TrunkImuMotion | None = None
+
+    @property
+    def upper_motion(self) -> SegmentImuMotion | None:
+        """Of the upper-arm IMU; None without one."""
+        return self.further_motions.get("upper_arm")
+
+
+def given(positions: dict[str, FloatArray]) -> dict[str, LeverArm]:
+    """Lever arms as somebody would measure them, by joint."""
+    return {joint: LeverArm(at, np.full(3, LEVER_ARM_SIGMA_M)) for joint, at in positions.items()}
 
 
 def true_motion(motion: MotionModel, t_s: FloatArray) -> Truth:
@@ -164,13 +174,16 @@ def record_arm(
 
     ideal = ideal_imu(motion, performance.duration_s, config.imu_rate_hz, stage.gravity)
     imu, parameters = measure(ideal, config, imu_rng)
-    upper_motion, upper_imu = None, None
+    motions, further, mountings = {}, {}, {}
     if "upper-arm" in config.imus:
         upper_wobble = draw_wobble(performance, config.upper_wobble_deg, upper_wobble_rng)
         mount = draw_upper_mount(measures, config.side, upper_rng)
-        upper_motion = UpperArmMotion(motion, mount, performance.t_s, upper_wobble)
-        upper_imu, upper_parameters = measure_upper_arm(
-            upper_motion, performance.duration_s, stage.gravity, config, upper_rng
+        motions["upper_arm"] = SegmentImuMotion(
+            motion, motion.upper_arm, mount, performance.t_s, upper_wobble
+        )
+        mountings["upper_arm"] = SegmentMounting(given(mount.levers(measures.upper_arm)), R_bone=mount.R_U_B)
+        further["upper_arm"], upper_parameters = measure_segment(
+            "upper_arm", motions["upper_arm"], performance.duration_s, stage.gravity, config, upper_rng
         )
         parameters |= upper_parameters
 
@@ -208,22 +221,13 @@ def record_arm(
         add_noise(other, config, trunk_rng)
         trunk = TrunkSensors(trunk_imu, deliver(other, "simulated", config, same_stamps)[0])
 
-    lever_arms = {
-        joint: LeverArm(measures.lever_arm(joint), np.full(3, LEVER_ARM_SIGMA_M))
-        for joint in ("elbow", "wrist", "hand")
-    }
+    lever_arms = given({joint: measures.lever_arm(joint) for joint in ("elbow", "wrist", "hand")})
     calibration = ArmCalibration(
         side=config.side,
         lever_arms=lever_arms,
         upper_arm=Length(measures.upper_arm, UPPER_ARM_SIGMA_M),
         R_F_A=measures.R_F_A,
-        upper_imu={}
-        if upper_motion is None
-        else {
-            joint: LeverArm(position, np.full(3, LEVER_ARM_SIGMA_M))
-            for joint, position in upper_motion.mount.levers(measures.upper_arm).items()
-        },
-        R_U_B=None if upper_motion is None else upper_motion.mount.R_U_B,
+        mountings=mountings,
     )
     parameters |= {
         "gravity": stage.gravity,
@@ -240,11 +244,11 @@ def record_arm(
         camera_frame=config.camera_frame,
         truth=true_motion(motion, imu.t_s),
         name=name,
-        upper_imu=upper_imu,
+        further_imus=further,
         trunk=trunk,
     )
     return SimulatedArm(
-        recording, calibration, parameters, ideal, hidden[delivered], motion, upper_motion, trunk_motion
+        recording, calibration, parameters, ideal, hidden[delivered], motion, motions, trunk_motion
     )
 
 

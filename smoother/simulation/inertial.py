@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +11,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import FloatArray
+from ..body import SEGMENTS
 from ..recording import ImuStream
 from .body import BodyMeasures
 from .config import ArmSimulation, SensorErrors
@@ -174,42 +176,62 @@ def draw_upper_mount(measures: BodyMeasures, side: str, rng: np.random.Generator
     return UpperMount(off + np.array([0.0, along, 0.0]), (axes * tilt).as_matrix(), side)
 
 
-class UpperArmMotion:
-    """The upper-arm IMU of an arm in motion; the tissue turns it about the bone's axis beneath it."""
+class SegmentImuMotion:
+    """The IMU on a segment of an arm in motion; the tissue turns it about the bone's axis beneath it.
 
-    def __init__(self, arm: ArmMotion, mount: UpperMount, t_s: FloatArray, wobble: FloatArray) -> None:
-        self.arm, self.mount = arm, mount
+    Parameters
+    ----------
+    arm : ArmMotion
+    bone : callable
+        The bone's origin (N, 3) m in {K} and axes (N, 3, 3) at times (N,).
+    mount : UpperMount
+        How the IMU sits on it.
+    t_s : ndarray, shape (N,), s
+    wobble : ndarray, shape (N, 3), rad
+        By how much the tissue turns it.
+    """
+
+    def __init__(
+        self,
+        arm: ArmMotion,
+        bone: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+        mount: UpperMount,
+        t_s: FloatArray,
+        wobble: FloatArray,
+    ) -> None:
+        self.arm, self.mount, self._bone = arm, mount, bone
         self._wobble = make_interp_spline(t_s, wobble, k=5)
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`R_K_B` (N, 3, 3) and the IMU's position (N, 3) m in {K}."""
-        elbow, R_K_U = self.arm.upper_arm(t_s)
+        """Orientation (N, 3, 3) from the IMU's axes to {K}, and its position (N, 3) m in {K}."""
+        origin, R_K_S = self._bone(t_s)
         tissue = Rotation.from_rotvec(self._wobble(t_s)).as_matrix()
         beneath = self.mount.in_upper_arm * [0.0, 1.0, 0.0]
-        in_upper_arm = beneath + tissue @ (self.mount.in_upper_arm - beneath)
-        position = elbow + np.einsum("nij,nj->ni", R_K_U, in_upper_arm)
-        return R_K_U @ tissue @ self.mount.axes, position
+        in_segment = beneath + tissue @ (self.mount.in_upper_arm - beneath)
+        position = origin + np.einsum("nij,nj->ni", R_K_S, in_segment)
+        return R_K_S @ tissue @ self.mount.axes, position
 
     def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
         """Positions (N, 3) by joint, m in {K}."""
         return self.arm.joints(t_s)
 
 
-def measure_upper_arm(
-    motion: UpperArmMotion,
+def measure_segment(
+    segment: str,
+    motion: SegmentImuMotion,
     duration_s: float,
     gravity: FloatArray,
     config: ArmSimulation,
     rng: np.random.Generator,
 ) -> tuple[ImuStream, dict[str, Any]]:
-    """The IMU's samples on its own clock, and what was drawn, by names that begin with `upper_imu_`."""
+    """The IMU's samples on its own clock, and what was drawn, by names that begin as `upper_imu_`."""
     ideal = ideal_imu(motion, duration_s, config.imu_rate_hz, gravity)
     measured, drawn = measure(ideal, config, rng)
     t_s = config.upper_clock_s + (1.0 + 1e-6 * config.upper_clock_ppm) * measured.t_s
-    name = f"/imu/upper_arm_{config.side}"
-    parameters = {f"upper_imu_{name}": value for name, value in drawn.items()}
-    parameters["upper_clock_s"] = config.upper_clock_s
-    return replace(measured, name=name, t_s=t_s), parameters
+    of = SEGMENTS[segment].prefix
+    parameters: dict[str, Any] = {f"{of}_imu_{name}": value for name, value in drawn.items()}
+    parameters[f"{of}_clock_s"] = config.upper_clock_s
+    return replace(measured, name=f"/imu/{segment}_{config.side}", t_s=t_s), parameters
 
 
 #: Where it sits, on the breastbone, m in {T}.

@@ -13,7 +13,7 @@ from ..measurements.inertial import InertialSignal, equivalent_samples, integrat
 from ..measurements.visibility import MISSING_S, Gap, enough_joints, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
 from .nodes import propagate
-from .prepare import PreparedSegment
+from .prepare import PreparedRun, PreparedSegment
 from .problem import (
     ImuIncrements,
     JointMeasurements,
@@ -205,37 +205,56 @@ def _segment_runs(
 def _joint_measurements(
     prepared: PreparedSegment, lo: int, hi: int, prior: Priors, gravity_magnitude: float
 ) -> tuple[JointMeasurements, ...]:
-    layout, mean = prior.layout, prior.shared.mean
-    inside = np.flatnonzero((prepared.frame_node >= lo) & (prepared.frame_node < hi))
-    node, frame_t_imu = prepared.frame_node[inside], prepared.frame_t_imu[inside]
-    gravity = layout.down(mean) * gravity_magnitude
-    motion = propagate(
-        prepared.forearm.signal,
-        prepared.t,
-        prepared.forearm.start,
-        frame_t_imu,
-        node,
-        gravity,
-        mean[layout.bias],
-    )
+    layout = prior.layout
+    parts = [
+        measured
+        for run in prepared.bodies
+        for measured in _of_run(prepared, run, lo, hi, prior, gravity_magnitude)
+    ]
     joint_measurements = []
     for joint in FOREARM_JOINTS:
-        column = JOINTS.index(joint)
+        own = [part for part in parts if part.joint == joint and part.segment == layout.segment_of(joint)]
+        if len(own) > 1:  # between the pauses of its IMU
+            own = [JointMeasurements.joined(own)]
+        joint_measurements += own
+    return tuple(joint_measurements)
+
+
+def _of_run(
+    prepared: PreparedSegment, run: PreparedRun, lo: int, hi: int, prior: Priors, gravity_magnitude: float
+) -> Iterator[JointMeasurements]:
+    """The camera's samples of the joints that are tied to one run of an IMU, in nodes lo to hi - 1."""
+    layout, mean = prior.layout, prior.shared.mean
+    joints = [joint for joint in FOREARM_JOINTS if layout.segment_of(joint) == run.segment]
+    first, last = max(run.first, lo), min(run.first + len(run.start.p), hi)
+    if not joints or last - first < 2:
+        return
+    inside = np.flatnonzero((prepared.frame_node >= first) & (prepared.frame_node < last))
+    node, frame_t_imu = prepared.frame_node[inside], prepared.frame_t_imu[inside]
+    motion = propagate(
+        run.signal,
+        prepared.t[run.first :],
+        run.start,
+        np.clip(frame_t_imu, run.signal.start_s, run.signal.end_s),
+        node - run.first,
+        layout.down(mean) * gravity_magnitude,
+        mean[layout.bias_of(run.segment)],
+    )
+    for joint in joints:
+        column, rows_of = JOINTS.index(joint), layout.lever_of_sample(joint, run.segment)
         rows = np.flatnonzero(prepared.accepted[inside, column])
         if len(rows):
-            lever = mean[layout.lever(joint)] if joint in layout.joints else np.zeros(3)
-            joint_measurements.append(
-                JointMeasurements(
-                    joint,
-                    frame_t_imu[rows],
-                    node[rows] - lo,
-                    prepared.position[inside[rows], column],
-                    prepared.sigma_m[inside[rows], column],
-                    motion.shift(lever)[rows],
-                    motion.velocity(lever)[rows],
-                )
+            lever = np.zeros(3) if rows_of is None else mean[rows_of]
+            yield JointMeasurements(
+                joint,
+                frame_t_imu[rows],
+                node[rows] - lo,
+                prepared.position[inside[rows], column],
+                prepared.sigma_m[inside[rows], column],
+                motion.shift(lever)[rows],
+                motion.velocity(lever)[rows],
+                run.segment,
             )
-    return tuple(joint_measurements)
 
 
 def _shoulder(prepared: PreparedSegment, lo: int, hi: int) -> ShoulderMeasurements | None:

@@ -13,8 +13,8 @@ from .problem import States
 
 #: Node spacing where the camera gives nothing, s.
 GAP_NODE_S = 0.2
-#: The same with an IMU on the upper arm: both meet in the elbow at nodes alone, s.
-GAP_NODE_UPPER_S = 0.1
+#: The same with a second IMU: two segments meet in their joint at nodes alone, s.
+GAP_NODE_CHAIN_S = 0.1
 #: Nodes keep at least so far apart, s; of closer frames only one takes part.
 CLOSEST_S = 0.008
 #: Frames up to so far from a node belong to it, s (`propagate`), except so near to a gap, s: there the

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..body import FOREARM, UPPER_ARM
+from ..body import FOREARM, FURTHER, SEGMENTS
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, unit
 from ..measurements.alignment import (
@@ -22,18 +22,17 @@ from ..measurements.alignment import (
     pairs,
 )
 from ..measurements.clock import Clock
-from ..measurements.inertial import InertialSignal, UpperRunSamples, acceleration_std
+from ..measurements.inertial import ImuRun, InertialSignal, acceleration_std
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..splines import PiecewiseCubic
 from ..units import GRAVITY
-from .nodes import CLOSEST_S, GAP_NODE_S, GAP_NODE_UPPER_S, decimate, group_frames, insert_nodes
+from .nodes import CLOSEST_S, GAP_NODE_CHAIN_S, GAP_NODE_S, decimate, group_frames, insert_nodes
 from .problem import States
 
-#: Frames with shoulder and elbow that a run of samples needs: without them its heading is not known.
+#: Frames with both joints of its segment that a run of samples needs: without them its heading is not known.
 FEWEST_FRAMES = 10
-_ELBOW, _SHOULDER = JOINTS.index("elbow"), JOINTS.index("shoulder")
 
 
 #: Beyond so much time from the last visible frame there is no answer, s: a window has no border in a gap, and
@@ -161,7 +160,7 @@ def prepare(
     if measured.sum() < 2:
         return None
     first_s, last_s = frame_t_imu[measured][[0, -1]].tolist()
-    with_upper = bool(segment.upper) and bool(further_segments(calibration))
+    with_further = bool(segment.further) and bool(further_segments(calibration))
     start_s, end_s = max(segment.start_s, first_s - REACH_S), min(segment.end_s, last_s + REACH_S)
     core_start_s, core_end_s = max(start_s, segment.core_start_s), min(end_s, segment.core_end_s)
     if core_end_s - core_start_s < 0.1:
@@ -175,7 +174,7 @@ def prepare(
         visible,
         (start_s, end_s),
         reach(core_start_s, core_end_s, gaps, margin_s),
-        GAP_NODE_UPPER_S if with_upper else GAP_NODE_S,
+        GAP_NODE_CHAIN_S if with_further else GAP_NODE_S,
     )
     if alignment is None:
         vectors = pairs(segment, frame_t_imu, accepted, calibration)
@@ -185,14 +184,15 @@ def prepare(
     R = (alignment.at(t) * segment.attitude.at(t)).as_matrix()
     nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
     position = _imu_positions(segment, frame_t_imu, accepted, alignment, calibration)
-    runs = prepare_upper(segment, frame_t_imu, accepted, calibration, t) if with_upper else ()
-    if runs:
-        position = forearm_in_gaps(runs, t, R, gaps, calibration, position)
+    carriers = prepare_further(segment, frame_t_imu, accepted, calibration, t)
+    if carriers:
+        position = forearm_in_gaps(carriers, t, R, gaps, calibration, position)
     start = states_from_camera(t, R, *position)
+    hanging = prepare_further(segment, frame_t_imu, accepted, calibration, t, start)
     forearm = PreparedRun(FOREARM.name, segment.signal, 0, start, R, alignment.covariance[nearest])
     prepared = PreparedSegment(
         t=t,
-        bodies=(forearm, *runs),
+        bodies=(forearm, *carriers, *hanging),
         frame_t_imu=frame_t_imu[rows],
         frame_node=frame_node[rows],
         position=segment.position[rows],
@@ -327,17 +327,23 @@ def _local_lines(t: FloatArray, x: FloatArray, half_s: float = 0.12) -> tuple[Fl
 
 def further_segments(calibration: ArmCalibration) -> tuple[str, ...]:
     """Names of the segments beyond the forearm whose IMU is known enough to take part."""
-    known = bool(calibration.upper_imu) and UPPER_ARM.shared_joint in calibration.lever_arms
-    return (UPPER_ARM.name,) if known else ()
+    known = (body for body in FURTHER if body.name in calibration.mountings)
+    return tuple(body.name for body in known if body.shared_joint in calibration.lever_arms)
 
 
-def prepare_upper(
-    segment: Segment, frame_t_imu: FloatArray, accepted: BoolArray, calibration: ArmCalibration, t: FloatArray
+def prepare_further(
+    segment: Segment,
+    frame_t_imu: FloatArray,
+    accepted: BoolArray,
+    calibration: ArmCalibration,
+    t: FloatArray,
+    parent: States | None = None,
 ) -> tuple[PreparedRun, ...]:
-    """The runs of an upper-arm IMU at a segment's nodes.
+    """The runs of IMUs on further segments at a segment's nodes.
 
-    Orientation comes from its inertial filter and the camera's view of the upper arm (as the forearm's does),
-    position from the shoulder, or from the elbow where that alone is visible: neither drifts.
+    Orientation comes from an inertial filter and the camera's view of the segment (as the forearm's does).
+    Position comes, between the forearm and the trunk, from the joint nearer to the trunk, or from the other
+    where that alone is visible: neither drifts. Beyond the forearm it hangs on the forearm's motion.
 
     Parameters
     ----------
@@ -347,91 +353,91 @@ def prepare_upper(
     accepted : ndarray of bool, shape (f, 5)
         Samples that may take part.
     calibration : ArmCalibration
-        Its `upper_imu` holds elbow and shoulder in {B}.
+        Its `mountings` hold the joints in the IMUs' axes.
     t : ndarray, shape (n,), s
         Nodes.
+    parent : States, optional
+        Of the forearm at the nodes: prepare what hangs on it; what carries it where None.
 
     Returns
     -------
     runs : tuple of PreparedRun
-        Those that hold two nodes, and frames with shoulder and elbow.
+        Those that hold two nodes, and frames with both joints.
     """
     prepared = []
-    for run in segment.upper:
+    for run in segment.further:
+        body = SEGMENTS[run.segment]
+        if run.segment not in further_segments(calibration) or body.carries_parent != (parent is None):
+            continue
+        near, far = (JOINTS.index(body.as_forearm[end]) for end in ("elbow", "wrist"))
         rows = np.flatnonzero((t >= run.signal.start_s) & (t <= run.signal.end_s))
         inside = (frame_t_imu >= run.signal.start_s) & (frame_t_imu <= run.signal.end_s)
         used = accepted & inside[:, None]
-        if len(rows) >= 2 and (used[:, _ELBOW] & used[:, _SHOULDER]).sum() >= FEWEST_FRAMES:
-            prepared.append(
-                _prepared_upper(segment, run, frame_t_imu, used, calibration, t[rows], int(rows[0]))
+        if len(rows) < 2 or (used[:, near] & used[:, far]).sum() < FEWEST_FRAMES:
+            continue
+        levers = calibration.mountings[run.segment].lever_arms
+        near_B, far_B = (levers[body.as_forearm[end]].position_m for end in ("elbow", "wrist"))
+        start_s, end_s = max(run.signal.start_s, segment.start_s), min(run.signal.end_s, segment.end_s)
+        pairs = _segment_pairs(segment, run, frame_t_imu, used, (near, far), near_B, far_B)
+        alignment = align(pairs, start_s, end_s, segment.down)
+        own_t = t[rows]
+        R = (alignment.at(own_t) * run.attitude.at(own_t)).as_matrix()
+        if parent is None:
+            place = _near_joint(segment, run, frame_t_imu, used, alignment, (near, far), near_B - far_B)
+            p = interpolate(*place, own_t) - R @ near_B
+        else:
+            lever = calibration.lever_arms[body.shared_joint].position_m
+            p = parent.p[rows] + parent.R[rows] @ lever - R @ levers[body.shared_joint].position_m
+        v = np.gradient(p, own_t, axis=0) if len(own_t) > 2 else np.zeros_like(p)
+        nearest = np.clip(np.searchsorted(alignment.t, own_t), 0, len(alignment.t) - 1)
+        prepared.append(
+            PreparedRun(
+                run.segment, run.signal, int(rows[0]), States(R, p, v), R, alignment.covariance[nearest]
             )
+        )
     return tuple(prepared)
 
 
-def _prepared_upper(
+def _segment_pairs(
     segment: Segment,
-    run: UpperRunSamples,
+    run: ImuRun,
     frame_t_imu: FloatArray,
     accepted: BoolArray,
-    calibration: ArmCalibration,
-    t: FloatArray,
-    first: int,
-) -> PreparedRun:
-    shoulder_B, elbow_B = (calibration.upper_imu[joint].position_m for joint in ("shoulder", "elbow"))
-    start_s, end_s = max(run.signal.start_s, segment.start_s), min(run.signal.end_s, segment.end_s)
-    pairs = _upper_pairs(segment, run, frame_t_imu, accepted, shoulder_B, elbow_B)
-    alignment = align(pairs, start_s, end_s, segment.down)
-    shoulder = _shoulder(segment, run, frame_t_imu, accepted, alignment, shoulder_B - elbow_B)
-    R = (alignment.at(t) * run.attitude.at(t)).as_matrix()
-    p = interpolate(*shoulder, t) - R @ shoulder_B
-    v = np.gradient(p, t, axis=0) if len(t) > 2 else np.zeros_like(p)
-    nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
-    return PreparedRun(UPPER_ARM.name, run.signal, first, States(R, p, v), R, alignment.covariance[nearest])
-
-
-def _upper_pairs(
-    segment: Segment,
-    run: UpperRunSamples,
-    frame_t_imu: FloatArray,
-    accepted: BoolArray,
-    shoulder_B: FloatArray,
-    elbow_B: FloatArray,
+    columns: tuple[int, int],
+    near_B: FloatArray,
+    far_B: FloatArray,
 ) -> list[VectorPairs]:
-    """What camera and IMU both measure: the upper arm's direction, and the elbow's acceleration."""
-    both = accepted[:, _ELBOW] & accepted[:, _SHOULDER]
+    """What camera and IMU both measure: the segment's direction, and its far joint's acceleration."""
+    near, far = columns
+    both = accepted[:, near] & accepted[:, far]
     position = segment.position[both]
-    pairs = [
-        direction_pairs(
-            frame_t_imu[both],
-            position[:, _SHOULDER],
-            position[:, _ELBOW],
-            run.attitude,
-            unit(elbow_B - shoulder_B),
-        )
-    ]
-    rows = accepted[:, _ELBOW]
+    along_B = unit(far_B - near_B)
+    pairs = [direction_pairs(frame_t_imu[both], position[:, near], position[:, far], run.attitude, along_B)]
+    rows = accepted[:, far]
     accelerations = acceleration_pairs(
-        frame_t_imu[rows], segment.position[rows, _ELBOW], run.attitude, run.signal, GRAVITY
+        frame_t_imu[rows], segment.position[rows, far], run.attitude, run.signal, GRAVITY
     )
-    return [*pairs, accelerations.with_lever(elbow_B)]
+    return [*pairs, accelerations.with_lever(far_B)]
 
 
-def _shoulder(
+def _near_joint(
     segment: Segment,
-    run: UpperRunSamples,
+    run: ImuRun,
     frame_t_imu: FloatArray,
     accepted: BoolArray,
     alignment: Alignment,
-    elbow_to_shoulder_B: FloatArray,
+    columns: tuple[int, int],
+    far_to_near_B: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Times (k,) and the shoulder there (k, 3) m: as seen, or from the elbow and the upper arm."""
-    rows = np.flatnonzero(accepted[:, _SHOULDER] | accepted[:, _ELBOW])
+    """Times (k,) and the near joint there (k, 3) m: as seen, or from the far joint and the segment."""
+    near, far = columns
+    rows = np.flatnonzero(accepted[:, near] | accepted[:, far])
     frame_t = frame_t_imu[rows]
     position = segment.position[rows]
     R = (alignment.at(frame_t) * run.attitude.at(frame_t)).as_matrix()
-    by_elbow = position[:, _ELBOW] + R @ elbow_to_shoulder_B
-    seen = accepted[rows, _SHOULDER]
-    return frame_t, np.where(seen[:, None], position[:, _SHOULDER], by_elbow)
+    by_far = position[:, far] + R @ far_to_near_B
+    seen = accepted[rows, near]
+    return frame_t, np.where(seen[:, None], position[:, near], by_far)
 
 
 def forearm_in_gaps(
@@ -442,7 +448,7 @@ def forearm_in_gaps(
     calibration: ArmCalibration,
     visible: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Forearm IMU positions from the camera, and in gaps by way of the upper arm's elbow.
+    """Forearm IMU positions from the camera, and in gaps by way of the segment that carries it.
 
     Parameters
     ----------
@@ -453,7 +459,7 @@ def forearm_in_gaps(
         Initial `R_K_A` at the nodes.
     gaps : tuple of Gap
     calibration : ArmCalibration
-        With the elbow's lever arm.
+        With the shared joint's lever arms.
     visible : ndarray, shape (k,), s, and ndarray, shape (k, 3), m
         Positions at visible frames.
 
@@ -465,17 +471,17 @@ def forearm_in_gaps(
         The forearm IMU in {K}.
     """
     times, position = [visible[0]], [visible[1]]
-    lever, elbow_B = (
-        levers["elbow"].position_m for levers in (calibration.lever_arms, calibration.upper_imu)
-    )
     for run in runs:
+        joint = SEGMENTS[run.segment].shared_joint
+        lever = calibration.lever_arms[joint].position_m
+        joint_B = calibration.mountings[run.segment].lever_arms[joint].position_m
         nodes = np.arange(run.first, run.first + len(run.start.p))
-        elbow = run.start.p + run.start.R @ elbow_B
+        place = run.start.p + run.start.R @ joint_B
         hidden = occluded_at(t[nodes], gaps)
         after = np.clip(np.searchsorted(visible[0], t[nodes]), 1, len(visible[0]) - 1)
         apart = np.minimum(np.abs(visible[0][after] - t[nodes]), np.abs(visible[0][after - 1] - t[nodes]))
         hidden &= apart > CLOSEST_S
         times.append(t[nodes[hidden]])
-        position.append(elbow[hidden] - R[nodes[hidden]] @ lever)
+        position.append(place[hidden] - R[nodes[hidden]] @ lever)
     order = np.argsort(np.concatenate(times), kind="stable")
     return np.concatenate(times)[order], np.concatenate(position)[order]

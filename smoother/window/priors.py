@@ -123,7 +123,7 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
         mean[layout.lever(joint)], variance[layout.lever(joint)] = lever.position_m, lever.sigma_m**2
     for segment in layout.further:
         for joint, rows in layout.levers(segment).items():
-            lever = calibration.upper_imu[joint]
+            lever = calibration.mountings[segment].lever_arms[joint]
             mean[rows], variance[rows] = lever.position_m, lever.sigma_m**2
         mean[layout.bias_of(segment)] = initial.biases.get(segment, 0.0)
         variance[layout.bias_of(segment)] = variance[layout.bias]
@@ -240,8 +240,10 @@ def with_measured_shoulder(config: Config, arm: JointTracks) -> Config:
     return config.model_copy(update={"arm": config.arm.model_copy(update={"shoulder_walk": walk})})
 
 
-def noise_of(config: Config, upper_arm_sigma_m: float) -> NoiseModel:
-    """The configuration's densities and losses, and the upper arm's sigma, as the graph takes them."""
+def noise_of(
+    config: Config, upper_arm_sigma_m: float, calibration: ArmCalibration | None = None
+) -> NoiseModel:
+    """The configuration's densities and losses, the upper arm's sigma and soft tissue, for the graph."""
     return NoiseModel(
         accelerometer_density=config.imu.accelerometer_density,
         gyroscope_density=config.imu.gyroscope_density,
@@ -250,6 +252,9 @@ def noise_of(config: Config, upper_arm_sigma_m: float) -> NoiseModel:
         cauchy=config.camera.cauchy,
         upper_arm_sigma_m=round(upper_arm_sigma_m, 4),
         shoulder_walk=config.arm.shoulder_walk,
+        tissue_m=()
+        if calibration is None
+        else tuple((name, mounting.tissue_m) for name, mounting in calibration.mountings.items()),
     )
 
 
@@ -283,12 +288,14 @@ def calibration_from(
     upper_arm = before.upper_arm
     if layout.has_upper_arm:
         upper_arm = Length(float(constants.mean[0]), float(sigma[0]))
-    upper_imu = {
-        joint: LeverArm(
-            constants.mean[rows.start - start : rows.stop - start],
-            sigma[rows.start - start : rows.stop - start],
-        )
-        for segment in layout.further
-        for joint, rows in layout.levers(segment).items()
-    }
-    return replace(before, lever_arms=levers, upper_arm=upper_arm, upper_imu=upper_imu or before.upper_imu)
+    mountings = dict(before.mountings)
+    for segment in layout.further:
+        own = {
+            joint: LeverArm(
+                constants.mean[rows.start - start : rows.stop - start],
+                sigma[rows.start - start : rows.stop - start],
+            )
+            for joint, rows in layout.levers(segment).items()
+        }
+        mountings[segment] = replace(mountings[segment], lever_arms=own)
+    return replace(before, lever_arms=levers, upper_arm=upper_arm, mountings=mountings)

@@ -5,9 +5,13 @@ It travels between processes, so it holds arrays and numbers only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..array_types import FloatArray, IntArray
+from ..body import FOREARM, SEGMENTS
 from .shared import Considered, Gaussian, SharedLayout
 
 
@@ -60,7 +64,7 @@ class ImuIncrements:
 
 @dataclass(frozen=True)
 class JointMeasurements:
-    """A forearm joint's accepted camera samples.
+    """A joint's accepted camera samples.
 
     Attributes
     ----------
@@ -79,6 +83,8 @@ class JointMeasurements:
         node.
     velocity : ndarray, shape (k, 3), m/s
         The joint's velocity at the frame less the IMU's at the node, in {K}.
+    segment : str
+        The segment whose IMU it is tied to.
     """
 
     joint: str
@@ -88,6 +94,21 @@ class JointMeasurements:
     sigma_m: FloatArray
     shift: FloatArray
     velocity: FloatArray
+    segment: str = FOREARM.name
+
+    @classmethod
+    def joined(cls, parts: Sequence[JointMeasurements]) -> JointMeasurements:
+        """One joint's samples of several runs of its IMU, in order of time."""
+        return cls(
+            parts[0].joint,
+            np.concatenate([part.t_s for part in parts]),
+            np.concatenate([part.node for part in parts]),
+            np.concatenate([part.position for part in parts]),
+            np.concatenate([part.sigma_m for part in parts]),
+            np.concatenate([part.shift for part in parts]),
+            np.concatenate([part.velocity for part in parts]),
+            parts[0].segment,
+        )
 
 
 @dataclass(frozen=True)
@@ -172,8 +193,8 @@ class NoiseModel:
         How far from constant the upper arm's length is.
     shoulder_walk : float, m/sqrt(s)
         How the shoulder wanders.
-    tissue_m : float, m
-        How far elbow and shoulder are from constant in an upper-arm IMU's axes, an axis.
+    tissue_m : tuple of (str, float), m
+        By segment beyond the forearm, how far its joints are from constant in its IMU's axes, per axis.
     """
 
     accelerometer_density: float
@@ -183,7 +204,7 @@ class NoiseModel:
     cauchy: float
     upper_arm_sigma_m: float
     shoulder_walk: float
-    tissue_m: float = 0.01
+    tissue_m: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -238,7 +259,7 @@ class Window:
     bodies : tuple of SegmentRun
         The forearm's IMU at all nodes, then IMUs on other segments, each between its pauses.
     joint_measurements : tuple of JointMeasurements
-        Of the forearm's joints that the camera saw.
+        Of the joints that the camera saw, the shoulder's apart.
     shoulder : ShoulderMeasurements or None
         None where the camera saw no shoulder in the segment.
     velocity_change : ndarray, shape (n - 1,), m/s
@@ -277,6 +298,11 @@ class Window:
     def further(self) -> tuple[SegmentRun, ...]:
         """The IMUs on other segments."""
         return self.bodies[1:]
+
+    @property
+    def reaches_shoulder(self) -> bool:
+        """IMUs make a chain up to the shoulder: the direction of the upper arm is measured."""
+        return any(SEGMENTS[run.segment].carries_parent for run in self.further)
 
     def runs(self, segment: str) -> tuple[SegmentRun, ...]:
         """What there is of the IMU on a segment."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import FloatArray
-from ..body import FOREARM, SEGMENTS
+from ..body import FOREARM, SEGMENTS, segment_of
 from ..recording import JOINTS
 
 
@@ -36,7 +36,7 @@ class SharedLayout:
     Attributes
     ----------
     joints : tuple of str
-        Those with a lever arm, (3,) m in {A} each.
+        Those with a lever arm on the forearm, (3,) m in {A} each.
     has_upper_arm : bool
         The shoulder takes part, (1,) m.
     gravity_axes : ndarray, shape (2, 3)
@@ -97,6 +97,14 @@ class SharedLayout:
         """Rows of the lever arms of a segment with an IMU, by joint."""
         joints = self.joints if segment == FOREARM.name else SEGMENTS[segment].joints
         return {joint: self.lever(joint, segment) for joint in joints}
+
+    def lever_of_sample(self, joint: str, segment: str) -> slice | None:
+        """Rows of the lever arm that a joint's camera samples are tied to; None for the IMU's own place."""
+        return self.levers(segment).get(joint)
+
+    def segment_of(self, joint: str) -> str:
+        """The segment whose IMU a joint's camera samples are tied to."""
+        return segment_of(joint, self.segments)
 
     def bias_of(self, segment: str) -> slice:
         """Rows of the bias of a segment's IMU."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -46,15 +46,15 @@ class WindowDraws:
         In {K}.
     shoulder : ndarray, shape (k, s, 3), m, or None
         At the knots of a window, at the nodes of a section; None where the camera saw no shoulder.
-    upper_rotation : ndarray, shape (k, n, 3), rad, or None
-        Of an upper-arm IMU in {K}, nan where it has no samples; None without one.
+    turns : dict of str to ndarray, shape (k, n, 3), rad
+        Rotation of each further IMU in {K} by its segment, nan where it has no samples.
     """
 
     position: FloatArray
     rotation: FloatArray
     velocity: FloatArray
     shoulder: FloatArray | None
-    upper_rotation: FloatArray | None
+    turns: dict[str, FloatArray] = field(default_factory=dict)
 
     def at_nodes(self, knots: FloatArray, t: FloatArray) -> WindowDraws:
         """With the shoulder at all nodes (n,), by linear interpolation between its knots' times (s,)."""
@@ -64,9 +64,17 @@ class WindowDraws:
         return replace(self, shoulder=shoulder)
 
     def columns(self) -> dict[str, FloatArray]:
-        """What there is, by name."""
-        named = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: values for name, values in named.items() if values is not None}
+        """What there is, by name; `turn_` before a segment's."""
+        named = {"position": self.position, "rotation": self.rotation, "velocity": self.velocity}
+        named |= {} if self.shoulder is None else {"shoulder": self.shoulder}
+        return named | {f"turn_{segment}": values for segment, values in self.turns.items()}
+
+    @classmethod
+    def from_columns(cls, columns: dict[str, FloatArray]) -> WindowDraws:
+        """What `columns` gives."""
+        turns = {name.removeprefix("turn_"): v for name, v in columns.items() if name.startswith("turn_")}
+        shoulder = columns.get("shoulder")
+        return cls(columns["position"], columns["rotation"], columns["velocity"], shoulder, turns)
 
 
 @dataclass(frozen=True)

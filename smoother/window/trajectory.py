@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
-from ..body import FOREARM
+from ..body import FOREARM, SEGMENTS
 from ..linalg import interpolate, rotate_covariance, runs, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..rotation import Rotation
@@ -64,7 +64,8 @@ class Trajectory:
     shoulder_covariance : ndarray, shape (n, 3, 3), m^2, or None
         In {K}.
     levers : dict of str to ndarray, shape (n, 3), m
-        Lever arms by joint in {A}, as the windows that the poses come from have them.
+        Lever arms by joint in the axes of the IMU that its camera samples are tied to, as the windows that
+        the poses come from have them.
     """
 
     bodies: tuple[SegmentTrajectory, ...]
@@ -87,7 +88,7 @@ class Trajectory:
         return next((body for body in self.bodies if body.segment == segment), None)
 
     def lever_at(self, joint: str, t: FloatArray) -> FloatArray:
-        """A joint's lever arm (k, 3) m in {A} at times (k,), as the windows there have it; 0 for the IMU."""
+        """A joint's lever arm (k, 3) m at times (k,), as the windows there have it; 0 for the IMU."""
         if joint not in self.levers:
             return np.zeros((len(t), 3))
         return interpolate(self.t, self.levers[joint], t)
@@ -113,12 +114,17 @@ def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution
     n = len(t)
     has_shoulder = windows[0].shoulder is not None
     shoulder, shoulder_covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
-    levers = {joint: np.zeros((n, 3)) for joint in windows[0].priors.layout.joints}
+    layout = windows[0].priors.layout
+    tied = {joint: layout.lever(joint) for joint in layout.joints}
+    for name in layout.further:
+        rows_of = layout.levers(name)
+        tied |= {joint: rows_of[joint] for joint in SEGMENTS[name].camera_joints if joint in rows_of}
+    levers = {joint: np.zeros((n, 3)) for joint in tied}
     filled = np.zeros(n, dtype=bool)
     for window, solution in zip(windows, solutions, strict=True):
         own, rows, share = window_share(t, window, filled)
         for joint, values in levers.items():
-            lever = solution.message.shared.mean[window.priors.layout.lever(joint)]
+            lever = solution.message.shared.mean[tied[joint]]
             mix(values, rows, np.tile(lever, (len(own), 1)), share)
         if has_shoulder:
             knots, covariance = _shoulder_at_nodes(window, solution)
@@ -353,7 +359,7 @@ def merge_draws(t: FloatArray, windows: Sequence[Window], solutions: Sequence[So
             column = merged.setdefault(name, np.zeros((values.shape[0], len(t), 3)))
             mix(np.moveaxis(column, 1, 0), rows, np.moveaxis(values[:, own], 1, 0), share)
         filled[rows] = True
-    return WindowDraws(**{each.name: merged.get(each.name) for each in fields(WindowDraws)})  # type: ignore[arg-type]
+    return WindowDraws.from_columns(merged)
 
 
 def segment_at(motion: SegmentTrajectory, prepared: PreparedSegment, at: FloatArray) -> States:

@@ -9,10 +9,10 @@ import pytest
 from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
-from smoother.calibration import ArmCalibration
+from smoother.calibration import ArmCalibration, SegmentMounting
 from smoother.joint_angles import wrapped_deg
 from smoother.result import Recovery
-from smoother.result.segment_motion import UpperMotion
+from smoother.result.segment_motion import SegmentMotion
 from smoother.shoulder_angles import SHOULDER_ANGLES, shoulder_angles
 
 #: A level Kinect (x to its left, y up, z forward) before a person who looks along -z, their right at +x.
@@ -29,9 +29,13 @@ def recovery(up: np.ndarray, lateral: np.ndarray, side: str = "right", sigma_rad
     pose = np.zeros((len(up), 6, 6))
     pose[:, 3:, 3:] = sigma_rad**2 * np.eye(3)
     quaternion = Rotation.from_matrix(R_K_U @ R_U_B).as_quat(scalar_first=True)
-    upper = UpperMotion(np.zeros((len(up), 3)), quaternion, pose, np.zeros(3))
-    calibration = replace(made.calibration or ArmCalibration(), R_U_B=R_U_B)
-    return replace(made, upper=upper, calibration=calibration, gravity_direction=DOWN, side=side)
+    upper = SegmentMotion(np.zeros((len(up), 3)), quaternion, pose, np.zeros(3))
+    calibration = replace(
+        made.calibration or ArmCalibration(), mountings={"upper_arm": SegmentMounting({}, R_bone=R_U_B)}
+    )
+    return replace(
+        made, segments={"upper_arm": upper}, calibration=calibration, gravity_direction=DOWN, side=side
+    )
 
 
 @pytest.mark.parametrize(("side", "lateral_side"), [("right", 1.0), ("left", -1.0)])
@@ -65,7 +69,9 @@ def test_soft_tissue_widens_them_about_its_own_axis() -> None:
     R = Rotation.from_euler("yxy", [40.0, 70.0, -25.0], degrees=True).as_matrix()
     made = recovery(np.tile(R[:, 1], (2, 1)), np.tile(R[:, 2], (2, 1)))
     assert made.upper is not None
-    about_the_bone = replace(made, upper=replace(made.upper, mount_sigma_rad=np.array([0.0, 0.1, 0.0])))
+    about_the_bone = replace(
+        made, segments={"upper_arm": replace(made.upper, mount_sigma_rad=np.array([0.0, 0.1, 0.0]))}
+    )
     _, sigmas = shoulder_angles(about_the_bone)
     np.testing.assert_allclose(sigmas["shoulder_rotation"], np.degrees(0.1), rtol=1e-3)
     np.testing.assert_allclose(sigmas["shoulder_plane"], 0.0, atol=0.01)
@@ -77,11 +83,11 @@ def test_nothing_is_said_of_what_is_not_known() -> None:
     assert made.upper is not None and made.calibration is not None
     paused = made.upper.quaternion.copy()
     paused[1] = np.nan
-    angles, _ = shoulder_angles(replace(made, upper=replace(made.upper, quaternion=paused)))
+    angles, _ = shoulder_angles(replace(made, segments={"upper_arm": replace(made.upper, quaternion=paused)}))
     np.testing.assert_array_equal(np.isnan(angles["shoulder_plane"]), [False, True, False, False])
     for less in (
-        replace(made, upper=None),
-        replace(made, calibration=replace(made.calibration, R_U_B=None)),
+        replace(made, segments={}),
+        replace(made, calibration=replace(made.calibration, mountings={})),
         replace(made, gravity_direction=np.full(3, np.nan)),
     ):
         angles, sigmas = shoulder_angles(less)

@@ -53,7 +53,7 @@ def two(made: SimulatedArm) -> Recovery:
 
 
 def test_better_than_one_and_as_good_as_it_says(made: SimulatedArm, two: Recovery) -> None:
-    one = smooth(replace(blind(made), upper_imu=None), processes=1)
+    one = smooth(blind(made).with_imu("upper_arm", None), processes=1)
     assert one.upper is None and not one.calibration.upper_imu  # type: ignore[union-attr]
     assert error_m(two, made) < min(0.006, 1.02 * error_m(one, made))  # 0.3 cm as measured
     truth = made.recording.truth
@@ -101,7 +101,7 @@ def test_one_imu_where_the_other_pauses(made: SimulatedArm, two: Recovery) -> No
     (gap, *_) = [g for g in two.gaps if g.length_s > 1.0]
     t = upper.t_s - 0.08
     paused = upper.select((t < gap.end_s - 1.0) | (t > gap.end_s + 9.0))
-    recovery = smooth(replace(blind(made), upper_imu=paused), processes=1)
+    recovery = smooth(blind(made).with_imu("upper_arm", paused), processes=1)
     assert recovery.upper is not None and np.isfinite(recovery.position).all()
     inside = (recovery.t_s > gap.end_s + 0.5) & (recovery.t_s < gap.end_s + 8.5)
     assert np.isnan(recovery.upper.position[inside]).all()
@@ -118,7 +118,7 @@ def test_every_sample_of_a_gap_at_the_end_is_answered() -> None:
     sigma = recovery.worst_sigma_m
     assert sigma[-200:-20].max() < 0.02 < 0.2  # it does not grow with the time
     # one IMU answers to the end as well, and says that it is less certain
-    one = smooth(replace(blind(made), upper_imu=None), processes=1)
+    one = smooth(blind(made).with_imu("upper_arm", None), processes=1)
     truth = made.recording.truth
     assert truth is not None and one.answered.all()
     assert one.worst_sigma_m[-20:].min() > 1.5 * sigma[-20:].max()
@@ -154,7 +154,7 @@ def test_a_shoulder_that_is_never_seen(made: SimulatedArm) -> None:
     recovery = smooth(recording, processes=1)
     assert recovery.upper is None
     assert any("left out" in note and "upper_arm_right" in note for note in recovery.notes)
-    one = smooth(replace(recording, upper_imu=None), processes=1)
+    one = smooth(recording.with_imu("upper_arm", None), processes=1)
     np.testing.assert_array_equal(recovery.position, one.position)
 
 
@@ -168,7 +168,7 @@ def test_an_imu_that_lies_on_the_table(made: SimulatedArm) -> None:
         np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.03, (len(t), 3)),
         rng.normal(0, 0.003, (len(t), 3)),
     )
-    recovery = smooth(replace(blind(made), upper_imu=still), processes=1)
+    recovery = smooth(blind(made).with_imu("upper_arm", still), processes=1)
     assert recovery.upper is None
     assert any("left out" in note for note in recovery.notes)
 
@@ -178,7 +178,7 @@ def test_an_imu_of_somebody_else(made: SimulatedArm) -> None:
     other = simulate_arm(
         ArmSimulation(imus="wrist,upper-arm", protocol="random", duration_s=30.0), seed=77
     ).recording.upper_imu
-    recovery = smooth(replace(blind(made), upper_imu=other), processes=1)
+    recovery = smooth(blind(made).with_imu("upper_arm", other), processes=1)
     assert recovery.upper is None
     assert any("look whether it was on this upper arm" in note for note in recovery.notes)
 

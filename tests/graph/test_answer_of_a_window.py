@@ -24,6 +24,7 @@ import smoother.graph.build
 import smoother.graph.optimise
 import smoother.graph.solve
 from smoother.array_types import FloatArray
+from smoother.body import FOREARM
 from smoother.errors import SolveError
 from smoother.graph.build import WindowGraph, bias_of_intervals, build
 from smoother.graph.error_columns import (
@@ -51,7 +52,7 @@ SIGMAS = 0.03
 def every_node(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two biases, and covariances computed everywhere."""
     monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)
-    for name in ("COVARIANCE_S", "SHOULDER_COVARIANCE_S", "UPPER_COVARIANCE_S"):
+    for name in ("COVARIANCE_S", "SHOULDER_COVARIANCE_S", "CHAIN_COVARIANCE_S"):
         monkeypatch.setattr(smoother.graph.solve, name, 1e-6)
     monkeypatch.setattr(smoother.graph.optimise, "MAX_ITERATIONS", 300)
 
@@ -97,7 +98,7 @@ class Optimum:
 def pair() -> tuple[Optimum, Solution]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)
-        for name in ("COVARIANCE_S", "COVARIANCE_NEAR_S", "SHOULDER_COVARIANCE_S", "UPPER_COVARIANCE_S"):
+        for name in ("COVARIANCE_S", "COVARIANCE_NEAR_S", "SHOULDER_COVARIANCE_S", "CHAIN_COVARIANCE_S"):
             patch.setattr(smoother.graph.solve, name, 1e-6)
         patch.setattr(smoother.graph.optimise, "MAX_ITERATIONS", 300)
         window = replace(small_window()[0], considered=None)
@@ -457,9 +458,9 @@ def test_the_offset_s_information(pair: tuple[Optimum, Solution]) -> None:
 def information_on_offset(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
 ) -> float:
-    column = partial(offset_column, window=window, groups=build(window).groups, states=states)
+    column = partial(offset_column, window=window, groups=build(window).groups, states={FOREARM.name: states})
     system = LinearSystem(graph, values, node_of_variables(window), [column])
-    return offset_information(system, 0, window, states)
+    return offset_information(system, 0, window, {FOREARM.name: states})
 
 
 def _one_a_node(measured):
@@ -638,7 +639,7 @@ def test_two_imus_ask_for_fewer_covariances() -> None:
     stretched = [replace(each, t=20.0 + np.arange(NODES) * 0.12) for each in (two, one)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(smoother.graph.solve, "COVARIANCE_S", 100.0)
-        patch.setattr(smoother.graph.solve, "UPPER_COVARIANCE_S", 0.25)
+        patch.setattr(smoother.graph.solve, "CHAIN_COVARIANCE_S", 0.25)
         counts = [len(smoother.graph.solve._covariance_nodes(each)) for each in stretched]
     assert counts == [6, 10]
 
@@ -666,7 +667,7 @@ def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
     )
     graph = build(replace(window, joint_measurements=moved)).graph
     after = LinearSystem(graph, best.values, node_of_variables(window)).jacobian.rhs
-    columns = stamp_columns(best.system.jacobian, window, best.groups, states, knots)
+    columns = stamp_columns(best.system.jacobian, window, best.groups, {FOREARM.name: states}, knots)
     change = best.system.jacobian.rhs - after  # the right-hand side is minus the error
     rows = len(columns)
     np.testing.assert_allclose(columns @ late_s, change[:rows], atol=1e-6 * np.abs(change).max())

@@ -18,6 +18,7 @@ from scenes import arm, last_pass, plain, point
 
 import smoother.window.nodes
 from smoother.array_types import FloatArray
+from smoother.body import FOREARM
 from smoother.graph.build import build
 from smoother.graph.error_columns import node_of_variables, offset_column, offset_information
 from smoother.graph.linear_system import LinearSystem
@@ -83,9 +84,9 @@ def dense_information(window: Window, values: gtsam.Values, states: States) -> f
 def stated_information(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
 ) -> float:
-    column = partial(offset_column, window=window, groups=build(window).groups, states=states)
+    column = partial(offset_column, window=window, groups=build(window).groups, states={FOREARM.name: states})
     system = LinearSystem(graph, values, node_of_variables(window), [column])
-    return offset_information(system, 0, window, states)
+    return offset_information(system, 0, window, {FOREARM.name: states})
 
 
 def made(name: str) -> SimulatedArm:

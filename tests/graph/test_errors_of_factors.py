@@ -238,13 +238,13 @@ def test_each_factor_has_the_error_of_its_formula(window: Window) -> None:
     for i, gap_s in zip(upper, gaps, strict=True):
         elbow = values.atPoint3(E(i))
         ties.append(gaussian(p[i] + R[i] @ levers["elbow"] - elbow, PARENT_TIE_M))
-        tissue = round(noise.tissue_m * np.sqrt(TISSUE_S / gap_s), 3)
+        tissue = round(dict(noise.tissue_m)["upper_arm"] * np.sqrt(TISSUE_S / gap_s), 3)
         on_upper = at_upper[i][1] + at_upper[i][0] @ values.atPoint3(M(ELBOW))
         ties.append(gaussian(on_upper - elbow, tissue))
     for k, gap_s in enumerate(np.gradient(window.t[nodes])):
         if nodes[k] in upper:
             Ru, pu, _ = at_upper[nodes[k]]
-            tissue = round(noise.tissue_m * np.sqrt(TISSUE_S / gap_s), 3)
+            tissue = round(dict(noise.tissue_m)["upper_arm"] * np.sqrt(TISSUE_S / gap_s), 3)
             ends.append(gaussian(pu + Ru @ values.atPoint3(M(SHOULDER)) - knots[k], tissue))
     np.testing.assert_allclose(errors.pop("ReferenceFrameFactorPoint3Pose3"), ties + ends, rtol=1e-7)
 
@@ -319,9 +319,9 @@ def test_a_bias_for_about_four_seconds(
 
 def test_tissue_at_one_node(window: Window) -> None:
     """Sparser than it moves: each says as much as the last."""
-    assert _tissue(window, np.array([4])) == [0.01]
+    assert _tissue(window, window.further[0], np.array([4])) == [0.01]
     apart = replace(window, t=window.t * 40.0)
-    assert _tissue(apart, np.array([1, 2, 3])) == [0.01] * 3
+    assert _tissue(apart, apart.further[0], np.array([1, 2, 3])) == [0.01] * 3
 
 
 def test_the_graph_begins_at_the_initial_values(window: Window) -> None:

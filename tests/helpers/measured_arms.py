@@ -34,7 +34,6 @@ def recovery_of(
         gaps=(),
         gravity_direction=np.array([0.0, -1.0, 0.0]) if down is None else down,
         estimates=Estimates(trusted=True),
-        upper=None,
         trunk=None,
         draws=None,
     )

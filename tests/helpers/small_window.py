@@ -45,7 +45,7 @@ NOISE = NoiseModel(
     cauchy=2.5,
     upper_arm_sigma_m=0.012,
     shoulder_walk=0.05,
-    tissue_m=0.01,
+    tissue_m=(("upper_arm", 0.01),),
 )
 
 

@@ -29,7 +29,7 @@ def with_draws(count: int = 5, side: str = "right", seed: int = 0) -> Recovery:
         return values
 
     joints = {"elbow": drawn(0.001), "wrist": drawn(0.002)}
-    return replace(made, draws=Draws(t, 11, drawn(0.001), drawn(0.003), joints, drawn(0.01)))
+    return replace(made, draws=Draws(t, 11, drawn(0.001), drawn(0.003), joints, {"upper_arm": drawn(0.01)}))
 
 
 def assert_close(one: np.ndarray, other: np.ndarray) -> None:
@@ -49,8 +49,8 @@ def test_round_trip(tmp_path: Path) -> None:
     assert_close(made.draws.rotation, found.draws.rotation)
     assert list(found.draws.joints) == ["elbow", "wrist"]
     assert_close(made.draws.joints["wrist"], found.draws.joints["wrist"])
-    assert made.draws.upper_rotation is not None and found.draws.upper_rotation is not None
-    assert_close(made.draws.upper_rotation, found.draws.upper_rotation)
+    assert list(found.draws.turns) == ["upper_arm"]
+    assert_close(made.draws.turns["upper_arm"], found.draws.turns["upper_arm"])
     drawn = found.drawn(3)
     assert np.isfinite(drawn.position).all(axis=1).sum() > 350
 

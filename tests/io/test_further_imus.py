@@ -11,7 +11,7 @@ import pytest
 from made_recordings import make
 from made_results import recovery as made_recovery
 
-from smoother.calibration import LeverArm
+from smoother.calibration import LeverArm, SegmentMounting
 from smoother.io import (
     describe,
     export_csv,
@@ -27,13 +27,13 @@ from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.measurements.remedy import Remedy
 from smoother.recording import FOREARM_JOINTS, ImuStream, Recording, TrunkSensors
 from smoother.result import Recovery
-from smoother.result.segment_motion import TrunkMotion, UpperMotion
+from smoother.result.segment_motion import SegmentMotion, TrunkMotion
 
 
 def with_upper(name: str = "/imu/upper_arm_right", side: str = "right") -> Recording:
     made = make(side=side)
     imu = made.imu
-    return replace(made, upper_imu=ImuStream(name, imu.t_s + 0.25, imu.acc + 0.1, 0.5 * imu.gyro))
+    return made.with_imu("upper_arm", ImuStream(name, imu.t_s + 0.25, imu.acc + 0.1, 0.5 * imu.gyro))
 
 
 def test_round_trip(tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def renamed(file: RecordingFile, **names: str) -> RecordingFile:
 def test_which_one_is_meant(tmp_path: Path, name: str, is_taken: bool) -> None:
     write_recording(with_upper(), tmp_path / "a.mcap")
     file = renamed(open_recording(tmp_path / "a.mcap"), upper_arm_right=name)
-    assert (choose(file).upper is not None) == is_taken
+    assert ("upper_arm" in choose(file).further) == is_taken
 
 
 def test_both_arms_each_take_their_own(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def result() -> Recovery:
     root = rng.normal(size=(len(made), 6, 6))
     quaternion = rng.normal(size=(len(made), 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    upper = UpperMotion(
+    upper = SegmentMotion(
         rng.normal(size=(len(made), 3)),
         quaternion,
         1e-4 * root @ root.transpose(0, 2, 1),
@@ -101,8 +101,16 @@ def result() -> Recovery:
         values[30:35] = np.nan
     assert made.calibration is not None
     levers = {joint: LeverArm(rng.normal(size=3), np.full(3, 0.01)) for joint in ("elbow", "shoulder")}
-    calibration = replace(made.calibration, upper_imu=levers, R_U_B=np.diag([1.0, -1.0, -1.0]))
-    return replace(made, upper=upper, calibration=calibration, gravity_direction=np.array([0.0, -1.0, 0.0]))
+    calibration = replace(
+        made.calibration,
+        mountings={"upper_arm": SegmentMounting(levers, R_bone=np.diag([1.0, -1.0, -1.0]))},
+    )
+    return replace(
+        made,
+        segments={"upper_arm": upper},
+        calibration=calibration,
+        gravity_direction=np.array([0.0, -1.0, 0.0]),
+    )
 
 
 def test_a_result_keeps_it(tmp_path: Path) -> None:

@@ -10,12 +10,13 @@ import pytest
 from measured_arms import recovery_of, simulated, with_draws
 from scipy.spatial.transform import Rotation
 
+from smoother.calibration import SegmentMounting
 from smoother.errors import UnoccludeError
 from smoother.measures import Measures, MeasureSettings, measure, measure_both
 from smoother.measures.definitions import MeasureDefinition, definition_of, interval
 from smoother.measures.symmetry import symmetry_index
 from smoother.result import Estimates, Recovery
-from smoother.result.segment_motion import UpperMotion
+from smoother.result.segment_motion import SegmentMotion
 from smoother.result.verdict import UntrustedInterval
 from smoother.runtime.printable import plain
 
@@ -159,10 +160,12 @@ def test_how_the_upper_arm_s_imu_sits_is_in_the_interval():
     assert np.linalg.det(axes) == pytest.approx(1.0)
     quaternion = np.tile(Rotation.from_matrix(axes).as_quat(scalar_first=True), (len(t), 1))
     sigma = np.radians([0.0, 4.0, 0.0])
-    upper = UpperMotion(elbow, quaternion, np.zeros((len(t), 6, 6)), sigma)
+    upper = SegmentMotion(elbow, quaternion, np.zeros((len(t), 6, 6)), sigma)
     assert bare.calibration is not None
-    calibration = replace(bare.calibration, R_U_B=np.eye(3))
-    answer = with_draws(replace(bare, upper=upper, calibration=calibration), count=40, sigma_m=0.0)
+    calibration = replace(bare.calibration, mountings={"upper_arm": SegmentMounting({}, R_bone=np.eye(3))})
+    answer = with_draws(
+        replace(bare, segments={"upper_arm": upper}, calibration=calibration), count=40, sigma_m=0.0
+    )
     rows = measure(answer).by_key
     assert rows["shoulder_rotation_p50_deg"].sigma == pytest.approx(4.0, rel=0.35)  # of 40 draws
     assert rows["shoulder_elevation_p50_deg"].sigma < 0.01

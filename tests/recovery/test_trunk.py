@@ -12,7 +12,7 @@ from smoother.linalg import unit
 from smoother.recording import TrunkSensors
 from smoother.recovery.trunk import with_trunk
 from smoother.result import Recovery
-from smoother.result.segment_motion import UpperMotion
+from smoother.result.segment_motion import SegmentMotion
 from smoother.runtime.store import Store
 from smoother.shoulder_angles import trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
@@ -55,7 +55,7 @@ def recovered(made: SimulatedArm) -> Recovery:
         clock_offset_sigma_s=0.001,
         arm=replace(recording.arm, t_s=recording.arm.t_s + made.parameters["clock_offset_s"]),
         side=recording.side,
-        upper=UpperMotion(position, quaternion, small, np.full(3, 0.01)),
+        segments={"upper_arm": SegmentMotion(position, quaternion, small, np.full(3, 0.01))},
     )
 
 

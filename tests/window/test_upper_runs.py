@@ -11,7 +11,7 @@ from scenes import arm, jobs
 from smoother.linalg import interpolate
 from smoother.recording import ImuStream, Recording
 from smoother.simulation import SimulatedArm
-from smoother.window.nodes import GAP_NODE_S, GAP_NODE_UPPER_S
+from smoother.window.nodes import GAP_NODE_CHAIN_S, GAP_NODE_S
 from smoother.window.problem import Window
 
 
@@ -49,16 +49,16 @@ def off_in_gap(made: SimulatedArm, windows: list[Window]) -> tuple[float, float]
 
 def test_start_values_in_a_gap_come_from_the_chain(made: SimulatedArm) -> None:
     with_two, step_two = off_in_gap(made, first_pass(made, made.recording))
-    with_one, step_one = off_in_gap(made, first_pass(made, replace(made.recording, upper_imu=None)))
+    with_one, step_one = off_in_gap(made, first_pass(made, made.recording.with_imu("upper_arm", None)))
     assert with_two < 0.04 < 0.10 < with_one  # a cubic bridge over 8 s against the inertial filter's heading
-    assert step_two <= GAP_NODE_UPPER_S + 1e-9 < step_one <= GAP_NODE_S + 1e-9
+    assert step_two <= GAP_NODE_CHAIN_S + 1e-9 < step_one <= GAP_NODE_S + 1e-9
 
 
 def test_parts_beside_a_pause(made: SimulatedArm) -> None:
     upper = made.recording.upper_imu
     assert isinstance(upper, ImuStream)
     paused = upper.select((upper.t_s < 12.0) | (upper.t_s > 15.0))
-    windows = first_pass(made, replace(made.recording, upper_imu=paused))
+    windows = first_pass(made, made.recording.with_imu("upper_arm", paused))
     for window in windows:
         covered = np.zeros(len(window.t), dtype=bool)
         for run in window.further:
@@ -76,7 +76,7 @@ def test_a_part_without_the_camera_is_left_out(made: SimulatedArm) -> None:
     t = made.recording.arm.t_s
     recording = replace(
         made.recording,
-        upper_imu=upper.select((upper.t_s < 12.0) | (upper.t_s > 18.0)),
+        further_imus={"upper_arm": upper.select((upper.t_s < 12.0) | (upper.t_s > 18.0))},
         arm=made.recording.arm.hide(t > 17.5, ("shoulder", "elbow")),
     )
     windows = first_pass(made, recording)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.joint_angles import wrapped_deg
 from smoother.result import Recovery
-from smoother.result.segment_motion import TrunkMotion, UpperMotion
+from smoother.result.segment_motion import SegmentMotion, TrunkMotion
 from smoother.shoulder_angles import SHOULDER_ANGLES, TRUNK_ANGLES, shoulder_angles, trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
@@ -90,7 +90,7 @@ def _angles(recovery: Recovery, made: SimulatedArm) -> dict[str, np.ndarray]:
         recovery,
         calibration=made.calibration,
         trunk=TrunkMotion(thorax, nothing[:, :3, :3], np.eye(3), np.zeros(3)),
-        upper=UpperMotion(np.zeros((n, 3)), quaternion, nothing, np.zeros(3)),
+        upper=SegmentMotion(np.zeros((n, 3)), quaternion, nothing, np.zeros(3)),
     )
     truth, _ = trunk_angles(true)
     elevation = truth["shoulder_elevation_trunk"]

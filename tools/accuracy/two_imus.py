@@ -62,7 +62,7 @@ def compare_imus(options: argparse.Namespace) -> Iterator[str]:
             settings = _settings(length_s, options.at_end) | changes(options)
             simulated = simulate_arm(ArmSimulation.preset(options.preset, **settings), seed=seed)
             whole = replace(simulated.recording, truth=None)
-            for imus, recording in ((1, replace(whole, upper_imu=None)), (2, whole)):
+            for imus, recording in ((1, whole.with_imu("upper_arm", None)), (2, whole)):
                 recovery, seconds = _timed(recording, simulated, options, config)
                 spent[imus] += seconds
                 gaps[imus] += _gaps(recovery, simulated, length_s, options.at_end)
@@ -87,7 +87,7 @@ def compare_short_gaps(options: argparse.Namespace) -> Iterator[str]:
         for seed in options.seeds:
             simulated = simulate_arm(ArmSimulation.preset(preset, **settings), seed=seed)
             whole = replace(simulated.recording, truth=None)
-            for imus, recording in ((1, replace(whole, upper_imu=None)), (2, whole)):
+            for imus, recording in ((1, whole.with_imu("upper_arm", None)), (2, whole)):
                 recovery, seconds = _timed(recording, simulated, options, config)
                 spent[imus] += seconds
                 for gap, errors in _scored_gaps(recovery, simulated, recovery.gaps):

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...array_types import FloatArray
+from ...body import SEGMENTS, BodySegment
 from ...joint_angles import elbow_flexion_sigma, recovery_angles
 from ...result import Recovery
-from ...result.segment_motion import TrunkMotion, UpperMotion
+from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ...runtime.outputs import writing
 from ...shoulder_angles import shoulder_angles, trunk_angles
 from ..mcap.stamps import nanoseconds
@@ -122,8 +123,10 @@ def column_groups(recovery: Recovery) -> list[ColumnGroup]:
         flexion, flexion_sigma = recovery_angles(recovery)["elbow_flexion"], elbow_flexion_sigma(recovery)
         groups.append((["elbow_flexion_deg"], flexion, "deg", "angle at the elbow, 0 = straight"))
         groups.append((["elbow_flexion_sigma_deg"], flexion_sigma, "deg", "one standard deviation"))
+    for name, motion in recovery.segments.items():
+        groups += _segment(SEGMENTS[name], motion)
     if recovery.upper is not None:
-        groups += _upper_arm(recovery, recovery.upper)
+        groups += _shoulder(recovery)
     if recovery.trunk is not None:
         groups += _trunk(recovery, recovery.trunk)
     return [
@@ -132,26 +135,27 @@ def column_groups(recovery: Recovery) -> list[ColumnGroup]:
     ]
 
 
-def _upper_arm(recovery: Recovery, upper: UpperMotion) -> list[tuple[list[str], FloatArray, str, str]]:
-    """Columns of an upper-arm IMU, and of the shoulder's angles by it."""
+def _segment(segment: BodySegment, motion: SegmentMotion) -> list[tuple[list[str], FloatArray, str, str]]:
+    """Columns of an IMU on a further segment."""
+    of, imu = segment.prefix, f"{segment.label.replace(' ', '-')} IMU"
+    return [
+        (_xyz(f"{of}_imu"), motion.position, "m", f"position of the {imu} in the camera's frame"),
+        (
+            [f"{of}_imu_q{part}" for part in "wxyz"],
+            motion.quaternion,
+            "1",
+            f"rotation {imu} axes to camera, quaternion",
+        ),
+        (_xyz(f"{of}_sigma"), motion.sigma_m, "m", "one standard deviation, an axis of the camera"),
+        ([f"{of}_sigma_deg"], motion.sigma_deg, "deg", f"as sigma_deg, of the {imu}"),
+    ]
+
+
+def _shoulder(recovery: Recovery) -> list[tuple[list[str], FloatArray, str, str]]:
+    """Columns of the shoulder's angles by an upper-arm IMU."""
     angles, sigmas = shoulder_angles(recovery)
     about = "of the shoulder (ISB), the trunk upright and facing the camera"
-    groups = [
-        (_xyz("upper_imu"), upper.position, "m", "position of the upper-arm IMU in the camera's frame"),
-        (
-            [f"upper_imu_q{part}" for part in "wxyz"],
-            upper.quaternion,
-            "1",
-            "rotation upper-arm IMU axes to camera, quaternion",
-        ),
-        (_xyz("upper_sigma"), upper.sigma_m, "m", "one standard deviation, an axis of the camera"),
-        (
-            ["upper_sigma_deg"],
-            upper.sigma_deg,
-            "deg",
-            "as sigma_deg, of the upper-arm IMU",
-        ),
-    ]
+    groups = []
     for name, values in angles.items():
         groups.append(([f"{name}_deg"], values, "deg", f"{name.removeprefix('shoulder_')} {about}"))
         groups.append(([f"{name}_sigma_deg"], sigmas[name], "deg", "one standard deviation"))

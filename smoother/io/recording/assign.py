@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
+from ...body import FURTHER
 from ...errors import RecordingError
 from ...runtime.store import Store
 from .bodies import people
 from .selection import (
     Selection,
     StreamChoice,
+    choose_further,
     choose_truth,
-    choose_upper,
     forearm_imus,
     named_side,
     role,
@@ -91,9 +92,9 @@ def choose(
     chosen_side = _side(*pair) or side or ""
     base = next((i for i in file.imus if i is not pair[0] and role(i) == "base"), None)
     truth, truth_notes = choose_truth(file, chosen_side)
-    upper, upper_notes = choose_upper(file, pair[0], chosen_side)
-    more = truth_notes + upper_notes
-    return StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + more, upper)
+    further, further_notes = _further_by_name(file, pair[0], chosen_side)
+    more = truth_notes + further_notes
+    return StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + more, further)
 
 
 def _may_match(imu: ImuSamples, arm: ArmFrames, side: str | None) -> bool:
@@ -281,7 +282,7 @@ def _candidates(file: RecordingFile, arms: Sequence[ArmFrames]) -> list[ImuSampl
     named = forearm_imus(file, None)
     if len(_bodies(arms)) < 2:
         return named
-    return [imu for imu in file.imus if role(imu) not in ("base", "upper_arm", "trunk")]
+    return [imu for imu in file.imus if role(imu) in ("", "forearm")]
 
 
 def _sides_settle(imus: Sequence[ImuSamples], arms: Sequence[ArmFrames]) -> bool:
@@ -327,7 +328,7 @@ def _arms_by_motion(
 
     def may_be(row: int, limb: Limb) -> bool:
         named, worn_on = role(imus[row]), named_side(imus[row].topic, imus[row].frame_id)
-        segment = {"forearm": "wrist", "upper_arm": "upper_arm"}.get(named, limb.segment)
+        segment = {"": limb.segment, "forearm": "wrist"}.get(named, named)
         return limb.segment == segment and len({worn_on, limb.side, side or ""} - {""}) <= 1
 
     try:
@@ -346,13 +347,14 @@ def _arms_by_motion(
         if (*key, "wrist") not in on_limb:
             continue
         imu, match = on_limb[*key, "wrist"]
-        upper, upper_notes = _upper(file, on_limb.get((*key, "upper_arm")), imu, arm.side, several)
+        on_arm = {segment: found for (*place, segment), found in on_limb.items() if tuple(place) == key}
+        further, further_notes = _further(file, on_arm, imu, arm.side, several)
         base = next((i for i in file.imus if i is not imu and role(i) == "base"), None)
         body = arm.body if several else None
         truth, truth_notes = choose_truth(file, arm.side, body)
-        said = [*notes, *open_notes, _taken(imu, arm, match), *truth_notes, *upper_notes]
-        choices.append(StreamChoice(imu, arm, arm.side, base, truth, said, upper, body))
-    used = {id(stream) for one in choices for stream in (one.imu, one.upper, one.base)}
+        said = [*notes, *open_notes, _taken(imu, arm, match), *truth_notes, *further_notes]
+        choices.append(StreamChoice(imu, arm, arm.side, base, truth, said, further, body))
+    used = {id(stream) for one in choices for stream in (one.imu, *one.further.values(), one.base)}
     unused = _unused([(i, m) for i, m in zip(imus, matches, strict=True) if id(i) not in used])
     return [replace(one, notes=[*one.notes, *unused]) for one in choices]
 
@@ -383,18 +385,39 @@ def _taken(imu: ImuSamples, arm: ArmFrames, match: ImuMatch) -> str:
     )
 
 
-def _upper(
+def _further_by_name(
+    file: RecordingFile, forearm: ImuSamples, side: str
+) -> tuple[dict[str, ImuSamples], list[str]]:
+    """The IMUs that names say are on further segments of the same arm, by segment, and sentences on them."""
+    further, notes = {}, []
+    for segment in FURTHER:
+        imu, said = choose_further(file, forearm, side, segment)
+        notes += said
+        if imu is not None:
+            further[segment.name] = imu
+    return further, notes
+
+
+def _further(
     file: RecordingFile,
-    matched: tuple[ImuSamples, ImuMatch] | None,
+    on_arm: Mapping[str, tuple[ImuSamples, ImuMatch]],
     forearm: ImuSamples,
     side: str,
     several: bool,
-) -> tuple[ImuSamples | None, list[str]]:
-    """The IMU on the same upper arm: by motion, or with one person by its name."""
-    if matched is not None:
-        imu, match = matched
-        return imu, [
-            f"IMU {imu.topic} is on the same arm's upper arm by its motion (probability"
-            f" {match.probability:.2f})."
-        ]
-    return (None, []) if several else choose_upper(file, forearm, side)
+) -> tuple[dict[str, ImuSamples], list[str]]:
+    """The IMUs on the same arm's further segments: by motion, or with one person by their names."""
+    further, notes = {}, []
+    for segment in FURTHER:
+        if segment.name in on_arm:
+            imu, match = on_arm[segment.name]
+            further[segment.name] = imu
+            notes.append(
+                f"IMU {imu.topic} is on the same arm's {segment.label} by its motion (probability"
+                f" {match.probability:.2f})."
+            )
+        elif not several:
+            named, said = choose_further(file, forearm, side, segment)
+            notes += said
+            if named is not None:
+                further[segment.name] = named
+    return further, notes

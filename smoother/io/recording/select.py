@@ -135,7 +135,7 @@ class _CleanArm:
     arm: ArmFrames
     base: ImuSamples | None
     truth: PoseSamples | None
-    upper: ImuSamples | None
+    further: dict[str, ImuSamples]
     notes: tuple[str, ...]
 
     @classmethod
@@ -147,22 +147,22 @@ class _CleanArm:
         notes += dropped + arm_dropped
         _check_overlap(forearm, arm, source)
         notes += _coverage(forearm, arm)
-        base, truth, upper = None, None, None
+        base, truth, further = None, None, {}
         if choice.base is not None:
             base, dropped = clean_imu(choice.base, source, store)
             notes += dropped
         if choice.truth is not None:
             truth, dropped = clean_poses(choice.truth, store)
             notes += dropped
-        if choice.upper is not None:
-            upper, dropped = clean_imu(choice.upper, source, store)
+        for segment, stream in choice.further.items():
+            further[segment], dropped = clean_imu(stream, source, store)
             notes += dropped
-        return cls(choice, forearm, arm, base, truth, upper, tuple(notes))
+        return cls(choice, forearm, arm, base, truth, further, tuple(notes))
 
     @property
     def first_ns(self) -> list[int]:
         """First stamp of each stream."""
-        streams = (self.imu, self.arm, self.base, self.truth, self.upper)
+        streams = (self.imu, self.arm, self.base, self.truth, *self.further.values())
         return [int(s.stamp_ns[0]) for s in streams if s is not None and len(s.stamp_ns)]
 
     def recording(self, file: RecordingFile, origin: int, store: Store) -> Recording:
@@ -179,7 +179,9 @@ class _CleanArm:
             origin_ns=origin,
             name=file.name,
             notes=(*self.notes, *trunk_notes),
-            upper_imu=None if self.upper is None else _imu_stream(self.upper, origin, store),
+            further_imus={
+                segment: _imu_stream(stream, origin, store) for segment, stream in self.further.items()
+            },
             body=self.choice.body,
             trunk=trunk,
             clocks_unrelated=file.clocks_unrelated,

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypedDict
 
+from ...body import BodySegment
 from ...errors import RecordingError
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
@@ -68,8 +69,8 @@ class StreamChoice:
         The reference motion.
     notes : list of str
         How it was decided, one sentence each.
-    upper : ImuSamples, optional
-        The IMU on the same arm's upper arm.
+    further : dict of str to ImuSamples
+        The IMUs on the same arm's further segments, by the segment's name.
     body : int, optional
         The camera's number of the person, where arms of several were chosen.
     """
@@ -80,7 +81,7 @@ class StreamChoice:
     base: ImuSamples | None = None
     truth: PoseSamples | None = None
     notes: list[str] = field(default_factory=list)
-    upper: ImuSamples | None = None
+    further: dict[str, ImuSamples] = field(default_factory=dict)
     body: int | None = None
 
 
@@ -188,7 +189,7 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
                 f"{file.path}: {what} --imu {name}; it has {listed}{_what_fits(name, matches, file.imus)}."
             )
         return matches
-    candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm", "trunk")]
+    candidates = [stream for stream in file.imus if role(stream) in ("", "forearm")]
     if not candidates:
         raise RecordingError(
             f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."
@@ -199,7 +200,7 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
 
 def _what_fits(name: str, matches: list[ImuSamples], imus: list[ImuSamples]) -> str:
     """What to give instead of a name that fits none or several IMUs, for the end of a sentence."""
-    forearms = [stream for stream in matches if role(stream) not in ("base", "upper_arm", "trunk")]
+    forearms = [stream for stream in matches if role(stream) in ("", "forearm")]
     if len(forearms) == 1:
         return f"; for the one on the forearm give --imu {forearms[0].topic}"
     side = named_side(name)
@@ -238,24 +239,27 @@ _ONLY_ONE_ARM = (
 )
 
 
-def choose_upper(file: RecordingFile, forearm: ImuSamples, side: str) -> tuple[ImuSamples | None, list[str]]:
-    """The IMU that names say is on the same upper arm, or None, and a sentence on it.
+def choose_further(
+    file: RecordingFile, forearm: ImuSamples, side: str, segment: BodySegment
+) -> tuple[ImuSamples | None, list[str]]:
+    """The IMU that names say is on a segment of the same arm, or None, and a sentence on it.
 
     One without a side in its name counts as on the arm of the only forearm IMU.
     """
-    uppers = [imu for imu in file.imus if imu is not forearm and role(imu) == "upper_arm"]
-    sided = [imu for imu in uppers if side and named_side(imu.topic, imu.frame_id) == side]
+    named = [imu for imu in file.imus if imu is not forearm and role(imu) == segment.name]
+    sided = [imu for imu in named if side and named_side(imu.topic, imu.frame_id) == side]
     other_forearms = [i for i in file.imus if i is not forearm and role(i) in ("", "forearm")]
-    free = [imu for imu in uppers if not named_side(imu.topic, imu.frame_id)]
+    free = [imu for imu in named if not named_side(imu.topic, imu.frame_id)]
     fitting = sided or ([] if other_forearms else free)
     if not side and not fitting and not other_forearms:
-        fitting = uppers
+        fitting = named
     if len(fitting) == 1:
-        return fitting[0], [f"IMU {fitting[0].topic} is on the same arm's upper arm by its name."]
+        return fitting[0], [f"IMU {fitting[0].topic} is on the same arm's {segment.label} by its name."]
     if len(fitting) > 1:
         names = ", ".join(imu.topic for imu in fitting)
         return None, [
-            f"Of the upper-arm IMUs {names} none was taken: their names do not tell which is meant."
+            f"Of the {segment.label.replace(' ', '-')} IMUs {names} none was taken: their names do not tell"
+            " which is meant."
         ]
     return None, []
 

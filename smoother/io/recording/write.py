@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
+from ...body import SEGMENTS
 from ...linalg import runs
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from ...runtime.outputs import writing
@@ -105,13 +106,10 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             base = one.base_imu
             stamp = nanoseconds(base.t_s, one.origin_ns)
             file.imus.append(ImuSamples("/imu/base", "base", stamp, base.acc, base.gyro, base.mag))
-        if one.upper_imu is not None:
-            upper = one.upper_imu
-            topic = _free(imu_topic(upper.name, one.side, "upper_arm"), topics)
-            stamp = nanoseconds(upper.t_s, one.origin_ns)
-            file.imus.append(
-                ImuSamples(topic, topic.rpartition("/")[2], stamp, upper.acc, upper.gyro, upper.mag)
-            )
+        for segment, imu in one.further_imus.items():
+            topic = _free(imu_topic(imu.name, one.side, segment), topics)
+            stamp = nanoseconds(imu.t_s, one.origin_ns)
+            file.imus.append(ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag))
         body = one.body or 0
         while (body, one.side) in sides:
             body += 1
@@ -191,7 +189,8 @@ def imu_topic(name: str, side: str = "", limb: str = "forearm") -> str:
     if name.startswith("/imu/"):
         return name
     clean = "_".join(part for part in name.strip("/").replace("/", "_").split() if part)
-    if limb == "upper_arm" and "upper" not in clean.lower():  # by its name it is found again
+    if limb in SEGMENTS and SEGMENTS[limb].parent and SEGMENTS[limb].prefix not in clean.lower():
+        # by its name it is found again
         clean = ""
     return f"/imu/{clean or limb + ('_' + side if side else '')}"
 

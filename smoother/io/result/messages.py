@@ -12,6 +12,7 @@ from ...array_types import IntArray
 from ...measurements.visibility import Gap
 from ...recording import JOINTS
 from ...result import FrameResiduals, GapVerdict, Recovery
+from ...result.segment_motion import SegmentMotion
 from ...rotation import Rotation
 from ..wire import protobuf_encode as wire
 from ..wire.schemas import message_class
@@ -133,15 +134,13 @@ def _present(residuals: FrameResiduals) -> list[int]:
     return np.flatnonzero(present).tolist()
 
 
-def upper_arm_poses(r: Recovery) -> Recovery | None:
-    """An upper-arm IMU's poses, without velocities, in the forearm's place; None without one."""
-    if r.upper is None:
-        return None
+def segment_poses(r: Recovery, motion: SegmentMotion) -> Recovery:
+    """A further IMU's poses, without velocities, in the forearm's place."""
     return replace(
         r,
-        position=r.upper.position,
-        quaternion=r.upper.quaternion,
-        pose_covariance=r.upper.pose_covariance,
+        position=motion.position,
+        quaternion=motion.quaternion,
+        pose_covariance=motion.pose_covariance,
         velocity=np.full_like(r.velocity, np.nan),
     )
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration import ArmCalibration, Length, LeverArm
+from ...body import FURTHER, SEGMENTS, UPPER_ARM
+from ...calibration import ArmCalibration, Length, LeverArm, SegmentMounting
 from ...measurements.visibility import Gap
 from ...result import Recovery
 
@@ -47,7 +48,7 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             "camera": recovery.arm.name,
             "joints": list(recovery.joints),
             "gaps": recovery.gaps,
-            "calibration": recovery.calibration,
+            "calibration": _calibration(recovery.calibration),
             "gravity_direction": recovery.gravity_direction,
             "clock_offset_s": recovery.clock_offset_s,
             "clock_offset_sigma_s": recovery.clock_offset_sigma_s,
@@ -55,7 +56,7 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             "notes": recovery.notes,
             "config": _lasting(recovery.config),
             "figures": recovery.estimates.plain(),
-            **_upper_arm(recovery),
+            **_further(recovery),
             **({} if recovery.body is None else {"body": recovery.body}),
             **_trunk(recovery),
             **_draws(recovery),
@@ -63,13 +64,29 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
     }
 
 
-def _upper_arm(recovery: Recovery) -> dict[str, object]:
-    """What an upper-arm IMU adds; nothing without one."""
-    upper = recovery.upper
-    if upper is None:
-        return {}
+def _further(recovery: Recovery) -> dict[str, object]:
+    """What IMUs on further segments add; nothing without any."""
     names = ("name", "clock_offset_s", "mount_sigma_rad")
-    return {"upper_arm": {name: getattr(upper, name) for name in names}}
+    return {
+        segment: {name: getattr(motion, name) for name in names}
+        for segment, motion in recovery.segments.items()
+    }
+
+
+def _calibration(arm: ArmCalibration | None) -> dict[str, object] | None:
+    """A calibration as plain values; the upper arm's IMU has its keys with and without one."""
+    if arm is None:
+        return None
+    plain = {
+        each.name: getattr(arm, each.name) for each in dataclasses.fields(arm) if each.name != "mountings"
+    }
+    plain |= {"upper_imu": arm.upper_imu, "R_U_B": arm.R_U_B}
+    others = {name: mounting for name, mounting in arm.mountings.items() if name != UPPER_ARM.name}
+    return plain | {_levers_key(name): mounting.lever_arms for name, mounting in others.items()}
+
+
+def _levers_key(segment: str) -> str:
+    return f"{SEGMENTS[segment].prefix}_imu"
 
 
 def _trunk(recovery: Recovery) -> dict[str, object]:
@@ -123,6 +140,9 @@ def calibration_of(value: dict[str, Any] | None) -> ArmCalibration | None:
         R_F_A=array("R_F_A"),
         accelerometer_bias=array("accelerometer_bias"),
         gyroscope_bias=array("gyroscope_bias"),
-        upper_imu=levers("upper_imu"),
-        R_U_B=array("R_U_B"),
+        mountings={
+            body.name: SegmentMounting(own, R_bone=array("R_U_B") if body.name == UPPER_ARM.name else None)
+            for body in FURTHER
+            if (own := levers(_levers_key(body.name)))
+        },
     )

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
+from ...body import FURTHER
 from ...errors import RecordingError
 from ...measurements.visibility import Reason
 from ...recording import JOINTS, JointTracks
 from ...result import Draws, Estimates, FrameResiduals, Recovery
-from ...result.segment_motion import TrunkMotion, UpperMotion
+from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ...rotation import Rotation
 from ..mcap.container import Container
 from ..mcap.messages import Topic, plain_name
@@ -147,7 +148,11 @@ def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], n
             notes=tuple([*(_of_type(note, str) for note in values["notes"]), *container.notes]),
             config=_of_type(values["config"], dict),
             estimates=Estimates.from_plain(values["figures"]),
-            upper=_upper(stamp, tables.get(f"{RESULT_PREFIX}upper_arm{suffix}"), values.get("upper_arm")),
+            segments={
+                body.name: _segment(stamp, tables.get(f"{RESULT_PREFIX}{body.name}{suffix}"), own)
+                for body in FURTHER
+                if (own := values.get(body.name)) is not None
+            },
             body=None if values.get("body") is None else _of_type(values["body"], int),
             trunk=_trunk(stamp, tables.get(f"{RESULT_PREFIX}trunk{suffix}"), values.get("trunk")),
             draws=_draws(tables.get(f"{RESULT_PREFIX}draws{suffix}"), values.get("draws"), origin),
@@ -165,12 +170,10 @@ def shown(error: BaseException) -> str:
     return f"{type(error).__name__} {plain_name(str(error))}"
 
 
-def _upper(stamp: IntArray, table: TopicTable | None, values: dict[str, Any] | None) -> UpperMotion | None:
-    """An upper-arm IMU's poses at the samples (n,)."""
-    if values is None:
-        return None
+def _segment(stamp: IntArray, table: TopicTable | None, values: dict[str, Any]) -> SegmentMotion:
+    """A further IMU's poses at the samples (n,)."""
     arrays = _motion(len(stamp), *_rows(stamp, table))
-    return UpperMotion(
+    return SegmentMotion(
         **{name: arrays[name] for name in ("position", "quaternion", "pose_covariance")},
         mount_sigma_rad=np.array(values["mount_sigma_rad"], float),
         clock_offset_s=values["clock_offset_s"],

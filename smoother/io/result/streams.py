@@ -19,7 +19,7 @@ from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
 from . import drawing as scene
 from .drawing import arm_point_clouds, world_transform
-from .messages import ResidualMessages, gap_messages, odometry, thorax_poses, upper_arm_poses
+from .messages import ResidualMessages, gap_messages, odometry, segment_poses, thorax_poses
 from .topic_tables import SCHEMA, draw_messages, message_rows
 
 #: How many `axes` a recovery has.
@@ -117,10 +117,10 @@ class RecoveryStreams:
         return OutputStream(channel, stamp[rows] + self.shift, encode)
 
     def _poses(self, r: Recovery) -> Iterator[OutputStream]:
-        """Of the forearm's IMU, and where there are, of the upper arm's and the trunk's."""
+        """Of the forearm's IMU, and where there are, of those on further segments and the trunk."""
         poses = {"forearm": (r, self.body)}
-        if (upper := upper_arm_poses(r)) is not None:
-            poses["upper_arm"] = upper, self.body.replace("forearm", "upper_arm")
+        for name, motion in r.segments.items():
+            poses[name] = segment_poses(r, motion), self.body.replace("forearm", name)
         if (thorax := thorax_poses(r)) is not None:
             poses["trunk"] = thorax, self.body.replace("forearm_imu", "thorax")
         stamp = self._stamps(r.t_s)

@@ -8,7 +8,8 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from ...array_types import FloatArray, IntArray
+from ...array_types import IntArray
+from ...body import FURTHER
 from ...recording import JOINTS, JointTracks
 from ...result import Draws
 from ..mcap.messages import Topic, TopicMessages
@@ -140,7 +141,7 @@ class CameraTable(TopicTable):
 
 TABLES: dict[str, type[TopicTable]] = {
     "forearm": OdometryTable,
-    "upper_arm": OdometryTable,
+    **{segment.name: OdometryTable for segment in FURTHER},
     "trunk": OdometryTable,
     "skeleton": JointsTable,
     "residuals": ResidualTable,
@@ -158,7 +159,6 @@ SCHEMA = "unocclude.Draws"
 ROWS = 25
 #: What stands for no answer; the largest number beside it is as far from zero on the other side.
 _NOTHING, _MOST = -32768, 32767
-_JOINT = "joint_"
 _KIND = np.dtype("<i2")
 
 
@@ -191,20 +191,13 @@ def draw_messages(draws: Draws, stamp: IntArray, first: IntArray, frame_id: str)
         message.timestamp.FromNanoseconds(int(stamp[start]))
         message.frame_id, message.motions = frame_id, len(draws)
         message.offset.extend((stamp[rows] - stamp[start]).tolist())
-        for name, values in _columns(draws).items():
+        for name, values in draws.columns().items():
             part = np.moveaxis(values[:, rows], 0, 1)
             known = np.isfinite(part)
             scale = float(np.abs(part[known]).max(initial=0.0)) / _MOST or 1.0
             whole = np.where(known, np.rint(np.where(known, part, 0.0) / scale), _NOTHING)
             message.drawn.add(name=name, scale=scale, deviation=whole.astype(_KIND).tobytes())
         yield message.SerializeToString(deterministic=True)
-
-
-def _columns(draws: Draws) -> dict[str, FloatArray]:
-    """All quantities by the names that messages have for them."""
-    columns = {"position": draws.position, "rotation": draws.rotation}
-    columns |= {_JOINT + joint: values for joint, values in draws.joints.items()}
-    return columns if draws.upper_rotation is None else columns | {"upper_rotation": draws.upper_rotation}
 
 
 class DrawsTable(TopicTable):
@@ -248,15 +241,4 @@ class DrawsTable(TopicTable):
         columns = {name: np.moveaxis(np.concatenate(parts), 0, 1) for name, parts in self._parts.items()}
         if any(values.shape[1] != len(stamp) for values in columns.values()):
             raise ValueError("drawn motions lack a quantity at some times")
-        return Draws(
-            t_s=seconds(stamp, origin),
-            seed=seed,
-            position=columns["position"],
-            rotation=columns["rotation"],
-            joints={
-                name.removeprefix(_JOINT): values
-                for name, values in columns.items()
-                if name.startswith(_JOINT)
-            },
-            upper_rotation=columns.get("upper_rotation"),
-        )
+        return Draws.from_columns(seconds(stamp, origin), seed, columns)
