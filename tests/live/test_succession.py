@@ -2,45 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
-from live_play import Event, events, play, simulated
+from live_play import events, play, simulated
 
 from smoother.live.calibrations import InlineCalibrator
-from smoother.live.estimate import LiveState
+from smoother.live.estimate import LiveOutput, LiveState
 from smoother.live.smoother import LiveSmoother
 from smoother.live.tracker import Tracker
 from smoother.live.tracker_handover import CATCH_UP_FRAMES, SUCCESSOR_FRAMES
 
-ARRIVALS = events(simulated(3, 27.0, ()))
+#: Who was fed how many frames, in order.
+Fed = list[tuple[Tracker, int]]
+#: Every answer with how many frames were fed in its step.
+Steps = list[tuple[LiveOutput, list[int]]]
 
 
-@pytest.fixture
-def fed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Tracker, int]]:
-    """How many frames each tracker was fed, in order."""
-    counts: list[tuple[Tracker, int]] = []
+@pytest.fixture(scope="module")
+def played() -> tuple[Steps, Fed]:
+    """Twenty-seven seconds, with a second calibration on the way."""
+    fed: Fed = []
     feed = Tracker.feed
 
     def counted(self, frames):
-        counts.append((self, len(frames)))
+        fed.append((self, len(frames)))
         return feed(self, frames)
 
-    monkeypatch.setattr(Tracker, "feed", counted)
-    return counts
+    outputs: Steps = []
+    before = 0
+    live = LiveSmoother("right", calibrator=InlineCalibrator(5))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Tracker, "feed", counted)
+        for output in play(events(simulated(3, 27.0, ())), live):
+            outputs.append((output, [count for _, count in fed[before:]]))
+            before = len(fed)
+    return outputs, fed
 
 
-def steps(arrivals: list[Event], fed: list[tuple[Tracker, int]]) -> Iterator[tuple[object, list[int]]]:
-    """Every answer, and how many frames were fed in its step."""
-    live, before = LiveSmoother("right", calibrator=InlineCalibrator(5)), 0
-    for output in play(arrivals, live):
-        yield output, [count for _, count in fed[before:]]
-        before = len(fed)
-
-
-def test_catching_up_is_spread_over_steps(fed: list[tuple[Tracker, int]]) -> None:
-    outputs = list(steps(ARRIVALS, fed))
+def test_catching_up_is_spread_over_steps(played: tuple[Steps, Fed]) -> None:
+    outputs, _ = played
     assert max(sum(counts) for _, counts in outputs) <= CATCH_UP_FRAMES + 2  # two that had just come
     first = next(k for k, (output, _) in enumerate(outputs) if output.now is not None)
     busy = [k for k, (_, counts) in enumerate(outputs) if counts]
@@ -51,8 +51,8 @@ def test_catching_up_is_spread_over_steps(fed: list[tuple[Tracker, int]]) -> Non
     assert first - calibrated < 30
 
 
-def test_a_successor_takes_over_without_a_break(fed: list[tuple[Tracker, int]]) -> None:
-    outputs = list(steps(ARRIVALS, fed))
+def test_a_successor_takes_over_without_a_break(played: tuple[Steps, Fed]) -> None:
+    outputs, fed = played
     followers = list(dict.fromkeys(tracker for tracker, _ in fed))
     assert len(followers) == 2, "one calibration from 8 s, one 15 s later"
     first, second = followers

@@ -12,14 +12,20 @@ import pytest
 
 from tools.faults import surroundings
 from tools.faults.__main__ import ENDS, run_all, table
-from tools.faults.cases import Workshop, all_cases
+from tools.faults.cases import Case, Workshop, all_cases
 from tools.faults.surroundings import can_mount
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Workshop, list[Case]]:
+    """Sound files and every case."""
+    shop = Workshop(tmp_path_factory.mktemp("shop"), seed=1)
+    return shop, all_cases(shop)
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="cases run in forked processes")
-def test_a_sample_of_the_matrix(tmp_path: Path):
-    shop = Workshop(tmp_path, seed=1)
-    cases = all_cases(shop)
+def test_a_sample_of_the_matrix(made: tuple[Workshop, list[Case]]):
+    shop, cases = made
     containers = [case for case in cases if case.family.startswith("MCAP")]
     assert len(cases) >= 1200 and len(containers) >= 288
     outcomes = run_all([case for case in cases[7::30] if not case.cpu_s], shop, shown=False)
@@ -30,10 +36,9 @@ def test_a_sample_of_the_matrix(tmp_path: Path):
     assert f"**{len(outcomes)}**" in table(outcomes)
 
 
-def test_outcomes_are_not_computed_twice(tmp_path: Path):
-    (tmp_path / "shop").mkdir()
-    shop = Workshop(tmp_path / "shop", seed=1)
-    cases = [case for case in all_cases(shop) if case.family == "CSV, imu.csv"][:3]
+def test_outcomes_are_not_computed_twice(made: tuple[Workshop, list[Case]], tmp_path: Path):
+    shop, cases = made
+    cases = [case for case in cases if case.family == "CSV, imu.csv"][:3]
     log = tmp_path / "log.jsonl"
     first = run_all(cases[:2], shop, shown=False, log=log)
     lines = log.read_text().splitlines()
@@ -43,9 +48,9 @@ def test_outcomes_are_not_computed_twice(tmp_path: Path):
     assert [(o.end, o.text) for o in again[:2]] == [(o.end, o.text) for o in first]
 
 
-def test_the_list_of_faults_is_whole(tmp_path: Path):
+def test_the_list_of_faults_is_whole(made: tuple[Workshop, list[Case]]):
     """What is to be tried, whatever else is."""
-    faults = {case.fault for case in all_cases(Workshop(tmp_path, seed=1))}
+    faults = {case.fault for case in made[1]}
     wanted = """
         IMU nan|IMU inf|IMU 1e300|IMU denormal|spikes of 1 %|a spike of one sample|one IMU sample|two frames
         |IMU at 1 Hz|IMU at 10 kHz|camera at 240 Hz|joints in one point|an hour without the camera
