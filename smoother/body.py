@@ -21,6 +21,8 @@ class BodySegment:
         In sentences, after "the".
     prefix : str
         Of the names of columns on its IMU.
+    sigma_name : str
+        Of the columns of its IMU's sigmas.
     axes : str
         Letter of its IMU's axes.
     joints : tuple of str
@@ -42,6 +44,7 @@ class BodySegment:
     name: str
     label: str
     prefix: str
+    sigma_name: str
     axes: str
     joints: tuple[str, ...]
     parent: str
@@ -70,6 +73,7 @@ FOREARM = BodySegment(
     "forearm",
     "forearm",
     "",
+    "sigma",
     "A",
     FOREARM_JOINTS,
     parent="",
@@ -82,6 +86,7 @@ UPPER_ARM = BodySegment(
     "upper_arm",
     "upper arm",
     "upper",
+    "upper_sigma",
     "B",
     ("elbow", "shoulder"),
     parent="forearm",
@@ -91,8 +96,23 @@ UPPER_ARM = BodySegment(
     letters="ywcme",
     as_forearm={"elbow": "shoulder", "wrist": "elbow"},
 )
-#: The segments that an IMU may be on in a window's graph, by name; the forearm's is always there.
-SEGMENTS = {segment.name: segment for segment in (FOREARM, UPPER_ARM)}
+HAND = BodySegment(
+    "hand",
+    "hand",
+    "hand",
+    "hand_imu_sigma",  # "hand_sigma" is the joint's
+    "H",
+    ("wrist", "hand"),
+    parent="forearm",
+    shared_joint="wrist",
+    camera_joints=("hand",),
+    remedy="raise the hand, bend the wrist and turn it about there",
+    letters="zqdnf",
+    as_forearm={"elbow": "wrist", "wrist": "hand"},
+)
+#: The segments that an IMU may be on in a window's graph, by name; the forearm's is always there. The letters
+#: of poses follow each other as the segments do.
+SEGMENTS = {segment.name: segment for segment in (FOREARM, UPPER_ARM, HAND)}
 #: Those beyond the forearm.
 FURTHER = tuple(segment for segment in SEGMENTS.values() if segment.parent)
 

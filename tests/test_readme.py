@@ -67,9 +67,11 @@ def test_topics_and_columns(tmp_path, monkeypatch):
     recording = read_recording(ROOT / "data" / "demo.mcap")
     recovery = smooth(recording, None, Config.model_validate({"windows": {"processes": 1}}))
     own = (recovery.position, recovery.quaternion, recovery.pose_covariance)
-    # as if with an IMU on the upper arm and one on the trunk
+    # as if with IMUs on the upper arm, the hand and the trunk
     trunk = TrunkMotion(recovery.quaternion, recovery.pose_covariance[:, 3:, 3:], np.eye(3), np.zeros(3))
-    recovery = replace(recovery, segments={"upper_arm": SegmentMotion(*own, np.zeros(3))}, trunk=trunk)
+    recovery = replace(
+        recovery, segments=dict.fromkeys(("upper_arm", "hand"), SegmentMotion(*own, np.zeros(3))), trunk=trunk
+    )
     still = np.zeros((20, 2, 3), np.float32)
     ends = recovery.t_s[[0, -1]]
     draws = Draws(ends, 0, still, still, dict.fromkeys(recovery.joints, still), {"upper_arm": still})

@@ -287,8 +287,11 @@ def _causes(evidence: Evidence, what: str) -> list[str]:
 
 def _missing(calibration: ArmCalibration, evidence: Evidence) -> list[str]:
     sentences = []
+    known = set(calibration.lever_arms).union(
+        *(mounting.lever_arms for mounting in calibration.mountings.values())
+    )
     for joint in ("elbow", "wrist", "hand"):
-        if joint not in calibration.lever_arms:
+        if joint not in known:
             seen = evidence.frames.get(joint, 0)
             how = "was never tracked" if seen == 0 else f"was tracked in {seen} frames only"
             sentences.append(f"the {joint} {how}: its lever arm is open")

@@ -77,6 +77,8 @@ def print_topics(about: RecordingInfo) -> None:
 
 def print_arm(about: RecordingInfo) -> None:
     """Print the streams found, and what would be taken of them."""
+    from ..body import FURTHER
+
     rows: list[tuple[str, object]] = [("IMU found", text) for text in about.imus]
     rows += [("skeleton found", text) for text in about.skeletons]
     rows += [("truth found", text) for text in about.poses]
@@ -85,7 +87,11 @@ def print_arm(about: RecordingInfo) -> None:
         body = "" if arm.body is None else f" (body {arm.body})"
         rows += [
             (f"{of}taken", f"{arm.imu}, {arm.side or 'no side'} arm of {arm.skeleton}{body}"),
-            *([(f"{of}on the upper arm", arm.upper_imu)] if arm.upper_imu else []),
+            *(
+                (f"{of}on the {segment.label}", name)
+                for segment in FURTHER
+                if (name := getattr(arm, f"{segment.prefix}_imu"))
+            ),
             *([(f"{of}on the trunk", arm.trunk_imu)] if arm.trunk_imu else []),
             (f"{of}joints", ", ".join(arm.joints) or "none tracked"),
             (f"{of}both recorded, s", arm.duration_s),

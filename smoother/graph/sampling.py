@@ -185,9 +185,9 @@ def _chain(
     width = system.jacobian.width
     letters = {chr(gtsam.Symbol(key).chr()) for key in nodes}
     normals = plan.at_times("node", t, _WIDTHS["node"])
-    for name, width in list(_WIDTHS.items())[1:]:
+    for name, own_width in list(_WIDTHS.items())[1:]:
         met = not letters.isdisjoint(_LETTERS[name])
-        more = plan.at_times(name, t, width) if met else np.zeros((plan.count, len(t), width))
+        more = plan.at_times(name, t, own_width) if met else np.zeros((plan.count, len(t), own_width))
         normals = np.concatenate([normals, more], axis=2)
     # the node of each column, and which of the node's random numbers it has
     place = np.full((width, 2), -1)

@@ -10,6 +10,7 @@ from typing import Unpack
 
 import numpy as np
 
+from ..body import FURTHER
 from ..errors import RecordingError
 from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
@@ -35,8 +36,8 @@ class ArmInfo:
         What would be taken.
     body : int, optional
         The camera's number of the person, where there are several.
-    upper_imu, trunk_imu : str
-        The IMUs on the same upper arm and on the trunk that would take part; empty without one.
+    upper_imu, hand_imu, trunk_imu : str
+        The IMUs on the same upper arm, hand and trunk that would take part; empty without one.
     joints : list of str
         Of the skeleton.
     imu_rate_hz, camera_rate_hz : float, Hz, optional
@@ -59,6 +60,7 @@ class ArmInfo:
     side: str
     body: int | None
     upper_imu: str
+    hand_imu: str
     trunk_imu: str
     joints: list[str]
     imu_rate_hz: float | None
@@ -77,13 +79,14 @@ def describe_arm(recording: Recording) -> ArmInfo:
     start, end = max(imu.t_s[0], arm.t_s[0]), min(imu.t_s[-1], arm.t_s[-1])
     gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), float(start), float(end))
     allowed = allowance(recording)
+    names = {segment: stream.name for segment, stream in recording.further_imus.items()}
     return ArmInfo(
         label=recording.arm_label,
         imu=imu.name,
         skeleton=arm.name,
         side=recording.side,
         body=recording.body,
-        upper_imu="" if recording.upper_imu is None else recording.upper_imu.name,
+        **{f"{segment.prefix}_imu": names.get(segment.name, "") for segment in FURTHER},
         trunk_imu="" if recording.trunk is None else recording.trunk.imu.name,
         joints=list(arm.present),
         imu_rate_hz=finite(imu.rate_hz),
@@ -145,8 +148,8 @@ class RecordingInfo:
         The arms that would be recovered; empty where that is not settled.
     imu, skeleton, side : str
         What would be taken for the first of them, as all that follows; empty where that is not settled.
-    upper_imu : str
-        The one on the same upper arm that would take part; empty without one.
+    upper_imu, hand_imu : str
+        Those on the same upper arm and hand that would take part; empty without one.
     trunk_imu : str
         The one on the trunk; empty without one.
     joints : list of str
@@ -205,6 +208,7 @@ class RecordingInfo:
     result: bool = False
     verdicts: list[dict[str, object]] = field(default_factory=list)
     upper_imu: str = ""
+    hand_imu: str = ""
     trunk_imu: str = ""
     notes: list[str] = field(default_factory=list)
     arms: list[ArmInfo] = field(default_factory=list)
@@ -293,7 +297,8 @@ def _take(info: RecordingInfo, recordings: list[Recording]) -> None:
     info.arms = [describe_arm(recording) for recording in recordings]
     first, frame = info.arms[0], recordings[0].camera_frame
     info.imu, info.skeleton, info.side = first.imu, first.skeleton, first.side
-    info.upper_imu, info.trunk_imu, info.joints = first.upper_imu, first.trunk_imu, first.joints
+    info.upper_imu, info.hand_imu, info.trunk_imu = first.upper_imu, first.hand_imu, first.trunk_imu
+    info.joints = first.joints
     info.imu_rate_hz, info.camera_rate_hz = first.imu_rate_hz, first.camera_rate_hz
     info.camera_frame = None if frame is None else str(frame)
     info.duration_s, info.gaps = first.duration_s, first.gaps

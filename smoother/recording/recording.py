@@ -141,7 +141,7 @@ class Recording:
         share = 100 * arm.forearm_tracked.mean() if len(arm) else 0.0
         more = {
             "a magnetometer": imu.mag is not None,
-            "an IMU on the upper arm": self.upper_imu is not None,
+            **{f"an IMU on the {name.replace('_', ' ')}": True for name in self.further_imus},
             "one on the trunk": self.trunk is not None,
             "an IMU on the camera": self.base_imu is not None,
             "truth": self.truth is not None,
@@ -173,6 +173,7 @@ class Recording:
         truth: Truth | None = None,
         name: str = "recording",
         upper_imu: ImuStream | None = None,
+        hand_imu: ImuStream | None = None,
     ) -> Recording:
         """Build a recording from arrays, in SI units.
 
@@ -203,8 +204,8 @@ class Recording:
             Reference motion, for validation.
         name : str
             For messages.
-        upper_imu : ImuStream, optional
-            The samples of an IMU on the upper arm.
+        upper_imu, hand_imu : ImuStream, optional
+            The samples of an IMU on the upper arm, and of one on the hand.
 
         Raises
         ------
@@ -218,7 +219,8 @@ class Recording:
         imu = imu_of(t, acc, gyro, mag, name)
         arm = joints_of(frame_t, joints, states or {}, name)
         hint = None if gravity_hint is None else direction_of(gravity_hint, name)
-        further = {} if upper_imu is None else {"upper_arm": upper_imu}
+        streams = {"upper_arm": upper_imu, "hand": hand_imu}
+        further = {segment: stream for segment, stream in streams.items() if stream is not None}
         for segment, stream in further.items():
             check_imu(stream, f"the {segment.replace('_', ' ')}'s ", name)
         return cls(imu, arm, side, frame, hint, truth=truth, name=name, further_imus=further)

@@ -110,6 +110,21 @@ def sample_draws(
             columns[JOINT + joint] = p + np.cross(r, arm)
             if joint in levers:
                 columns[JOINT + joint] += np.einsum("nij,kj->kni", R, levers[joint])
+    #    What a further segment carries hangs on the joint that it shares, and turns with its IMU.
+    for segment in (SEGMENTS[name] for name in turns):
+        quaternion = next(each.quaternion for each in answer.further if each.segment == segment.name)
+        known = np.isfinite(quaternion[samples]).all(axis=1)
+        R_own = np.full((len(samples), 3, 3), np.nan)
+        R_own[known] = Rotation.from_quat(quaternion[samples][known], scalar_first=True).as_matrix()
+        own = model.estimate.mountings[segment.name].lever_arms
+        for joint in segment.camera_joints:
+            along = own[joint].position_m - own[segment.shared_joint].position_m
+            arm = np.cross(turns[segment.name], np.einsum("nij,j->ni", R_own, along))
+            a, b = (layout.lever(end, segment.name) for end in (joint, segment.shared_joint))
+            both = plan.shared[a, a] + plan.shared[b, b] - plan.shared[a, b] - plan.shared[b, a]
+            length = plan.once(f"length {segment.name} {joint}", 3) @ root_of(both)
+            arm = arm + np.einsum("nij,kj->kni", R_own, length)
+            columns[JOINT + joint] = columns[JOINT + segment.shared_joint] + arm
     # 5. A sensor whose mounting the motion did not show.
     place_m, turn_rad = unknown_mounting(model)
     if place_m or turn_rad:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..body import FOREARM
 from ..calibration import SigmaFactors
 from ..error_radius import pooled_radius
 from ..errors import SolveError
@@ -221,8 +222,10 @@ def _recovered(
     hidden: BoolArray = (t >= gap.start_s) & (t <= gap.end_s)
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     accepted = prepared.accepted.copy()
+    layout = priors.layout
+    on_forearm = [joint for joint in REFERENCES if layout.segment_of(joint) == FOREARM.name]
     reference = next(
-        (joint for joint in REFERENCES if (accepted[hidden, JOINTS.index(joint)]).sum() > 2), None
+        (joint for joint in on_forearm if (accepted[hidden, JOINTS.index(joint)]).sum() > 2), None
     )
     if reference is None:
         return HiddenStretch(gap.start_s, gap.end_s)

@@ -355,9 +355,9 @@ class Recovery:
             arrays[joint] = self.joints[joint]
             arrays[f"{joint}_sigma"] = np.sqrt(np.einsum("nii->ni", self.joint_covariance[joint]))
         for name, motion in self.segments.items():
-            of = SEGMENTS[name].prefix
+            of, sigma = SEGMENTS[name].prefix, SEGMENTS[name].sigma_name
             arrays |= {f"{of}_imu": motion.position, f"{of}_imu_quaternion": motion.quaternion}
-            arrays |= {f"{of}_sigma": motion.sigma_m, f"{of}_sigma_deg": motion.sigma_deg}
+            arrays |= {sigma: motion.sigma_m, f"{sigma}_deg": motion.sigma_deg}
         if self.trunk is not None:
             arrays |= {"trunk_quaternion": self.trunk.quaternion, "trunk_sigma_deg": self.trunk.sigma_deg}
         return arrays | {"trusted": self.trusted} if self.has_verdict else arrays

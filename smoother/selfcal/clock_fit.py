@@ -177,7 +177,7 @@ def clock_score(windows: Sequence[Window], solutions: Sequence[Solution]) -> Clo
 def _joint_scores(window: Window, solution: Solution) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """Times, slopes, and information where the states would not follow, joint by joint."""
     for measured in window.joint_measurements:
-        velocity = solution.forearm.states.v[measured.node] + measured.velocity
+        velocity = solution.of(measured.segment).states.v[measured.node] + measured.velocity
         residual = solution.residuals[measured.joint]
         size = np.linalg.norm(residual, axis=1) / measured.sigma_m
         weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / measured.sigma_m**2

@@ -31,6 +31,7 @@ from .config import ArmSimulation, PointSimulation
 from .inertial import (
     SegmentImuMotion,
     TrunkImuMotion,
+    draw_hand_mount,
     draw_trunk_axes,
     draw_upper_mount,
     ideal_imu,
@@ -38,7 +39,16 @@ from .inertial import (
     measure_segment,
     measure_trunk,
 )
-from .motion import ArmMotion, MotionModel, Stage, TrunkTurn, draw_stage, draw_wobble, tilt_rotation
+from .motion import (
+    ArmMotion,
+    MotionModel,
+    Stage,
+    TrunkTurn,
+    draw_stage,
+    draw_wobble,
+    tilt_rotation,
+    wrist_angles,
+)
 from .people import mounted_anew, varied
 from .protocol import PAD_S, Performance, knot_times, perform, wander
 
@@ -168,9 +178,10 @@ def record_arm(
     """
     imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng, upper_rng, upper_wobble_rng = streams
     wobble = draw_wobble(performance, config.wobble_deg, wobble_rng)
-    (trunk_rng,) = upper_rng.spawn(1)  # leaves what `upper_rng` draws as it is
+    trunk_rng, hand_rng = upper_rng.spawn(2)  # leaves what `upper_rng` draws as it is
     turn = TrunkTurn(performance, config.trunk_turn_deg, trunk_rng)
-    motion = ArmMotion(performance, measures, stage, wobble, config.side, turn)
+    wrist = wrist_angles(performance, config.wrist_deg, hand_rng)
+    motion = ArmMotion(performance, measures, stage, wobble, config.side, turn, wrist)
 
     ideal = ideal_imu(motion, performance.duration_s, config.imu_rate_hz, stage.gravity)
     imu, parameters = measure(ideal, config, imu_rng)
@@ -181,11 +192,21 @@ def record_arm(
         motions["upper_arm"] = SegmentImuMotion(
             motion, motion.upper_arm, mount, performance.t_s, upper_wobble
         )
-        mountings["upper_arm"] = SegmentMounting(given(mount.levers(measures.upper_arm)), R_bone=mount.R_U_B)
+        joints = {"elbow": 0.0, "shoulder": -measures.upper_arm}
+        mountings["upper_arm"] = SegmentMounting(given(mount.levers(joints)), R_bone=mount.R_U_B)
         further["upper_arm"], upper_parameters = measure_segment(
             "upper_arm", motions["upper_arm"], performance.duration_s, stage.gravity, config, upper_rng
         )
         parameters |= upper_parameters
+    if "hand" in config.imus:
+        hand_wobble = draw_wobble(performance, 0.5 * config.wobble_deg, hand_rng)
+        mount = draw_hand_mount(measures, config.side, hand_rng)
+        motions["hand"] = SegmentImuMotion(motion, motion.hand, mount, performance.t_s, hand_wobble)
+        mountings["hand"] = SegmentMounting(given(mount.levers({"wrist": 0.0, "hand": measures.hand})))
+        further["hand"], hand_parameters = measure_segment(
+            "hand", motions["hand"], performance.duration_s, stage.gravity, config, hand_rng
+        )
+        parameters |= hand_parameters
 
     times = exposures(performance.duration_s, config.frame_rate_hz, stamp_rng)
     strap = {"strap": motion.imu_pose(times)[1]} if config.strap else {}
@@ -221,7 +242,8 @@ def record_arm(
         add_noise(other, config, trunk_rng)
         trunk = TrunkSensors(trunk_imu, deliver(other, "simulated", config, same_stamps)[0])
 
-    lever_arms = given({joint: measures.lever_arm(joint) for joint in ("elbow", "wrist", "hand")})
+    on_forearm = ("elbow", "wrist") if "hand" in further else ("elbow", "wrist", "hand")
+    lever_arms = given({joint: measures.lever_arm(joint) for joint in on_forearm})
     calibration = ArmCalibration(
         side=config.side,
         lever_arms=lever_arms,

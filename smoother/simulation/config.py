@@ -149,9 +149,26 @@ class ArmSimulation(SensorErrors):
         default=0.0, ge=0, description="rms of the strap's rotation on the forearm, degrees"
     )
 
-    imus: Literal["wrist", "wrist,upper-arm", "wrist,upper-arm,trunk"] = Field(
+    imus: Literal[
+        "wrist",
+        "wrist,upper-arm",
+        "wrist,upper-arm,trunk",
+        "wrist,hand",
+        "wrist,upper-arm,hand",
+        "wrist,upper-arm,hand,trunk",
+    ] = Field(
         default="wrist", description="where an IMU is worn; with `trunk` the camera sees both shoulders"
     )
+    wrist_deg: float = Field(
+        default=0.0,
+        ge=0,
+        le=30,
+        description="rms of the wrist's flexion, degrees; it deviates by a third of that",
+    )
+    hand_clock_s: float = Field(
+        default=0.0, description="the hand IMU's clock is ahead of the wrist's by this, s"
+    )
+    hand_clock_ppm: float = Field(default=0.0, description="and gains so many millionths on it")
     trunk_turn_deg: float = Field(
         default=0.0, ge=0, description="rms of the trunk's turning and leaning, degrees; 0 = still"
     )

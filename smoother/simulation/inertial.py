@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -134,46 +134,54 @@ def measure(
 
 
 @dataclass(frozen=True)
-class UpperMount:
-    """How the IMU sits on the upper arm; {U} as in `body`, its origin in the elbow.
+class SegmentMount:
+    """How the IMU sits on a segment whose y axis lies along it; its origin is the joint with the forearm.
 
     Attributes
     ----------
-    in_upper_arm : ndarray, shape (3,), m
-        The IMU in {U}: y is negative, {U} points from the shoulder to the elbow.
+    in_segment : ndarray, shape (3,), m
+        The IMU in the segment's axes ({U} as in `body` points from the shoulder to the elbow).
     axes : ndarray, shape (3, 3)
-        Maps a vector from the IMU's axes {B} to {U}.
+        Maps a vector from the IMU's axes to the segment's.
     side : str
-        Whose {U} it is.
+        Whose segment it is.
     """
 
-    in_upper_arm: FloatArray
+    in_segment: FloatArray
     axes: FloatArray
     side: str
 
-    def levers(self, upper_arm_m: float) -> dict[str, FloatArray]:
-        """Elbow and shoulder (3,) in {B}, m, for an IMU that sits as it was put on."""
-        shoulder = np.array([0.0, -upper_arm_m, 0.0])
+    def levers(self, joints: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Joints (3,) in the IMU's axes, m, by where they are along y; of an IMU that sits as put on."""
         return {
-            "elbow": self.axes.T @ -self.in_upper_arm,
-            "shoulder": self.axes.T @ (shoulder - self.in_upper_arm),
+            joint: self.axes.T @ (np.array([0.0, along, 0.0]) - self.in_segment)
+            for joint, along in joints.items()
         }
 
     @property
     def R_U_B(self) -> FloatArray:
-        """From {B} to axes with y towards the shoulder and z towards the lateral epicondyle, (3, 3)."""
+        """On an upper arm, to axes with y towards the shoulder, z to the lateral epicondyle, (3, 3)."""
         lateral = -1.0 if self.side == "left" else 1.0
         return np.asarray(np.diag([-lateral, -1.0, lateral]) @ self.axes)
 
 
-def draw_upper_mount(measures: BodyMeasures, side: str, rng: np.random.Generator) -> UpperMount:
+def draw_upper_mount(measures: BodyMeasures, side: str, rng: np.random.Generator) -> SegmentMount:
     """Somewhere in the middle of the upper arm's outer side, turned as it comes."""
     roll = Rotation.from_euler("y", rng.uniform(-60, 60), degrees=True)
     axes = roll * Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
     tilt = Rotation.from_rotvec(rng.normal(0, 5, 3), degrees=True)
     along = -rng.uniform(0.35, 0.6) * measures.upper_arm
     off = roll.apply([0.0, 0.0, rng.uniform(0.040, 0.055)])
-    return UpperMount(off + np.array([0.0, along, 0.0]), (axes * tilt).as_matrix(), side)
+    return SegmentMount(off + np.array([0.0, along, 0.0]), (axes * tilt).as_matrix(), side)
+
+
+def draw_hand_mount(measures: BodyMeasures, side: str, rng: np.random.Generator) -> SegmentMount:
+    """On the back of the hand (x of {F}), about its middle, turned as it comes."""
+    face = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # z of the IMU along x
+    turn = Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
+    tilt = Rotation.from_rotvec(rng.normal(0, 6, 3), degrees=True)
+    place = np.array([rng.uniform(0.018, 0.026), rng.uniform(0.5, 0.9) * measures.hand, rng.normal(0, 0.006)])
+    return SegmentMount(place, (face * turn * tilt).as_matrix(), side)
 
 
 class SegmentImuMotion:
@@ -184,7 +192,7 @@ class SegmentImuMotion:
     arm : ArmMotion
     bone : callable
         The bone's origin (N, 3) m in {K} and axes (N, 3, 3) at times (N,).
-    mount : UpperMount
+    mount : SegmentMount
         How the IMU sits on it.
     t_s : ndarray, shape (N,), s
     wobble : ndarray, shape (N, 3), rad
@@ -195,7 +203,7 @@ class SegmentImuMotion:
         self,
         arm: ArmMotion,
         bone: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
-        mount: UpperMount,
+        mount: SegmentMount,
         t_s: FloatArray,
         wobble: FloatArray,
     ) -> None:
@@ -206,8 +214,8 @@ class SegmentImuMotion:
         """Orientation (N, 3, 3) from the IMU's axes to {K}, and its position (N, 3) m in {K}."""
         origin, R_K_S = self._bone(t_s)
         tissue = Rotation.from_rotvec(self._wobble(t_s)).as_matrix()
-        beneath = self.mount.in_upper_arm * [0.0, 1.0, 0.0]
-        in_segment = beneath + tissue @ (self.mount.in_upper_arm - beneath)
+        beneath = self.mount.in_segment * [0.0, 1.0, 0.0]
+        in_segment = beneath + tissue @ (self.mount.in_segment - beneath)
         position = origin + np.einsum("nij,nj->ni", R_K_S, in_segment)
         return R_K_S @ tissue @ self.mount.axes, position
 
@@ -227,10 +235,11 @@ def measure_segment(
     """The IMU's samples on its own clock, and what was drawn, by names that begin as `upper_imu_`."""
     ideal = ideal_imu(motion, duration_s, config.imu_rate_hz, gravity)
     measured, drawn = measure(ideal, config, rng)
-    t_s = config.upper_clock_s + (1.0 + 1e-6 * config.upper_clock_ppm) * measured.t_s
     of = SEGMENTS[segment].prefix
+    ahead_s, gains_ppm = (getattr(config, f"{of}_clock_{unit}") for unit in ("s", "ppm"))
+    t_s = ahead_s + (1.0 + 1e-6 * gains_ppm) * measured.t_s
     parameters: dict[str, Any] = {f"{of}_imu_{name}": value for name, value in drawn.items()}
-    parameters[f"{of}_clock_s"] = config.upper_clock_s
+    parameters[f"{of}_clock_s"] = ahead_s
     return replace(measured, name=f"/imu/{segment}_{config.side}", t_s=t_s), parameters
 
 

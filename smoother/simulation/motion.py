@@ -144,6 +144,14 @@ def draw_wobble(performance: Performance, rms_deg: float, rng: np.random.Generat
     return np.radians(rms_deg) * wobble
 
 
+def wrist_angles(performance: Performance, rms_deg: float, rng: np.random.Generator) -> FloatArray:
+    """The wrist's flexion and deviation to the thumb (N, 2), rad; zero where it is held straight."""
+    if rms_deg == 0.0:
+        return np.zeros((len(performance.t_s), 2))
+    angles = band_noise(performance.t_s, 0.1, 0.8, 2, rng)
+    return np.asarray(np.radians(rms_deg) * angles * [1.0, 1.0 / 3.0])
+
+
 class ArmMotion:
     """An arm that performs a protocol before the camera."""
 
@@ -155,6 +163,7 @@ class ArmMotion:
         wobble: FloatArray,
         side: str,
         trunk: TrunkTurn | None = None,
+        wrist: FloatArray | None = None,
     ) -> None:
         self.measures, self.stage = measures, stage
         self.trunk = trunk or TrunkTurn(performance, 0.0, np.random.default_rng(0))
@@ -163,6 +172,8 @@ class ArmMotion:
         self._flip = np.diag([1.0, 1.0, -1.0 if side == "left" else 1.0])
         table = np.hstack([performance.posture, performance.sway, wobble])
         self._spline: BSpline = make_interp_spline(performance.t_s, table, k=5)
+        bends = wrist is not None and bool(wrist.any())
+        self._wrist: BSpline | None = make_interp_spline(performance.t_s, wrist, k=5) if bends else None
 
     def upper_arm(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The bone of the upper arm: elbow (N, 3) m in {K}, and `R_K_U` (N, 3, 3) (see `body`)."""
@@ -170,6 +181,21 @@ class ArmMotion:
         _, elbow, _, _ = self._chain(t_s)
         R_T_U = (reference() * Rotation.from_rotvec(table[:, SHOULDER])).as_matrix()
         return self._to_camera(elbow, t_s), self._trunk(t_s) @ self._mirror @ R_T_U @ self._flip
+
+    def hand(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The hand: wrist (N, 3) m in {K}, and `R_K_H` (N, 3, 3), {H} as {F} where the wrist is straight."""
+        _, elbow, R_T_F, _ = self._chain(t_s)
+        wrist = elbow + self.measures.forearm * R_T_F[:, :, 1]
+        return self._to_camera(wrist, t_s), self._trunk(t_s) @ R_T_F @ self._bend(t_s)
+
+    def _bend(self, t_s: FloatArray) -> FloatArray:
+        """`R_F_H` (N, 3, 3): flexion takes the hand to the palm (-x of {F}), deviation to the thumb."""
+        if self._wrist is None:
+            return np.tile(np.eye(3), (len(t_s), 1, 1))
+        flexion, deviation = self._wrist(t_s).T
+        thumb = self._flip[2, 2]  # z of {F} points to the thumb's side of a right arm
+        turned = Rotation.from_euler("ZX", np.stack([flexion, thumb * deviation], axis=1))
+        return np.asarray(turned.as_matrix())
 
     def _chain(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Shoulder, elbow (N, 3) and `R_T_F` (N, 3, 3) in {T}, and the strap's rotation vector (N, 3)."""
@@ -208,8 +234,12 @@ class ArmMotion:
         shoulder, elbow, R_T_F, _ = self._chain(t_s)
         along, direction = self.measures.along_forearm, R_T_F[:, :, 1]
         positions = {"shoulder": shoulder, "elbow": elbow}
-        for joint in ("wrist", "hand"):
-            positions[joint] = elbow + (along[joint] - along["elbow"]) * direction
+        positions["wrist"] = elbow + (along["wrist"] - along["elbow"]) * direction
+        if self._wrist is None:
+            positions["hand"] = elbow + (along["hand"] - along["elbow"]) * direction
+        else:
+            fingers = (R_T_F @ self._bend(t_s))[:, :, 1]
+            positions["hand"] = positions["wrist"] + self.measures.hand * fingers
         return {joint: self._to_camera(position, t_s) for joint, position in positions.items()}
 
     def bone_axes(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:

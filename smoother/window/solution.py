@@ -174,6 +174,10 @@ class Solution:
         """The forearm's."""
         return self.bodies[0]
 
+    def of(self, segment: str) -> SegmentSolution:
+        """A segment's, which has an IMU."""
+        return next(body for body in self.bodies if body.segment == segment)
+
 
 @dataclass(frozen=True)
 class NodeState:

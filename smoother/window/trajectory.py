@@ -382,9 +382,10 @@ def segment_at(motion: SegmentTrajectory, prepared: PreparedSegment, at: FloatAr
         np.full((len(at), 3, 3), np.nan), np.full((len(at), 3), np.nan), np.full((len(at), 3), np.nan)
     )
     known = np.isfinite(motion.states.p[:, 0])
+    offset = int(np.searchsorted(prepared.t, motion.t[0] - 1e-9))  # the motion may be of some nodes only
     for run in prepared.runs(motion.segment):
         mine = np.zeros_like(known)
-        mine[run.first : run.first + len(run.start.p)] = True
+        mine[max(run.first - offset, 0) : max(run.first + len(run.start.p) - offset, 0)] = True
         for nodes in runs(known & mine):
             inside = slice(
                 *np.searchsorted(at, motion.t[[nodes.start, nodes.stop - 1]] + [0.0, 1e-9]).tolist()

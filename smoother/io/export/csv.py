@@ -146,8 +146,8 @@ def _segment(segment: BodySegment, motion: SegmentMotion) -> list[tuple[list[str
             "1",
             f"rotation {imu} axes to camera, quaternion",
         ),
-        (_xyz(f"{of}_sigma"), motion.sigma_m, "m", "one standard deviation, an axis of the camera"),
-        ([f"{of}_sigma_deg"], motion.sigma_deg, "deg", f"as sigma_deg, of the {imu}"),
+        (_xyz(segment.sigma_name), motion.sigma_m, "m", "one standard deviation, an axis of the camera"),
+        ([f"{segment.sigma_name}_deg"], motion.sigma_deg, "deg", f"as sigma_deg, of the {imu}"),
     ]
 
 

@@ -20,6 +20,7 @@ from .selection import (
     forearm_imus,
     named_side,
     role,
+    role_among,
     wanted_arms,
     why_no_pair,
 )
@@ -93,6 +94,11 @@ def choose(
     base = next((i for i in file.imus if i is not pair[0] and role(i) == "base"), None)
     truth, truth_notes = choose_truth(file, chosen_side)
     further, further_notes = _further_by_name(file, pair[0], chosen_side)
+    if role(pair[0]) == "hand":
+        further_notes.append(
+            f"IMU {pair[0].topic} is named after the hand and used as the forearm's: where the wrist bends,"
+            " the answer is off by centimetres. Wear one on the forearm as well."
+        )
     more = truth_notes + further_notes
     return StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + more, further)
 
@@ -282,7 +288,7 @@ def _candidates(file: RecordingFile, arms: Sequence[ArmFrames]) -> list[ImuSampl
     named = forearm_imus(file, None)
     if len(_bodies(arms)) < 2:
         return named
-    return [imu for imu in file.imus if role(imu) in ("", "forearm")]
+    return [imu for imu in file.imus if role_among(imu, file.imus) in ("", "forearm")]
 
 
 def _sides_settle(imus: Sequence[ImuSamples], arms: Sequence[ArmFrames]) -> bool:
@@ -327,7 +333,7 @@ def _arms_by_motion(
     imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
 
     def may_be(row: int, limb: Limb) -> bool:
-        named, worn_on = role(imus[row]), named_side(imus[row].topic, imus[row].frame_id)
+        named, worn_on = role_among(imus[row], imus), named_side(imus[row].topic, imus[row].frame_id)
         segment = {"": limb.segment, "forearm": "wrist"}.get(named, named)
         return limb.segment == segment and len({worn_on, limb.side, side or ""} - {""}) <= 1
 

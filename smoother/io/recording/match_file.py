@@ -10,7 +10,7 @@ from ...matching import ImuMatch
 from ...runtime.store import Store
 from .bodies import people
 from .match_streams import REACH_S, match_streams
-from .selection import is_named, named_side, role
+from .selection import is_named, named_side, role_among
 from .streams import ImuSamples, RecordingFile
 
 
@@ -68,10 +68,12 @@ def _contradicted(imus: Sequence[ImuSamples], matches: Sequence[ImuMatch]) -> li
     """Sensors whose names say something else than their motion, where the motion is sure."""
     notes = []
     for imu, match in zip(imus, matches, strict=True):
-        named, side = role(imu), named_side(imu.topic, imu.frame_id)
+        named, side = role_among(imu, imus), named_side(imu.topic, imu.frame_id)
         if match.limb is None or not match.is_sure:
             continue
         segment = "forearm" if match.limb.segment == "wrist" else match.limb.segment
+        if named == "hand" and segment == "forearm":
+            continue  # no limb of its own to be matched to: the forearm's is the nearest
         if (named and named != segment) or (side and match.limb.side and side != match.limb.side):
             notes.append(
                 f"{imu.topic} moves as {match.limb.label}, which its name contradicts; if it was mixed up, "

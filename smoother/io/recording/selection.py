@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypedDict
 
@@ -86,13 +87,14 @@ class StreamChoice:
 
 
 OTHER_SIDE = {"left": "right", "right": "left"}
-_FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
+_FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "watch")
+_HAND_WORDS = ("hand", "palm", "metacarp")
 _BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
 _TRUNK_WORDS = ("trunk", "sternum", "chest", "torso", "thorax")
 
 
 def role(stream: ImuSamples) -> str:
-    """What a stream's names say it is on: "forearm", "upper_arm", "trunk", "base" or ""."""
+    """What a stream's names say it is on: "forearm", "upper_arm", "hand", "trunk", "base" or ""."""
     for name in (words(stream.topic), words(stream.frame_id)):
         if any(word in name for word in _TRUNK_WORDS):
             return "trunk"
@@ -100,9 +102,26 @@ def role(stream: ImuSamples) -> str:
             return "upper_arm"
         if any(word in name for word in _FOREARM_WORDS):
             return "forearm"
+        if any(word in name for word in _HAND_WORDS):
+            return "hand"
+        if "arm" in name:
+            return "forearm"
         if any(word in name for word in _BASE_WORDS):
             return "base"
     return ""
+
+
+def role_among(stream: ImuSamples, imus: Sequence[ImuSamples]) -> str:
+    """Its role in a file: an IMU named after a hand stands for the forearm's where that arm has no other."""
+    named = role(stream)
+    if named != "hand":
+        return named
+    side = named_side(stream.topic, stream.frame_id)
+    for other in imus:
+        its_side = named_side(other.topic, other.frame_id)
+        if role(other) in ("", "forearm") and (not side or its_side in ("", side)):
+            return "hand"
+    return "forearm"
 
 
 def named_side(*names: str) -> str:
@@ -189,12 +208,14 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
                 f"{file.path}: {what} --imu {name}; it has {listed}{_what_fits(name, matches, file.imus)}."
             )
         return matches
-    candidates = [stream for stream in file.imus if role(stream) in ("", "forearm")]
+    candidates = [stream for stream in file.imus if role_among(stream, file.imus) in ("", "forearm")]
     if not candidates:
         raise RecordingError(
             f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."
         )
-    named = [s for s in candidates if role(s) == "forearm" or named_side(s.topic, s.frame_id)]
+    named = [
+        s for s in candidates if role_among(s, file.imus) == "forearm" or named_side(s.topic, s.frame_id)
+    ]
     return named or candidates
 
 
@@ -246,7 +267,7 @@ def choose_further(
 
     One without a side in its name counts as on the arm of the only forearm IMU.
     """
-    named = [imu for imu in file.imus if imu is not forearm and role(imu) == segment.name]
+    named = [imu for imu in file.imus if imu is not forearm and role_among(imu, file.imus) == segment.name]
     sided = [imu for imu in named if side and named_side(imu.topic, imu.frame_id) == side]
     other_forearms = [i for i in file.imus if i is not forearm and role(i) in ("", "forearm")]
     free = [imu for imu in named if not named_side(imu.topic, imu.frame_id)]
