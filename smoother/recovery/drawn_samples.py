@@ -22,6 +22,7 @@ from .samples import (
     LINEAR_RAD,
     SectionAnswer,
     large_rotation_uncertainty,
+    moves_by,
     turning,
     unknown_mounting,
 )
@@ -110,6 +111,9 @@ def sample_draws(
             columns[JOINT + joint] = p + np.cross(r, arm)
             if joint in levers:
                 columns[JOINT + joint] += np.einsum("nij,kj->kni", R, levers[joint])
+            spread_m = moves_by(joint, [body.segment for body in trajectory.bodies], model)
+            if spread_m:
+                columns[JOINT + joint] += spread_m * plan.once(f"moves {joint}", 3)[:, None]
     #    What a further segment carries hangs on the joint that it shares, and turns with its IMU.
     for segment in (SEGMENTS[name] for name in turns):
         quaternion = next(each.quaternion for each in answer.further if each.segment == segment.name)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..body import FOREARM, SEGMENTS, segment_of
+from ..body import FOREARM, FURTHER, SEGMENTS, segment_of
 from ..calibration import ArmCalibration, LeverArm, SegmentMounting
 from ..linalg import interpolate, rotate_covariance, unit
 from ..measurements.alignment import located
@@ -115,9 +115,7 @@ def sample_section(
         velocity += acceleration[:, :, None] * acceleration[:, None, :]
     further = {body.segment: further_poses(body, prepared, clock, t) for body in trajectory.bodies[1:]}
     poses = {FOREARM.name: (states, pose)} | further
-    joints = {
-        joint: _joint(joint, *poses[segment_of(joint, poses)], calibration, trajectory, t) for joint in names
-    }
+    joints = {joint: _joint(joint, *poses[segment_of(joint, poses)], model, trajectory, t) for joint in names}
     place_m, turn_rad = unknown_mounting(model)  # joints that are seen are known all the same
     pose += np.diag([place_m**2] * 3 + [turn_rad**2] * 3)
     frame_t = segment.frame_t_imu(clock)
@@ -247,7 +245,7 @@ def _joint(
     joint: str,
     states: States,
     pose_covariance: FloatArray,
-    calibration: ArmCalibration,
+    model: SelfCalibration,
     motion: Trajectory,
     t: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
@@ -257,11 +255,34 @@ def _joint(
         if motion.shoulder is None or motion.shoulder_covariance is None:
             return nothing
         return interpolate(motion.t, motion.shoulder, t), interpolate(motion.t, motion.shoulder_covariance, t)
-    lever = lever_on(joint, calibration, motion)
+    lever = lever_on(joint, model.estimate, motion)
     if lever is None and joint != "strap":
         return nothing
-    lever_covariance = None if lever is None else np.diag(lever.sigma_m**2)
+    spread_m = moves_by(joint, [body.segment for body in motion.bodies], model)
+    lever_covariance = None if lever is None else np.diag(lever.sigma_m**2 + spread_m**2)
     return joint_from_pose(states.R, states.p, pose_covariance, motion.lever_at(joint, t), lever_covariance)
+
+
+def moves_by(joint: str, segments: Iterable[str], model: SelfCalibration) -> float:
+    """How far a joint is from rigid with the segment that it is tied to, one sigma, m per axis.
+
+    A hand without an IMU of its own is tied to the forearm: where the wrist bends, the hand scatters by more
+    than the wrist does.
+
+    Parameters
+    ----------
+    joint : str
+    segments : iterable of str
+        Those with an IMU.
+    model : SelfCalibration
+        With the joints' noise.
+    """
+    noise, known = model.joint_noise, set(segments)
+    owner = next((body for body in FURTHER if joint in body.camera_joints), None)
+    if owner is None or owner.name in known or joint not in noise or owner.shared_joint not in noise:
+        return 0.0
+    own, shared = noise[joint].sample_m, noise[owner.shared_joint].sample_m
+    return float(np.sqrt(max(own**2 - shared**2, 0.0)))
 
 
 def lever_on(joint: str, calibration: ArmCalibration, motion: Trajectory) -> LeverArm | None:
