@@ -19,11 +19,13 @@ shoulder angles are relative to gravity and the camera.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from .array_types import BoolArray, FloatArray
 from .linalg import unit
-from .result import Recovery
+from .result.moving_arm import MovingArm
 from .rotation import Rotation
 
 ANGLES = (
@@ -40,7 +42,7 @@ SINGULAR_DEG = 15.0
 _UPRIGHT = 0.8
 
 
-def recovery_angles(recovery: Recovery) -> dict[str, FloatArray]:
+def recovery_angles(recovery: MovingArm) -> dict[str, FloatArray]:
     """The angles (N,) of a recovery by the names in `ANGLES`, degrees; nan where not known.
 
     Flexion needs shoulder, elbow and wrist; pronation the forearm's axes in the IMU as well
@@ -61,7 +63,7 @@ def recovery_angles(recovery: Recovery) -> dict[str, FloatArray]:
     return arm_angles(recovery.joints, len(recovery), R_K_F, recovery.side, recovery.gravity_direction)
 
 
-def elbow_flexion_sigma(recovery: Recovery) -> FloatArray:
+def elbow_flexion_sigma(recovery: MovingArm) -> FloatArray:
     """Standard deviation of the elbow's flexion (N,), degrees; nan where it is not known.
 
     First-order propagation: the forearm turns with the IMU's orientation, the upper arm with shoulder and
@@ -95,7 +97,7 @@ def elbow_flexion_sigma(recovery: Recovery) -> FloatArray:
     return np.degrees(np.sqrt(variance))
 
 
-def elbow_bend(recovery: Recovery) -> FloatArray | None:
+def elbow_bend(recovery: MovingArm) -> FloatArray | None:
     """The rotation that bends the straight arm, (N, 3), rad, in the IMU's axes {A}; its length is flexion.
 
     In axes that the forearm carries the bend is a smooth vector, also where the arm passes straight, and an
@@ -145,7 +147,7 @@ def forearm_axes(quaternion: FloatArray, R_F_A: FloatArray) -> FloatArray:
 
 
 def arm_angles(
-    joints: dict[str, FloatArray],
+    joints: Mapping[str, FloatArray],
     count: int,
     R_K_F: FloatArray | None = None,
     side: str = "right",

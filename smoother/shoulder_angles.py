@@ -15,7 +15,7 @@ import numpy as np
 from .array_types import FloatArray, IntArray
 from .joint_angles import arm_angles, wrapped_deg
 from .linalg import rotate_covariance
-from .result import Recovery
+from .result.moving_arm import MovingArm
 from .rotation import Rotation
 
 SHOULDER_ANGLES = ("shoulder_plane", "shoulder_elevation", "shoulder_rotation")
@@ -28,7 +28,7 @@ DOWN_T, FORWARD_T = np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0])
 Angles = dict[str, FloatArray]
 
 
-def shoulder_angles(recovery: Recovery) -> tuple[Angles, Angles]:
+def shoulder_angles(recovery: MovingArm) -> tuple[Angles, Angles]:
     """The shoulder's angles of a recovery with an upper-arm IMU, to an upright trunk that faces the camera.
 
     Parameters
@@ -53,7 +53,7 @@ def shoulder_angles(recovery: Recovery) -> tuple[Angles, Angles]:
     return _with_sigma(SHOULDER_ANGLES, len(recovery), rows, R_K_U, covariance, angles_of)
 
 
-def trunk_angles(recovery: Recovery) -> tuple[Angles, Angles]:
+def trunk_angles(recovery: MovingArm) -> tuple[Angles, Angles]:
     """The shoulder's angles relative to the thorax by an IMU on the trunk.
 
     Parameters
@@ -85,7 +85,7 @@ def trunk_angles(recovery: Recovery) -> tuple[Angles, Angles]:
     return _with_sigma(TRUNK_ANGLES, len(recovery), rows, R_K_U, covariance, angles_of)
 
 
-def _humerus(recovery: Recovery) -> tuple[IntArray, FloatArray, FloatArray] | None:
+def _humerus(recovery: MovingArm) -> tuple[IntArray, FloatArray, FloatArray] | None:
     """Samples (k,) with an answer, the bone's axes `R_K_U` there, and the covariance of their turning."""
     upper, calibration = recovery.upper, recovery.calibration
     if upper is None or calibration is None or calibration.R_U_B is None:

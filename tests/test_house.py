@@ -31,7 +31,7 @@ STACK = (
     ),
     ("runtime",),
     ("measurements",),
-    ("result", "joint_angles", "shoulder_angles", "matching"),
+    ("result", "angles", "joint_angles", "shoulder_angles", "matching"),
     ("window",),
     ("graph",),
     ("selfcal",),

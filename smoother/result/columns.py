@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import pyarrow
 
 #: Units of the columns, by the beginning or the end of their name; metres otherwise.
-_UNITS = (("t_s", "s"), ("occluded", ""), ("trusted", ""), ("velocity", "m/s"), ("sigma_deg", "deg"))
+_UNITS = (("t_s", "s"), ("occluded", ""), ("trusted", ""), ("velocity", "m/s"), ("_deg", "deg"))
 
 
 def flat_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     import pandas
     import pyarrow
 
+    from ..angles import AngleTable
+
 #: More gaps than this make a page that nobody reads.
 MOST_GAPS = 20
 _VERDICT_LENGTH = 200
@@ -330,6 +332,23 @@ class Recovery:
             start += len(batch)
         return values
 
+    def angles(self) -> AngleTable:
+        """Every joint angle with its sigma: flexion, shoulder, pronation, in the ISB's order of turns.
+
+        Returns
+        -------
+        table : AngleTable
+            `values` and `sigmas` (N,) in degrees by name, `reasons` where an angle is empty, and
+            `to_dataframe()`.
+
+        Examples
+        --------
+        >>> recovery.angles().values["elbow_flexion"]  # doctest: +SKIP
+        """
+        from ..angles import joint_angles
+
+        return joint_angles(self)
+
     def to_arrays(self) -> dict[str, FloatArray | BoolArray]:
         """Everything a notebook needs, by the column families of the CSV export.
 
@@ -339,8 +358,9 @@ class Recovery:
         qz), `velocity` (N, 3), `sigma` (N, 3), `sigma_deg` (N,), and for each joint found its
         position `elbow` (N, 3) .. and `elbow_sigma` (N, 3) ... Metres in the camera frame. With an
         IMU on the upper arm its `upper_imu`, `upper_imu_quaternion`, `upper_sigma` and `upper_sigma_deg`;
-        with one on the trunk `trunk_quaternion` and `trunk_sigma_deg`. The last is `trusted` (N,), a mask of
-        the samples to be trusted; a result that nobody judged has none.
+        with one on the trunk `trunk_quaternion` and `trunk_sigma_deg`. Then the joint angles (N,) and their
+        sigmas, `elbow_flexion_deg`, `elbow_flexion_sigma_deg` .. (see `angles`). The last is `trusted`
+        (N,), a mask of the samples to be trusted; a result that nobody judged has none.
         """
         arrays: dict[str, FloatArray | BoolArray] = {
             "t_s": self.t_s,
@@ -360,6 +380,7 @@ class Recovery:
             arrays |= {sigma: motion.sigma_m, f"{sigma}_deg": motion.sigma_deg}
         if self.trunk is not None:
             arrays |= {"trunk_quaternion": self.trunk.quaternion, "trunk_sigma_deg": self.trunk.sigma_deg}
+        arrays |= self.angles().to_arrays()
         return arrays | {"trusted": self.trusted} if self.has_verdict else arrays
 
     def to_table(self) -> pyarrow.Table:

@@ -9,11 +9,9 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...body import SEGMENTS, BodySegment
-from ...joint_angles import elbow_flexion_sigma, recovery_angles
 from ...result import Recovery
 from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ...runtime.outputs import writing
-from ...shoulder_angles import shoulder_angles, trunk_angles
 from ..mcap.stamps import nanoseconds
 from ..result.usable import usable
 
@@ -119,16 +117,14 @@ def column_groups(recovery: Recovery) -> list[ColumnGroup]:
     groups.append((["vx", "vy", "vz"], recovery.velocity, "m/s", "velocity of the IMU in the camera's frame"))
     if "hand" in recovery.joints:
         groups.append((_xyz("hand"), recovery.joints["hand"], *position))
-    if {"shoulder", "elbow", "wrist"} <= set(recovery.joints):
-        flexion, flexion_sigma = recovery_angles(recovery)["elbow_flexion"], elbow_flexion_sigma(recovery)
-        groups.append((["elbow_flexion_deg"], flexion, "deg", "angle at the elbow, 0 = straight"))
-        groups.append((["elbow_flexion_sigma_deg"], flexion_sigma, "deg", "one standard deviation"))
+    angles = recovery.angles()
+    for angle in angles.angles:
+        groups.append(([angle.column], angles.values[angle.name], "deg", angle.meaning))
+        groups.append(([angle.sigma_column], angles.sigmas[angle.name], "deg", "one standard deviation"))
     for name, motion in recovery.segments.items():
         groups += _segment(SEGMENTS[name], motion)
-    if recovery.upper is not None:
-        groups += _shoulder(recovery)
     if recovery.trunk is not None:
-        groups += _trunk(recovery, recovery.trunk)
+        groups += _trunk(recovery.trunk)
     return [
         ColumnGroup(names, np.where(np.isfinite(values), values, np.nan).reshape(count, -1), *said)
         for names, values, *said in groups
@@ -151,20 +147,9 @@ def _segment(segment: BodySegment, motion: SegmentMotion) -> list[tuple[list[str
     ]
 
 
-def _shoulder(recovery: Recovery) -> list[tuple[list[str], FloatArray, str, str]]:
-    """Columns of the shoulder's angles by an upper-arm IMU."""
-    angles, sigmas = shoulder_angles(recovery)
-    about = "of the shoulder (ISB), the trunk upright and facing the camera"
-    groups = []
-    for name, values in angles.items():
-        groups.append(([f"{name}_deg"], values, "deg", f"{name.removeprefix('shoulder_')} {about}"))
-        groups.append(([f"{name}_sigma_deg"], sigmas[name], "deg", "one standard deviation"))
-    return groups
-
-
-def _trunk(recovery: Recovery, trunk: TrunkMotion) -> list[tuple[list[str], FloatArray, str, str]]:
-    """Columns of an IMU on the trunk, and of the shoulder's angles relative to it."""
-    groups = [
+def _trunk(trunk: TrunkMotion) -> list[tuple[list[str], FloatArray, str, str]]:
+    """Columns of the thorax."""
+    return [
         (
             [f"trunk_q{part}" for part in "wxyz"],
             trunk.quaternion,
@@ -173,15 +158,6 @@ def _trunk(recovery: Recovery, trunk: TrunkMotion) -> list[tuple[list[str], Floa
         ),
         (["trunk_sigma_deg"], trunk.sigma_deg, "deg", "as sigma_deg, of the thorax"),
     ]
-    if recovery.upper is None:
-        return groups
-    angles, sigmas = trunk_angles(recovery)
-    for name, values in angles.items():
-        kind = name.removeprefix("shoulder_").removesuffix("_trunk")
-        about = f"{kind} of the shoulder (ISB), relative to the trunk by its IMU"
-        groups.append(([f"{name}_deg"], values, "deg", about))
-        groups.append(([f"{name}_sigma_deg"], sigmas[name], "deg", "one standard deviation"))
-    return groups
 
 
 def _xyz(name: str) -> list[str]:
