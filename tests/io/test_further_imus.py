@@ -142,7 +142,7 @@ def test_columns(tmp_path: Path) -> None:
         assert np.isfinite(float(rows[10][f"shoulder_{name}_deg"]))
         assert float(rows[10][f"shoulder_{name}_sigma_deg"]) > 0.0
     assert rows[31]["upper_imu_x"] == ""  # it pauses there, and the skeleton alone has the shoulder's angles
-    by_joints = replace(made, upper=None).angles()
+    by_joints = replace(made, segments={}).angles()
     for name in ("plane", "elevation", "rotation"):
         assert float(rows[31][f"shoulder_{name}_deg"]) == pytest.approx(
             by_joints.values[f"shoulder_{name}"][31]

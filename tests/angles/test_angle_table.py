@@ -1,0 +1,281 @@
+"""The table of joint angles: names, values, reasons, and sigmas against drawn errors."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_results import recovery
+from scipy.spatial.transform import Rotation
+
+from smoother.angles import JOINT_ANGLES
+from smoother.angles.skeleton import direction_variance
+from smoother.array_types import FloatArray
+from smoother.calibration import ArmCalibration, LeverArm
+from smoother.errors import UnoccludeError
+from smoother.io.export.csv import export_csv
+from smoother.joint_angles import arm_angles, forearm_axes, torso_axes, wrapped_deg
+from smoother.linalg import unit
+from smoother.result import Estimates, Recovery
+from smoother.result.segment_motion import TrunkMotion
+
+ALWAYS = ["elbow_flexion", "shoulder_plane", "shoulder_elevation", "shoulder_rotation", "pronation"]
+DOWN = np.array([0.05, -0.99, 0.1]) / np.linalg.norm([0.05, -0.99, 0.1])
+UPPER_M, FOREARM_M = 0.3, 0.25
+#: The forearm's axes as the IMU carries them: turned anyhow.
+R_F_A = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
+
+
+def bones(
+    plane: FloatArray, elevation: FloatArray, rotation: FloatArray, flexion: FloatArray, turn: FloatArray
+):
+    """Axes `R_K_H` and `R_K_F` of a right arm with these angles, degrees, by the ISB's own sequences."""
+    thorax = Rotation.from_matrix(torso_axes(DOWN))
+    humerus = thorax * Rotation.from_euler("YXY", np.stack([plane, -elevation, rotation], 1), degrees=True)
+    forearm = humerus * Rotation.from_euler("ZXY", np.stack([flexion, 0 * flexion, turn], 1), degrees=True)
+    return humerus.as_matrix(), forearm.as_matrix()
+
+
+def arm(count: int, sigma: float = 1.0, seed: int = 0, **angles: FloatArray) -> Recovery:
+    """An arm with known angles; sigma scales all stated errors (6 mm, 0.6 degrees)."""
+    rng = np.random.default_rng(seed)
+    humerus, forearm = bones(**angles)
+    shoulder = rng.normal(size=(count, 3))
+    elbow = shoulder - UPPER_M * humerus[:, :, 1]
+    wrist = elbow - FOREARM_M * forearm[:, :, 1]
+    # ISB's y points from the wrist to the elbow, the calibration's F the other way, x to the back of the hand
+    back = np.stack([-forearm[:, :, 0], -forearm[:, :, 1], forearm[:, :, 2]], axis=2)
+    R_K_A = back @ R_F_A
+    root = rng.normal(size=(count, 6, 6)) / np.sqrt(6.0)
+    scale = sigma * np.repeat([0.006, 0.01], 3)
+    pose = (root @ root.transpose(0, 2, 1) + 0.3 * np.eye(6)) * scale[:, None] * scale
+    lever = {
+        "elbow": LeverArm(R_F_A.T @ [0.0, -0.2, 0.0], np.full(3, 0.004 * sigma)),
+        "wrist": LeverArm(R_F_A.T @ [0.0, 0.05, 0.0], np.full(3, 0.004 * sigma)),
+    }
+    made = recovery(max(count, 60), seed).rows(slice(0, count))
+    return replace(
+        made,
+        position=wrist - 0.05 * unit(wrist - elbow),
+        quaternion=Rotation.from_matrix(R_K_A).as_quat(scalar_first=True),
+        joints={"shoulder": shoulder, "elbow": elbow, "wrist": wrist},
+        joint_covariance={
+            joint: np.tile((0.008 * sigma) ** 2 * np.eye(3), (count, 1, 1))
+            for joint in ("shoulder", "elbow", "wrist")
+        },
+        pose_covariance=pose,
+        calibration=ArmCalibration("right", lever, R_F_A=R_F_A),
+        gravity_direction=DOWN,
+        estimates=Estimates(joint_bias_sigma_m=0.003 * sigma),
+        side="right",
+        trunk=None,
+    )
+
+
+def some(count: int, seed: int = 1, **fixed: float) -> dict[str, FloatArray]:
+    rng = np.random.default_rng(seed)
+    ranges = {
+        "plane": (-60.0, 120.0),
+        "elevation": (25.0, 150.0),
+        "rotation": (-80.0, 80.0),
+        "flexion": (25.0, 140.0),
+        "turn": (10.0, 160.0),
+    }
+    return {
+        name: np.full(count, fixed[name]) if name in fixed else rng.uniform(*ends, count)
+        for name, ends in ranges.items()
+    }
+
+
+def test_the_angles_are_those_that_the_bones_were_turned_by() -> None:
+    true = some(50)
+    table = arm(50, **true).angles()
+    for name, of in zip(ALWAYS, ("flexion", "plane", "elevation", "rotation", "turn"), strict=True):
+        np.testing.assert_allclose(wrapped_deg(table.values[name] - true[of]), 0.0, atol=1e-7)
+    assert table.reasons == {}
+
+
+def drawn(made: Recovery, sample: int, count: int, rng: np.random.Generator) -> dict[str, FloatArray]:
+    """Angles of a sample over errors of the IMU's pose, the shoulder and the forearm in the IMU's axes."""
+    pose = rng.multivariate_normal(np.zeros(6), made.pose_covariance[sample], count)
+    turn = Rotation.from_rotvec(pose[:, 3:])
+    own = Rotation.from_rotvec(np.sqrt(direction_variance(made)) * rng.normal(size=(count, 3)))
+    at = {name: place[sample] for name, place in made.joints.items()}
+    elbow = made.position[sample] + pose[:, :3] + turn.apply(at["elbow"] - made.position[sample])
+    shoulder = at["shoulder"] + rng.multivariate_normal(
+        np.zeros(3), made.joint_covariance["shoulder"][sample], count
+    )
+    wrist = elbow + (own * turn).apply(at["wrist"] - at["elbow"])
+    axes = (own * turn).as_matrix() @ forearm_axes(made.quaternion[sample : sample + 1], R_F_A)
+    joints = {"shoulder": shoulder, "elbow": elbow, "wrist": wrist}
+    return arm_angles(joints, count, axes, "right", DOWN)
+
+
+def test_sigmas_are_the_spread_of_drawn_errors() -> None:
+    count, draws = 25, 3000
+    made, rng = arm(count, sigma=0.5, **some(count)), np.random.default_rng(5)
+    table = made.angles()
+    for sample in range(count):
+        for name, values in drawn(made, sample, draws, rng).items():
+            if name not in ALWAYS or name == "elbow_flexion":
+                continue  # flexion's sigma has tests of its own
+            spread = np.sqrt(np.mean(wrapped_deg(values - table.values[name][sample]) ** 2))
+            stated = table.sigmas[name][sample]
+            if name == "pronation":
+                stated = np.sqrt(stated**2 - 15.0**2)  # how the IMU was calibrated on the forearm
+            # 3000 draws: 1.3 % (one sigma); the rest is what is not linear
+            assert stated == pytest.approx(spread, rel=0.12), (name, sample)
+
+
+@pytest.mark.parametrize("elevation", [0.0, 0.5, 2.0, 179.5, 180.0])
+def test_a_hanging_or_upright_arm_has_no_plane(elevation: float) -> None:
+    made = arm(20, **some(20, elevation=elevation))
+    table = made.angles()
+    for name in ("shoulder_plane", "shoulder_rotation"):
+        sigma = table.sigmas[name]
+        assert (sigma > 40.0).all() and (sigma <= 180.0).all()
+    # elevation has no sign: its sigma also holds what an error across adds to it
+    rng = np.random.default_rng(3)
+    for sample in range(3):
+        off = drawn(made, sample, 2000, rng)["shoulder_elevation"] - elevation
+        assert np.mean(np.abs(off) < 1.96 * table.sigmas["shoulder_elevation"][sample]) > 0.9
+
+
+@pytest.mark.parametrize("flexion", [0.0, 1.0])
+def test_a_straight_elbow_shows_neither_rotation_nor_pronation(flexion: float) -> None:
+    table = arm(20, **some(20, flexion=flexion)).angles()
+    for name in ("shoulder_rotation", "pronation"):
+        value, sigma = table.values[name], table.sigmas[name]
+        assert (np.isnan(value) | (sigma > 40.0)).all()
+    assert (table.sigmas["shoulder_elevation"] < 5.0).all()
+
+
+def test_against_the_trunk() -> None:
+    true = some(30)
+    made = arm(30, **true)
+    lean = Rotation.from_euler("xyz", [[5.0, 20.0, -10.0]], degrees=True).as_matrix()[0]
+    R_K_T = np.tile(torso_axes(DOWN), (30, 1, 1))
+    quaternion = Rotation.from_matrix(R_K_T).as_quat(scalar_first=True)
+    known = np.tile((np.radians(4.0)) ** 2 * np.eye(3), (30, 1, 1))
+    upright = replace(made, trunk=TrunkMotion(quaternion, known, np.eye(3), np.zeros(3)))
+    table = upright.angles()
+    for name in ("shoulder_plane", "shoulder_elevation", "shoulder_rotation"):
+        np.testing.assert_allclose(table.values[f"{name}_trunk"], table.values[name], atol=1e-7)
+        assert (table.sigmas[f"{name}_trunk"] > table.sigmas[name]).all()
+    # the trunk and the arm turned together change nothing
+    turned = {joint: place @ lean.T for joint, place in made.joints.items()}
+    both = Rotation.from_matrix(lean @ R_K_T).as_quat(scalar_first=True)
+    moved = replace(upright, joints=turned, position=made.position @ lean.T)
+    moved = replace(moved, trunk=replace(upright.trunk, quaternion=both))  # type: ignore[type-var]
+    for name in ("shoulder_plane_trunk", "shoulder_elevation_trunk", "shoulder_rotation_trunk"):
+        np.testing.assert_allclose(moved.angles().values[name], table.values[name], atol=1e-7)
+
+
+def test_the_sigma_of_the_trunk_is_that_of_drawn_trunks() -> None:
+    made = arm(10, sigma=1e-6, **some(10))
+    rng = np.random.default_rng(0)
+    covariance = np.radians(3.0) ** 2 * np.diag([1.0, 0.4, 1.6])
+    R_K_T = torso_axes(DOWN)
+    still = Rotation.from_matrix(np.tile(R_K_T, (10, 1, 1))).as_quat(scalar_first=True)
+    trunk = TrunkMotion(still, np.tile(covariance, (10, 1, 1)), np.eye(3), np.zeros(3))
+    table = replace(made, trunk=trunk, estimates=Estimates()).angles()
+    off = Rotation.from_rotvec(rng.multivariate_normal(np.zeros(3), covariance, 3000)).as_matrix() @ R_K_T
+    for sample in range(10):
+        joints = {
+            name: (place[sample] - made.joints["elbow"][sample]) @ off for name, place in made.joints.items()
+        }
+        values = arm_angles(
+            joints, 3000, None, "right", np.array([0.0, -1.0, 0.0]), forward=np.array([1.0, 0, 0])
+        )
+        for name in ("shoulder_plane", "shoulder_elevation"):
+            spread = np.sqrt(np.mean(wrapped_deg(values[name] - table.values[name][sample]) ** 2))
+            assert table.sigmas[f"{name}_trunk"][sample] == pytest.approx(spread, rel=0.12)
+
+
+def test_all_outputs_have_the_same_columns(tmp_path: Path) -> None:
+    made = arm(30, **some(30))
+    columns = [f"{name}_{what}" for name in ALWAYS for what in ("deg", "sigma_deg")]
+    table = made.angles()
+    assert list(table.to_arrays()) == columns
+    export_csv(made, tmp_path / "a.csv")
+    with open(tmp_path / "a.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    arrow = made.to_table()
+    assert [name for name in rows[0] if name in columns] == columns
+    for name, values in table.to_arrays().items():
+        np.testing.assert_allclose([float(row[name]) for row in rows], values, atol=1e-9)
+        np.testing.assert_array_equal(arrow[name], values)
+        assert arrow.schema.field(name).metadata == {b"unit": b"deg"}
+
+
+def test_a_table_for_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = arm(30, **some(30)).angles()
+    given: list[dict[str, FloatArray]] = []
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=given.append))
+    made.to_dataframe()
+    assert list(given[0]) == ["t_s", *made.to_arrays()]
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UnoccludeError, match="pip install pandas"):
+        made.to_dataframe()
+
+
+def test_what_is_not_known_is_empty_with_a_reason() -> None:
+    made = arm(30, **some(30))
+    assert made.calibration is not None
+    no_wrist = {name: place for name, place in made.joints.items() if name != "wrist"}
+    table = replace(made, joints=no_wrist).angles()
+    assert set(table.reasons) == {"elbow_flexion", "shoulder_rotation", "pronation"}
+    assert table.reasons["elbow_flexion"] == "The recording has no wrist."
+    table = replace(made, gravity_direction=np.full(3, np.nan)).angles()
+    assert "does not solve the direction of gravity" in table.reasons["shoulder_plane"]
+    assert np.isnan(table.values["shoulder_plane"]).all() and np.isfinite(table.values["pronation"]).all()
+    table = replace(made, calibration=replace(made.calibration, R_F_A=None)).angles()
+    assert "`unocclude calibrate forearm`" in table.reasons["pronation"]
+    table = replace(made, joint_covariance={}).angles()
+    assert "sigma is empty" in table.reasons["shoulder_plane"]
+    gone = made.joints["wrist"].copy()
+    gone[:3] = np.nan
+    table = replace(made, joints=made.joints | {"wrist": gone}).angles()
+    assert table.reasons["elbow_flexion"].startswith("Empty in 10 % of the samples")
+    assert all(name in {angle.name for angle in JOINT_ANGLES} for name in table.reasons)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_forearm_that_turned_far_shows_how_the_imu_sits(side: str, seed: int) -> None:
+    true = some(1500, seed=seed)
+    made = arm(1500, seed=seed, **true)
+    assert made.calibration is not None
+    if side == "left":  # the mirror image: a rotation in it turns the other way
+        mirror = np.diag([-1.0, 1.0, 1.0])
+        R = np.asarray(Rotation.from_quat(made.quaternion, scalar_first=True).as_matrix())
+        made = replace(
+            made,
+            side=side,
+            joints={name: place @ mirror for name, place in made.joints.items()},
+            position=made.position @ mirror,
+            gravity_direction=DOWN @ mirror,
+            quaternion=Rotation.from_matrix(mirror @ R @ mirror).as_quat(scalar_first=True),
+            calibration=replace(
+                made.calibration,
+                lever_arms={
+                    name: replace(lever, position_m=lever.position_m @ mirror)
+                    for name, lever in made.calibration.lever_arms.items()
+                },
+            ),
+        )
+    table = replace(made, calibration=replace(made.calibration, R_F_A=None)).angles()
+    off = wrapped_deg(table.values["pronation"] - true["turn"])
+    assert np.abs(off).max() < 12.0  # 10 to 160 degrees: hardly anything is left open
+    assert (table.sigmas["pronation"] >= 7.0).all() and np.median(table.sigmas["pronation"]) < 12.0
+    little = arm(1500, seed=seed, **(true | {"turn": 60.0 + 0.3 * (true["turn"] - 10.0)}))
+    assert little.calibration is not None
+    table = replace(little, calibration=replace(little.calibration, R_F_A=None)).angles()
+    assert np.isnan(table.values["pronation"]).all()
+    assert "turned by 44 degrees only" in table.reasons["pronation"]
+    assert "palm fully up and fully down" in table.reasons["pronation"]
