@@ -12,6 +12,7 @@ from .errors import RecordingError, UnoccludeError
 from .measurements.clock import Clock
 from .recording import Recording
 from .result import Recoveries, Recovery
+from .result.draws import USUAL_DRAWS
 from .runtime.pool import WORTH_FRAMES, Pool
 from .runtime.store import Store
 from .smoothing import Progress, smooth
@@ -47,7 +48,7 @@ def smooth_arms(
     store: Store | None = None,
     processes: int | None = None,
     clocks: Sequence[Clock | None] | None = None,
-    draws: int = 0,
+    draws: int = USUAL_DRAWS,
     seed: int = 0,
 ) -> Recoveries:
     """Recover several arms, each as `smooth` recovers it alone.
@@ -67,7 +68,7 @@ def smooth_arms(
     clocks : sequence of Clock or None, optional
         As measured, of the arms in the same order.
     draws, seed : int
-        As `smooth` takes them; each arm's motions are drawn on their own.
+        As `smooth` takes them; each arm's motions are drawn on their own. 64 unless said otherwise, 0 = none.
 
     Returns
     -------

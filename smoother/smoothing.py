@@ -77,7 +77,7 @@ def smooth(
         there is none.
     draws : int
         So many whole motions drawn from the posterior (`Recovery.draws`); the answer is the same with and
-        without.
+        without. `unocclude.smooth` and the command draw 64.
     seed : int
         Of the draws' random numbers, 0 or more: the same one gives the same motions.
 

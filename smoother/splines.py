@@ -52,14 +52,16 @@ class PiecewiseCubic:
         return np.asarray(((c[..., 3, :] * h + c[..., 2, :]) * h + c[..., 1, :]) * h + c[..., 0, :])
 
 
-def cubic_spline(t: FloatArray, value: FloatArray) -> PiecewiseCubic:
-    """The interpolating cubic spline, not-a-knot at both ends (de Boor, A Practical Guide to Splines, 1978).
+def cubic_spline(t: FloatArray, value: FloatArray, natural: bool = False) -> PiecewiseCubic:
+    """The interpolating cubic spline (de Boor, A Practical Guide to Splines, 1978).
 
     Parameters
     ----------
     t : ndarray, shape (n,)
         Knots, increasing; a line through two, a parabola through three.
     value : ndarray, shape (n, k)
+    natural : bool
+        Straight at both ends; not-a-knot there otherwise.
 
     Returns
     -------
@@ -76,15 +78,20 @@ def cubic_spline(t: FloatArray, value: FloatArray) -> PiecewiseCubic:
     secant = np.diff(value, axis=0) / step[:, None]
     if len(t) == 2:
         return PiecewiseCubic(t, value, np.repeat(secant, 2, axis=0))
-    if len(t) == 3:
+    if len(t) == 3 and not natural:
         bend = (secant[1] - secant[0]) / (t[2] - t[0])
         middle = secant[0] + bend * step[0]
         return PiecewiseCubic(
             t, value, np.stack([secant[0] - bend * step[0], middle, middle + 2 * bend * step[1]])
         )
-    first, last = step[0] + step[1], step[-1] + step[-2]
     right = np.empty_like(value, dtype=float)
     right[1:-1] = 3 * (step[1:, None] * secant[:-1] + step[:-1, None] * secant[1:])
+    if natural:
+        right[0], right[-1] = 3 * secant[0], 3 * secant[-1]
+        lower, upper = np.append(step[1:], 1.0), np.append(1.0, step[:-1])
+        diagonal = np.concatenate(([2.0], 2 * (step[:-1] + step[1:]), [2.0]))
+        return PiecewiseCubic(t, value, _tridiagonal(lower, diagonal, upper, right))
+    first, last = step[0] + step[1], step[-1] + step[-2]
     right[0] = ((step[0] + 2 * first) * step[1] * secant[0] + step[0] ** 2 * secant[1]) / first
     right[-1] = (step[-1] ** 2 * secant[-2] + (2 * last + step[-1]) * step[-2] * secant[-1]) / last
     lower = np.append(step[1:], last)

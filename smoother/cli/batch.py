@@ -112,8 +112,6 @@ MOST_LEFT_OUT = 3
 MOST_JSON = 10_000
 #: Hours of recording take minutes; what takes half a day hangs.
 TIME_LIMIT_MINUTES = 720.0
-#: Motions that are drawn for the intervals of measures.
-USUAL_DRAWS = 64
 _REPORT = "--report"
 #: What the first lines of a study's page, and of its figures, hold.
 _PAGE_MARKS = b'content="unocclude', b"<title>Study</title>"
@@ -226,6 +224,7 @@ def batch(
     from ..study.job import Limits
     from ..study.run import StudySettings, run_study, study_folder
     from .config import read_config
+    from .methods import usual_draws
 
     if scheduler is not None and processes is not None:
         raise typer.BadParameter("--processes is for this machine; with --scheduler the workers decide")
@@ -249,7 +248,7 @@ def batch(
         keep_paths=keep_paths,
         limits=Limits(60 * time_limit, round(1e9 * memory_limit)),
         measures=measures,
-        draws=(USUAL_DRAWS if draws is None else draws) if measures else 0,
+        draws=usual_draws(draws) if measures else 0,
         hash_names=hash_names,
     )
     entries = find_entries(source, folder.path)

@@ -54,6 +54,7 @@ def demo(
     from ..io import read_recording, write_recovery
     from ..report import write_report
     from .config import read_config, with_processes
+    from .methods import usual_draws
     from .smooth import smooth_figures
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -62,7 +63,8 @@ def demo(
     recording = read_recording(source)
     say(f"recording: {source}")
     with progress_bar("recovering") as progress:
-        recovery = smooth(recording, calibration, with_processes(read_config(None), processes), progress)
+        config = with_processes(read_config(None), processes)
+        recovery = smooth(recording, calibration, config, progress, draws=usual_draws(None))
     recovery = with_given(recovery, calibration)
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
     left_out = write_recovery([recovery], result, source=source, force=True)

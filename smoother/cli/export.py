@@ -64,7 +64,7 @@ def export(
     ] = None,
     draws: Annotated[
         bool,
-        typer.Option("--draws", help="For parquet: the motions that `smooth --draws` drew, row after row."),
+        typer.Option("--draws", help="For parquet: the motions that `smooth` drew, row after row."),
     ] = False,
     json_file: Json = None,
     force: Force = False,

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 #: What the table of movements and repetitions shows, and its heads; `--csv` and `--json` have all.
 HEADS = {
-    "elbow_flexion_range_deg": "elbow's range, deg",
-    "hand_path_length_m": "path, m",
-    "hand_peak_speed_m_s": "peak speed, m/s",
+    "elbow_flexion_range_deg": "elbow's range",
+    "hand_path_length_m": "path",
+    "hand_peak_speed_m_s": "peak speed",
     "sparc": "SPARC",
     "velocity_peaks": "peaks",
 }
@@ -35,7 +35,7 @@ _MOST_ROWS = 30
 def print_session(one: Measures) -> None:
     """The session's measures; zones of angles are left to `--csv` and `--json`."""
     rows = [_cells(row) for row in one.session if "_zone_" not in row.key and row.is_known]
-    columns = ("measure", "value", "95 % interval", "unit", "recovered")
+    columns = ("measure", "value", "95 % interval", "recovered")
     print_table(f"{one.name}, {one.arm_label}: the session", columns, rows)
     reasons: dict[str, list[str]] = {}
     for row in one.session:
@@ -72,7 +72,7 @@ def print_symmetry(both: BothArms) -> None:
     rows = [_cells(row) for row in both.rows if row.is_known]
     of = "" if both.left.body is None else f" of body {both.left.body}"
     if rows:
-        columns = ("symmetry", "value", "95 % interval", "unit", "recovered")
+        columns = ("symmetry", "value", "95 % interval", "recovered")
         print_table(f"Right arm{of} against left: 0 = alike, above it the right has more", columns, rows)
 
 
@@ -102,7 +102,7 @@ def _cells(row: Measure) -> tuple[str, ...]:
     rests = percent(row.recovered_share)
     if row.is_known and row.note:
         rests += f" ({percent(row.untrusted_share)} not trusted)"
-    return row.name, _text(row, row.value), _interval_text(row) or "-", row.unit, rests
+    return row.name, _text(row, row.value), _interval_text(row) or "-", rests
 
 
 def _value_text(row: Measure | None) -> str:
@@ -115,22 +115,21 @@ def _value_text(row: Measure | None) -> str:
 
 
 def _interval_text(row: Measure) -> str:
+    from ..evaluation.quantity import interval
+
     if not row.has_interval:
         return ""
     low, high = _text(row, row.low), _text(row, row.high)
-    return low if low == high else f"{low} to {high}"
+    if low == high:
+        return low
+    return f"{low} to {high}" if row.key.endswith("_reached") else interval(row.low, row.high, row.unit)
 
 
 def _text(row: Measure, value: float) -> str:
-    """Three digits that count, never an exponent; yes or no for what is reached."""
-    if not math.isfinite(value):
-        return "-"
-    if row.key.endswith("_reached"):
-        return "yes" if value > 0.5 else "no"
-    if row.unit == "" and value == round(value) and value >= 0.0:
-        return f"{value:.0f}"
-    digits = 0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2
-    return f"{value:.{digits}f}"
+    """As pages write it, with the unit; yes or no for what is reached."""
+    from ..evaluation.quantity import worded
+
+    return worded(row.key, value, row.unit)
 
 
 def _csv_cell(value: object) -> object:
@@ -155,8 +154,8 @@ def measures(
 ) -> None:
     """Measure a result: ranges of motion, reach, speed and smoothness, each with its 95 % interval.
 
-    Of the session, of each movement of the hand, and of each repetition of an exercise. The intervals need
-    drawn motions (`unocclude smooth --draws 64`). With both arms of a person also how alike they are. No
+    Of the session, of each movement of the hand, and of each repetition of an exercise. The intervals come
+    from the motions that `unocclude smooth` drew. With both arms of a person also how alike they are. No
     diagnosis: the numbers describe a motion.
     """
     from ..measures import MeasureSettings

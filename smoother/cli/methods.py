@@ -107,18 +107,28 @@ def _needs_orientation(name: str) -> bool:
     return entry is not None and entry.needs_orientation
 
 
-def check_draws(draws: int, seed: int | None, method: str) -> None:
-    """Check what was set for motions drawn from the posterior.
+def usual_draws(draws: int | None) -> int:
+    """How many motions are drawn: as was said, or as usual."""
+    from ..result.draws import USUAL_DRAWS
+
+    return USUAL_DRAWS if draws is None else draws
+
+
+def drawn_motions(draws: int | None, seed: int | None, method: str) -> int:
+    """How many motions are drawn from the posterior: as usual unless something else was said.
 
     Raises
     ------
     typer.BadParameter
-        The method has no posterior, or there is a seed and nothing to draw.
+        The method has no posterior and motions or a seed were asked for, or a seed and no motions.
     """
-    if draws and method != GRAPH:
-        raise typer.BadParameter(f"--draws belongs to the method {GRAPH}: '{method}' has no posterior")
-    if seed is not None and not draws:
-        raise typer.BadParameter("--seed belongs to --draws: give a number of motions, such as --draws 64")
+    if method != GRAPH:
+        for option in [*(["--draws"] if draws else []), *(["--seed"] if seed is not None else [])]:
+            raise typer.BadParameter(f"{option} belongs to the method {GRAPH}: '{method}' has no posterior")
+        return 0
+    if seed is not None and draws == 0:
+        raise typer.BadParameter("--seed is for the drawn motions, and --draws 0 draws none; leave one out")
+    return usual_draws(draws)
 
 
 class SharedGraph:

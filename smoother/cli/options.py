@@ -84,13 +84,13 @@ Strict = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Overwrite outputs that exist.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Same seed, same result.")]
 Draws = Annotated[
-    int,
+    int | None,
     typer.Option(
         "--draws",
         metavar="N",
         min=0,
         max=1000,
-        help="Also draw so many whole motions from the posterior, for intervals of what is measured on them.",
+        help="Whole motions drawn from the posterior, for the intervals of measures; 64, 0 = none.",
     ),
 ]
 DrawSeed = Annotated[

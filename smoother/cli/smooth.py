@@ -23,8 +23,8 @@ from .load import AS_RECORDED, SetUp, load_arms
 from .methods import (
     METHODS,
     baseline_settings,
-    check_draws,
     choose,
+    drawn_motions,
     recover_arms,
     with_strap,
     with_strap_note,
@@ -79,7 +79,7 @@ def smooth(
     solve_lever_arms: SolveLeverArms = False,
     anatomy: Anatomy = None,
     processes: Processes = None,
-    draws: Draws = 0,
+    draws: Draws = None,
     seed: DrawSeed = None,
     strict: Strict = False,
     json_file: Json = None,
@@ -107,7 +107,7 @@ def smooth(
     settings = baseline_settings(names, orientation, boundary_s)
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
-    check_draws(draws, seed, names[0])
+    motions = drawn_motions(draws, seed, names[0])
     remedy, swap_sides = set_up.remedy()
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
@@ -130,7 +130,7 @@ def smooth(
         ]
         with progress_bar("recovering") as progress:
             recoveries = recover_arms(
-                recordings, names[0], given, clocks, config, settings, progress, store, draws, seed or 0
+                recordings, names[0], given, clocks, config, settings, progress, store, motions, seed or 0
             )
         results = []
         for recovery in recoveries:

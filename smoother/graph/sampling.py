@@ -129,8 +129,6 @@ def _border(
     system: LinearSystem, values: gtsam.Values, window: Window, biases: IntArray, plan: DrawPlan
 ) -> FloatArray:
     """Errors (count, b) of the border's variables: the shared vector, then the other biases given it."""
-    from scipy.linalg import solve_triangular  # only where motions are drawn
-
     keys = shared_keys(window, biases)
     jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
     covariance = jacobian @ system.shared_covariance(keys) @ jacobian.T
@@ -143,15 +141,12 @@ def _border(
         own = system.information[np.ix_(others, others)]
         scale = 1.0 / np.sqrt(np.diag(own))
         factor = np.linalg.cholesky(own * scale * scale[:, None])
-        pull = solve_triangular(
-            factor,
-            scale[:, None] * system.information[np.ix_(others, known)] @ border[:, known].T,
-            lower=True,
+        # small systems: NumPy's general solver, as SciPy's triangular one would have to be imported
+        pull = np.linalg.solve(
+            factor, scale[:, None] * system.information[np.ix_(others, known)] @ border[:, known].T
         )
         normals = _bias_normals(system, window, biases, plan)[:, others].T
-        border[:, others] = (
-            scale[:, None] * solve_triangular(factor, normals - pull, lower=True, trans="T")
-        ).T
+        border[:, others] = (scale[:, None] * np.linalg.solve(factor.T, normals - pull)).T
     return border
 
 
@@ -180,8 +175,6 @@ def _chain(
     system: LinearSystem, nodes: dict[int, int], t: FloatArray, border: FloatArray, plan: DrawPlan
 ) -> FloatArray:
     """Errors (count, columns) of all variables in time, given the border's; zero of the border."""
-    from scipy.linalg import solve_triangular  # only where motions are drawn
-
     width = system.jacobian.width
     letters = {chr(gtsam.Symbol(key).chr()) for key in nodes}
     normals = plan.at_times("node", t, _WIDTHS["node"])
@@ -202,7 +195,7 @@ def _chain(
         order = np.lexsort((number, node))  # by time, however nodes are grouped
         own = normals[:, node[order], number[order]].T
         drawn = np.empty_like(own)
-        drawn[order] = solve_triangular(_reordered(group.factor, order), own, lower=True, trans="T")
+        drawn[order] = np.linalg.solve(_reordered(group.factor, order).T, own)
         if group.gain is not None:
             drawn -= group.gain @ after
         after = drawn

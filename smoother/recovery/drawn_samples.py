@@ -13,6 +13,7 @@ from ..measurements.alignment import lever_of
 from ..result.draws import JOINT, TURN
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
+from ..splines import cubic_spline
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.shared import SharedLayout
 from ..window.solution import WindowDraws
@@ -206,10 +207,10 @@ def _hermite(nodes: FloatArray, p: FloatArray, v: FloatArray, t: FloatArray) -> 
 
 def _curve(nodes: FloatArray, r: FloatArray, t: FloatArray) -> FloatArray:
     """A smooth curve through values (k, n, 3) at times (m,)."""
-    from scipy.interpolate import CubicSpline  # only where motions are drawn
-
+    columns = np.moveaxis(r, 0, 1).reshape(len(nodes), -1)
     inside = np.clip(t, nodes[0], nodes[-1])
-    return np.asarray(CubicSpline(nodes, r, axis=1, bc_type="natural")(inside))
+    at = cubic_spline(nodes, columns, natural=True)(inside)
+    return np.moveaxis(at.reshape(len(t), len(r), 3), 0, 1)
 
 
 def _linear(nodes: FloatArray, values: FloatArray, t: FloatArray) -> FloatArray:

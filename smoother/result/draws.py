@@ -10,9 +10,12 @@ from ..array_types import FloatArray
 from ..body import FURTHER, SEGMENTS
 from ..errors import UnoccludeError
 from ..rotation import Rotation
+from ..splines import cubic_spline
 
 #: Names of the columns of joints begin so, those of further segments' rotations end so.
 JOINT, TURN = "joint_", "_rotation"
+#: So many motions are drawn where nobody says how many: three lie beyond the ends of a 95 % interval.
+USUAL_DRAWS = 64
 #: Drawn times further apart than this do not belong to one motion, s.
 APART_S = 1.0
 
@@ -146,8 +149,6 @@ def _at_times(t: FloatArray, drawn: FloatArray, at: FloatArray) -> tuple[FloatAr
 
     Nan where nothing was drawn within a second.
     """
-    from scipy.interpolate import CubicSpline  # only where motions were drawn
-
     value, slope = np.full((len(at), 3), np.nan), np.full((len(at), 3), np.nan)
     known = np.flatnonzero(np.isfinite(drawn).all(axis=1))
     if not len(known):
@@ -159,7 +160,7 @@ def _at_times(t: FloatArray, drawn: FloatArray, at: FloatArray) -> tuple[FloatAr
         if len(rows) == 1:
             value[first:last], slope[first:last] = drawn[rows[0]], 0.0
             continue
-        spline = CubicSpline(t[rows], drawn[rows].astype(np.float64), bc_type="natural")
+        spline = cubic_spline(t[rows], drawn[rows].astype(np.float64), natural=True)
         value[first:last], slope[first:last] = spline(inside), spline(inside, 1)
         slope[first:last][inside != at[first:last]] = 0.0
     return value, slope

@@ -378,7 +378,8 @@ def _recover_in(
         images = job.choice.passthrough_images
         answers = [recovery for _, recovery in results]
         measured = measured_arms(answers) if job.measures else None
-        answers = [replace(recovery, draws=None) for recovery in answers]  # the result is that of `smooth`
+        # the result is that of `smooth --draws 0`
+        answers = [replace(recovery, draws=None) for recovery in answers]
         if job.hash_names:
             answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
         left_out = write_recovery(answers, staged, source=job.source, passthrough_images=images)

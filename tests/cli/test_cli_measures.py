@@ -16,7 +16,7 @@ from smoother.cli.run import run
 from smoother.io import read_recovery, write_recovery
 from smoother.recording import Recording
 from smoother.result import Estimates
-from smoother.simulation import ArmSimulation, simulate_both_arms
+from smoother.simulation import ArmSimulation, simulate_arm, simulate_both_arms
 from smoother.smoothing import smooth
 
 
@@ -113,6 +113,40 @@ def test_what_is_not_to_be_trusted_is_said_first(capsys: pytest.CaptureFixture[s
     said = capsys.readouterr().out.strip().splitlines()
     assert said[0].startswith("Not to be trusted: the sides are swapped.")
     assert "not to be trusted" in said[0].split(".", 1)[1]
+
+
+def test_by_default_every_measure_has_its_interval_the_same_in_all_outputs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """Terminal, page, JSON and CSV, of a recording that was smoothed without an option."""
+    demo, out = tmp_path / "a.mcap", tmp_path / "out.mcap"
+    simulation = ArmSimulation.preset("white", protocol="random", duration_s=8.0, occlusion_lengths_s=(0.8,))
+    unocclude.write_recording([simulate_arm(simulation, 3).recording], demo)
+    usual = ["--processes", "1"]
+    assert run(["smooth", str(demo), "-o", str(out), *usual]) == 0
+    assert run(["smooth", str(demo), "-o", str(tmp_path / "bare.mcap"), "--draws", "0", *usual]) == 0
+    [recovery], [bare] = read_recovery(out), read_recovery(tmp_path / "bare.mcap")
+    assert recovery.draws is not None and len(recovery.draws) == 64 and bare.draws is None
+    for name in ("position", "quaternion", "velocity", "pose_covariance"):
+        np.testing.assert_array_equal(getattr(recovery, name), getattr(bare, name))
+    files = [str(tmp_path / name) for name in ("m.csv", "m.json", "m.html")]
+    capsys.readouterr()
+    assert run(["measures", str(out), "--csv", files[0], "--json", files[1], "--report", files[2]]) == 0
+    said = capsys.readouterr().out.splitlines()
+    end = next(number for number, line in enumerate(said) if line.startswith("└"))
+    rows = [line for line in said[:end] if line.startswith("│")]
+    assert len(rows) > 40
+    for line in rows:
+        value, interval = (cell.strip() for cell in line.split("│")[2:4])
+        assert interval != "-" and (" to " in interval or interval == value), line
+    stated = json.loads(Path(files[1]).read_text())["measures"]
+    flexion = stated["elbow_flexion_range_deg"]
+    between = f"{flexion['low']:.1f} to {flexion['high']:.1f}°"
+    assert any("elbow flexion, range" in line and between in line for line in rows)
+    assert f"({between})" in Path(files[2]).read_text()
+    with open(files[0], newline="") as file:
+        row = next(row for row in csv.DictReader(file) if row["key"] == "elbow_flexion_range_deg")
+    assert float(row["low"]) == pytest.approx(flexion["low"], abs=1e-6)
 
 
 def test_without_draws_the_tables_have_no_intervals(capsys: pytest.CaptureFixture[str]):

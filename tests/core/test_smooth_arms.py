@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import unocclude
 from smoother import Recoveries, smooth, smooth_arms, write_recovery
 from smoother.errors import RecordingError, SolveError
 from smoother.recording import JointState, Recording
+from smoother.result.draws import USUAL_DRAWS
 from smoother.simulation import ArmSimulation, simulate_both_arms
 
 
@@ -38,6 +41,11 @@ def test_each_arm_is_what_smooth_gives(
         error = np.linalg.norm(recovery.position - recording.truth.position, axis=1)
         # 0.8 s gaps with white noise end in some millimetres; the other arm is decimetres away
         assert error.max() < 0.04
+
+
+def test_motions_are_drawn_unless_somebody_says_otherwise() -> None:
+    for function in (smooth_arms, unocclude.smooth):
+        assert inspect.signature(function).parameters["draws"].default == USUAL_DRAWS
 
 
 def test_side_by_side_gives_the_same(

@@ -21,6 +21,18 @@ def test_spline_is_scipys(count: int) -> None:
     np.testing.assert_allclose(ours(at, 1), theirs(at, 1), atol=1e-10 * scale)
 
 
+@pytest.mark.parametrize("count", [2, 3, 4, 12, 13, 50])
+def test_natural_spline_is_scipys(count: int) -> None:
+    rng = np.random.default_rng(count)
+    t = np.cumsum(rng.uniform(0.01, 0.4, count))
+    value = rng.normal(size=(count, 3))
+    at = np.concatenate([np.linspace(t[0], t[-1], 301), t])
+    ours, theirs = cubic_spline(t, value, natural=True), CubicSpline(t, value, bc_type="natural")
+    scale = np.abs(theirs(at, 1)).max() + 1.0
+    np.testing.assert_allclose(ours(at), theirs(at), atol=1e-11 * scale)
+    np.testing.assert_allclose(ours(at, 1), theirs(at, 1), atol=1e-10 * scale)
+
+
 def test_hermite_is_scipys() -> None:
     rng = np.random.default_rng(1)
     t = np.cumsum(rng.uniform(0.01, 0.4, 20))
