@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pool_jobs import die_always, die_once, double, wait_long
 from scenes import point
 from studies import is_alive, until
 
@@ -104,23 +105,6 @@ def test_workers_are_forked_where_there_is_no_other_thread() -> None:
     assert done.stdout.split() == ["fork", "spawn"], done.stderr
 
 
-def double(number: int) -> int:
-    return 2 * number
-
-
-def die_once(mark: str) -> str:
-    """The end of the worker that does it first, as the system's OOM killer ends it."""
-    path = Path(mark)
-    if path.suffix == ".once" and not path.exists():
-        path.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return path.name
-
-
-def die_always(_: int) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_a_killed_worker_is_started_once_more(tmp_path: Path):
     marks = [str(tmp_path / name) for name in ("a", "b", "c.once", "d", "e", "f", "g")]
@@ -134,11 +118,6 @@ def test_workers_that_die_again_are_one_sentence():
     with pytest.raises(UnoccludeError, match=r"killed twice.*--processes") as error, Pool(2, 10**6) as pool:
         list(pool.map(die_always, range(3)))
     assert "BrokenProcessPool" not in explain(error.value)[0]
-
-
-def wait_long(mark: str) -> None:
-    Path(mark).write_text(str(os.getpid()))
-    time.sleep(120)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
@@ -159,13 +138,11 @@ def test_an_error_does_not_wait_for_workers(tmp_path: Path):
 
 
 ORPHANS = """
-import sys, time
-from pathlib import Path
-sys.path[:0] = [sys.argv[1]]
-from test_pool import wait_long
+import sys
+from pool_jobs import wait_long
 from smoother.runtime.pool import Pool
 with Pool(2, 10**6) as pool:
-    list(pool.map(wait_long, [sys.argv[2] + "/a", sys.argv[2] + "/b"]))
+    list(pool.map(wait_long, [sys.argv[1] + "/a", sys.argv[1] + "/b"]))
 """
 
 
@@ -175,7 +152,7 @@ def test_workers_end_with_their_parent(tmp_path: Path, number: str):
     """Killed outright, so that nothing of its own can tidy up; workers waited for ever before."""
     helpers = Path(__file__).parents[1] / "helpers"
     program = subprocess.Popen(
-        [sys.executable, "-c", ORPHANS, str(Path(__file__).parent), str(tmp_path)],
+        [sys.executable, "-c", ORPHANS, str(tmp_path)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(helpers), os.environ.get("PYTHONPATH", "")])},
     )
     try:
