@@ -54,7 +54,6 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
     "smoother/graph/shared_prior.py": (
         *_GRAPH,
         "tests/graph/test_gravity_axes.py",
-        "tests/graph/test_axes_of_gravity.py",
         "tests/graph/test_lag_window.py",
     ),
     "smoother/graph/block_shifts.py": (_ALONE, "tests/graph/test_block_shifts.py"),
@@ -71,7 +70,6 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
     "smoother/graph/sampling.py": ("tests/graph/test_sampling.py",),
     "smoother/graph/lag_elimination.py": (
         _ALONE,
-        "tests/graph/test_lag_elimination.py",
         "tests/graph/test_lag_window.py",
     ),
     "smoother/graph/lag_window.py": (
@@ -82,11 +80,9 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
     "smoother/measurements/outliers.py": (
         _ALONE,
         "tests/measurements/test_outliers.py",
-        "tests/measurements/test_limits_of_outliers.py",
     ),
     "smoother/window/pooling.py": (
         _ALONE,
-        "tests/window/test_pooled_constants.py",
         "tests/window/test_pooling.py",
     ),
     "smoother/evaluation/coverage.py": (

@@ -1,7 +1,8 @@
-"""The calibration file: round trips, merging, and every refusal."""
+"""The calibration file: round trips, merging, every refusal; the form in which every calibration answers."""
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
 from pathlib import Path
@@ -13,9 +14,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib import CalibrationFile, read_calibration, write_calibration
+from calib.clock.clock_calibration import calibrate_clocks, clock_answer
+from calib.clock.links import beep_receptions, buzzer_node
 from calib.file import to_toml
+from calib.imu.imu_summary import imu_answer, magnetometer_answer
+from calib.imu.magnetometer import calibrate_magnetometer
+from calib.imu.sensor_calibration import calibrate_imu
+from calib.protocol import Answer
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError
+from smoother.runtime.printable import plain
+from smoother.simulation.clocks import broadcast
+from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
 
 HEAD = 'format = "unocclude calibration"\nversion = 1\n'
 
@@ -39,7 +49,7 @@ arms = st.builds(
     accelerometer_bias=st.none() | vector,
     gyroscope_bias=st.none() | vector,
 )
-plain = st.recursive(
+plain_values = st.recursive(
     st.booleans() | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False) | st.text(),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=8,
@@ -74,7 +84,7 @@ def test_what_is_written_is_read(
 
 
 @settings(max_examples=80, deadline=None)
-@given(st.dictionaries(st.text(), plain, max_size=4))
+@given(st.dictionaries(st.text(), plain_values, max_size=4))
 def test_toml_of_any_plain_values(table: dict):
     assert tomllib.loads(to_toml({"x": table})) == {"x": table}
 
@@ -351,3 +361,43 @@ def test_a_link_stays_a_link(tmp_path: Path):
     assert link.is_symlink()
     assert real.stat().st_mode & 0o777 == 0o600
     assert read_calibration(real).arm("left").upper_arm == Length(0.3, 0.01)
+
+
+def answers() -> list[Answer]:
+    model = SensorModel(offset=np.array([0.1, -0.2, 0.05]), matrix=np.diag([1.01, 0.99, 1.0]))
+    stream, _ = rest_poses(model, 12, seed=3)
+    _, receptions = broadcast(2, nodes=2)
+    magnetometer = calibrate_magnetometer(magnetometer_turns(model, 3000, noise=0.01, seed=3))
+    return [
+        imu_answer(calibrate_imu(stream)),
+        magnetometer_answer(magnetometer, stream.name),
+        clock_answer(calibrate_clocks("Monday", [receptions])),
+    ]
+
+
+def test_one_form(tmp_path: Path):
+    path = tmp_path / "cal.toml"
+    for answer in answers():
+        assert set(answer.sigma) <= set(answer.estimate) and answer.estimate
+        for name, sigma in answer.sigma.items():
+            assert np.all(np.asarray(sigma) > 0) and np.shape(sigma) == np.shape(answer.estimate[name])
+        assert answer.verdict.grade in ("good", "usable", "not good enough") and answer.verdict.sentence
+        json.dumps(plain(answer.figures), allow_nan=False)
+        write_calibration(path, answer.table)
+    tables = read_calibration(path).tables
+    (held,) = tables["imu"].values()
+    assert (
+        set(held) == {"accelerometer", "gyroscope", "magnetometer"}
+        and "residual" not in held["accelerometer"]
+    )
+    assert tables["clock"]["session"] == "Monday"
+
+
+def test_as_many_beeps_as_event_times():
+    with pytest.raises(CalibrationError, match=r"beeps that end in it: 0 \(\), event times given: 1"):
+        beep_receptions([], [1.0])
+
+
+def test_the_buzzer_is_the_one_node_called_base():
+    assert buzzer_node(["arm", "Base-2", "arm"]) == "Base-2"
+    assert buzzer_node(["base1", "base2"]) == "base"

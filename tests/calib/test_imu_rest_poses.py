@@ -1,4 +1,4 @@
-"""Accelerometer and gyroscope from rest poses of a simulated sensor."""
+"""An IMU's calibration: rest poses, Allan deviation, the magnetometer's ellipsoid."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from calib.imu.accelerometer import (
     Rests,
@@ -18,10 +19,18 @@ from calib.imu.accelerometer import (
     sphere_points,
     symmetric,
 )
-from calib.imu.sensor_calibration import GRAVITY, calibrate_gyroscope, calibrate_imu, running_bias
+from calib.imu.magnetometer import calibrate_magnetometer, fit_ellipsoid
+from calib.imu.sensor_calibration import (
+    GRAVITY,
+    allan_deviation,
+    allan_noise,
+    calibrate_gyroscope,
+    calibrate_imu,
+    running_bias,
+)
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream
-from smoother.simulation.poses import REST_POSES, SensorModel, rest_poses
+from smoother.simulation.poses import REST_POSES, SensorModel, magnetometer_turns, rest_poses
 
 
 def sensor(seed: int) -> SensorModel:
@@ -152,3 +161,167 @@ def test_coverage_of_the_sphere():
     assert half.hole_rad == pytest.approx(np.radians(90.0), abs=np.radians(3.0))
     assert axis_words(half.towards) == "-z"
     assert axis_words(np.array([1.0, 0.0, -1.0]) / np.sqrt(2)) == "between +x and -z"
+
+
+RATE_HZ = 100.0
+
+
+def put_together(model: SensorModel, noise: float) -> tuple[ImuStream, list[int]]:
+    """Twelve poses of 1 to 4 s without a way between them, and where each begins."""
+    rng = np.random.default_rng(5)
+    lengths = rng.integers(100, 400, 12)
+    up = np.repeat(GRAVITY * sphere_points(12), lengths, axis=0)
+    acc = model.distort(up) + noise * rng.normal(size=up.shape)
+    gyro = 0.1 * noise * rng.normal(size=up.shape)
+    stream = ImuStream("/imu", np.arange(len(up)) / RATE_HZ, acc, gyro, None)
+    return stream, np.concatenate([[0], np.cumsum(lengths)]).tolist()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.1])
+def test_poses_parted_by_a_jump_are_poses_of_their_own(noise):
+    model = SensorModel.draw(np.random.default_rng(3), offset=0.5, scale=0.03, cross=0.01)
+    stream, begins = put_together(model, noise)
+    rests = find_rests(stream)
+    assert len(rests) == rests.poses == 12
+    for (first, last), begin, end in zip(rests.ranges, begins[:-1], begins[1:], strict=True):
+        assert begin <= first < begin + 20 and end - 20 < last <= end
+    found = calibrate_imu(stream).accelerometer
+    up = GRAVITY * sphere_points(300)
+    # the shortest rest has 100 samples: a tenth of the noise, spread over nine unknowns
+    assert np.sqrt(np.mean((found.apply(model.distort(up)) - up) ** 2)) < 0.0002 + 0.1 * noise
+
+
+def test_a_knock_does_not_part_a_rest():
+    rng = np.random.default_rng(1)
+    acc = np.array([0.0, 0.0, GRAVITY]) + 0.02 * rng.normal(size=(4000, 3))
+    acc[2000:2004] += 3.0
+    stream = ImuStream("/imu", np.arange(4000) / RATE_HZ, acc, 0.002 * rng.normal(size=(4000, 3)), None)
+    assert find_rests(stream).ranges.tolist() == [[0, 4000]]
+
+
+RATE = 50.0
+
+
+def white(count: int, density: float, seed: int = 0) -> np.ndarray:
+    return density * np.sqrt(RATE) * np.random.default_rng(seed).normal(size=(count, 3))
+
+
+def test_deviation_is_the_definition():
+    """Against the double sum over means of neighbouring intervals (IEEE Std 952)."""
+    samples = np.random.default_rng(1).normal(size=(300, 3)).cumsum(axis=0)
+    tau, deviation = allan_deviation(samples, RATE)
+    for t, found in zip(tau, deviation, strict=True):
+        n = round(t * RATE)
+        means = np.array([samples[k : k + n].mean(axis=0) for k in range(300 - n + 1)])
+        pairs = means[n:] - means[:-n]
+        assert np.allclose(found, np.sqrt(0.5 * np.mean(pairs**2, axis=0)), rtol=1e-9)
+
+
+def test_white_noise_of_a_short_rest():
+    found = allan_noise(white(3000, 0.002), RATE)
+    assert found.density == pytest.approx(0.002, rel=0.1)  # a minute at 50 Hz
+    assert np.isnan(found.walk).all() and np.isnan(found.instability).all()
+    assert allan_noise(white(500, 0.002), RATE) is None
+
+
+def test_random_walk_and_white_noise_of_a_long_rest():
+    count = int(3600 * RATE)
+    walk = np.cumsum(1e-4 / np.sqrt(RATE) * np.random.default_rng(3).normal(size=(count, 3)), axis=0)
+    found = allan_noise(white(count, 0.002, 2) + walk, RATE)
+    assert found.density == pytest.approx(0.002, rel=0.03)
+    assert np.sqrt(np.nanmean(found.walk**2)) == pytest.approx(
+        1e-4, rel=0.35
+    )  # few independent long averages
+
+
+def test_bias_instability_of_flicker_noise():
+    count = int(3600 * RATE)
+    rng = np.random.default_rng(4)
+    spectrum = np.fft.rfft(rng.normal(size=(count, 3)), axis=0)
+    frequency = np.fft.rfftfreq(count, 1.0 / RATE)
+    frequency[0] = frequency[1]
+    level = 1e-3
+    # power B^2 / (pi f), one-sided: the Allan variance is (2 ln 2 / pi) B^2 at any averaging time
+    shaped = spectrum * np.sqrt(level**2 / (np.pi * frequency) * RATE / 2.0)[:, None]
+    flicker = np.fft.irfft(shaped, count, axis=0)
+    found = allan_noise(flicker + white(count, 1e-3, 5), RATE)
+    assert found.instability == pytest.approx(level, rel=0.2)
+
+
+def test_a_long_rest_alone_gives_noise_and_bias():
+    count = int(120 * RATE)
+    acc = white(count, 0.003, 6) + np.array([0.1, 9.7, 0.3])
+    gyro = white(count, 2e-4, 7) + np.array([0.01, -0.02, 0.005])
+    found = calibrate_imu(ImuStream("/imu/base", np.arange(count) / RATE, acc, gyro))
+    assert found.accelerometer is None
+    assert found.gyroscope.offset == pytest.approx([0.01, -0.02, 0.005], abs=1e-4)
+    tables = found.tables()
+    assert tables["accelerometer"]["noise_density"] == pytest.approx(0.003, rel=0.1)
+    assert tables["gyroscope"]["noise_density"] == pytest.approx(2e-4, rel=0.1)
+    assert "offset" not in tables["accelerometer"]
+
+
+def model(seed: int) -> SensorModel:
+    return SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.2, cross=0.2)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_radius_to_half_a_percent(seed):
+    sensor = model(seed)
+    found = calibrate_magnetometer(magnetometer_turns(sensor, 3000, noise=0.01, seed=seed))
+    length = np.linalg.norm(found.apply(sensor.distort(sphere_points(400))), axis=1)
+    assert np.abs(length - 1.0).max() < 0.005
+    assert found.residual == pytest.approx(0.01, rel=0.2)
+
+
+def test_any_unit_gives_the_unit_sphere():
+    sensor = model(1)
+    raw = magnetometer_turns(sensor, 3000, noise=0.0, seed=1)
+    for unit in (1.0, 48.0, 4.8e-5):
+        found = calibrate_magnetometer(unit * raw)
+        assert np.linalg.norm(found.apply(unit * raw), axis=1) == pytest.approx(1.0, abs=1e-6)
+        assert found.offset == pytest.approx(unit * sensor.offset, rel=1e-4)
+
+
+def test_linear_fit_finds_the_ellipsoid_exactly():
+    sensor = model(2)
+    centre, matrix = fit_ellipsoid(sensor.distort(sphere_points(200)))
+    assert centre == pytest.approx(sensor.offset, abs=1e-9)
+    assert matrix == pytest.approx(np.linalg.inv(sensor.matrix), abs=1e-9)
+
+
+@pytest.mark.parametrize("wobble_deg", [0.0, 5.0, 15.0])
+def test_a_rotation_about_one_axis_is_refused(wobble_deg):
+    angle = np.linspace(0.0, 40.0, 3000)
+    tip = np.radians(wobble_deg) * np.sin(1.7 * angle)
+    R = Rotation.from_euler("ZX", np.stack([angle, tip], axis=1)).inv()
+    raw = R.apply([0.5, 0.0, -0.86]) + np.random.default_rng(0).normal(0.0, 0.01, (3000, 3))
+    with pytest.raises(CalibrationError, match=r"one axis only|sphere open"):
+        calibrate_magnetometer(48.0 * raw)
+
+
+def test_half_a_sphere_is_refused_and_says_where_to_go_on():
+    points = sphere_points(3000)
+    half = points[points[:, 0] > -0.1]
+    with pytest.raises(CalibrationError, match="around the sensor's -x"):
+        calibrate_magnetometer(half)
+
+
+def test_few_samples_a_dead_sensor_and_no_ellipsoid():
+    with pytest.raises(CalibrationError, match="200 are needed"):
+        calibrate_magnetometer(sphere_points(50))
+    with pytest.raises(CalibrationError, match="always reads the same"):
+        calibrate_magnetometer(np.ones((500, 3)))
+    cube = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, 3)) ** 3
+    with pytest.raises(CalibrationError, match=r"ellipsoid"):
+        calibrate_magnetometer(cube)
+
+
+def test_a_magnet_that_passes_by_does_not_pull():
+    sensor = model(4)
+    raw = magnetometer_turns(sensor, 3000, noise=0.005, seed=4)
+    raw[500:620] += [0.4, -0.3, 0.2]
+    found = calibrate_magnetometer(raw)
+    length = np.linalg.norm(found.apply(sensor.distort(sphere_points(400))), axis=1)
+    assert np.sqrt(np.mean((length - 1.0) ** 2)) < 0.01
+    assert found.remarks

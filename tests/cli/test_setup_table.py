@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from _pytest.mark.structures import ParameterSet
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from calib.file import CalibrationFile, write_calibration
 from smoother.cli.run import run

@@ -1,13 +1,17 @@
-"""Small functions that stand in for a library's, against the library's."""
+"""Small functions that stand in for a library's, against the library's: algebra, filters, rotations."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.optimize import nnls
 from scipy.signal import find_peaks
+from scipy.spatial import transform
 
+from smoother.filters import gaussian_smoothed, moving_mean, moving_median
 from smoother.linalg import largest_trace, nearest_rotation, nonnegative_pair, peaks
+from smoother.rotation import Rotation, Slerp, chained
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -48,3 +52,113 @@ def test_the_largest_trace_is_that_of_the_nearest_rotation() -> None:
     assert largest_trace(np.zeros((3, 3))) == 0.0
     # no reflection, half a turn about any axis: a triple root, which keeps a third of the digits
     np.testing.assert_allclose(largest_trace(-np.eye(3)), 1.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 8, 25])
+def test_means_are_scipys(width: int) -> None:
+    x = np.random.default_rng(width).normal(5.0, 1.0, 60)
+    np.testing.assert_allclose(
+        moving_mean(x, width), ndimage.uniform_filter1d(x, width, mode="nearest"), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("width", [3, 7])
+def test_medians_are_scipys(width: int) -> None:
+    x = np.random.default_rng(width).normal(size=(30, 3))
+    np.testing.assert_array_equal(
+        moving_median(x, width), ndimage.median_filter(x, size=(width, 1), mode="nearest")
+    )
+
+
+@pytest.mark.parametrize("derivative", [False, True])
+@pytest.mark.parametrize("sigma", [0.8, 3.0, 6.2])
+def test_gaussians_are_scipys(sigma: float, derivative: bool) -> None:
+    x = np.random.default_rng(0).normal(size=(80, 2))
+    theirs = ndimage.gaussian_filter1d(x, sigma, axis=0, order=int(derivative))
+    np.testing.assert_allclose(gaussian_smoothed(x, sigma, derivative), theirs, atol=1e-12)
+
+
+#: Products of numbers up to one; near a half turn an angle loses half of the digits.
+ROUNDING, NEAR_PI = 1e-14, 1e-7
+
+RNG = np.random.default_rng(5)
+AXES = RNG.normal(size=(40, 3))
+AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
+ANGLES = np.concatenate([[0.0, 1e-12, 1e-7, 0.9e-3, 1.1e-3, np.pi - 1e-9, np.pi], RNG.uniform(0, np.pi, 33)])
+ROTVECS = ANGLES[:, None] * AXES
+
+
+@pytest.mark.parametrize("rows", [slice(None), 0, 3, 20], ids=["stack", "none", "small", "one"])
+def test_every_form_is_that_of_scipy(rows: int | slice) -> None:
+    ours, theirs = Rotation.from_rotvec(ROTVECS[rows]), transform.Rotation.from_rotvec(ROTVECS[rows])
+    np.testing.assert_allclose(ours.as_matrix(), theirs.as_matrix(), atol=ROUNDING)
+    again = transform.Rotation.from_matrix(theirs.as_matrix())
+    np.testing.assert_allclose(
+        ours.as_quat(scalar_first=True), again.as_quat(scalar_first=True), atol=1e-8
+    )  # the sign too, where no two parts are equal
+    np.testing.assert_allclose(np.abs(np.sum(ours.as_quat() * theirs.as_quat(), axis=-1)), 1.0, atol=ROUNDING)
+    canonical = ours.as_quat(canonical=True)
+    assert (canonical[..., 3] >= 0).all()
+    np.testing.assert_allclose(Rotation.from_quat(canonical).as_matrix(), theirs.as_matrix(), atol=ROUNDING)
+
+
+def test_rotation_vectors_come_back() -> None:
+    ours = Rotation.from_rotvec(ROTVECS)
+    back = ours.as_rotvec()
+    sharp = np.pi - 1e-3 > ANGLES
+    np.testing.assert_allclose(back[sharp], ROTVECS[sharp], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(back, axis=1), ANGLES, atol=NEAR_PI)
+    np.testing.assert_allclose(ours.magnitude(), ANGLES, atol=NEAR_PI)
+    np.testing.assert_allclose(back[5], transform.Rotation.from_rotvec(ROTVECS[5]).as_rotvec(), atol=NEAR_PI)
+    tiny = np.array([3e-9, -2e-9, 1e-9])  # relative, not absolute
+    np.testing.assert_allclose(Rotation.from_rotvec(tiny).as_rotvec(), tiny, rtol=1e-12)
+
+
+@pytest.mark.parametrize("first", [np.array([1.0, 0, 0, 0]), np.array([0, 0, -2.0, 0])])
+def test_quaternions_of_any_length(first: np.ndarray) -> None:
+    q = np.vstack([first, RNG.normal(size=(30, 4))])
+    np.testing.assert_allclose(
+        Rotation.from_quat(q, scalar_first=True).as_matrix(),
+        transform.Rotation.from_quat(q, scalar_first=True).as_matrix(),
+        atol=ROUNDING,
+    )
+    with pytest.raises(ValueError, match="length zero"):
+        Rotation.from_quat(np.zeros(4))
+
+
+def test_products_and_application() -> None:
+    ours, theirs = Rotation.from_rotvec(ROTVECS), transform.Rotation.from_rotvec(ROTVECS)
+    vectors = RNG.normal(size=(40, 3))
+    pairs = [
+        (ours.apply(vectors), theirs.apply(vectors)),
+        (ours.apply(vectors[3]), theirs.apply(vectors[3])),
+        (ours[3].apply(vectors), theirs[3].apply(vectors)),
+        (ours.inv().apply(vectors), theirs.inv().apply(vectors)),
+        ((ours * ours[::-1].inv()).as_matrix(), (theirs * theirs[::-1].inv()).as_matrix()),
+        ((ours[2] * ours).as_matrix(), (theirs[2] * theirs).as_matrix()),
+        (
+            Rotation.about_z(ANGLES).as_matrix(),
+            transform.Rotation.from_euler("z", ANGLES[:, None]).as_matrix(),
+        ),
+    ]
+    for mine, reference in pairs:
+        np.testing.assert_allclose(mine, reference, atol=4 * ROUNDING)
+    assert len(ours) == 40
+
+
+def test_between_two_at_a_constant_rate() -> None:
+    t = np.cumsum(RNG.uniform(0.1, 1.0, 40))
+    at = np.sort(np.append(RNG.uniform(t[0], t[-1], 200), [t[0], t[7], t[-1]]))
+    vectors = np.minimum(ANGLES, 1.2)[:, None] * AXES  # two neighbours are less than half a turn apart
+    ours = Slerp(t, Rotation.from_rotvec(vectors))(at)
+    theirs = transform.Slerp(t, transform.Rotation.from_rotvec(vectors))(at)
+    np.testing.assert_allclose(ours.as_matrix(), theirs.as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 8, 9, 10, 40])
+def test_turns_one_after_the_other(count: int) -> None:
+    turns = Rotation.from_rotvec(ROTVECS[:count]).as_matrix() if count else np.empty((0, 3, 3))
+    expected = [np.eye(3)]
+    for turn in turns:
+        expected.append(expected[-1] @ turn)
+    np.testing.assert_allclose(chained(turns), expected, atol=1e-13)

@@ -1,4 +1,4 @@
-"""Hidden gaps: where they fall, that nothing leaks, and what is scored."""
+"""Hidden gaps: where they fall, that nothing leaks, what is scored, the table of their errors."""
 
 from __future__ import annotations
 
@@ -7,11 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import make_recording, make_recovery, make_truth
+from arms import make_recording, make_recovery, make_truth, turn
 
+from calib.sigma_factor import LEVELS
+from smoother.calibration import LeverArm
 from smoother.errors import RecordingError, SolveError
+from smoother.evaluation.gap_table import GapRow, GapTable, pooled, table_of
 from smoother.evaluation.gaps import evaluate_gaps, hide
-from smoother.evaluation.hidden_gaps import place_gaps, visible_runs
+from smoother.evaluation.hidden_gaps import (
+    GapErrors,
+    HiddenGap,
+    place_gaps,
+    score_gap,
+    strap_position,
+    visible_runs,
+)
 from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, Recording
 
 
@@ -221,3 +231,100 @@ def test_no_room_is_a_sentence():
 
 def test_hide_takes_the_truth_away():
     assert hide(make_recording(5.0), []).truth is None
+
+
+def errors(*metres: float) -> GapErrors:
+    """Samples with these errors; nan where there is no answer."""
+    distance = np.array(metres)
+    missing = int(np.isnan(distance).sum())
+    angle = np.where(np.isnan(distance), np.nan, 2.0)
+    factors = np.full((len(metres), len(LEVELS)), 1.5)
+    return GapErrors("truth", distance, angle, (distance / 0.01) ** 2, missing, needed_factors=factors)
+
+
+def row(length_s: float, method: str, of: GapErrors, recording: str = "a", failure: str = "") -> GapRow:
+    gap = HiddenGap(5.0, 5.0 + length_s)
+    return GapRow(length_s, method, 0, gap, of.reference, of.figures(), 0.01, 0.4, failure, recording)
+
+
+def table(recording: str, *entries: tuple[float, str, GapErrors], notes: tuple[str, ...] = ()) -> GapTable:
+    rows = [row(length, method, of, recording) for length, method, of in entries]
+    return table_of(rows, [of for *_, of in entries], notes)
+
+
+FIRST = table(
+    "a",
+    (1.0, "graph", errors(0.01, 0.03)),
+    (1.0, "hold", errors(0.2)),
+    (2.0, "graph", errors(0.04)),
+    notes=("once",),
+)
+SECOND = table("b", (1.0, "graph", errors(0.05)), (2.0, "graph", errors(np.nan)), notes=("once", "twice"))
+
+
+def test_samples_count_not_gaps() -> None:
+    both = pooled([FIRST, SECOND])
+    figures = both.lengths[1.0]["graph"]
+    assert (figures.gaps, figures.failed, figures.figures.samples) == (2, 0, 3)
+    assert figures.figures.position_rms_m == pytest.approx(np.sqrt((0.01**2 + 0.03**2 + 0.05**2) / 3))
+    assert figures.figures.position_max_m == pytest.approx(0.05)
+    assert both.lengths[1.0]["hold"].gaps == 1
+    # what is not answered is counted, and spoils no figure
+    assert both.lengths[2.0]["graph"].figures.unanswered == 1
+    assert both.lengths[2.0]["graph"].figures.position_rms_m == pytest.approx(0.04)
+
+
+def test_rows_keep_their_recording_and_notes_stand_once() -> None:
+    both = pooled([FIRST, SECOND])
+    assert [one.recording for one in both.rows] == ["a", "a", "a", "b", "b"]
+    assert both.notes == ("once", "twice")
+    assert len(both.errors) == len(both.rows)
+    assert pooled([FIRST]).to_dict() == FIRST.to_dict()
+
+
+def test_a_failed_gap_is_counted() -> None:
+    of = errors(np.nan, np.nan)
+    failed = table_of([row(1.0, "graph", of, failure="no answer inside the gap")], [of], [])
+    entry = failed.to_dict()["lengths"][0]["methods"]["graph"]
+    assert (entry["gaps"], entry["failed"], entry["unanswered"], entry["rms_m"]) == (1, 1, 2, None)
+    assert entry["rms_cm"] is None
+
+
+def test_sigma_factors_are_of_one_method() -> None:
+    assert [factor.length_s for factor in FIRST.sigma_factors()] == [1.0, 2.0]
+    assert [factor.length_s for factor in FIRST.sigma_factors("hold")] == [1.0]
+    assert FIRST.sigma_factors("nothing") == ()
+
+
+def test_errors_must_be_those_of_the_rows() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        table_of(FIRST.rows, FIRST.errors[:-1], ())
+
+
+LEVER = np.array([0.01, -0.02, 0.03])
+
+
+def test_a_solved_lever_arm_counts():
+    recording = make_recording(truth=False)
+    recovery = make_recovery(recording)
+    assert recovery.calibration is not None
+    lever = LeverArm(LEVER, np.full(3, 0.004))
+    solved = replace(
+        recovery,
+        calibration=replace(
+            recovery.calibration, lever_arms={**recovery.calibration.lever_arms, "strap": lever}
+        ),
+    )
+    expected = recovery.position + turn(recovery.t_s).apply(LEVER)
+    np.testing.assert_allclose(strap_position(solved), expected, atol=1e-12)
+    np.testing.assert_array_equal(strap_position(recovery), recovery.position)
+    # a camera that sees the strap alone, there
+    position, state = np.full_like(recording.arm.position, np.nan), np.zeros_like(recording.arm.state)
+    strap = JOINTS.index("strap")
+    at_frames = [np.interp(recording.arm.t_s, recovery.t_s, expected[:, k]) for k in range(3)]
+    position[:, strap], state[:, strap] = np.stack(at_frames, axis=1), JointState.TRACKED
+    seen = replace(recording, arm=replace(recording.arm, position=position, state=state))
+    gap = HiddenGap(8.0, 9.0)
+    right, wrong = score_gap(seen, solved, gap), score_gap(seen, recovery, gap)
+    assert right.reference == "strap"
+    assert right.distance_m.max() < 1e-3 < 0.9 * np.linalg.norm(LEVER) < wrong.distance_m.min()

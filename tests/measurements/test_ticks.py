@@ -1,11 +1,13 @@
-"""Times of an even sensor from stamps that repeat, go back, wrap around or come in bursts."""
+"""Times of a sensor: from stamps that repeat, wrap or come in bursts; segments and even stamps."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from smoother.measurements.timestamps import counted, even_times, needs_counting, unwrapped
+from smoother.measurements.segment import Timeline
+from smoother.measurements.timestamps import counted, dejitter, even_times, needs_counting, unwrapped
+from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks, Recording
 
 
 def delivered(seed: int, pauses: tuple[float, ...] = (), count: int = 12_000) -> tuple[np.ndarray, ...]:
@@ -87,3 +89,100 @@ def test_a_counter_and_bad_stamps():
     keep = np.random.default_rng(3).random(len(t)) > 0.05
     even = even_times(stamps[keep], np.flatnonzero(keep))
     assert even is not None and np.std(even.t_s - t[keep]) < 1e-3
+
+
+RATE_HZ = 80.0
+
+
+def ticks(count: int = 4000) -> np.ndarray:
+    return np.arange(count) / RATE_HZ
+
+
+def test_good_stamps_come_back_unchanged() -> None:
+    assert dejitter(ticks()) is not None
+    np.testing.assert_array_equal(dejitter(ticks()), ticks())
+
+
+@pytest.mark.parametrize("sigma_s", [0.003, 0.005])
+def test_scatter_is_taken_off(sigma_s: float) -> None:
+    rng = np.random.default_rng(0)
+    stamps = np.sort(ticks() + rng.normal(0.0, sigma_s, 4000))
+    error = dejitter(stamps) - ticks()
+    # 4 s of samples average 320 stamps: sigma / 18, and four of those bound all of them; at the ends the
+    # average is of fewer
+    assert np.abs(error[200:-200]).max() < 4 * sigma_s / np.sqrt(320) + 2e-4
+    assert np.abs(error).max() < 0.5 * np.abs(stamps - ticks()).max()
+
+
+def test_packets_of_four_become_even() -> None:
+    k = np.arange(2400)
+    arrival = ticks(2400)[np.minimum((k // 4) * 4 + 3, 2399)] + (k % 4) * 1e-3
+    steadied = dejitter(arrival)
+    assert np.ptp(np.diff(arrival)) > 0.04
+    assert np.ptp(np.diff(steadied)) < 0.002
+
+
+def test_a_slow_drift_stays() -> None:
+    rng = np.random.default_rng(1)
+    true = ticks() * 1.0003 + 0.003 * np.sin(ticks() / 8.0)
+    steadied = dejitter(np.sort(true + rng.normal(0.0, 0.003, 4000)))
+    middle = slice(200, -200)  # the average leans at the ends
+    assert np.abs(steadied - true)[middle].max() < 1.5e-3
+
+
+def test_a_missing_sample_leaves_the_stamps_alone() -> None:
+    rng = np.random.default_rng(2)
+    stamps = np.delete(np.sort(ticks() + rng.normal(0.0, 0.002, 4000)), 2000)
+    np.testing.assert_array_equal(dejitter(stamps), stamps)
+
+
+def recording(jitter_s: float = 0.004, joints: tuple[str, ...] = FOREARM_JOINTS, seed: int = 0) -> Recording:
+    """Three segments of a sensor whose stamps scatter, joints tracked at random; no value is finite."""
+    rng = np.random.default_rng(seed)
+    t = np.concatenate(
+        [start + np.arange(count) / RATE_HZ for start, count in ((0.0, 1500), (21.0, 30), (24.0, 2000))]
+    )
+    t = np.sort(t + rng.uniform(-jitter_s, jitter_s, len(t)))
+    frame_t = np.arange(0.0, 50.0, 1 / 30)
+    state = np.full((len(frame_t), len(JOINTS)), JointState.NOT_TRACKED, np.int8)
+    state[:, JOINTS.index("shoulder")] = JointState.TRACKED
+    for joint in joints:
+        state[:, JOINTS.index(joint)] = rng.choice(list(JointState), len(frame_t))
+    nothing = np.full((len(t), 3), np.nan)
+    arm = JointTracks("camera", frame_t, np.full((len(frame_t), len(JOINTS), 3), np.nan), state)
+    return Recording(ImuStream("imu", t, nothing, nothing), arm)
+
+
+def test_stamps_are_even_segment_by_segment() -> None:
+    made = recording()
+    t, timeline = made.imu.t_s, Timeline.of(made)
+    assert [(rows.start, rows.stop) for rows in timeline.segments] == [(0, 1500), (1500, 1530), (1530, 3530)]
+    for rows in timeline.segments:
+        np.testing.assert_array_equal(timeline.even_t_imu[rows], dejitter(t[rows]))
+    assert np.std(np.diff(timeline.even_t_imu[:1500])) < 0.1 * np.std(np.diff(t[:1500]))
+    np.testing.assert_array_equal(timeline.even_t_imu[1500:1530], t[1500:1530])  # too few to be dejittered
+
+
+def test_length_leaves_the_pauses_out() -> None:
+    timeline = Timeline.of(recording(jitter_s=0.0))
+    assert timeline.length_s() == pytest.approx((1499 + 29 + 1999) / RATE_HZ, abs=1e-9)
+
+
+@pytest.mark.parametrize("joints", [FOREARM_JOINTS, ("elbow", "wrist"), ("wrist",), ("strap",)], ids="-".join)
+def test_visible_is_the_definition(joints: tuple[str, ...]) -> None:
+    """A loop: two tracked forearm joints, or one where the recording has only one; the shoulder is none."""
+    made = recording(joints=joints)
+    needed = min(2, len(joints))
+    expected = [
+        sum(frame[JOINTS.index(joint)] == JointState.TRACKED for joint in FOREARM_JOINTS) >= needed
+        for frame in made.arm.state
+    ]
+    np.testing.assert_array_equal(Timeline.of(made).visible, expected)
+    assert 0.02 < np.mean(expected) < 0.98
+
+
+def test_stamps_of_a_program_are_noticed() -> None:
+    made = recording()
+    assert not Timeline.of(made).synthetic_stamps
+    arm = JointTracks("camera", np.arange(1500) / 27.3, made.arm.position, made.arm.state)
+    assert Timeline.of(Recording(made.imu, arm)).synthetic_stamps

@@ -1,4 +1,4 @@
-"""Sections of about a minute: the same answer as the whole in one section, and no seam to be seen."""
+"""Sections of about a minute: the same answer as the whole in one section, no seam, borders."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from smoother.measurements.clock import constant_clock
 from smoother.measurements.segment import Timeline
 from smoother.measurements.visibility import Gap
 from smoother.recording import FOREARM_JOINTS, JOINTS
+from smoother.recovery.blended_columns import between_quaternions, blend
 from smoother.recovery.merge import merged_gaps
 from smoother.recovery.sections import SECTION_S, Section, Sections, section_borders
+from smoother.rotation import Rotation
 from smoother.simulation import SimulatedArm
 
 
@@ -130,3 +132,35 @@ def test_gaps_of_two_sections_are_one() -> None:
         Gap(20.0, 21.0),
     ]
     assert merged_gaps([], (Gap(0.0, 1.0, open_start=True),)) == [Gap(0.0, 1.0, open_start=True)]
+
+
+SHARE = np.array([0.0, 0.2, 0.5, 0.8, 1.0, 1.0])
+
+
+def test_both_known():
+    column = np.ones((7, 3))
+    blend(column, slice(1, 7), np.full((6, 3), 3.0), SHARE)
+    np.testing.assert_allclose(column[:, 0], [1.0, *(1.0 + 2.0 * SHARE)])
+
+
+def test_what_the_later_section_does_not_know_stays():
+    column, later = np.ones((6, 2)), np.full((6, 2), 3.0)
+    later[[1, 2, 5], 0] = np.nan
+    blend(column, slice(0, 6), later, SHARE)
+    np.testing.assert_allclose(column[:, 0], [1.0, 1.0, 1.0, 2.6, 3.0, np.nan])
+    np.testing.assert_allclose(column[:, 1], 1.0 + 2.0 * SHARE)
+
+
+def test_what_the_earlier_section_does_not_know_is_taken_from_the_later():
+    column = np.full((6, 2, 2), np.nan)
+    blend(column, slice(0, 6), np.full((6, 2, 2), 3.0), SHARE)
+    np.testing.assert_array_equal(column, 3.0)
+
+
+def test_quaternions_on_the_way():
+    before = np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
+    after = np.tile(Rotation.from_rotvec(np.array([0.0, 0.0, 0.8])).as_quat(scalar_first=True), (4, 1))
+    before[0], after[1] = np.nan, np.nan
+    between = between_quaternions(before, after, np.full(4, 0.25))
+    np.testing.assert_allclose(between[:2], [after[0], before[1]])
+    assert Rotation.from_quat(between[2:], scalar_first=True).magnitude() == pytest.approx(0.2)

@@ -1,4 +1,4 @@
-"""The simulated motion: exact physics, plausible people, occlusions, truth that fits the calibration."""
+"""The simulated motion: exact physics, plausible people, occlusions, IMUs on the upper arm and the trunk."""
 
 from __future__ import annotations
 
@@ -230,3 +230,134 @@ def test_six_minutes_come_quickly():
     assert time.process_time() - begin < 10  # about 1 s; a loop over samples would take a minute
     assert len(simulated.recording.imu) == 360 * 80
     assert (simulated.recording.arm.state[:, 1] == JointState.TRACKED).mean() > 0.5
+
+
+SHORT = {"protocol": "random", "duration_s": 8.0, "occlusion_lengths_s": ()}
+
+
+def two_imu_arm(preset: str = "clean", **changes: object) -> SimulatedArm:
+    return simulate_arm(
+        ArmSimulation.preset(preset, **(SHORT | {"imus": "wrist,upper-arm"} | changes)), seed=5
+    )
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_elbow_and_shoulder_are_constant_in_its_axes(side: str) -> None:
+    made = two_imu_arm(side=side)
+    assert made.upper_motion is not None and made.recording.upper_imu is not None
+    t = np.linspace(0.5, 7.0, 30)
+    R, position = made.upper_motion.imu_pose(t)
+    joints = made.motion.joints(t)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+    for joint, lever in made.calibration.upper_imu.items():
+        np.testing.assert_allclose(position + R @ lever.position_m, joints[joint], atol=1e-9)
+    # the bone's axes: y from the elbow to the shoulder, z towards the lateral epicondyle
+    assert made.calibration.R_U_B is not None
+    bone = R @ made.calibration.R_U_B.T
+    along = joints["shoulder"] - joints["elbow"]
+    np.testing.assert_allclose(bone[:, :, 1], along / np.linalg.norm(along, axis=1)[:, None], atol=1e-9)
+    np.testing.assert_allclose(bone[:, :, 2], made.motion.bone_axes(t)[0], atol=1e-9)  # type: ignore[attr-defined]
+
+
+def test_its_samples_are_those_of_its_motion() -> None:
+    """Turned by its own gyroscope from the start, it ends where the motion says (0.05 degrees in 7 s)."""
+    made = two_imu_arm()
+    imu, motion = made.recording.upper_imu, made.upper_motion
+    assert imu is not None and motion is not None
+    step = 1.0 / 80.0
+    turn = Rotation.identity()
+    for rate in imu.gyro[40:600]:
+        turn = turn * Rotation.from_rotvec(rate * step)
+    ends = Rotation.from_matrix(motion.imu_pose(np.array([40, 600]) * step)[0])
+    assert np.degrees((ends[0] * turn * ends[1].inv()).magnitude()) < 0.05
+
+
+def test_soft_tissue_turns_it_as_much_as_asked() -> None:
+    made = two_imu_arm(upper_wobble_deg=5.0)
+    still = two_imu_arm()
+    assert made.upper_motion is not None and still.upper_motion is not None
+    t = np.linspace(0.0, 8.0, 400)
+    turn = Rotation.from_matrix(
+        made.upper_motion.imu_pose(t)[0].transpose(0, 2, 1) @ still.upper_motion.imu_pose(t)[0]
+    )
+    assert np.degrees(np.sqrt(np.mean(turn.magnitude() ** 2))) == pytest.approx(5.0, rel=0.15)
+
+
+def test_the_wrist_and_the_camera_do_not_notice_it() -> None:
+    both = two_imu_arm("realistic").recording
+    one = two_imu_arm("realistic", imus="wrist").recording
+    assert one.upper_imu is None
+    np.testing.assert_array_equal(both.imu.acc, one.imu.acc)
+    np.testing.assert_array_equal(both.arm.position, one.arm.position)
+
+
+def test_its_clock_is_its_own() -> None:
+    made = two_imu_arm(upper_clock_s=0.2, upper_clock_ppm=100.0)
+    imu = made.recording.upper_imu
+    assert imu is not None
+    offset = imu.t_s - made.recording.imu.t_s
+    assert offset[0] == pytest.approx(0.2, abs=1e-5) and offset[-1] - offset[0] == pytest.approx(
+        8e-4, rel=0.01
+    )
+
+
+def test_the_end_is_occluded() -> None:
+    made = two_imu_arm(end_gap_s=3.0)
+    t = made.recording.arm.t_s
+    np.testing.assert_array_equal(made.occluded, t >= 5.0)
+    assert not made.recording.arm.tracked("wrist")[t > 5.2].any()
+    assert made.recording.arm.tracked("shoulder")[t > 5.2].all()
+
+
+def trunk_arm(**changes: object) -> SimulatedArm:
+    settings = {"imus": "wrist,upper-arm,trunk", "protocol": "random", "duration_s": 12.0}
+    return simulate_arm(ArmSimulation.preset("clean", **(settings | changes)), seed=3)
+
+
+def test_a_trunk_that_stands_still_changes_nothing_else() -> None:
+    with_trunk, without = trunk_arm(), trunk_arm(imus="wrist,upper-arm")
+    for name in ("imu", "upper_imu"):
+        one, other = getattr(with_trunk.recording, name), getattr(without.recording, name)
+        np.testing.assert_array_equal(one.acc, other.acc)
+        np.testing.assert_array_equal(one.gyro, other.gyro)
+    np.testing.assert_array_equal(with_trunk.recording.arm.position, without.recording.arm.position)
+    assert without.recording.trunk is None and without.trunk_motion is None
+    trunk = with_trunk.recording.trunk
+    assert trunk is not None and with_trunk.trunk_motion is not None
+    np.testing.assert_allclose(trunk.imu.gyro, 0.0, atol=1e-9)
+    down = with_trunk.trunk_motion.imu_pose(np.zeros(1))[0][0].T @ with_trunk.parameters["gravity"]
+    np.testing.assert_allclose(trunk.imu.acc, np.tile(-down, (len(trunk.imu), 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_gyroscope_feels_what_the_shoulders_show(side: str) -> None:
+    made = trunk_arm(trunk_turn_deg=12.0, side=side, sway_m=0.0)
+    trunk, motion = made.recording.trunk, made.trunk_motion
+    assert trunk is not None and trunk.other_arm is not None and motion is not None
+    t = trunk.imu.t_s
+    R, _ = motion.imu_pose(t)
+    turned = Rotation.from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:]).as_rotvec() / np.diff(t)[:, None]
+    np.testing.assert_allclose(0.5 * (trunk.imu.gyro[1:] + trunk.imu.gyro[:-1]), turned, atol=2e-3)
+    angle = Rotation.from_matrix(motion.thorax(t[:1])[0].T @ motion.thorax(t)).magnitude()
+    assert np.degrees(angle).max() > 6.0
+    # z of the thorax points from the left shoulder to the right one, but for what the girdle moves
+    frame_t = trunk.other_arm.t_s
+    np.testing.assert_array_equal(frame_t, made.recording.arm.t_s)
+    line = made.recording.arm.joint("shoulder") - trunk.other_arm.joint("shoulder")
+    line *= 1.0 if side == "right" else -1.0
+    along = np.einsum("ni,ni->n", line, motion.thorax(frame_t)[:, :, 2]) / np.linalg.norm(line, axis=1)
+    assert np.degrees(np.arccos(along)).max() < 20.0
+
+
+def test_the_arm_turns_with_the_trunk() -> None:
+    """The wrist's gyroscope and truth stay one motion."""
+    made = trunk_arm(trunk_turn_deg=12.0)
+    truth, imu = made.recording.truth, made.ideal_imu
+    assert truth is not None
+    R = Rotation.from_quat(truth.quaternion, scalar_first=True)
+    turned = (R[:-1].inv() * R[1:]).as_rotvec() / np.diff(truth.t_s)[:, None]
+    off = 0.5 * (imu.gyro[1:] + imu.gyro[:-1]) - turned
+    assert np.sqrt(np.mean(off**2)) < 0.02  # means over samples against a difference of means
+    elbow, wrist, hand = (truth.joints[joint] for joint in ("elbow", "wrist", "hand"))
+    for a, b in ((elbow, wrist), (wrist, hand)):
+        assert np.ptp(np.linalg.norm(a - b, axis=1)) < 1e-9

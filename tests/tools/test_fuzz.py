@@ -9,8 +9,6 @@ from resource import RUSAGE_SELF
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from smoother.errors import UnoccludeError
 from tools.fuzz import __main__ as fuzzing
 from tools.fuzz.corpus import seeds, write_seeds

@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 import random
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tools.faults.kills import COMMAND, QUICK, Case, broken, hidden, table, try_case
 

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import re
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from smoother.matching import ImuMatch, Limb
 from smoother.simulation import ArmSimulation, simulate_arm

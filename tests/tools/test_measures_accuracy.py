@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from smoother.simulation import ArmSimulation, simulate_arm
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 from tools.accuracy.measures import NEAR_DEG, Sample, coverage_table, hidden_extremes, markdown
 
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from smoother.simulation import ArmSimulation, simulate_arm
 from tools.accuracy.pairing import crossed, known_clock_s, rows_of

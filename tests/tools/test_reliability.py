@@ -5,13 +5,10 @@ from __future__ import annotations
 import signal
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from smoother.recording import JOINTS, JointState
 from smoother.result import Recovery

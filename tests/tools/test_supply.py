@@ -5,17 +5,16 @@ from __future__ import annotations
 import json
 import os
 import re
-import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
+from tools.sbom import locked, sbom
+from tools.wheel import build, sha256
 
-from tools.sbom import locked, sbom  # noqa: E402
-from tools.wheel import build, sha256  # noqa: E402
+ROOT = Path(__file__).parents[2]
+
 
 LOCK = (ROOT / "requirements.lock").read_text(encoding="utf-8")
 
