@@ -74,6 +74,20 @@ PRONATION = JointAngle(
 )
 
 
+WRIST_FLEXION = JointAngle(
+    "wrist_flexion",
+    "wrist flexion",
+    "flexion of the wrist, 0 = the hand in line with the forearm, to the palm positive",
+    "4, hand to forearm, Z-X-Y: Z; by the hand's direction alone",
+)
+WRIST_DEVIATION = JointAngle(
+    "wrist_deviation",
+    "wrist deviation",
+    "radial deviation of the wrist, 0 = the hand in line with the forearm, to the thumb positive",
+    "4, hand to forearm, Z-X-Y: X, radial positive; by the hand's direction alone",
+)
+
+
 def _to_trunk(angle: JointAngle) -> JointAngle:
     """The same angle against the trunk itself."""
     return JointAngle(
@@ -86,5 +100,6 @@ def _to_trunk(angle: JointAngle) -> JointAngle:
 
 SHOULDER = (SHOULDER_PLANE, SHOULDER_ELEVATION, SHOULDER_ROTATION)
 SHOULDER_TRUNK = tuple(_to_trunk(angle) for angle in SHOULDER)
+WRIST = (WRIST_FLEXION, WRIST_DEVIATION)
 #: All of them, in the order of columns, curves and messages.
-JOINT_ANGLES = (ELBOW_FLEXION, *SHOULDER, PRONATION, *SHOULDER_TRUNK)
+JOINT_ANGLES = (ELBOW_FLEXION, *SHOULDER, PRONATION, *SHOULDER_TRUNK, *WRIST)

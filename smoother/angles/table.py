@@ -12,9 +12,10 @@ from ..array_types import FloatArray
 from ..errors import UnoccludeError
 from ..result.moving_arm import MovingArm
 from ..shoulder_angles import shoulder_angles, trunk_angles
-from .definitions import ELBOW_FLEXION, JOINT_ANGLES, PRONATION, SHOULDER, SHOULDER_TRUNK, JointAngle
+from .definitions import ELBOW_FLEXION, JOINT_ANGLES, PRONATION, SHOULDER, SHOULDER_TRUNK, WRIST, JointAngle
 from .forearm_mounting import ForearmMounting, forearm_mounting
 from .skeleton import Angles, skeleton_angles, skeleton_trunk_angles
+from .wrist import why_no_wrist, wrist_angles
 
 if TYPE_CHECKING:
     import pandas
@@ -234,4 +235,5 @@ def _why_no_trunk(arm: MovingArm, mounting: ForearmMounting, name: str) -> str:
 _SOURCES = (
     _Source((ELBOW_FLEXION, *SHOULDER, PRONATION), _arm, _why_no_arm),
     _Source(SHOULDER_TRUNK, _trunk, _why_no_trunk, lambda arm: arm.trunk is not None),
+    _Source(WRIST, wrist_angles, why_no_wrist, lambda arm: "hand" in arm.segments),
 )
