@@ -2,8 +2,8 @@
 
 Sigma is by first-order propagation through `joint_angles.arm_angles` itself, of the pose of the forearm's IMU
 (it moves the elbow and turns the forearm), of the shoulder's position, and of how the forearm lies in the
-IMU's axes. The shoulder's errors count as independent of the IMU's: a recovery keeps no covariance between
-them. Where both come from one error of the camera they cancel in part, and sigma is too large.
+IMU's axes. The shoulder's errors count as independent of the IMU's, as a recovery keeps no covariance between
+them; of what both add up to, a measured part counts (`UPPER_ARM_SHARE`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,12 @@ Angles = dict[str, FloatArray]
 
 #: How far skin and strap turn the IMU on the forearm, rad an axis (2.3 degrees rms about all three on
 #: realistic simulated arms; real straps turn by 1 to 3).
-STRAP_RAD = np.radians(1.3)
+STRAP_RAD = np.radians(1.1)
+#: What an upper arm's direction is off by, as a part of the variance that shoulder and elbow state together.
+#: What all of a camera's joints are off by turns no arm, and slow noise is stated as white noise of the
+#: same long-run size; no covariance between joints is kept that would say how much. On simulated arms it is
+#: 0.28 (`azure`), 0.46 (`realistic`) and 0.5 (`white`).
+UPPER_ARM_SHARE = 0.45
 #: A forearm's length where the lever arms do not say it, m.
 FOREARM_M = 0.25
 #: An angle that may be anything is off by this at most, degrees.
@@ -151,8 +156,11 @@ def _with_sigma(
     own = direction_variance(arm)
     sigmas = {}
     for name, slope in geometry.slopes(values).items():
-        by_pose = np.concatenate([-slope.apart, slope.turn], axis=1)
-        variance = _propagated(by_pose, pose) + _propagated(slope.apart, shoulder)
+        # The pose moves the elbow, whose error counts in part as the shoulder's does, and turns the forearm.
+        of_elbow = np.concatenate([-slope.apart, slope.turn - slope.forearm], axis=1)
+        by_pose = np.sqrt(UPPER_ARM_SHARE) * of_elbow
+        by_pose[:, 3:] += slope.forearm
+        variance = _propagated(by_pose, pose) + UPPER_ARM_SHARE * _propagated(slope.apart, shoulder)
         variance += own * (slope.forearm**2).sum(axis=1)
         if of_trunk is not None:
             variance += _propagated(slope.whole, of_trunk)

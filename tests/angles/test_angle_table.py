@@ -14,7 +14,7 @@ from made_results import recovery
 from scipy.spatial.transform import Rotation
 
 from smoother.angles import JOINT_ANGLES
-from smoother.angles.skeleton import direction_variance
+from smoother.angles.skeleton import UPPER_ARM_SHARE, direction_variance
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, LeverArm
 from smoother.errors import UnoccludeError
@@ -107,9 +107,9 @@ def drawn(made: Recovery, sample: int, count: int, rng: np.random.Generator) -> 
     own = Rotation.from_rotvec(np.sqrt(direction_variance(made)) * rng.normal(size=(count, 3)))
     at = {name: place[sample] for name, place in made.joints.items()}
     elbow = made.position[sample] + pose[:, :3] + turn.apply(at["elbow"] - made.position[sample])
-    shoulder = at["shoulder"] + rng.multivariate_normal(
-        np.zeros(3), made.joint_covariance["shoulder"][sample], count
-    )
+    off = rng.multivariate_normal(np.zeros(3), made.joint_covariance["shoulder"][sample], count)
+    off -= elbow - at["elbow"]  # of the upper arm; a part of it is common to both of its ends
+    shoulder = elbow + at["shoulder"] - at["elbow"] + np.sqrt(UPPER_ARM_SHARE) * off
     wrist = elbow + (own * turn).apply(at["wrist"] - at["elbow"])
     axes = (own * turn).as_matrix() @ forearm_axes(made.quaternion[sample : sample + 1], R_F_A)
     joints = {"shoulder": shoulder, "elbow": elbow, "wrist": wrist}
@@ -138,7 +138,7 @@ def test_a_hanging_or_upright_arm_has_no_plane(elevation: float) -> None:
     table = made.angles()
     for name in ("shoulder_plane", "shoulder_rotation"):
         sigma = table.sigmas[name]
-        assert (sigma > 40.0).all() and (sigma <= 180.0).all()
+        assert (sigma > 30.0).all() and (sigma <= 180.0).all()
     # elevation has no sign: its sigma also holds what an error across adds to it
     rng = np.random.default_rng(3)
     for sample in range(3):

@@ -16,7 +16,6 @@ from mcap.reader import make_reader
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import export_csv, read_recording, read_recovery, write_recording, write_recovery
-from smoother.io.result.streams import elbow_flexion
 from smoother.io.wire.schemas import message_class
 
 
@@ -169,11 +168,23 @@ def test_csv_of_a_strap(tmp_path: Path) -> None:
     assert row["wrist_x"] == row["shoulder_sigma_x"] == "" and row["imu_x"]
 
 
-def test_elbow_flexion_counts_from_straight() -> None:
-    at = {"shoulder": np.zeros((3, 3)), "elbow": np.tile([1.0, 0, 0], (3, 1))}
-    at["wrist"] = np.array([[2.0, 0, 0], [1.0, 1, 0], [0.0, 0, 0]])
-    np.testing.assert_allclose(elbow_flexion(at), [0, np.pi / 2, np.pi])
-    assert elbow_flexion({}) is None
+def test_joint_angles_with_their_sigmas(tmp_path: Path) -> None:
+    made = recovery()
+    write_recovery(made, tmp_path / "a.mcap")
+    table = made.angles().to_arrays()
+    wanted = {name.replace("_deg", "_right"): np.radians(values) for name, values in table.items()}
+    found = {name: np.full(len(made), np.nan) for name in wanted}
+    with open(tmp_path / "a.mcap", "rb") as file:
+        for _, _, message in make_reader(file).iter_messages("/unocclude/joints"):
+            states = message_class("foxglove.JointStates")()
+            states.ParseFromString(message.data)
+            nanoseconds = states.timestamp.ToNanoseconds() - made.origin_ns
+            row = int(np.argmin(np.abs(made.t_s - 1e-9 * nanoseconds)))
+            for joint in states.joints:
+                found[joint.name][row] = joint.position
+    for name, values in wanted.items():
+        np.testing.assert_allclose(found[name], values, atol=1e-12, err_msg=name)
+    assert np.isfinite(wanted["shoulder_plane_right"]).any()
 
 
 def test_the_metadata_is_json(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import argparse
 import sys
 
 from tools.accuracy import (
+    angles,
     clock,
     coverage,
     draws,
@@ -32,7 +33,7 @@ from tools.accuracy import (
 CHECKS = {
     check.name: check
     for module in (
-        *(recordings, two_imus, trunk, coverage, draws, measures, progress, live),
+        *(recordings, two_imus, trunk, angles, coverage, draws, measures, progress, live),
         *(clock, imu, magnetometer, forearm, panel, world, match, pairing),
     )
     for check in module.CHECKS

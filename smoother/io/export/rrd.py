@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ...angles import JointAngle, JointAngles
+from ...angles.definitions import ELBOW_FLEXION
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import UnoccludeError
-from ...joint_angles import elbow_flexion_sigma, recovery_angles
 from ...linalg import median_rate_hz
 from ...recording import JOINTS, JointState, JointTracks, Truth
 from ...result import Recovery
@@ -25,7 +26,8 @@ from ...runtime.packages import extra_module
 from ..result.drawing import ANSWER, CAMERA, CHAIN, DISTRUST, GUESSED, VISIBLE, Color, common_down, world_axes
 
 TIMELINE = "time"
-#: Pictures a second in space; curves have every sample.
+#: Pictures a second in space, and points of the shoulder's and the forearm's angles; other curves have every
+#: sample.
 PICTURES_HZ = 30.0
 _NAMES = [JOINTS[i] for i in CHAIN]
 _TRUTH: Color = (0.0, 0.62, 0.45, 1.0)
@@ -74,7 +76,9 @@ class RerunArm:
         joints = recovery.joints
         #: The point whose place and sigma are shown.
         self.point = "wrist" if "wrist" in joints else "imu"
-        self.has_flexion = {"shoulder", "elbow", "wrist"} <= set(joints)
+        self._angles = JointAngles(recovery)
+        #: Joint angles that are known anywhere.
+        self.angles = self._known_angles()
         rate = median_rate_hz(recovery.t_s)
         self.step = max(round(rate / PICTURES_HZ), 1) if np.isfinite(rate) else 1
 
@@ -84,14 +88,24 @@ class RerunArm:
         self._styles()
         for start in range(0, len(self.recovery), BATCH_ROWS):
             batch = self.recovery.rows(slice(start, start + BATCH_ROWS))
-            self._in_space(batch.rows(np.arange(-start % self.step, len(batch), self.step)))
+            some = batch.rows(np.arange(-start % self.step, len(batch), self.step))
+            self._in_space(some)
             self._curves(batch)
+            self._angle_curves(batch, [ELBOW_FLEXION])
+            self._angle_curves(some, [angle for angle in self.angles if angle is not ELBOW_FLEXION])
         for frames in self.recovery.frame_batches():
             self._before(frames)
         if self.truth is not None:
             for start in range(0, len(self.truth), BATCH_ROWS):
                 self._truth(self.truth, slice(start, start + BATCH_ROWS))
         self._gaps()
+
+    def _known_angles(self) -> list[JointAngle]:
+        known: set[str] = set()
+        for batch in self.recovery.batches():
+            values, _ = self._angles.at(batch)
+            known |= {name for name, angle in values.items() if np.isfinite(angle).any()}
+        return [angle for angle in self._angles.angles if angle.name in known]
 
     def point_of(self, batch: Recovery) -> tuple[FloatArray, FloatArray]:
         """Positions (n, 3) and covariances (n, 3, 3) of the shown point."""
@@ -153,7 +167,7 @@ class RerunArm:
                 self._curve(f"{self.point}_{name}", "truth", t_s, point[rows, axis : axis + 1])
 
     def _curves(self, batch: Recovery) -> None:
-        """Place with its 2 sigma lines, sigma, and flexion, at every sample."""
+        """Place with its 2 sigma lines, and sigma, at every sample."""
         point, covariance = self.point_of(batch)
         sigma = np.sqrt(np.einsum("nii->ni", covariance))
         for axis, name in enumerate(_AXES):
@@ -161,11 +175,15 @@ class RerunArm:
             band = point[:, axis, None] + 2.0 * sigma[:, axis, None] * np.array([-1.0, 1.0])
             self._curve(f"{self.point}_{name}", "two_sigma", batch.t_s, band)
         self._curve("sigma", "", batch.t_s, 100.0 * sigma)
-        if self.has_flexion:
-            flexion, spread = recovery_angles(batch)["elbow_flexion"], elbow_flexion_sigma(batch)
-            self._curve("elbow_flexion", "after", batch.t_s, flexion[:, None])
-            band = flexion[:, None] + 2.0 * spread[:, None] * np.array([-1.0, 1.0])
-            self._curve("elbow_flexion", "two_sigma", batch.t_s, band)
+
+    def _angle_curves(self, batch: Recovery, angles: Sequence[JointAngle]) -> None:
+        """Joint angles with their 2 sigma lines, those that are known anywhere."""
+        values, sigmas = self._angles.at(batch)
+        for name in (angle.name for angle in angles if angle in self.angles):
+            value = broken_at_turns(values[name])[:, None]
+            self._curve(name, "after", batch.t_s, value)
+            band = value + 2.0 * sigmas[name][:, None] * np.array([-1.0, 1.0])
+            self._curve(name, "two_sigma", batch.t_s, band)
 
     def _gaps(self) -> None:
         """Seen, occluded, not to be trusted or without an answer, where it changes."""
@@ -180,7 +198,7 @@ class RerunArm:
         """How curves and states look; the same at all times."""
         rr = self.rr
         log, curves = self.stream.log, [f"{self.point}_{axis}" for axis in _AXES]
-        curves += ["elbow_flexion"] if self.has_flexion else []
+        curves += [angle.name for angle in self.angles]
         after, faint = packed(self.color), packed((*self.color[:3], 0.45))
         for curve in curves:
             of = f"curves/{curve}/{self.name}"
@@ -198,7 +216,7 @@ class RerunArm:
                     colors=[packed(CAMERA)], marker_sizes=[1.5], names=[f"{self.label}camera"]
                 )
                 log(f"{of}/camera", dots, static=True)
-            if self.truth is not None and curve != "elbow_flexion":
+            if self.truth is not None and curve.startswith(self.point):
                 line = rr.SeriesLines(colors=[packed(_TRUTH)], widths=[1.0], names=["truth"])
                 log(f"{of}/truth", line, static=True)
         names = [f"{self.label}{self.point} {axis}" for axis in _AXES]
@@ -236,6 +254,12 @@ class RerunArm:
         if len(t_s):
             time = self.rr.TimeColumn(TIMELINE, duration=t_s)
             self.stream.send_columns(f"{self.space}/{path}", [time], columns)
+
+
+def broken_at_turns(angle: FloatArray) -> FloatArray:
+    """Angles (n,), degrees, with nan where a curve would run from 180 to -180."""
+    jumps = np.abs(np.diff(angle, prepend=angle[:1])) > 180.0
+    return np.where(jumps, np.nan, angle)
 
 
 def _kind(batch: Recovery) -> NDArray[np.int8]:
@@ -289,25 +313,30 @@ def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> An
     """
     rrb = rr.blueprint
     curves = [(f"{point}_{axis}", f"{point} {axis}, m") for point in _points(arms) for axis in "xyz"]
-    if any(arm.has_flexion for arm in arms):
-        curves.append(("elbow_flexion", "elbow flexion, degrees"))
+    angles = {angle.name: f"{angle.title}, degrees" for arm in arms for angle in arm.angles}
+    curves += list(angles.items())[:1]
     curves.append(("sigma", "sigma, cm"))
+    others = list(angles.items())[1:]
     whose = ", ".join(f"{arm.color_name}: {arm.name}" for arm in arms) if len(arms) > 1 else ""
-    plots = [
-        rrb.TimeSeriesView(
+
+    def plot(path: str, name: str) -> Any:
+        return rrb.TimeSeriesView(
             origin=f"curves/{path}",
             name=f"{name} ({whose})" if whose and path != "sigma" else name,
             axis_x=rrb.TimeAxis(view_range=whole_recording(rr), zoom_lock=False),
             axis_y=rrb.ScalarAxis(range=(0.0, 1.1 * top_sigma_cm(arms))) if path == "sigma" else None,
             plot_legend=rrb.PlotLegend("RightTop", visible=path == "sigma" and len(arms) == 1),
         )
-        for path, name in curves
-    ]
+
+    plots = rrb.Vertical(*[plot(*curve) for curve in curves], name="place")
+    if others:
+        more = rrb.Vertical(*[plot(*curve) for curve in others], name="joint angles")
+        plots = rrb.Tabs(plots, more)
     gaps = rrb.StateTimelineView(origin="gaps", name="gaps")
     notes = rrb.TextDocumentView(origin="notes", name="notes")
     left = rrb.Vertical(_space(rr, arms, R_W_K, upright), rrb.Tabs(gaps, notes), row_shares=[4, 1])
     return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[1, 1]),
+        rrb.Horizontal(left, plots, column_shares=[1, 1]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),

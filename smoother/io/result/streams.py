@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...angles import JointAngles
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...recording import JOINTS, JointState
 from ...result import FrameResiduals, Recovery
@@ -66,6 +67,7 @@ class RecoveryStreams:
         self.residual_messages = None if residuals is None else ResidualMessages(residuals, frame_id)
         self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
         self.trusted = recovery.trusted
+        self.angles = JointAngles(recovery)
 
     def axes(self) -> list[TimeAxis]:
         """Times of the samples, the frames, the residuals, the gaps and the messages of drawn motions."""
@@ -214,22 +216,27 @@ class RecoveryStreams:
                 yield self._stream("tf", "foxglove.FrameTransforms", template, stamp, rows, columns)
 
     def _joint_states(self, r: Recovery) -> Iterator[OutputStream]:
-        flexion = elbow_flexion(r.joints)
-        if flexion is None or not np.isfinite(flexion).any():
-            return
-        name = "elbow_flexion" + (f"_{r.side}" if r.side else "")
-        template = wire.join(
-            wire.timestamp(1, "stamp"), wire.message(2, wire.text(1, name), wire.double(2, "angle"))
-        )
-        rows = np.flatnonzero(np.isfinite(flexion))
-        yield self._stream(
-            "joints",
-            "foxglove.JointStates",
-            template,
-            self._stamps(r.t_s),
-            rows,
-            lambda chosen: {"angle": flexion[chosen]},
-        )
+        """The joint angles that are known at a sample, and behind them their sigmas, rad."""
+        values, sigmas = self.angles.at(r)
+        columns = values | {f"{name}_sigma": sigma for name, sigma in sigmas.items()}
+        names, table = list(columns), np.radians(np.column_stack(list(columns.values())))
+        side = f"_{r.side}" if r.side else ""
+        stamp = self._stamps(r.t_s)
+        known = np.isfinite(table)
+        keys = known @ (1 << np.arange(len(names)))  # samples with the same ones are written alike
+        for key in np.unique(keys[keys > 0]).tolist():
+            rows = np.flatnonzero(keys == key)
+            places = np.flatnonzero(known[rows[0]])
+            states = [
+                wire.message(2, wire.text(1, names[k] + side), wire.double(2, "angles", index))
+                for index, k in enumerate(places.tolist())
+            ]
+            template = wire.join(wire.timestamp(1, "stamp"), *states)
+
+            def of_rows(chosen: IntArray, places: IntArray = places) -> dict[str, NDArray]:
+                return {"angles": table[np.ix_(chosen, places)]}
+
+            yield self._stream("joints", "foxglove.JointStates", template, stamp, rows, of_rows)
 
     def _gaps(self, r: Recovery) -> Iterator[OutputStream]:
         """Each gap as an event, and as a line of a log, which more programs show."""
@@ -270,13 +277,3 @@ class RecoveryStreams:
         after = np.clip(np.searchsorted(stamp, at), 1, max(last, 1))
         before_is_nearer = at - stamp[after - 1] < stamp[np.minimum(after, last)] - at
         return first + np.minimum(after - before_is_nearer, last), inside
-
-
-def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
-    """Angle (N,) between upper arm and forearm, rad, 0 = straight; None without the joints."""
-    if not {"shoulder", "elbow", "wrist"} <= joints.keys():
-        return None
-    upper = joints["elbow"] - joints["shoulder"]
-    forearm = joints["wrist"] - joints["elbow"]
-    across = np.linalg.norm(np.cross(upper, forearm), axis=1)
-    return np.arctan2(across, np.einsum("ni,ni->n", upper, forearm))

@@ -60,6 +60,15 @@ def test_everything_is_there_and_right(rerun, tmp_path):
         np.testing.assert_array_equal(after, wrist[:, axis])
         np.testing.assert_allclose(band[:, 1] - band[:, 0], 4 * sigma[:, axis], atol=1e-12)
         np.testing.assert_allclose(band.mean(axis=1), after, atol=1e-12)
+    table = recovery.angles()
+    for name, step in (("elbow_flexion", 1), ("shoulder_plane", 3), ("shoulder_elevation", 3)):
+        after = np.array(tables[f"/curves/{name}/right/after"]["scalars"])[:, 0]
+        band = np.array(tables[f"/curves/{name}/right/two_sigma"]["scalars"])
+        angle, sigma_deg = table.values[name][::step], table.sigmas[name][::step]
+        assert np.isfinite(after).mean() > 0.9
+        known = np.isfinite(after)  # a curve is broken where it passes 180 degrees
+        np.testing.assert_allclose(after[known], angle[known], atol=1e-9)
+        np.testing.assert_allclose((band[:, 1] - band[:, 0])[known], 4 * sigma_deg[known], atol=1e-9)
     # In space: pictures at about the camera's rate, in single precision, orange where occluded.
     arm = tables[f"{space}/after"]
     t_s = seconds(arm)
