@@ -8,7 +8,7 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..body import SEGMENTS
-from ..error_radius import pooled_radius
+from ..error_radius import error_radius, pooled_radius
 from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
 from ..result import Estimates, GapVerdict, Recovery
@@ -37,6 +37,8 @@ class GapSummary:
         Whether its answer is to be trusted; None where nobody judged.
     error_95_m : float or None, m
         The IMU's position lies within this distance in 95 of 100 cases, at the least certain moment of it.
+    orientation_95_deg : float or None, degrees
+        Likewise of the orientation.
     """
 
     gap: Gap
@@ -46,6 +48,7 @@ class GapSummary:
     answered: float
     verdict: GapVerdict | None = None
     error_95_m: float | None = None
+    orientation_95_deg: float | None = None
 
     @property
     def one_sided(self) -> bool:
@@ -82,6 +85,7 @@ class GapSummary:
             "sigma_max_deg": self.sigma_max_deg,
             "sigma_max_flexion_deg": self.sigma_max_flexion_deg,
             "error_95_m": self.error_95_m,
+            "orientation_95_deg": self.orientation_95_deg,
             "answered": self.answered,
             "trusted": self.trusted,
             "reasons": list(self.reasons),
@@ -104,7 +108,10 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
         sigma_m, sigma_deg = _largest(inside.worst_sigma_m), _largest(inside.sigma_deg)
         flexion_deg = _largest(elbow_flexion_sigma(inside))
         error_m = _largest(inside.error_95_m)
-        summaries.append(GapSummary(gap, sigma_m, sigma_deg, flexion_deg, answered, verdict, error_m))
+        turn_deg = _largest(np.degrees(error_radius(inside.pose_covariance[:, 3:, 3:])))
+        summaries.append(
+            GapSummary(gap, sigma_m, sigma_deg, flexion_deg, answered, verdict, error_m, turn_deg)
+        )
     return summaries
 
 

@@ -22,12 +22,26 @@ from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
 from . import tables
+from .angle_table import angle_table
 from .chart import NOT_TRUSTED, badge
+from .film import Film
 from .forearm import mount
 from .method_comparison import sections as of_comparison
 from .method_comparison import verdict
+from .person import persons, words_of
 from .player import flat_views, player, points
-from .sheet import Html, bullets, figure, headed, listing, qualified, table, write_sheet
+from .sheet import (
+    CONTENTS,
+    Html,
+    bullets,
+    figure,
+    folded,
+    headed,
+    listing,
+    qualified,
+    table,
+    write_sheet,
+)
 from .style import MOST_POINTS, decimate
 from .summary import summary, tone
 from .traces import angles, coordinates, residuals, uncertainty
@@ -47,9 +61,12 @@ def write_report(
     validation: Validation | None = None,
     truth: Truth | None = None,
     camera_frame: CameraFrame | None = None,
+    film: Film | None = None,
     force: bool = False,
 ) -> None:
     """Write a result as one HTML page that needs no network and no other file.
+
+    It begins with the verdict, the joint angles and the arm in motion; all else is folded under "Details".
 
     Parameters
     ----------
@@ -65,6 +82,8 @@ def write_report(
         The reference, drawn beside the answer.
     camera_frame : CameraFrame, optional
         The directions of the camera's axes, where the recording is not at hand.
+    film : Film, optional
+        Pictures of the person, beside the arm: they are in the page then.
     force : bool
         Overwrite a page that exists.
 
@@ -78,7 +97,7 @@ def write_report(
         f"Recovered arm motion: {recovery.name}",
         origin(recovery),
         summary(recovery, validation),
-        sections(recovery, recording, validation, truth, camera_frame),
+        sections(recovery, recording, validation, truth, camera_frame, film),
         tone=tone([recovery]),
         force=force,
     )
@@ -98,21 +117,57 @@ def sections(
     validation: Validation | None,
     truth: Truth | None,
     frame: CameraFrame | None,
-    alone: bool = True,
+    film: Film | None = None,
 ) -> Iterator[str]:
-    """The sections about one arm, as HTML; parameters as of `write_report`.
-
-    `alone`: with the player; arms that share a page share one.
-    """
+    """The sections about one arm, as HTML; parameters as of `write_report`."""
     frame = frame if recording is None else recording.camera_frame or frame
-    estimates = found_in(recovery, recording)
+    yield from _first(recovery, recording, truth)
     if len(recovery):
-        wrong = recovery.estimates.trusted is False
-        yield listing("What to do" if wrong else "For the next recording", advice(recovery, estimates))
-        if alone:
-            yield in_motion([(recovery, truth)], frame)
-        yield from _figures(recovery, truth, frame)
-    yield headed("Gaps", _GAPS) + tables.gaps(recovery)
+        yield in_motion([(recording, recovery, truth)], frame, film)
+    yield from folded(details(recovery, recording, validation, truth, frame), below=CONTENTS)
+
+
+def _first(recovery: Recovery, recording: Recording | None, truth: Truth | None) -> Iterator[str]:
+    """What stands before the arm in motion: what to do where the set-up is wrong, and the angles."""
+    if not len(recovery):
+        return
+    if recovery.estimates.trusted is False:
+        yield listing("What to do", advice(recovery, found_in(recovery, recording)))
+    yield _angles(recovery, truth)
+
+
+def _angles(recovery: Recovery, truth: Truth | None) -> str:
+    """The joint angles with their bands, and why those that are not there are not."""
+    table = angle_table(recovery)
+    words = {angle.name: angle.title for angle in table.angles}
+    missing = [f"{words[name]}: {reason}" for name, reason in table.reasons.items() if name in words]
+    plot = angles(recovery, table, truth)
+    if plot is None:
+        return listing("Joint angles", missing, "The recording has no joint angle.")
+    meanings = "; ".join(
+        f"{angle.title}: {angle.meaning}" for angle in table.angles if angle.name not in table.reasons
+    )
+    if not recovery.trusted.any():
+        around = _NO_BAND
+    else:
+        around = "The band holds 95 of 100 true values; gaps are shaded."
+    reference = _REFERENCE if truth is not None else ""
+    caption = f"Curves are {_colours([recovery])}. {around}{reference} <small>{_capital(meanings)}.</small>"
+    return _figure("Joint angles", caption, plot) + bullets(missing)
+
+
+def details(
+    recovery: Recovery,
+    recording: Recording | None,
+    validation: Validation | None,
+    truth: Truth | None,
+    frame: CameraFrame | None,
+) -> Iterator[str]:
+    """All else about one arm, for those who look for it; parameters as of `write_report`."""
+    estimates = found_in(recovery, recording)
+    if len(recovery) and recovery.estimates.trusted is not False:
+        yield listing("For the next recording", advice(recovery, estimates))
+    yield headed("Gaps", _GAPS) + tables.gaps(recovery, validation)
     if validation is not None:
         heading = validation.title("Errors against the reference")
         yield headed(heading, _ERRORS) + tables.validation(validation) + bullets(validation.notes)
@@ -120,6 +175,7 @@ def sections(
         for title, caption, plot, below in () if truth is None else compared(recovery, truth, validation):
             yield (_figure(title, caption, plot) or headed(title, caption)) + below
     if len(recovery):
+        yield from _figures(recovery, truth, frame)
         yield from _trust(recovery, truth)
     yield _mounting(recovery, estimates)
     yield headed("Figures") + tables.overview(recovery)
@@ -128,32 +184,41 @@ def sections(
     yield headed("Settings") + tables.settings(recovery.config)
 
 
-def in_motion(arms: Sequence[tuple[Recovery, Truth | None]], frame: CameraFrame | None) -> str:
+def in_motion(
+    arms: Sequence[tuple[Recording | None, Recovery, Truth | None]],
+    frame: CameraFrame | None,
+    film: Film | None = None,
+) -> str:
     """The section in which the arms move; "" where none has an answer.
 
     Parameters
     ----------
-    arms : sequence of (Recovery, Truth or None)
+    arms : sequence of (Recording or None, Recovery, Truth or None)
         In one camera frame and on one clock.
     frame : CameraFrame, optional
         The directions of the camera's axes.
+    film : Film, optional
+        Pictures of the person, beside the arms.
     """
-    reference = _REFERENCE if any(truth is not None for _, truth in arms) else ""
-    what = "The recovered arm" if len(arms) == 1 else "The recovered arms"
-    joint = "wrist" if any("wrist" in recovery.joints for recovery, _ in arms) else "sensor"
-    colours = _colours([recovery for recovery, _ in arms])
-    ellipse = f", the ellipse two standard deviations of where the {joint} is"
-    if not any(recovery.trusted.any() for recovery, _ in arms):
+    reference = _REFERENCE if any(truth is not None for *_, truth in arms) else ""
+    joint = "wrist" if any("wrist" in recovery.joints for _, recovery, _ in arms) else "sensor"
+    colours = _colours([recovery for _, recovery, _ in arms])
+    ellipse = f", the ellipse about the {joint} holds it in 95 of 100 cases"
+    if not any(recovery.trusted.any() for _, recovery, _ in arms):
         ellipse = ""
+    people = persons([(recording, recovery) for recording, recovery, _ in arms], frame)
     return player(
         "The arm in motion" if len(arms) == 1 else "The arms in motion",
         Html(
-            f"{what}, {colours}; grey is the camera's own skeleton (dotted where it only guessed), the"
-            f" square is the sensor{ellipse}.{reference} Axes are the camera's{_directions(frame)}. On paper:"
-            " the whole path, and the arm at some instants."
+            f"The arm is {colours}. The thin grey skeleton is the camera's own, the square is the"
+            f" sensor{ellipse}.{reference} {escape(words_of(people))} Axes are the"
+            f" camera's{_directions(frame)}."
+            f"{escape(film.words) if film else ''} On paper: the whole path, and the arm at some instants."
         ),
-        arms,
+        [(recovery, truth) for _, recovery, truth in arms],
         frame,
+        people,
+        None if film is None else film.plain(),
     )
 
 
@@ -195,16 +260,10 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
         coordinates(recovery, shown, frame),
     )
     yield _figure(
-        "Angles of the arm",
-        "Elbow flexion: 0 degrees is a straight arm. Forearm elevation: 0 degrees is level, 90 degrees points"
-        " straight up.",
-        angles(recovery),
-    )
-    yield _figure(
         "How certain the answer is",
-        "Sigma is one standard deviation of the sensor's position (worst axis) and of its orientation, as"
-        " stated by the method. It grows into a gap and falls towards its end."
-        + (" The thin line is the true error, for comparison." if truth is not None else ""),
+        "In 95 of 100 cases the error of the sensor's position (in space), and of its orientation, lies below"
+        " the curve, as stated by the method. It grows into a gap and falls towards its end."
+        + (" The thin line is the true error: 95 % of it should lie below." if truth is not None else ""),
         uncertainty(recovery, truth),
     )
     yield _figure(
@@ -267,14 +326,12 @@ def _mounting(recovery: Recovery, estimates: ArmEstimates | None) -> str:
 
 
 _GAPS = (
-    "Times in which the camera did not see the forearm. A gap seen on both sides is held by the camera before"
-    " and after it; one seen on one side only is not."
+    "Times in which the camera did not see the forearm. 95 of 100 errors lie below what is stated, at"
+    " the least certain moment of a gap. A gap seen on both sides is held by the camera before and after it;"
+    " one seen on one side only is not."
 )
-_BAND = (
-    "The pale blue band is two standard deviations (sigma) to either side: 95 of 100 true values should lie"
-    " in it."
-)
-_NO_BAND = "No band of sigma is drawn: it would not hold."
+_BAND = "The pale blue band holds 95 of 100 true values of each coordinate."
+_NO_BAND = "No band is drawn: it would not hold."
 _ERRORS = (
     "rms: root mean square. NEES: mean squared error in standard deviations; 1 where the stated uncertainty"
     " is consistent with the errors, above 1 where it is over-confident. In the last column 95 % is"
@@ -285,8 +342,8 @@ _CALIBRATION = (
     " the recording, or as estimated from the recording where nothing was given."
 )
 _DRAWN = (
-    "The dark square is the sensor (drawn 2 cm large) with its axes x, y, z; the ellipse about each joint is"
-    " two standard deviations of where it lies."
+    "The dark square is the sensor (drawn 2 cm large) with its axes x, y, z; the ellipse about each joint"
+    " holds it in 95 of 100 cases."
 )
 _REJECTED = (
     "Camera samples that called themselves tracked and took no part, by joint, a colour a reason; pale ticks"
@@ -304,6 +361,7 @@ def write_arms_report(
     path: str | os.PathLike[str],
     *,
     camera_frame: CameraFrame | None = None,
+    film: Film | None = None,
     force: bool = False,
 ) -> None:
     """Write the results of several arms as one HTML page: a summary of each, then arm by arm.
@@ -316,6 +374,8 @@ def write_arms_report(
         The page to write.
     camera_frame : CameraFrame, optional
         The directions of the camera's axes, where no recording is at hand.
+    film : Film, optional
+        Pictures of the person, beside the arms: they are in the page then.
     force : bool
         Overwrite a page that exists.
 
@@ -334,13 +394,15 @@ def write_arms_report(
         f"Recovered arm motion: {recoveries[0].name}",
         origin(recoveries[0]),
         paragraphs,
-        _sections(arms, marks, camera_frame),
+        _sections(arms, marks, camera_frame, film),
         tone=tone(recoveries),
         force=force,
     )
 
 
-def _sections(arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | None) -> Iterator[str]:
+def _sections(
+    arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | None, film: Film | None
+) -> Iterator[str]:
     links = [
         Html(f'<a href="#arm-{mark}">{escape(_name(arm[1]))}</a>')
         for arm, mark in zip(arms, marks, strict=True)
@@ -357,10 +419,15 @@ def _sections(arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | No
     ]
     yield table(("arm", "gaps", "hidden, s", "trusted", "verdict"), rows)
     frame = next((arm[0].camera_frame for arm in arms if arm[0] is not None), None) or frame
-    yield in_motion([(arm[1], _of(arm)[1]) for arm in arms], frame)
     for arm, mark in zip(arms, marks, strict=True):
-        yield f'<section id="arm-{mark}"><h1>{escape(_name(arm[1]))}</h1>'
-        for section in sections(arm[1], arm[0], *_of(arm), frame, alone=False):
+        for section in _first(arm[1], arm[0], _of(arm)[1]):
+            yield qualified(section.replace("<h2>", f"<h2>{escape(_name(arm[1]))}: ", 1), mark)
+    yield in_motion([(arm[0], arm[1], _of(arm)[1]) for arm in arms], frame, film)
+    for number, (arm, mark) in enumerate(zip(arms, marks, strict=True)):
+        yield f'<section id="arm-{mark}">'
+        inside = details(arm[1], arm[0], *_of(arm), frame)
+        name = f"Details: {_name(arm[1])}"
+        for section in folded(inside, name, below=CONTENTS if not number else ""):
             yield qualified(section, mark)
         yield "</section>"
 

@@ -12,6 +12,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..array_types import BoolArray, FloatArray, IntArray
+from ..error_radius import error_radius
 from ..linalg import interpolate, median_rate_hz
 from ..recording import CameraFrame, Truth
 from ..result import Recovery
@@ -167,19 +168,25 @@ def player(
     caption: Html,
     arms: Sequence[tuple[Recovery, Truth | None]],
     frame: CameraFrame | None,
+    people: Sequence[dict[str, Any]] = (),
+    pictures: dict[str, Any] | None = None,
 ) -> str:
-    """A heading, a caption and the player; "" where no arm has an answer.
+    """A heading, the player and a caption; "" where no arm has an answer.
 
     Parameters
     ----------
     heading : str
         Above it.
     caption : Html
-        Below the heading.
+        Below the player.
     arms : sequence of (Recovery, Truth or None)
         Arms in one camera frame and on one clock, each with its reference.
     frame : CameraFrame, optional
         The directions of the camera's axes.
+    people : sequence of dict
+        Grey bodies about the arms, as `person.persons` gives them.
+    pictures : dict, optional
+        Of the person, as `film.Film.plain` gives them.
 
     Returns
     -------
@@ -192,15 +199,20 @@ def player(
     played = [played_arm(recovery, truth, MOST_BYTES / len(arms)) for recovery, truth in arms]
     first = arms[0][0]
     points = np.concatenate([_extent(recovery) for recovery, _ in arms])
+    ends = [point for person in people for point in person["extent"]]
+    points = np.concatenate([points, np.repeat(np.reshape(ends, (-1, 3)), len(points) // 40 + 1, axis=0)])
     up = upwards(frame, first.gravity_direction)
     view = view_of(points, up, seen_from(points, up, frame))
     at = [float(first.t_s[row]) for hidden in (True, False) for row in instants(first, hidden)]
-    values = {"view": view, "arms": played, "axes": list(axis_names(frame)), "instants": at}
-    view["zoom"] = 1.15
+    values: dict[str, Any] = {"view": view, "arms": played, "axes": list(axis_names(frame)), "instants": at}
+    values |= {"people": list(people), "pictures": pictures}
+    view["zoom"] = 1.0 if people else 1.15
+    film = '<img class="film" alt="What the camera saw at the time of the slider" hidden>' if pictures else ""
     return (
-        f'<div class="together">{headed(heading, caption)}<div class="space player">'
+        f'<div class="together">{headed(heading)}<div class="space player"><div class="stage">'
         f'<canvas tabindex="0" role="img" aria-label="The arm in space, at the time of the slider"></canvas>'
-        f"{_controls(played)}{data_block(values)}</div></div>"
+        f"{film}</div>{_controls(played, bool(people), bool(pictures))}{data_block(values)}</div>"
+        f'<p class="caption">{caption}</p></div>'
     )
 
 
@@ -220,12 +232,13 @@ def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> di
     -------
     arm : dict
         Plain values, tracks packed: `joints`, `camera`, `truth` (n, 3 joints), `sensor` (n, 3), `sigma`
-        (n, 6; lower Cholesky factor of the covariance of the point `tip`; nothing where the answer is not to
-        be trusted), `tracked` (n, a bit a joint). `untrusted` has start and end of the times that are not.
+        (n, 6; lower Cholesky factor of the covariance of the point `tip`) and `within` (n, 1; it lies within
+        this distance in 95 of 100 cases), nothing where the answer is not to be trusted, `tracked` (n, a bit
+        a joint). `untrusted` has start and end of the times that are not.
     """
     names = [joint for joint in CHAIN if joint in recovery.joints]
     start, end = float(recovery.t_s[0]), float(recovery.t_s[-1])
-    width = 2 * (6 * len(names) + 9 + (3 * len(names) + 3 if truth is not None else 0)) + 1
+    width = 2 * (6 * len(names) + 10 + (3 * len(names) + 3 if truth is not None else 0)) + 1
     rate_hz = median_rate_hz(recovery.arm.t_s) if len(recovery.arm) > 1 else PLAIN_HZ
     rate_hz = min(rate_hz if np.isfinite(rate_hz) else PLAIN_HZ, MOST_HZ)
     count = int(np.clip((end - start) * rate_hz, 2, max(most_bytes / width, 2)))
@@ -254,8 +267,9 @@ def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> di
     if covariance is not None and recovery.trusted.any():
         row = np.searchsorted(recovery.t_s, t).clip(max=len(recovery) - 1)
         roots = _roots(covariance[row])
-        roots[~recovery.trusted[row]] = np.nan
-        arm["sigma"] = packed(roots)
+        radius = error_radius(covariance[row])[:, None].clip(max=LARGEST_SIGMA_M)
+        roots[~recovery.trusted[row]] = radius[~recovery.trusted[row]] = np.nan
+        arm |= {"sigma": packed(roots), "within": packed(radius)}
     return arm
 
 
@@ -300,17 +314,21 @@ def _extent(recovery: Recovery) -> FloatArray:
     return np.concatenate([recovery.position[rows], *joints])
 
 
-def _controls(arms: Sequence[dict[str, Any]]) -> str:
-    """Legend, slider with the gaps marked on it, buttons, and what the keys do."""
+def _controls(arms: Sequence[dict[str, Any]], people: bool, pictures: bool) -> str:
+    """Slider with the gaps marked on it, buttons, legend, and what the keys do."""
     sound = any("sigma" in arm or not arm["untrusted"] for arm in arms)
     colour = "var(--seen)" if sound else "var(--untrusted)"
     switches = [("path", f"path of the {arms[0]['tip']}", colour), ("trail", "last 2 s", colour)]
+    if people:
+        switches.append(("body", "body", "var(--body)"))
     if any("sigma" in arm for arm in arms):
-        switches.append(("sigma", "2 sigma", "var(--recovered)"))
+        switches.append(("sigma", "95 % region", "var(--recovered)"))
     if any("camera" in arm for arm in arms):
         switches.append(("camera", "camera's skeleton", "var(--ghost)"))
     if any("truth" in arm for arm in arms):
         switches.append(("reference", "reference", "var(--truth)"))
+    if pictures:
+        switches.append(("film", "video", "var(--soft)"))
     speeds = "".join(
         f'<option value="{speed}"{" selected" if speed == "1" else ""}>{speed} x</option>'
         for speed in ("0.1", "0.25", "0.5", "1", "2", "5", "10")
@@ -318,14 +336,15 @@ def _controls(arms: Sequence[dict[str, Any]]) -> str:
     return (
         '<div class="time"><div class="marks"></div>'
         '<input type="range" data-do="seek" aria-label="Time"></div>'
+        '<p class="now" aria-live="off"></p>'
         '<div class="controls"><button type="button" data-do="play" aria-pressed="false">▶ Play</button>'
         '<button type="button" data-do="previous">◀ gap</button>'
         '<button type="button" data-do="next">gap ▶</button>'
-        f'<label>speed <select data-do="speed">{speeds}</select></label>'
-        '<span>look from <button type="button" data-do="camera">camera</button>'
+        f'<select data-do="speed" aria-label="Speed">{speeds}</select>'
+        '<span class="looks"><span>look from </span><button type="button" data-do="camera">camera</button>'
         ' <button type="button" data-do="side">side</button>'
+        ' <button type="button" data-do="behind">behind</button>'
         ' <button type="button" data-do="top">above</button></span></div>'
-        '<p class="now" aria-live="off"></p>'
         f'<div class="legend">{"".join(switch(*each) for each in switches)}</div>'
         '<p class="keys">Keys: space plays, left and right go a frame (with Shift a second), g goes to the'
         " next gap, Shift+g to the one before. Drag to turn, Ctrl and the wheel (or two fingers) to come"

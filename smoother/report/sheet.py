@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import resources
@@ -25,6 +25,8 @@ FEWEST_CONTENTS = 4
 ALARM, CARE = "alarm", "care"
 #: Stands for the sections while the page around them is put together.
 _HERE = "<!-- sections -->"
+#: Stands for the list of contents where it is not to follow the first sentences.
+CONTENTS = "<!-- contents -->"
 #: The page's programs, in the order in which they run; Plotly's only where a figure needs it.
 _PROGRAMS = ("page.js", "view3d.js", "player.js")
 #: Plotly's basic bundle: lines, dots and bars, a quarter of the whole program.
@@ -108,9 +110,11 @@ def write_sheet(
             version=escape(__version__),
         )
         before, after = page.split(_HERE)
-        file.write(f'{before}<div class="summary{f" {tone}" if tone else ""}">{paragraphs}</div>{contents}')
+        file.write(f'{before}<div class="summary{f" {tone}" if tone else ""}">{paragraphs}</div>')
+        if not any(CONTENTS in section for section in body):
+            file.write(contents)
         for section in body:
-            file.write(f"\n{section}")
+            file.write(f"\n{section.replace(CONTENTS, contents)}")
         file.write(after)
 
 
@@ -174,6 +178,23 @@ def label(text: object) -> str:
 def qualified(section: str, mark: str) -> str:
     """A section whose figures' ids end in a mark: the same section may stand on the page for several arms."""
     return re.sub(r'(?<=["#])figure-[a-z0-9-]+', lambda match: f"{match[0]}-{mark}", section)
+
+
+def folded(sections: Iterable[str], words: str = "Details", below: str = "") -> Iterator[str]:
+    """Sections that a reader opens; paper has them all.
+
+    Parameters
+    ----------
+    sections : iterable of str
+        HTML.
+    words : str
+        What to press.
+    below : str
+        HTML at the beginning, inside.
+    """
+    yield f'<details class="more"><summary>{escape(words)}</summary>{below}'
+    yield from sections
+    yield "</details>"
 
 
 def picture(heading: str, caption: str, png: bytes) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..evaluation.coverage import camera_residuals
 from ..evaluation.metrics import Figures
-from ..evaluation.summary import GapSummary, gap_summaries, sigma_figures
+from ..evaluation.summary import GapSummary, error_figures, gap_summaries
 from ..evaluation.validate import Validation
 from ..linalg import median_rate_hz
 from ..measurements.timestamps import pauses
@@ -17,8 +17,8 @@ from ..result import Estimates, Recovery
 from ..result.untrusted import MOST_NAMED, partly_untrusted, untrusted_sentences
 from .sheet import ALARM, CARE
 
-#: A gap that is less certain than this needs care, m (one standard deviation).
-WEAK_M = 0.05
+#: A gap in which 95 of 100 errors need not lie below this needs care, m.
+WIDE_M = 0.10
 #: Time outside the gaps without any answer that is told, s.
 UNANSWERED_S = 1.0
 #: Below this share of camera samples inside their 95 % region the stated uncertainty is doubted.
@@ -51,7 +51,7 @@ def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
         checked,
         _untrusted(recovery),
         _what_was_hidden(recovery, gaps),
-        _how_well(recovery, gaps, trusted),
+        _how_well(recovery, gaps, trusted, consistent),
         reference,
         doubt,
         _what_to_trust(trusted, consistent, "gap" if len(trusted) == len(gaps) else "other gap"),
@@ -113,21 +113,22 @@ def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
     return f"{text}. What was hidden while the IMU paused is not counted." if paused else f"{text}."
 
 
-def _how_well(recovery: Recovery, gaps: list[GapSummary], trusted: list[GapSummary]) -> str:
+def _how_well(recovery: Recovery, gaps: list[GapSummary], trusted: list[GapSummary], consistent: bool) -> str:
     """What is stated of the gaps that are to be trusted."""
     if not trusted:
         return ""
-    sigma = sigma_figures(recovery, recovery.trusted)
-    inside, outside = sigma["occluded"], sigma["visible"]
-    if inside["median"] is None or inside["max"] is None:
-        return "This method does not say how certain its answer is."
+    error = error_figures(recovery, recovery.trusted)
+    inside, outside = error["occluded"], error["visible"]
+    if inside["all"] is None or inside["max"] is None:
+        return "This method does not state how certain its answer is."
     which = "gaps" if len(trusted) == len(gaps) else "other gaps"
+    share = "in 95 of 100 cases" if consistent else "in 95 %, as stated"
     text = (
-        f"In the {which} the sensor's position is known to about {100 * inside['median']:.1f} cm"
-        f" (one standard deviation an axis; {100 * inside['max']:.1f} cm at the worst moment)"
+        f"In the {which} the sensor's position is within {100 * inside['all']:.1f} cm {share}"
+        f" ({100 * inside['max']:.1f} cm at the least certain moment)"
     )
-    if outside["median"] is not None:
-        text += f", against {100 * outside['median']:.1f} cm while the camera sees the arm"
+    if outside["all"] is not None:
+        text += f"; while the camera sees the arm, within {100 * outside['all']:.1f} cm"
     unanswered = [gap for gap in trusted if gap.answered < 1]
     tail = f" {len(unanswered)} of the gaps are not answered completely." if unanswered else ""
     return f"{text}.{tail}"
@@ -139,18 +140,19 @@ def _against_reference(validation: Validation) -> str:
     if hidden.position_rms_m is None:
         return _joints_against_reference(validation)
     text = (
-        f"Against the reference the position is off by {100 * hidden.position_rms_m:.1f} cm {where}"
-        f" (root mean square; {100 * (hidden.position_max_m or 0):.1f} cm at most)"
+        f"Against the reference 95 % of the position's errors {where} are below"
+        f" {100 * (hidden.position_p95_m or 0):.1f} cm (root mean square {100 * hidden.position_rms_m:.1f} cm,"
+        f" {100 * (hidden.position_max_m or 0):.1f} cm at most)"
     )
     if hidden.orientation_rms_deg is not None:
-        text += f", the orientation by {hidden.orientation_rms_deg:.1f} degrees"
+        text += f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"
     if hidden.nees is None:
         return f"{text}."
     if hidden.nees > OVER_CONFIDENT:
         factor = np.sqrt(hidden.nees)
         return (
             f"{text}. These errors are about {factor:.1f} times as large as the stated uncertainty allows:"
-            " read every standard deviation on this page as that much larger."
+            " read every uncertainty on this page as that much larger."
         )
     return f"{text}. The stated uncertainty covers these errors."
 
@@ -171,7 +173,7 @@ def _joints_against_reference(validation: Validation) -> str:
     if max(nees) > OVER_CONFIDENT:
         return (
             f"{text}. These errors are up to {np.sqrt(max(nees)):.1f} times as large as the stated"
-            " uncertainty allows: read every standard deviation on this page as that much larger."
+            " uncertainty allows: read every uncertainty on this page as that much larger."
         )
     return f"{text}. The stated uncertainty covers these errors."
 
@@ -197,7 +199,7 @@ def _camera_doubts(recovery: Recovery) -> str:
     worst = min(inside, key=lambda joint: inside[joint])
     return (
         f"The answer and the camera disagree more than stated: of the {worst}'s samples that took part"
-        f" {100 * inside[worst]:.0f} % lie where 95 % should. Take every standard deviation on this page for"
+        f" {100 * inside[worst]:.0f} % lie where 95 % should. Take every uncertainty on this page for"
         " too small."
     )
 
@@ -213,12 +215,13 @@ def _consistent(validation: Validation | None) -> bool:
 
 
 def _what_to_trust(gaps: list[GapSummary], consistent: bool, gap_word: str) -> str:
-    weak = [gap for gap in gaps if gap.is_weaker_than(WEAK_M)]
+    weak = [gap for gap in gaps if gap.is_wider_than(WIDE_M)]
     one_sided = [gap for gap in gaps if gap.one_sided]
     parts = []
     if weak:
         parts.append(
-            f"Take {_listed(weak)} with care: the position there is less certain than {100 * WEAK_M:.0f} cm."
+            f"Take {_listed(weak)} with care: the position there is less certain than {100 * WIDE_M:.0f} cm"
+            " (95 of 100 cases)."
         )
     if one_sided:
         parts.append(
@@ -226,15 +229,12 @@ def _what_to_trust(gaps: list[GapSummary], consistent: bool, gap_word: str) -> s
             " did not see the forearm before or after; the error grows with time there."
         )
     if consistent and not parts and any(gap.sigma_max_m is not None for gap in gaps):
-        parts.append(
-            f"No {gap_word} is less certain than {100 * WEAK_M:.0f} cm. In 95 of 100 cases a coordinate lies"
-            " within two standard deviations, the shaded band of the curves."
-        )
+        parts.append(f"No {gap_word} is less certain than {100 * WIDE_M:.0f} cm.")
     return " ".join(parts)
 
 
 def _listed(gaps: list[GapSummary]) -> str:
     starts = [f"{gap.gap.start_s:.1f} s" for gap in gaps]
     if len(starts) > 6:
-        return f"{len(starts)} gaps (marked in the table below)"
+        return f"{len(starts)} gaps (marked in the table of gaps)"
     return f"the gap{'s' if len(starts) > 1 else ''} at {', '.join(starts)}"

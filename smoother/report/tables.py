@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from html import escape
 
 import numpy as np
@@ -10,15 +11,17 @@ import numpy as np
 from calib.motion.motion_calibration import ArmEstimates
 
 from ..calibration import ArmCalibration
+from ..error_radius import error_radius
 from ..evaluation.advice import rejected
 from ..evaluation.measure_agreement import agreement_cells, pair_cells
-from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures, sigma_figures
+from ..evaluation.metrics import Figures
+from ..evaluation.summary import GapSummary, error_figures, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
 from ..io.result.usable import certain
 from ..result import Estimates, Recovery
 from .chart import NOT_TRUSTED, badge
 from .sheet import Html, bullets, headed, in_cm, table
-from .summary import WEAK_M
+from .summary import WIDE_M
 
 #: Figures of a recovery that another section of the page shows.
 ELSEWHERE = (
@@ -32,12 +35,12 @@ WITHDRAWN = "withdrawn: the result is not to be trusted"
 def overview(recovery: Recovery) -> str:
     """What was recovered, in numbers."""
     figures = recovery_figures(recovery)
-    sigma = sigma_figures(recovery, recovery.trusted)
+    error = error_figures(recovery, recovery.trusted)
     offset = None
     if np.isfinite(recovery.clock_offset_s):
         offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
         if np.isfinite(recovery.clock_offset_sigma_s):
-            offset += f" ± {1000 * recovery.clock_offset_sigma_s:.1f} ms"
+            offset += f" ± {1960 * recovery.clock_offset_sigma_s:.1f} ms (95 of 100 cases)"
     withdrawn = WITHDRAWN if recovery.estimates.trusted is False else None
     rows: list[tuple[str, object]] = [
         ("method", recovery.method),
@@ -47,8 +50,8 @@ def overview(recovery: Recovery) -> str:
         ("samples without the camera", recovery.occluded.sum()),
         ("samples without an answer", len(recovery) - int(recovery.answered.sum())),
         *(
-            (f"position, standard deviation {words}, cm", withdrawn or in_cm(sigma[part][which]))
-            for words, part, which in _SIGMAS
+            (f"position, 95 of 100 errors below, {words}, cm", withdrawn or in_cm(error[part][which]))
+            for words, part, which in _ERRORS
         ),
         ("samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))),
         *_proofs(recovery.estimates),
@@ -64,10 +67,10 @@ def overview(recovery: Recovery) -> str:
     return table(("what", "value"), rows)
 
 
-_SIGMAS = (
-    ("while seen (median)", "visible", "median"),
-    ("in gaps (median)", "occluded", "median"),
-    ("in gaps (largest)", "occluded", "max"),
+_ERRORS = (
+    ("while seen", "visible", "all"),
+    ("in gaps", "occluded", "all"),
+    ("at the least certain moment of a gap", "occluded", "max"),
 )
 
 
@@ -130,8 +133,11 @@ def camera(estimates: ArmEstimates) -> str:
     return table(columns, rows)
 
 
-def gaps(recovery: Recovery) -> str:
-    """The gaps, one a row."""
+def gaps(recovery: Recovery, validation: Validation | None = None) -> str:
+    """The gaps, one a row; with the errors in them where there is a reference."""
+    errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
+    true = [_p95(errors.get(summary.gap.start_s)) for summary in gap_summaries(recovery)]
+    with_errors = any(each is not None for each in true)
     summaries = gap_summaries(recovery)
     if not summaries:
         return "<p>There is no gap.</p>"
@@ -140,7 +146,7 @@ def gaps(recovery: Recovery) -> str:
             number,
             f"{summary.gap.start_s:.2f}",
             f"{summary.gap.length_s:.2f}",
-            *_stated(summary),
+            *_stated(summary, [true[number - 1]] if with_errors else []),
             "one side only" if summary.one_sided else "both sides",
             f"{100 * summary.answered:.0f} %",
             _remark(summary),
@@ -151,9 +157,10 @@ def gaps(recovery: Recovery) -> str:
         "gap",
         "start, s",
         "length, s",
-        "largest standard deviation, cm",
-        "of the orientation, degrees",
-        "of the elbow's flexion, degrees",
+        "position within, cm",
+        *(["against the reference, cm"] if with_errors else []),
+        "orientation within, degrees",
+        "elbow flexion ±, degrees",
         "camera saw the arm on",
         "answered",
         "",
@@ -161,23 +168,29 @@ def gaps(recovery: Recovery) -> str:
     return table(columns, rows)
 
 
-def _stated(summary: GapSummary) -> tuple[str | None, str | None, str | None]:
-    """What is stated of a gap, as cells; withdrawn where it is not to be trusted."""
+def _stated(summary: GapSummary, true: Sequence[str | None]) -> tuple[str | None, ...]:
+    """What is stated of a gap, and its error where it is known; withdrawn where it is not to be trusted."""
     if summary.trusted is False:
-        return None, None, None
-    deg, flexion_deg = summary.sigma_max_deg, summary.sigma_max_flexion_deg
+        return None, *true, None, None
+    deg, flexion_deg = summary.orientation_95_deg, summary.sigma_max_flexion_deg
     return (
-        in_cm(summary.sigma_max_m),
-        None if deg is None else f"{deg:.2f}",
-        None if flexion_deg is None else f"{flexion_deg:.1f}",
+        in_cm(summary.error_95_m),
+        *true,
+        None if deg is None else f"{deg:.1f}",
+        None if flexion_deg is None else f"{1.96 * flexion_deg:.1f}",
     )
+
+
+def _p95(figures: Figures | None) -> str | None:
+    """What 95 % of the errors in a gap lie below, cm."""
+    return None if figures is None else in_cm(figures.position_p95_m)
 
 
 def _remark(summary: GapSummary) -> str:
     """The last cell of a gap: whether to trust it, and why not."""
     if summary.trusted is False:
         return Html(f"{badge(NOT_TRUSTED)} {escape('; '.join(summary.reasons))}")
-    return "take with care" if summary.one_sided or summary.is_weaker_than(WEAK_M) else ""
+    return "take with care" if summary.one_sided or summary.is_wider_than(WIDE_M) else ""
 
 
 def validation(comparison: Validation) -> str:
@@ -251,12 +264,12 @@ def calibration(arm: ArmCalibration | None, estimates: Estimates) -> str:
     if arm is None:
         return "<p>This method needs none.</p>"
     rows: list[tuple[object, ...]] = [
-        (f"{joint}, in the sensor's axes", _vector(lever.position_m, 1), _vector(lever.sigma_m, 2), "cm")
+        (f"{joint}, in the sensor's axes", _vector(lever.position_m, 1), _within(lever.sigma_m), "cm")
         for joint, lever in arm.lever_arms.items()
     ]
     if arm.upper_arm is not None:
         length = arm.upper_arm
-        rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{100 * length.sigma_m:.2f}", "cm"))
+        rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{196 * length.sigma_m:.1f}", "cm"))
     for name, value, unit in (
         ("accelerometer bias", estimates.accelerometer_bias or arm.accelerometer_bias, "m/s²"),
         ("gyroscope bias", estimates.gyroscope_bias or arm.gyroscope_bias, "rad/s"),
@@ -265,7 +278,11 @@ def calibration(arm: ArmCalibration | None, estimates: Estimates) -> str:
             rows.append((name, ", ".join(f"{item:.4f}" for item in value), None, unit))
     if not rows:
         return "<p>None was given, and none was needed.</p>"
-    return table(("what", "value (x, y, z)", "standard deviation", "unit"), rows)
+    return table(("what", "value (x, y, z)", "within (95 of 100 cases)", "unit"), rows)
+
+
+def _within(sigma_m: np.ndarray) -> str:
+    return f"{100 * float(error_radius(np.diag(np.asarray(sigma_m) ** 2))):.1f}"
 
 
 def _vector(metres: np.ndarray, decimals: int) -> str:

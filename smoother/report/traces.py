@@ -7,11 +7,12 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..array_types import BoolArray, FloatArray, IntArray
+from ..error_radius import error_radius
 from ..evaluation.validate import sample_errors
-from ..joint_angles import arm_angles, elbow_flexion_sigma
-from ..linalg import unit
+from ..joint_angles import arm_angles
 from ..recording import JOINTS, CameraFrame, Truth
 from ..result import FrameResiduals, Recovery
+from .angle_table import AngleTable
 from .player import Point
 from .sheet import label
 from .style import (
@@ -31,14 +32,17 @@ from .style import (
     shade,
 )
 
-FLEXION = "elbow flexion"
+#: Of a normal number 95 of 100 lie within so many standard deviations.
+Z_95 = 1.96
+#: Samples of an angle farther apart than this are not joined, degrees.
+MOST_STEP_DEG = 120.0
 #: Most residuals of a joint that are drawn; every dot is an element of the page.
 MOST_RESIDUALS = 1200
 _TIME = "time, s"
 
 
 def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | None) -> go.Figure:
-    """Coordinates over time with their band of two sigmas; buttons choose the point."""
+    """Coordinates over time with a band that holds 95 of 100 true values; buttons choose the point."""
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
     index = decimate(recovery.occluded)
     t, occluded, trusted = recovery.t_s[index], recovery.occluded[index], recovery.trusted[index]
@@ -71,11 +75,9 @@ def _coordinate(
 ) -> list[go.Scatter]:
     """Band where it is trusted, camera samples, line seen, line recovered and truth of one coordinate."""
     value, sigma = point.position[index, axis], np.where(trusted, point.sigma[index, axis], np.nan)
-    x, y = band(t, value - 2 * sigma, value + 2 * sigma)
+    x, y = band(t, value - Z_95 * sigma, value + Z_95 * sigma)
     traces = [
-        go.Scatter(
-            x=x, y=y, name="+- 2 sigma", fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip"
-        )
+        go.Scatter(x=x, y=y, name="95 %", fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
     ]
     if len(point.camera):
         traces.append(dots(point.camera_t_s, point.camera[:, axis], "camera", CAMERA, 3))
@@ -86,58 +88,112 @@ def _coordinate(
     return traces
 
 
-def angles(recovery: Recovery) -> go.Figure | None:
-    """Elbow flexion and the forearm's elevation over time, or None without elbow and wrist."""
-    rows = [(name, value) for name, value in _angles(recovery).items() if np.isfinite(value).any()]
-    if not rows:
+def angles(recovery: Recovery, table: AngleTable, truth: Truth | None = None) -> go.Figure | None:
+    """The joint angles over time, a row each, with 95 of 100 true values in the band; None without any.
+
+    Parameters
+    ----------
+    recovery : Recovery
+    table : AngleTable
+        Its angles and their sigmas.
+    truth : Truth, optional
+        Whose angles are drawn as well, where it has the joints.
+    """
+    shown = [angle for angle in table.angles if np.isfinite(table.values[angle.name]).any()]
+    if not shown:
         return None
-    figure = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.07)
+    titles = [f"{_capital(angle.title)}, degrees" for angle in shown]
+    head, row_height = 84, 128
+    height = head + 50 + row_height * len(shown)
+    figure = make_subplots(
+        rows=len(shown),
+        cols=1,
+        shared_xaxes=True,
+        vertical_spacing=30 / (height - head - 50) if len(shown) > 1 else 0.0,
+        subplot_titles=titles,
+    )
+    figure.update_annotations(x=0, xanchor="left", font={"size": 13})
+    reference = (
+        {} if truth is None else arm_angles(truth.joints, len(truth), None, recovery.side, _down(recovery))
+    )
     index = decimate(recovery.occluded)
     t, trusted = recovery.t_s[index], recovery.trusted[index]
-    sigma_deg = np.where(trusted, elbow_flexion_sigma(recovery)[index], np.nan)
-    for row, (name, value) in enumerate(rows, start=1):
-        if name == FLEXION and np.isfinite(sigma_deg).any():
-            x, y = band(t, value[index] - 2 * sigma_deg, value[index] + 2 * sigma_deg)
+    named: set[str] = set()
+    for row, angle in enumerate(shown, start=1):
+        value = table.values[angle.name][index]
+        half = Z_95 * np.where(trusted, table.sigmas[angle.name][index], np.nan)
+        value, breaks = _unwrapped(value)
+        low, high = _range(value)
+        traces = []
+        if np.isfinite(half).any():
+            x, y = band(t, np.maximum(value - half, low - 400), np.minimum(value + half, high + 400))
             around = go.Scatter(x=x, y=y, fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
-            figure.add_trace(around.update(name="+- 2 sigma"), row=row, col=1)
-        for line in seen_and_recovered(t, value[index], recovery.occluded[index], trusted=trusted):
-            figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
-        figure.update_yaxes(title_text=f"{name}, degrees", row=row, col=1)
-    figure.update_xaxes(title_text=_TIME, row=len(rows), col=1)
+            traces.append(around.update(name="95 %"))
+        traces += seen_and_recovered(
+            t, np.where(breaks, np.nan, value), recovery.occluded[index], trusted=trusted
+        )
+        if truth is not None and np.isfinite(reference.get(angle.name, np.nan)).any():
+            rows = decimate(np.zeros(len(truth), bool))
+            true, _ = _unwrapped(reference[angle.name][rows])
+            true += 360.0 * np.round((np.nanmedian(value) - np.nanmedian(true)) / 360.0)
+            traces.append(curve(truth.t_s[rows], true, "reference", TRUTH, 1.2, "dash"))
+        for trace in traces:
+            trace.update(legendgroup=trace.name, showlegend=trace.name not in named)
+            named.add(trace.name)
+            figure.add_trace(trace, row=row, col=1)
+        figure.update_yaxes(range=[low, high], nticks=5, row=row, col=1)
+    figure.update_xaxes(title_text=_TIME, row=len(shown), col=1)
     shade(figure, recovery)
-    return dress(figure, 180 + 190 * len(rows))
+    return dress(figure, height, head=head)
 
 
-def _angles(recovery: Recovery) -> dict[str, FloatArray]:
-    """Angles (N,) by name, degrees: elbow flexion (0 = straight), forearm above the horizontal."""
-    joints, down = recovery.joints, recovery.gravity_direction
-    if "elbow" not in joints or "wrist" not in joints:
-        return {}
-    rise = np.clip(-unit(joints["wrist"] - joints["elbow"]) @ down, -1, 1)
-    return {
-        FLEXION: arm_angles(joints, len(recovery))["elbow_flexion"],
-        "forearm elevation": np.degrees(np.arcsin(rise)),
-    }
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _down(recovery: Recovery) -> FloatArray | None:
+    return recovery.gravity_direction if np.isfinite(recovery.gravity_direction).all() else None
+
+
+def _unwrapped(value: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Angles (n,), degrees, without jumps of a whole turn; nan stays. And where nothing joins two samples."""
+    known = np.flatnonzero(np.isfinite(value))
+    out = value.copy()
+    out[known] = np.degrees(np.unwrap(np.radians(value[known])))
+    if len(known):
+        out[known] -= 360.0 * np.round(np.median(out[known]) / 360.0)
+    breaks = np.zeros(len(value), bool)
+    breaks[known[1:]] = np.abs(np.diff(out[known])) > MOST_STEP_DEG
+    return out, breaks
+
+
+def _range(value: FloatArray) -> tuple[float, float]:
+    """What a row shows: the angle itself, with room; a wide band is cut off."""
+    low, high = float(np.nanmin(value)), float(np.nanmax(value))
+    room = max(0.12 * (high - low), 4.0)
+    return low - room, high + room
 
 
 def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
-    """Stated uncertainty over time and, with a truth, the error beside it; None without either.
+    """Within which distance and angle 95 of 100 errors lie, over time, and the errors of a truth; or None.
 
     What is stated where the answer is not to be trusted is left out.
     """
-    sigma_cm = np.where(recovery.trusted, 100 * recovery.worst_sigma_m, np.nan)
-    sigma_deg = np.where(recovery.trusted, recovery.sigma_deg, np.nan)
+    within_cm = np.where(recovery.trusted, 100 * recovery.error_95_m, np.nan)
+    within_deg = np.where(
+        recovery.trusted, np.degrees(error_radius(recovery.pose_covariance[:, 3:, 3:])), np.nan
+    )
     errors = None if truth is None else sample_errors(recovery, truth)
-    if not np.isfinite(sigma_cm).any() and errors is None:
+    if not np.isfinite(within_cm).any() and errors is None:
         return None
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
     index = decimate(recovery.occluded)
     t = recovery.t_s[index]
     error_cm = None if errors is None else 100 * errors.distance_m
     error_deg = None if errors is None else errors.angle_deg
-    rows = (("position, cm", sigma_cm, error_cm), ("orientation, degrees", sigma_deg, error_deg))
-    for row, (name, sigma, error) in enumerate(rows, start=1):
-        lines = [curve(t, sigma[index], "sigma", VISIBLE, 1.8)]
+    rows = (("position, cm", within_cm, error_cm), ("orientation, degrees", within_deg, error_deg))
+    for row, (name, within, error) in enumerate(rows, start=1):
+        lines = [curve(t, within[index], "95 of 100 errors lie below", VISIBLE, 1.8)]
         if error is not None:
             lines.append(curve(t, error[index], "error against the reference", TRUTH, 1.1))
         for line in lines:

@@ -61,16 +61,32 @@ var unocclude = (() => {
     for (const listener of listeners) listener(t, source);
   }
 
+  /* What is folded is drawn when it is opened. */
+  const open = (box) => !box.closest("details.more:not([open])");
   function next(rest) {
     if (!rest.length) return void (document.documentElement.dataset.drawn = "yes");
-    draw(rest[0]);
+    if (open(rest[0])) draw(rest[0]);
     setTimeout(() => next(rest.slice(1)), 0);
   }
-  addEventListener("DOMContentLoaded", () => setTimeout(() => next(boxes), 0));
+  addEventListener("toggle", (e) => {
+    if (!e.target.open || !e.target.matches("details.more")) return;
+    document.documentElement.dataset.drawn = "";
+    next(boxes.filter((box) => e.target.contains(box)));
+  }, true);
+  function unfold() { // what an address or a link names
+    const at = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    for (let each = at && at.closest("details"); each; each = each.parentElement.closest("details")) each.open = true;
+    if (at) at.scrollIntoView();
+  }
+  addEventListener("hashchange", unfold);
+  addEventListener("DOMContentLoaded", () => { unfold(); setTimeout(() => next(boxes), 0); });
 
   /* Paper is narrower than a screen, and white. */
   const PAPER = 690;
+  let folded = [];
   addEventListener("beforeprint", () => {
+    folded = [...document.querySelectorAll("details.more:not([open])")];
+    for (const each of folded) each.open = true;
     for (const box of boxes) {
       draw(box);
       if (box.clientWidth > PAPER) Plotly.relayout(box, { width: PAPER, autosize: false });
@@ -79,6 +95,7 @@ var unocclude = (() => {
   });
   addEventListener("afterprint", () => {
     for (const box of boxes) Plotly.relayout(box, { width: null, autosize: true });
+    for (const each of folded) each.open = false;
     for (const f of page.afterPrint) f();
   });
   return page;
