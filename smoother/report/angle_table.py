@@ -14,6 +14,8 @@ from ..shoulder_angles import SHOULDER_ANGLES, shoulder_angles
 
 @dataclass(frozen=True)
 class JointAngle:
+    """An angle, its title, and its zero."""
+
     name: str
     title: str
     meaning: str
@@ -21,6 +23,8 @@ class JointAngle:
 
 @dataclass(frozen=True)
 class AngleTable:
+    """Angles, their sigmas (N,), degrees, and why one is empty, by name."""
+
     angles: tuple[JointAngle, ...]
     values: dict[str, FloatArray]
     sigmas: dict[str, FloatArray]
@@ -37,6 +41,7 @@ _ANGLES = (
 
 
 def angle_table(recovery: Recovery) -> AngleTable:
+    """The angles of a recovery."""
     values = {n: v for n, v in recovery_angles(recovery).items() if n != "carrying"}
     sigmas = {n: np.full(len(recovery), np.nan) for n in values}
     sigmas["elbow_flexion"] = elbow_flexion_sigma(recovery)

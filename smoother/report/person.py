@@ -22,6 +22,8 @@ BETWEEN_SHOULDERS, SHOULDERS_TO_HIPS, BETWEEN_HIPS = 0.22, 0.288, 0.14
 SHOULDERS_TO_NECK, SHOULDERS_TO_HEAD, NOSE = 0.052, 0.125, 0.06
 #: Stature where the arm does not show it, and its limits, m.
 STATURE_M, STATURES_M = 1.70, (0.9, 2.2)
+#: Between the shoulders of a person, m; others are mistakes of the camera.
+WIDTHS_M = (0.15, 0.6)
 #: A body moves slowly: it is drawn at no more than this many instants a second, and so many in all.
 RATE_HZ, MOST_FRAMES = 10.0, 5000
 #: The shoulder moves with the arm, the trunk hardly: shoulders are averaged over this time, s.
@@ -101,6 +103,8 @@ def _person(arms: Sequence[PersonArm], frame: CameraFrame | None) -> dict[str, A
         limb = _tracked(opposite, t - _offset(first))
         if np.isfinite(limb.get("shoulder", np.nan)).any():
             shoulders[other] = _smooth(t, t, limb["shoulder"])
+    if len(shoulders) == 2 and not _are_apart(shoulders):
+        del shoulders[other]
     measured = ["both shoulders"] if len(shoulders) == 2 else []
     stature = _stature(arms)
     right = _right(t, shoulders, first, up, frame, measured)
@@ -150,6 +154,12 @@ def _person(arms: Sequence[PersonArm], frame: CameraFrame | None) -> dict[str, A
 def _has_shoulder(recovery: Recovery) -> bool:
     shoulder = recovery.joints.get("shoulder")
     return shoulder is not None and len(recovery) > 1 and bool(np.isfinite(shoulder).all(axis=1).any())
+
+
+def _are_apart(shoulders: dict[str, FloatArray]) -> bool:
+    """Whether two shoulders are as far from each other as a person's."""
+    width_m = float(np.nanmedian(np.linalg.norm(shoulders["right"] - shoulders["left"], axis=1)))
+    return WIDTHS_M[0] < width_m < WIDTHS_M[1]
 
 
 def _grid(recoveries: Sequence[Recovery]) -> FloatArray:

@@ -141,8 +141,8 @@ def _against_reference(validation: Validation) -> str:
         return _joints_against_reference(validation)
     text = (
         f"Against the reference 95 % of the position's errors {where} are below"
-        f" {100 * (hidden.position_p95_m or 0):.1f} cm (root mean square {100 * hidden.position_rms_m:.1f} cm,"
-        f" {100 * (hidden.position_max_m or 0):.1f} cm at most)"
+        f" {100 * (hidden.position_p95_m or 0):.1f} cm (root mean square"
+        f" {100 * hidden.position_rms_m:.1f} cm, {100 * (hidden.position_max_m or 0):.1f} cm at most)"
     )
     if hidden.orientation_rms_deg is not None:
         text += f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"

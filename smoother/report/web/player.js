@@ -214,7 +214,7 @@
       for (const arm of arms) drawPaths(v, arm);
       if (upright.length) {
         for (const arm of arms) skeleton(v, arm, t, 1, parts, true);
-        v.layer(0.8, () => { for (const [each, p] of upright) each.draw(v, p); });
+        v.layer(0.72, () => { for (const [each, p] of upright) each.draw(v, p); });
       }
       for (const arm of arms) drawArm(v, arm, parts);
     };
