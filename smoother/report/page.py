@@ -13,6 +13,7 @@ import plotly.graph_objects as go
 
 from calib.motion.motion_calibration import ArmEstimates, found_in
 
+from ..angles import joint_angles
 from ..evaluation.advice import advice
 from ..evaluation.compare import Comparison
 from ..evaluation.coverage import camera_residuals
@@ -22,7 +23,6 @@ from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
 from . import tables
-from .angle_table import angle_table
 from .chart import NOT_TRUSTED, badge
 from .film import Film
 from .forearm import mount
@@ -138,22 +138,25 @@ def _first(recovery: Recovery, recording: Recording | None, truth: Truth | None)
 
 def _angles(recovery: Recovery, truth: Truth | None) -> str:
     """The joint angles with their bands, and why those that are not there are not."""
-    table = angle_table(recovery)
-    words = {angle.name: angle.title for angle in table.angles}
-    missing = [f"{words[name]}: {reason}" for name, reason in table.reasons.items() if name in words]
-    plot = angles(recovery, table, truth)
+    found = joint_angles(recovery)
+    missing = [
+        f"{angle.title}: {found.reasons[angle.name]}" for angle in found.angles if angle.name in found.reasons
+    ]
+    plot = angles(recovery, found, truth)
     if plot is None:
         return listing("Joint angles", missing, "The recording has no joint angle.")
     meanings = "; ".join(
-        f"{angle.title}: {angle.meaning}" for angle in table.angles if angle.name not in table.reasons
+        f"{angle.title}: {angle.meaning.removesuffix('.')}"
+        for angle in found.angles
+        if np.isfinite(found.values[angle.name]).any()
     )
-    if not recovery.trusted.any():
-        around = _NO_BAND
-    else:
+    around = _NO_BAND
+    if recovery.trusted.any():
         around = "The band holds 95 of 100 true values; gaps are shaded."
     reference = _REFERENCE if truth is not None else ""
-    caption = f"Curves are {_colours([recovery])}. {around}{reference} <small>{_capital(meanings)}.</small>"
-    return _figure("Joint angles", caption, plot) + bullets(missing)
+    caption = f"Curves are {_colours([recovery])}. {around}{reference}"
+    below = f'<p class="caption"><small>{escape(_capital(meanings))}.</small></p>'
+    return _figure("Joint angles", caption, plot) + bullets(missing) + below
 
 
 def details(

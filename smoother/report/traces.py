@@ -6,13 +6,13 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from ..angles import AngleTable
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..error_radius import error_radius
 from ..evaluation.validate import sample_errors
 from ..joint_angles import arm_angles
 from ..recording import JOINTS, CameraFrame, Truth
 from ..result import FrameResiduals, Recovery
-from .angle_table import AngleTable
 from .player import Point
 from .sheet import label
 from .style import (
