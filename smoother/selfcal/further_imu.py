@@ -41,6 +41,8 @@ OPPOSED_ERROR_FACTOR = float(np.sqrt(2.0))
 #: Where the joints scatter by more, per axis, the IMU is on another limb: the right one shows 0.016 at
 #: most on simulated arms, the forearm's or another person's 0.060.
 WRONG_LIMB_M = 0.05
+#: An IMU that a joint hangs on must have samples in this share of the recording: elsewhere it has no answer.
+LEAST_COVER = 0.5
 #: A run of samples shorter than this is not worth a filter.
 FEWEST_SAMPLES = 40
 
@@ -209,6 +211,12 @@ def calibrate_further_imu(
     known = given.mountings[segment.name].lever_arms if segment.name in given.mountings else {}
     levers = {name: known[joint] for name, joint in segment.as_forearm.items() if joint in known}
     near, far = (segment.as_forearm[end] for end in ("elbow", "wrist"))
+    covers = _sampled_s(imu) / max(_sampled_s(recording.imu), 1e-9)
+    if segment.camera_joints and covers < LEAST_COVER:
+        return None, (
+            f"{imu.name} was left out: it has samples in {100 * covers:.0f} % of the recording only, and"
+            f" without them the {far} would have no answer"
+        )
     try:
         as_forearm, coarse = synchronise_coarsely(as_forearm)
         excerpts = [
@@ -230,6 +238,11 @@ def calibrate_further_imu(
             f" look whether it was on this {segment.label}, and the other IMU on the forearm"
         )
     return FurtherImu(segment, imu, model, model.clock.after(coarse)), ""
+
+
+def _sampled_s(imu: ImuStream) -> float:
+    """Time between the pauses, s."""
+    return sum(float(imu.t_s[rows.stop - 1] - imu.t_s[rows.start]) for rows in split_at_pauses(imu))
 
 
 def _longer(run: ImuStream) -> ImuStream:

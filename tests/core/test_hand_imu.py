@@ -107,6 +107,14 @@ def test_written_and_read_again(recovery: Recovery, made: SimulatedArm, tmp_path
     assert {"hand_x", "hand_imu_x", "hand_imu_sigma_x", "hand_imu_sigma_deg"} <= set(columns)
 
 
+def test_one_that_stops_early_is_left_out(made: SimulatedArm) -> None:
+    imu = made.recording.further_imus["hand"]
+    short = replace(made.recording, truth=None).with_imu("hand", imu.select(imu.t_s < 4.0))
+    alone = smooth(short, processes=1)
+    assert not alone.segments and np.isfinite(alone.joints["hand"]).all(axis=1).mean() > 0.99
+    assert any("has samples in 16 % of the recording only" in note for note in alone.notes)
+
+
 def stream(topic: str) -> ImuSamples:
     return ImuSamples(topic, "", np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), None)
 
