@@ -123,7 +123,9 @@ def smooth(
     report(1.0, "done")
     # 8. A verdict with its likeliest cause, also by the gaps that the visible motion leaves ambiguous.
     pairing = best.paired(pairing, recording, clock)
-    recovery = replace(recovery, estimates=replace(recovery.estimates, pairing=pairing))
+    clock_given_s = None if clock is None else (clock.mean_s, clock.sigma_s)
+    found = replace(recovery.estimates, pairing=pairing, clock_given_s=clock_given_s)
+    recovery = replace(recovery, estimates=found)
     recovery = with_verdict(
         recovery, recording, config.arm.anatomy, best.misfits, best.open_questions, clock, coarse_clock
     )

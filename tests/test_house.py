@@ -49,6 +49,7 @@ MIDDLE = (
     "study",
     "strap_search",
     "report",
+    "manuscript",
     "streams",
 )
 #: Subpackages of `smoother` (and `calib`) that each part may import, besides the core and itself.
@@ -63,6 +64,7 @@ MAY: dict[str, set[str]] = {
     "evaluation": {"calib", "io", "baselines", "measures"},
     "study": {"calib", "io", "evaluation", "measures"},
     "report": {"calib", "io", "evaluation", "measures", "strap_search"},
+    "manuscript": {"evaluation"},
     "streams": {"calib", "io"},
     "cli": {"calib", *MIDDLE},
     "unocclude": {"io", "measures"},

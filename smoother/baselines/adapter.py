@@ -206,6 +206,7 @@ GRAPH_ESTIMATES = (
     "remedies",
     "untrusted",
     "pairing",
+    "clock_given_s",
 )
 #: The note of every baseline's result.
 GRAPH_NOTE = (

@@ -130,6 +130,7 @@ _COMMANDS = {
     "measures": _spec("measures", "measures out.mcap --csv measures.csv --json measures.json"),
     "gaps": _spec("gaps", "gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json"),
     "export": _spec("export", "export recovered.mcap --format trc -o recovered.trc"),
+    "methods": _spec("manuscript", "methods recovered.mcap -o methods.tex"),
     "view": _spec("view", "view recovered.mcap"),
     "batch": _spec("batch", "batch sessions -o recovered --calibration arm.toml --report", "BatchCommand"),
     "progress": _spec("progress", "progress recovered --person p12 --report p12.html"),

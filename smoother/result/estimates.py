@@ -52,6 +52,8 @@ class Estimates:
         Visible stretches that were hidden and recovered.
     pairing : Pairing, optional
         Whether skeleton and IMU were shown to be of one motion.
+    clock_given_s : tuple of float, s, optional
+        Mean offset and sigma of a clock that was measured and given beforehand; t_imu = t_camera + offset.
     further : dict
         What else a file or a baseline states, by name.
     """
@@ -77,6 +79,7 @@ class Estimates:
     untrusted: tuple[UntrustedInterval, ...] = ()
     self_check: SelfCheck | None = None
     pairing: Pairing | None = None
+    clock_given_s: tuple[float, ...] | None = None
     further: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -134,6 +137,11 @@ def _numbers(value: object) -> tuple[float, ...] | None:
     return tuple(value) if is_numbers else None  # type: ignore[arg-type]
 
 
+def _pair(value: object) -> tuple[float, ...] | None:
+    pair = _numbers(value)
+    return pair if pair is not None and len(pair) == 2 else None
+
+
 def _names(value: object) -> tuple[str, ...] | None:
     is_names = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
     return tuple(value) if is_names else None  # type: ignore[arg-type]
@@ -172,4 +180,5 @@ _KINDS: dict[str, Callable[[object], Any]] = {
     "untrusted": intervals_from_plain,
     "self_check": SelfCheck.from_plain,
     "pairing": Pairing.from_plain,
+    "clock_given_s": _pair,
 }

@@ -26,6 +26,7 @@ export out.mcap --format mot -o out.mot
 export out.mcap --format c3d -o out.c3d
 export out.mcap --format parquet -o out.parquet
 export out.mcap --format osim -o out.osim
+methods out.mcap -o methods.tex --json methods.json
 repair PROJECT/data/demo.mcap -o whole.mcap --json repair.json
 info out.mcap --json result.json
 smooth PROJECT/data/demo.mcap -o out.mcap --processes 1

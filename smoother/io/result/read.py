@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,7 +24,7 @@ from ...rotation import Rotation
 from ..mcap.container import Container
 from ..mcap.messages import Topic, plain_name
 from ..mcap.stamps import seconds
-from ..recording.read import RESULT_PREFIX
+from ..recording.read import METADATA, RESULT_PREFIX
 from .metadata import calibration_of, gaps_of
 from .topic_tables import TABLES, CameraTable, DrawsTable, ResidualTable, TopicTable, kind_of
 from .write import RESULT
@@ -113,6 +114,47 @@ def stated_estimates(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Est
                     json.loads(values["figures"])
                 )
     return found
+
+
+@dataclass(frozen=True)
+class ResultOrigin:
+    """What a result's file states of its making.
+
+    Attributes
+    ----------
+    version : str
+        Of the program that wrote it; "" where it does not say.
+    title : str
+        What the recording inside calls itself; "" where it does not say.
+    """
+
+    version: str = ""
+    title: str = ""
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the recording calls itself a simulation, as those of `unocclude simulate` do."""
+        return self.title.lower().startswith("simulated")
+
+
+def read_origin(path: str | os.PathLike[str]) -> ResultOrigin:
+    """What a result's file states of its making; empty where it states nothing.
+
+    Parameters
+    ----------
+    path : path-like
+        A file of `write_recovery`.
+    """
+    container = Container(path)
+    for _ in container.by_topic(lambda topic: False):
+        pass  # metadata is met on the way
+    version = ""
+    for name, values in container.metadata.items():
+        if name.partition("/")[0] == RESULT:
+            with suppress(*BROKEN_RESULT):
+                version = _of_type(json.loads(values["version"]), str)
+    title = container.metadata.get(METADATA, {}).get("name", "")
+    return ResultOrigin("" if version == "unknown" else version, title)
 
 
 def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], name: str) -> Recovery:
