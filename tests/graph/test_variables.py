@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, E, G, L, M, S, U, V, W, X, Y
+from gtsam.symbol_shorthand import B, C, D, E, F, G, L, M, N, Q, S, U, V, W, X, Y, Z
 
 from smoother.graph.variables import DIMENSION, sizes_of, values_of
 
@@ -12,9 +12,9 @@ POSE = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.3), np.array([1.0, 2.0, 3.0]))
 BIAS = gtsam.imuBias.ConstantBias(np.array([0.1, 0.2, 0.3]), np.array([0.01, 0.02, 0.03]))
 POINT = np.array([0.4, 0.5, 0.6])
 OF_KEY = {
-    **{key(7): POSE for key in (X, Y)},
-    **{key(7): POINT for key in (V, W, L, S, E, M)},
-    **{key(7): BIAS for key in (B, C)},
+    **{key(7): POSE for key in (X, Y, Z)},
+    **{key(7): POINT for key in (V, W, Q, L, S, E, F, M, N)},
+    **{key(7): BIAS for key in (B, C, D)},
     G(0): gtsam.Unit3(np.array([0.1, -0.9, 0.2])),
     U(0): 0.25,
 }
@@ -39,7 +39,7 @@ def test_sizes() -> None:
 
 def test_some_values() -> None:
     """Of all that a lag window has, or that windows share."""
-    for keys in ([X(7), V(7), S(7)], [B(7), G(0), U(0), L(7)], [C(7), M(7)], []):
+    for keys in ([X(7), V(7), S(7)], [B(7), G(0), U(0), L(7)], [C(7), M(7)], [D(7), N(7)], []):
         expected = gtsam.Values()
         for key in keys:
             expected.insert(key, OF_KEY[key])
