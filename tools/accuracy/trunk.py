@@ -90,7 +90,7 @@ def _angles(recovery: Recovery, made: SimulatedArm) -> dict[str, np.ndarray]:
         recovery,
         calibration=made.calibration,
         trunk=TrunkMotion(thorax, nothing[:, :3, :3], np.eye(3), np.zeros(3)),
-        upper=SegmentMotion(np.zeros((n, 3)), quaternion, nothing, np.zeros(3)),
+        segments={"upper_arm": SegmentMotion(np.zeros((n, 3)), quaternion, nothing, np.zeros(3))},
     )
     truth, _ = trunk_angles(true)
     elevation = truth["shoulder_elevation_trunk"]
