@@ -1,12 +1,14 @@
-"""When a self-calibration is asked for, and what becomes of its answers."""
+"""When a self-calibration is asked for, in the background or not, and what becomes of its answers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import time
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from live_play import simulated
 
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
@@ -23,10 +25,12 @@ from smoother.live.calibrations import (
     FIRST_S,
     JUMP_SIGMA_S,
     RETRY_S,
+    BackgroundCalibrator,
     CalibrationJob,
     Calibrations,
     Calibrator,
     LiveCalibration,
+    calibrate_excerpts,
 )
 from smoother.measurements.clock import constant_clock
 
@@ -150,3 +154,47 @@ def test_nothing_is_asked_without_both_streams() -> None:
     live.imu.add(ImuBatch(np.arange(0.0, 20.0, 0.1), np.ones((200, 3)), np.zeros((200, 3))))
     live.calibrations.ask(live.imu, live.frames, live.camera)
     assert not live.calibrator.jobs
+
+
+RECORDING = replace(simulated(3, 9.0, ()).recording, truth=None)
+JOB = CalibrationJob(RECORDING, ArmCalibration(side="right"), Config())
+
+
+def wait_for(calibrator: Calibrator) -> LiveCalibration:
+    for _ in range(1200):
+        answer = calibrator.answer()
+        if answer is not None:
+            return answer
+        time.sleep(0.05)
+    pytest.fail("no answer in a minute")
+
+
+def test_the_background_answers_as_this_process_does():
+    calibrator = BackgroundCalibrator()
+    try:
+        assert not calibrator.busy and calibrator.answer() is None
+        calibrator.submit(JOB)
+        assert calibrator.busy
+        answer, here = wait_for(calibrator), calibrate_excerpts(JOB)
+        assert not calibrator.busy
+    finally:
+        calibrator.close()
+    assert answer.model is not None and here.model is not None
+    for joint, lever in here.model.estimate.lever_arms.items():
+        other = answer.model.estimate.lever_arms[joint]
+        np.testing.assert_allclose(other.position_m, lever.position_m, atol=1e-6)
+    assert answer.clock.mean_s == pytest.approx(-0.02, abs=0.01)
+
+
+def test_clocks_far_apart_are_brought_together_by_the_arrival():
+    arm = replace(RECORDING.arm, t_s=RECORDING.arm.t_s + 1000.0)
+    job = replace(JOB, recording=replace(RECORDING, arm=arm), offset_s=-1000.1)
+    answer = calibrate_excerpts(job)
+    assert answer.model is not None
+    assert answer.clock.mean_s == pytest.approx(-1000.02, abs=0.01)
+
+
+def test_what_does_not_suffice_is_said():
+    hidden = RECORDING.arm.hide(np.ones(len(RECORDING.arm), bool))
+    answer = calibrate_excerpts(replace(JOB, recording=replace(RECORDING, arm=hidden)))
+    assert answer.model is None and answer.reason
