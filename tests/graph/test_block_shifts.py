@@ -7,7 +7,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from scenes import arm, last_pass
+from scenes import arm, first_window
 
 from smoother.graph.block_shifts import SLOW_M, CameraBlocks, Cells, cells_of
 from smoother.graph.build import build
@@ -21,7 +21,7 @@ from smoother.window.problem import Window
 def window() -> Window:
     """Of 12 s with a gap of 2 s."""
     made = arm(3, protocol="random", duration_s=12.0, occlusion_lengths_s=(2.0,), occlusion_every_s=6.0)
-    return last_pass(made.recording, made.calibration)[0].window
+    return first_window(made.recording, made.calibration)
 
 
 def shifted(window: Window, start_s: float, end_s: float, shift_m: np.ndarray) -> Window:

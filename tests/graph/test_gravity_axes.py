@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import G, L
-from scenes import arm, last_pass
+from scenes import arm, first_window
 
 from smoother.graph import optimise as module
 from smoother.graph.build import bias_of_intervals, build
@@ -104,7 +104,7 @@ SIGMA_RAD, CORRELATION = (np.radians(5.0), np.radians(0.7)), 0.8
 def window() -> Window:
     """Its prior has gravity where GTSAM's axes are others than at the solution."""
     made = arm(3, protocol="random", duration_s=8.0, occlusion_lengths_s=(2.0,), occlusion_every_s=5.0)
-    window = last_pass(made.recording, made.calibration)[0].window
+    window = first_window(made.recording, made.calibration)
     layout, shared = window.priors.layout, window.priors.shared
     down = optimise(*build(window), window, 1e-8).values.atUnit3(G(0)).point3()
     across, along = (k for k in range(3) if k != int(np.argmax(np.abs(down))))

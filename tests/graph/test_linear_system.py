@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import B, G, L, S, V, X
-from scenes import arm, last_pass
+from scenes import arm, first_window
 
 from smoother.graph.build import bias_of_intervals, build
 from smoother.graph.error_columns import constant_error_columns, node_of_variables
@@ -20,7 +20,7 @@ from smoother.window.shared import IMU_ERRORS, JOINT_ERRORS, SIZE
 def window() -> Window:
     """Of 8 s with a gap of 2 s."""
     made = arm(3, protocol="random", duration_s=8.0, occlusion_lengths_s=(2.0,), occlusion_every_s=5.0)
-    return last_pass(made.recording, made.calibration)[0].window
+    return first_window(made.recording, made.calibration)
 
 
 @pytest.fixture(scope="module")

@@ -57,7 +57,7 @@ def hidden() -> SimulatedArm:
 @pytest.fixture(scope="module")
 def first_window(hidden: SimulatedArm) -> Job:
     """The first window with a long gap, its start values a cubic bridge."""
-    return next(job for job in jobs(hidden.recording, None) if has_long_gap(job.window))
+    return jobs(hidden.recording, None, until=lambda job: has_long_gap(job.window))[-1]
 
 
 def straight_down(window: Window) -> smoother.graph.optimise.Optimum:

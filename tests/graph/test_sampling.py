@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import S, V, X, Y
-from scenes import arm, last_pass
+from scenes import arm, first_window, last_pass
 from small_window import UPPER_FIRST, UPPER_NODES, small_window
 
 import smoother.graph.build
@@ -50,7 +50,7 @@ class BasisPlan(DrawPlan):
 def window() -> Window:
     """Of 6 s with a gap of 1.5 s, and with errors that are considered."""
     made = arm(3, protocol="random", duration_s=6.0, occlusion_lengths_s=(1.5,), occlusion_every_s=4.0)
-    return last_pass(made.recording, made.calibration)[0].window
+    return first_window(made.recording, made.calibration)
 
 
 def basis(window: Window) -> BasisPlan:

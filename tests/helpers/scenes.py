@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -105,27 +106,45 @@ class Job:
     solution: Solution
 
 
-def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
-    """Every window that `smooth` solves, pass by pass, by listening at the solver."""
+class Found(Exception):
+    """What was waited for has been solved: the rest is of no interest."""
+
+
+def jobs(
+    recording: Recording,
+    calibration: ArmCalibration | None,
+    config: Config = ALONE,
+    until: Callable[[Job], bool] = lambda job: False,
+) -> list[Job]:
+    """Every window that `smooth` solves, pass by pass, by listening at the solver; up to one of a kind."""
     solved: list[Job] = []
     solve, solution_of = smoother.graph.solve.solve, smoother.graph.solve.solution_of
 
     def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
         solution = solve(window, with_covariance, **more)
         solved.append(Job(window, with_covariance, solution))
+        if until(solved[-1]):
+            raise Found
         return solution
 
     def listen_again(settled: WindowOptimum, with_covariance: bool, **more: Any) -> Solution:
         solution = solution_of(settled, with_covariance, **more)
         solved.append(Job(settled.window, with_covariance, solution))
+        if until(solved[-1]):
+            raise Found
         return solution
 
-    with ExitStack() as patches:
+    with suppress(Found), ExitStack() as patches:
         for place in ("recovery.first_pass", "selfcal.rounds"):
             patches.enter_context(patch(f"smoother.{place}.solve", listen))
         patches.enter_context(patch("smoother.recovery.second_pass.solution_of", listen_again))
         smooth(replace(recording, truth=None), calibration, config)
     return solved
+
+
+def first_window(recording: Recording, calibration: ArmCalibration) -> Window:
+    """The first window of the pass that gives the answer."""
+    return jobs(recording, calibration, until=lambda job: job.with_covariance)[-1].window
 
 
 def last_pass(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:

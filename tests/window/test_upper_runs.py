@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
-from scenes import arm, jobs
+from scenes import ALONE, arm
 
+import smoother.recovery.first_pass
+from smoother import smooth
 from smoother.linalg import interpolate
 from smoother.recording import ImuStream, Recording
 from smoother.simulation import SimulatedArm
 from smoother.window.nodes import GAP_NODE_CHAIN_S, GAP_NODE_S
 from smoother.window.problem import Window
+from smoother.window.solution import Solution
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +32,26 @@ def made() -> SimulatedArm:
     )
 
 
+class FirstPassDone(Exception):
+    """What comes after it is of no interest here."""
+
+
 def first_pass(made: SimulatedArm, recording: Recording) -> list[Window]:
-    """Windows whose start values come from the camera: the last ones solved without covariance."""
-    solved = jobs(recording, made.calibration)
-    count = sum(job.with_covariance for job in solved)
-    return [job.window for job in solved if not job.with_covariance][-count:]
+    """Windows whose start values come from the camera: those of the first pass, listened for."""
+    windows: list[Window] = []
+    solve = smoother.recovery.first_pass.solve
+
+    def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
+        windows.append(window)
+        return solve(window, with_covariance, **more)
+
+    with (
+        patch("smoother.recovery.first_pass.solve", listen),
+        patch("smoother.smoothing.second_pass", side_effect=FirstPassDone),
+        pytest.raises(FirstPassDone),
+    ):
+        smooth(replace(recording, truth=None), made.calibration, ALONE)
+    return windows
 
 
 def off_in_gap(made: SimulatedArm, windows: list[Window]) -> tuple[float, float]:
