@@ -37,7 +37,7 @@ STRAP_RAD = np.radians(1.1)
 #: What all of a camera's joints are off by turns no arm, and slow noise is stated as white noise of the
 #: same long-run size; no covariance between joints is kept that would say how much. On simulated arms it is
 #: 0.28 (`azure`), 0.46 (`realistic`) and 0.5 (`white`).
-UPPER_ARM_SHARE = 0.45
+UPPER_ARM_SHARE = 0.5
 #: A forearm's length where the lever arms do not say it, m.
 FOREARM_M = 0.25
 #: An angle that may be anything is off by this at most, degrees.

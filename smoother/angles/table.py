@@ -34,7 +34,7 @@ class AngleTable:
     values, sigmas : dict of str to ndarray, shape (N,), deg
         By the angles' names: the angle in (-180, 180], and one standard deviation; nan where not known.
     reasons : dict of str to str
-        Why an angle is empty, a sentence by its name: throughout or in part. Angles that are there have none.
+        Why an angle is empty, throughout or in part, or has no row; a sentence by its name.
     """
 
     t_s: FloatArray
@@ -94,12 +94,15 @@ class _Source:
         (recording, its mounting, an angle's name) to the sentence that says why it is nowhere known.
     is_shown : callable
         Whether a recording has these rows at all.
+    absent : str
+        Why it has not, a sentence; "" where nobody would ask.
     """
 
     angles: tuple[JointAngle, ...]
     compute: Callable[[MovingArm, ForearmMounting], tuple[Angles, Angles]]
     missing: Callable[[MovingArm, ForearmMounting, str], str]
     is_shown: Callable[[MovingArm], bool] = lambda arm: True
+    absent: str = ""
 
 
 class JointAngles:
@@ -152,6 +155,9 @@ class JointAngles:
                     reasons[angle.name] = (
                         f"The method {self._arm.method} states no uncertainty: sigma is empty."
                     )
+        for source in _SOURCES:
+            if source.absent and source not in self._sources:
+                reasons |= {angle.name: source.absent for angle in source.angles}
         return AngleTable(self._arm.t_s, self.angles, values, sigmas, reasons)
 
     def _reason(self, source: _Source, name: str, values: FloatArray, answered: np.ndarray) -> str:
@@ -232,8 +238,9 @@ def _why_no_trunk(arm: MovingArm, mounting: ForearmMounting, name: str) -> str:
     return "Trunk and upper arm are never known at the same time."
 
 
+_NO_TRUNK = "The trunk is not known: no IMU is on it, and the skeleton does not show both shoulders."
 _SOURCES = (
     _Source((ELBOW_FLEXION, *SHOULDER, PRONATION), _arm, _why_no_arm),
-    _Source(SHOULDER_TRUNK, _trunk, _why_no_trunk, lambda arm: arm.trunk is not None),
+    _Source(SHOULDER_TRUNK, _trunk, _why_no_trunk, lambda arm: arm.trunk is not None, _NO_TRUNK),
     _Source(WRIST, wrist_angles, why_no_wrist, lambda arm: "hand" in arm.segments),
 )

@@ -296,7 +296,7 @@ def _notes(measuring: Measuring) -> list[str]:
     if motion.hand_joint != "hand":
         instead = "the IMU" if motion.hand_joint == "imu" else f"the {motion.hand_joint}"
         notes.append(f"The recording has no hand: {instead} stands for it.")
-    if recovery.trunk is None and motion.R_K_T is not None:
+    if (recovery.trunk is None or not recovery.trunk.by_imu) and motion.R_K_T is not None:
         notes.append(
             "No IMU is on the trunk: it counts as upright and facing the camera, for the shoulder's angles"
             " and for where mouth, head and back are."

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..linalg import unit
 from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import without_spikes
@@ -23,6 +23,7 @@ from ..rotation import Rotation
 from ..runtime.store import Store
 from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_trunk
 from .blended_columns import between_quaternions
+from .trunk_by_shoulders import JOINT_BIAS_M, shoulder_lines, trunk_by_shoulders
 
 #: Worked on at a time, with so much around it, and blended over so much behind its beginning, s.
 SECTION_S, CONTEXT_S, BLEND_S = 60.0, 15.0, 1.0
@@ -32,12 +33,8 @@ PADDING_S = 0.05
 EXCERPTS, FEWEST_FRAMES = 5, 60
 #: The inertial filter runs no faster than this, Hz; a shorter run of samples is not worth one.
 FILTER_RATE_HZ, FEWEST_SAMPLES = 120.0, 40
-#: Frames of both arms that are so near are the same one, s; shoulders lie so far apart, m.
-SAME_FRAME_S, WIDTH_M = 0.005, (0.15, 0.6)
 #: The vertical by the inertial filter and by the recovered direction of gravity, rad.
 VERTICAL_RAD = np.radians(1.0)
-#: Constant error of a shoulder, m an axis, where the recording does not show how large such errors are.
-JOINT_BIAS_M = 0.01
 #: A line of shoulders that departs by more than this, rms, does not move as the IMU does, rad.
 WRONG_LIMB_RAD = np.radians(15.0)
 
@@ -45,17 +42,20 @@ WRONG_LIMB_RAD = np.radians(15.0)
 def with_trunk(recovery: Recovery, recording: Recording, store: Store) -> Recovery:
     """The recovery with the thorax's orientation, or with a note on why there is none.
 
+    Without an IMU on the trunk it is by both shoulders, where the skeleton has them.
+
     Parameters
     ----------
     recovery : Recovery
     recording : Recording
-        As it was read; the recovery as it is where that has no IMU on the trunk.
+        As it was read; the recovery as it is where that shows nothing of the trunk.
     store : Store
         Where the columns live.
     """
     trunk = recording.trunk
     if trunk is None:
-        return recovery
+        by_shoulders = trunk_by_shoulders(recovery, recording, store)
+        return recovery if by_shoulders is None else replace(recovery, trunk=by_shoulders)
     motion, note = _motion(trunk, recovery, recording, store)
     return replace(recovery, trunk=motion, notes=(*recovery.notes, note))
 
@@ -125,25 +125,8 @@ class _TrunkData:
         return lines
 
     def _both(self, start_s: float, end_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Frames (n,) on the forearm IMU's clock, the line from left to right (n, 3), its length (n,) m."""
-        arm_t = self._recovery.arm.t_s
-        rows = slice(*np.searchsorted(arm_t, [start_s, end_s]).tolist())
-        arm, stamp = self._recording.arm.select(rows), np.array(self._recording.arm.t_s[rows])
-        if not len(stamp):
-            return np.zeros(0), np.zeros((0, 3)), np.zeros(0)
-        near = np.searchsorted(self._other.t_s, [stamp[0] - 0.1, stamp[-1] + 0.1])
-        other = self._other.select(slice(*near.tolist()))
-        if not len(other):
-            return np.zeros(0), np.zeros((0, 3)), np.zeros(0)
-        nearest = _nearest(other.t_s, stamp)
-        line = np.asarray(arm.joint("shoulder")) - np.asarray(other.joint("shoulder"))[nearest]
-        line = line if self._recording.side == "right" else -line
-        width = np.linalg.norm(line, axis=1)
-        with np.errstate(invalid="ignore"):
-            good = (width > WIDTH_M[0]) & (width < WIDTH_M[1])
-        good &= arm.tracked("shoulder") & other.tracked("shoulder")[nearest]
-        good &= np.abs(other.t_s[nearest] - stamp) < SAME_FRAME_S
-        return np.array(arm_t[rows])[good], unit(line[good]), width[good]
+        """See `shoulder_lines`."""
+        return shoulder_lines(self._recovery, self._recording, self._other, start_s, end_s)
 
 
 def _fill(
@@ -170,11 +153,3 @@ def _fill(
     quaternion[rows] = between_quaternions(before, turned.as_quat(scalar_first=True), share)
     about_up = np.interp(at, heading.t, heading.variance)[:, None, None] * np.outer(up_K, up_K)
     covariance[rows] = VERTICAL_RAD**2 * np.eye(3) + about_up
-
-
-def _nearest(t: FloatArray, at: FloatArray) -> IntArray:
-    """Index of the nearest of the increasing times (n,) to each time (k,)."""
-    after = np.clip(np.searchsorted(t, at), 1, max(len(t) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(t) - 1)
-    return np.asarray(np.where(np.abs(t[before] - at) < np.abs(t[after] - at), before, after))

@@ -76,6 +76,8 @@ class TrunkMotion:
         t_trunk = t_camera + offset, mean.
     name : str
         Of the IMU.
+    by_imu : bool
+        By an IMU on it; False where it is by both shoulders as the camera sees them.
     """
 
     quaternion: FloatArray
@@ -84,6 +86,7 @@ class TrunkMotion:
     mount_sigma_rad: FloatArray
     clock_offset_s: float = float("nan")
     name: str = "trunk"
+    by_imu: bool = True
 
     def rows(self, rows: slice | IntArray) -> TrunkMotion:
         """Some of the samples."""

@@ -95,7 +95,8 @@ def _trunk(recovery: Recovery) -> dict[str, object]:
     if trunk is None:
         return {}
     names = ("name", "clock_offset_s", "mount_sigma_rad", "R_T_D")
-    return {"trunk": {name: getattr(trunk, name) for name in names}}
+    by = {} if trunk.by_imu else {"by_imu": False}
+    return {"trunk": {name: getattr(trunk, name) for name in names} | by}
 
 
 def _draws(recovery: Recovery) -> dict[str, object]:

@@ -235,6 +235,7 @@ def _trunk(stamp: IntArray, table: TopicTable | None, values: dict[str, Any] | N
         mount_sigma_rad=np.array(values["mount_sigma_rad"], float),
         clock_offset_s=values["clock_offset_s"],
         name=values["name"],
+        by_imu=_of_type(values.get("by_imu", True), bool),
     )
 
 
