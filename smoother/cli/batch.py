@@ -16,7 +16,7 @@ from typer.core import TyperCommand
 
 from ..runtime.printable import printable
 from .arm_output import end_strictly
-from .load import damage
+from .load import camera_frame_of, damage
 from .options import (
     ANY_ARM,
     ArmSelection,
@@ -161,6 +161,10 @@ def batch(
             "--report", metavar="[OUT.html]", help="Also write a page over the study; in FOLDER if not named."
         ),
     ] = None,
+    reports: Annotated[
+        bool,
+        typer.Option("--reports", help="Also write the report of each recording, beside its result."),
+    ] = False,
     json_file: Json = None,
     arm: ArmSelection = ANY_ARM,
     passthrough_images: PassthroughImages = False,
@@ -271,6 +275,8 @@ def batch(
     except KeyboardInterrupt:
         typer.echo("unocclude: interrupted; the same command continues where this one stopped", err=True)
         raise typer.Exit(1) from None
+    if reports:
+        write_reports(rows, folder.path, processes or 0, force)
     if page is not None:
         from ..report.study import write_study
 
@@ -292,6 +298,52 @@ def batch(
         raise typer.Exit(1)
     if strict:
         end_strictly(rows["trusted"].to_pylist())
+
+
+def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> None:
+    """Write the report of each result of a study that has none, or one that is older than the result.
+
+    Parameters
+    ----------
+    rows : pyarrow.Table
+        Of the study.
+    folder : Path
+        The study's.
+    processes : int
+        Worker processes, 0 = one a core.
+    anew : bool
+        Write all of them.
+    """
+    from ..report.study import report_of
+    from ..runtime.outputs import check_output
+    from ..runtime.pool import Pool
+
+    results = [folder / row["output"] for row in rows.to_pylist() if row["status"] == "done"]
+    pages = [folder / report_of(str(result.relative_to(folder))) for result in results]
+    todo = [
+        (result, page)
+        for result, page in zip(results, pages, strict=True)
+        if anew or not page.is_file() or page.stat().st_mtime < result.stat().st_mtime
+    ]
+    for _, page in todo:
+        if page.is_file() and _PAGE_MARKS[0] not in page.read_bytes()[:1000]:
+            check_output(page, force=False)  # nobody else's file is replaced
+    with Pool(processes, frames=10**9 if len(todo) > 1 else 0) as workers:
+        for _ in workers.map(_write_report, todo):
+            pass
+
+
+def _write_report(files: tuple[Path, Path]) -> None:
+    """The report of a result file."""
+    from ..io import read_recovery
+    from ..report import write_arms_report, write_report
+
+    result, page = files
+    recoveries, frame = read_recovery(result), camera_frame_of(result)
+    if len(recoveries) == 1:
+        write_report(recoveries[0], page, camera_frame=frame, force=True)
+    else:
+        write_arms_report([(None, each) for each in recoveries], page, camera_frame=frame, force=True)
 
 
 def _is_of_a_study(path: Path) -> bool:

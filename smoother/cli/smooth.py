@@ -31,6 +31,7 @@ from .methods import (
 )
 from .options import (
     ANY_ARM,
+    NO_PICTURES,
     Anatomy,
     ArmSelection,
     BoundaryS,
@@ -43,6 +44,7 @@ from .options import (
     Orientation,
     Output,
     PassthroughImages,
+    Pictures,
     Processes,
     RecordingPath,
     Report,
@@ -55,6 +57,7 @@ if TYPE_CHECKING:
     from calib.motion.motion_calibration import ArmEstimates
 
     from ..recording import Recording
+    from ..report.film import Film
     from ..result import Recovery
 
 
@@ -70,6 +73,7 @@ def smooth(
     boundary_s: BoundaryS = None,
     arm: ArmSelection = ANY_ARM,
     report: Report = None,
+    pictures: Pictures = NO_PICTURES,
     passthrough_images: PassthroughImages = False,
     max_sigma_m: Annotated[
         float | None,
@@ -108,6 +112,7 @@ def smooth(
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     motions = drawn_motions(draws, seed, names[0])
+    pictures.check(recording_file, report)
     remedy, swap_sides = set_up.remedy()
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
@@ -144,7 +149,7 @@ def smooth(
             answers, output, source=recording_file, force=force, passthrough_images=passthrough_images
         )
         if report is not None:
-            write_page(results, report, force)
+            write_page(results, report, force, pictures.film(recording_file, answers[0]))
         if json_file is not None:
             figures = [smooth_figures(recording, recovery) for recording, recovery in results]
             together = arms_figures(answers, figures) | {"not_carried_over": list(left_out)}
@@ -158,15 +163,17 @@ def smooth(
         end_strictly(recovery.estimates.trusted for recovery in answers)
 
 
-def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool) -> None:
+def write_page(
+    results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool, film: Film | None = None
+) -> None:
     """The report of an arm, or of several on one page."""
     from ..report import write_arms_report, write_report
 
     if len(results) > 1:
-        write_arms_report(results, path, force=force)
+        write_arms_report(results, path, film=film, force=force)
     else:
         ((recording, recovery),) = results
-        write_report(recovery, path, recording=recording, force=force)
+        write_report(recovery, path, recording=recording, film=film, force=force)
 
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:

@@ -5,12 +5,18 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import FloatArray
+from ..errors import RecordingError
+from ..io.mcap.container import Container
+from ..io.mcap.messages import Topic
+from ..io.media.images import IMAGES, ImageMessage, read_images
+from ..result import Recovery
 
 #: A picture is no wider than this, pixels, and there are no more a second.
 MOST_WIDE, MOST_HZ = 320, 10.0
@@ -58,6 +64,144 @@ class Film:
             "jpeg": [b64encode(one).decode("ascii") for one in self.jpeg],
             "longest": max(_HELD_S, 2 * step),
         }
+
+
+def recorded_film(path: Path, recovery: Recovery) -> Film:
+    """Pictures of the camera's own images in a recording (MCAP): colour where there is any, else infrared.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    recovery : Recovery
+        Of it; says when, and how the clocks go together.
+
+    Raises
+    ------
+    RecordingError
+        There are no such images in the time of the recovery.
+    """
+    topic = image_topic(path)
+
+    def images() -> Iterator[tuple[float, NDArray]]:
+        offset_s = recovery.clock_offset_s if np.isfinite(recovery.clock_offset_s) else 0.0
+        latest, due = -np.inf, -np.inf
+        for message in read_images(path, lambda each: each.name == topic):
+            if not isinstance(message, ImageMessage):
+                continue
+            t = (message.stamp_ns - recovery.origin_ns) / 1e9 + offset_s
+            if t <= latest or t < due:  # stamps that go back; what would not be shown stays packed
+                continue
+            latest, due = t, t + 0.5 / MOST_HZ
+            pixels = message.pixels()
+            is_rgb = message.encoding.startswith("rgb")
+            yield t, pixels[:, :, [2, 1, 0]] if is_rgb else pixels[:, :, :3] if pixels.ndim == 3 else pixels
+
+    film = make_film(images(), *_times(recovery), f"the recording's own images ({topic})")
+    if film is None:
+        raise RecordingError(
+            f"{path}: the images of {topic} were not taken at the time of the IMU's samples; leave out"
+            " --with-images."
+        )
+    return film
+
+
+def image_topic(path: Path) -> str:
+    """The topic of a recording whose images show a person best.
+
+    Raises
+    ------
+    RecordingError
+        There is none.
+    """
+    container = Container(path)
+    found: list[str] = []
+
+    def seen(topic: Topic) -> bool:
+        if topic.schema in IMAGES and topic.name not in found:
+            found.append(topic.name)
+        return False
+
+    for _ in container.batches(seen):
+        pass
+    shown = [name for name in found if not any(word in name.lower() for word in _DEPTH)]
+    shown.sort(key=lambda name: (not any(word in name.lower() for word in _COLOUR), found.index(name)))
+    if not shown:
+        raise RecordingError(
+            f"{path} has no images of the camera's; give the film of another camera with --video FILE, or"
+            " leave out --with-images."
+        )
+    return shown[0]
+
+
+_DEPTH, _COLOUR = ("depth", "point", "body_index", "mask"), ("color", "colour", "rgb")
+
+
+def video_film(path: Path, offset_s: float, recovery: Recovery) -> Film:
+    """Pictures of a video file.
+
+    Parameters
+    ----------
+    path : Path
+        Anything that OpenCV reads (MP4, AVI, MKV, MOV).
+    offset_s : float, s
+        From the recovery's first sample to the video's first picture; negative where the video began before.
+    recovery : Recovery
+
+    Raises
+    ------
+    RecordingError
+        The file is not there, is no video, or shows another time.
+    """
+    import cv2
+
+    check_video(path)
+    video = cv2.VideoCapture(str(path))
+    start_s, end_s = _times(recovery)
+    rate_hz = video.get(cv2.CAP_PROP_FPS)
+    try:
+        if not video.isOpened() or not rate_hz > 0:
+            raise RecordingError(f"{path} cannot be read as a video; convert it to MP4 (H.264).")
+        every = max(1, int(rate_hz / (2 * MOST_HZ)))
+
+        def images() -> Iterator[tuple[float, NDArray]]:
+            number = 0
+            while video.grab():
+                t = start_s + offset_s + number / rate_hz
+                number += 1
+                if t > end_s:
+                    return
+                if t < start_s or number % every:
+                    continue
+                there, pixels = video.retrieve()
+                if there:
+                    yield t, pixels
+
+        film = make_film(images(), start_s, end_s, f"the file {path.name}")
+    finally:
+        video.release()
+    if film is None:
+        raise RecordingError(
+            f"{path} shows nothing of the {end_s - start_s:.0f} s that were recorded: --video-offset is the"
+            f" time from the recording's first sample to the video's first picture, s; it was {offset_s:g}."
+        )
+    return film
+
+
+def check_video(path: Path) -> None:
+    """Refuse a film that is not there.
+
+    Raises
+    ------
+    RecordingError
+        It is so.
+    """
+    if not path.is_file():
+        raise RecordingError(f"{path} does not exist; --video takes the file of a film.")
+
+
+def _times(recovery: Recovery) -> tuple[float, float]:
+    return float(recovery.t_s[0]), float(recovery.t_s[-1])
 
 
 def make_film(

@@ -68,22 +68,13 @@ def words_of(people: Sequence[dict[str, Any]]) -> str:
     if not people:
         return ""
     measured = list(dict.fromkeys(part for person in people for part in person["measured"]))
-    rest = "the rest is" if measured else "it is"
-    seen = (
-        f" {_listed(measured).capitalize()} {'are' if len(measured) > 1 else 'is'} as seen;"
-        if measured
-        else ""
-    )
-    upright = (
-        ""
-        if "trunk" in measured
-        else ", upright"
-        if "both shoulders" in measured
-        else (", upright and facing the camera")
-    )
+    upright = ", upright and facing the camera"
+    if measured:
+        upright = "" if "trunk" in measured else ", upright"
+    seen = f" As measured: {_listed(measured)}. The rest is" if measured else " It is"
     return (
-        f"The grey body shows where the arm is;{seen} {rest} a silhouette by usual body proportions{upright},"
-        " and was not measured."
+        f"The grey body shows where the arm is.{seen} a silhouette by usual body proportions{upright}, which"
+        " was not measured."
     )
 
 

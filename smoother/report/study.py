@@ -14,9 +14,12 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..array_types import FloatArray
+from ..evaluation.quantity import first_of
 from ..evaluation.summary import trust_word
+from ..study.group import entries_of
 from .chart import NOT_TRUSTED, badge
-from .sheet import ALARM, Html, figure, label, listing, tabulated, write_sheet
+from .sheet import ALARM, CONTENTS, Html, figure, folded, label, listing, tabulated, write_sheet
+from .study_group import group_sections
 from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
@@ -25,6 +28,8 @@ if TYPE_CHECKING:
 #: Rows of the table of the worst recordings, and of failures; points of the scatter plot.
 MOST_WORST, MOST_POINTS = 200, 5000
 _BINS = 40
+#: Measures in the table of recordings.
+MOST_SHOWN = 4
 #: Decimals that are drawn: an axis never spans rounding errors.
 _DIGITS = 3
 
@@ -56,27 +61,32 @@ def write_study(
     failed = rows.filter(pc.equal(rows["status"], "failed"))
     columns = {name: _numbers(recovered, name) for name in _PLOTTED}
     sound = columns["trusted"] != 0  # nan where nobody judged
-    for name in ("sigma_max_m", "sigma_max_deg", "clock_offset_s"):
+    for name in ("sigma_max_m", "error_95_m", "clock_offset_s"):
         columns[name] = np.where(sound, columns[name], np.nan)
     sections = [_failures(failed)] if len(failed) else []
     if len(recovered):
         order = worst_first(columns["sigma_max_m"], columns["trusted"], columns["gaps_untrusted"])
-        sections += [
-            figure(
-                "Distributions",
-                "One count a recording. Sigma is one standard deviation of the IMU's position on its worst"
-                " axis, the largest of all gaps. The outermost bars also count what lies beyond them."
-                + _without(int((~sound).sum())),
-                _distributions(columns),
-            ),
-            figure(
-                "Gaps and what they cost",
-                "A point a recording; the worst ones if there are very many." + _without(int((~sound).sum())),
-                _scatter(recovered, columns, order),
-            ),
-            _worst(recovered, order[:MOST_WORST], Path(path), Path(folder)),
-            _notes(recovered),
-        ]
+        sections.append(_worst(recovered, order[:MOST_WORST], Path(path), Path(folder)))
+        sections += group_sections(rows, Path(path))
+        sections += folded(
+            [
+                figure(
+                    "Distributions",
+                    "One count per recording. The error is what 95 of 100 errors of the sensor's position"
+                    " in gaps stay below, as stated. The outermost bars also count what lies beyond them."
+                    + _without(int((~sound).sum())),
+                    _distributions(columns),
+                ),
+                figure(
+                    "Gaps and what they cost",
+                    "A point per recording; the worst ones if there are very many."
+                    + _without(int((~sound).sum())),
+                    _scatter(recovered, columns, order),
+                ),
+                _notes(recovered),
+            ],
+            below=CONTENTS,
+        )
     write_sheet(
         path,
         "Study",
@@ -90,7 +100,7 @@ def write_study(
 
 def _without(distrusted: int) -> str:
     """A caption's last sentence: whose sigma is not drawn."""
-    return f" Sigma of the {distrusted} results that are not to be trusted is left out." if distrusted else ""
+    return f" The {distrusted} results that are not to be trusted are left out." if distrusted else ""
 
 
 def worst_first(sigma_m: FloatArray, trusted: FloatArray, gaps_untrusted: FloatArray) -> np.ndarray:
@@ -107,7 +117,7 @@ def worst_first(sigma_m: FloatArray, trusted: FloatArray, gaps_untrusted: FloatA
 
 
 _PLOTTED = (
-    *("duration_s", "occluded_s", "gap_longest_s", "sigma_max_m", "sigma_max_deg"),
+    *("duration_s", "occluded_s", "gap_longest_s", "sigma_max_m", "error_95_m"),
     *("clock_offset_s", "seconds", "notes", "trusted", "gaps_untrusted"),
 )
 
@@ -141,12 +151,12 @@ def _verdict(
         f"{_duration(recorded)} of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
         f" one process needed {_duration(spent)}, {recorded / max(spent, 1e-9):.3g} times real time"
     )
-    sigma = 100 * columns["sigma_max_m"][np.isfinite(columns["sigma_max_m"])]
-    if len(sigma):
-        half, most = np.percentile(sigma, [50, 95])
+    error = 100 * columns["error_95_m"][np.isfinite(columns["error_95_m"])]
+    if len(error):
+        half, most = np.percentile(error, [50, 95])
         yield (
-            f"the largest sigma of a recording is {half:.1f} cm in the median, {most:.1f} cm at the 95th"
-            f" percentile, {sigma.max():.1f} cm in the worst one"
+            f"in the gaps of a recording the sensor is within {half:.1f} cm in 95 of 100 cases (median of the"
+            f" recordings; {most:.1f} cm at their 95th percentile, {error.max():.1f} cm in the worst one)"
         )
 
 
@@ -160,9 +170,9 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
     share = 100 * columns["occluded_s"] / np.maximum(columns["duration_s"], 1e-9)
     speed = columns["duration_s"] / np.maximum(columns["seconds"], 1e-9)
     panels = [
-        ("largest sigma, cm", 100 * columns["sigma_max_m"]),
-        ("largest sigma, degrees", columns["sigma_max_deg"]),
+        ("error in gaps (95 %), cm", 100 * columns["error_95_m"]),
         ("longest gap, s", columns["gap_longest_s"]),
+        ("length, min", columns["duration_s"] / 60),
         ("occluded, %", share),
         ("clock offset, ms", 1000 * columns["clock_offset_s"]),
         ("times real time", speed),
@@ -191,45 +201,74 @@ def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndar
     plot = go.Figure(
         go.Scatter(
             x=np.round(columns["gap_longest_s"][kept], _DIGITS),
-            y=np.round(100 * columns["sigma_max_m"][kept], _DIGITS),
+            y=np.round(100 * columns["error_95_m"][kept], _DIGITS),
             text=[label(name) for name in recovered["recording"].take(kept).to_pylist()],
             mode="markers",
             marker={"color": OCCLUDED, "size": 6, "opacity": 0.6},
         )
     )
     plot.update_xaxes(title="longest gap, s")
-    plot.update_yaxes(title="largest sigma, cm")
+    plot.update_yaxes(title="error in gaps (95 %), cm")
     return dress(plot, 420, head=20, showlegend=False)
 
 
 def _worst(recovered: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
-    """The worst recordings, each with a link to its output."""
+    """The recordings, each with a link to its report, or to its result where it has none."""
+    rows = recovered.take(order).to_pylist()
+    keys = first_of([each["key"] for row in rows for each in row["measures"] or ()], MOST_SHOWN)
+    words = {each["key"]: f"{each['name']}, {each['unit']}" for row in rows for each in row["measures"] or ()}
     heads = (
-        *("recording", "trusted", "largest sigma, cm", "largest sigma, deg", "longest gap, s", "gaps"),
-        *("occluded, s", "length, s", "notes"),
+        *("recording", "person", "verdict", "self-check", "within, cm (95 %)"),
+        *("longest gap, s", "gaps", "occluded, s", "length, s"),
+        *(words[key].removesuffix(", ") for key in keys),
     )
-    rows = [
+    entries = entries_of(rows)
+    cells = [
         (
-            Html(f'<a href="{escape(_link(row["output"], path, folder))}">{escape(row["recording"])}</a>'),
+            _named(row, path, folder),
+            entries[row["recording"]].person if "/" in row["recording"] else None,
             _trust(row),
-            *((None, None) if row["trusted"] is False else _sigmas(row)),
+            row["self_check"] or None,
+            None if row["trusted"] is False else _scaled(row["error_95_m"], 100),
             _scaled(row["gap_longest_s"]),
             row["gaps"],
             *(_scaled(row[name]) for name in ("occluded_s", "duration_s")),
-            row["notes"],
+            *(_measured(row, key) for key in keys),
         )
-        for row in recovered.take(order).to_pylist()
+        for row in rows
     ]
-    more = (
-        f" The other {len(recovered) - len(rows)} are among the results."
-        if len(recovered) > len(rows)
-        else ""
-    )
+    rest = len(recovered) - len(rows)
+    more = f" The other {rest} are among the results." if rest else ""
     caption = (
-        "What is not to be trusted first, without its sigma and with the reason; then by the largest sigma of"
-        f" the gaps. Names lead to the outputs.{more}"
+        "What is not to be trusted first, with the reason and without its uncertainty; then by how uncertain"
+        " the gaps are. Names lead to the reports (`batch --reports`), else to the results. Measures stand"
+        f" with their 95 % intervals; those of what is not to be trusted are left out.{more}"
     )
-    return tabulated("Worst recordings first", caption, heads, rows)
+    return tabulated("Recordings", caption, heads, cells)
+
+
+def _named(row: dict[str, Any], path: Path, folder: Path) -> Html:
+    """A recording's name, which leads to its report where there is one."""
+    page = report_of(row["output"])
+    shown = page if (folder / page).is_file() else str(row["output"])
+    return Html(f'<a href="{escape(_link(shown, path, folder))}">{escape(row["recording"])}</a>')
+
+
+def report_of(output: str) -> str:
+    """The name of a recording's report, beside its result."""
+    return Path(output).with_suffix(".html").as_posix()
+
+
+def _measured(row: dict[str, Any], key: str) -> str | None:
+    """A measure of each arm, with its interval."""
+    said = []
+    for each in row["measures"] or ():
+        if each["key"] != key or each["value"] is None or each["trusted"] is False:
+            continue
+        interval = "" if each["low"] is None else f" ({each['low']:.3g} to {each['high']:.3g})"
+        side = f"{each['side']} " if row["arms"] and row["arms"] > 1 else ""
+        said.append(f"{side}{each['value']:.3g}{interval}")
+    return "; ".join(said) or None
 
 
 def _trust(row: dict[str, Any]) -> Html:
@@ -240,11 +279,7 @@ def _trust(row: dict[str, Any]) -> Html:
         return Html(f"{badge(NOT_TRUSTED)} {escape(why)}")
     if row["gaps_untrusted"]:
         return Html(badge(word, "care"))
-    return Html(escape(word) or "–")
-
-
-def _sigmas(row: dict[str, Any]) -> tuple[str | None, str | None]:
-    return _scaled(row["sigma_max_m"], 100), _scaled(row["sigma_max_deg"])
+    return Html(escape(str(row["verdict"] or word)) or "–")
 
 
 def _link(output: str, path: Path, folder: Path) -> str:

@@ -64,9 +64,12 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("arm_figures", "string", "", "with several arms: JSON, a list with these columns' figures of each"),
     ("trusted", "bool", "", "the result is to be trusted; of several arms, each of them"),
     ("verdict", "string", "", "in a sentence; of several arms, each one's"),
+    ("self_check", "string", "", "what was hidden and recovered, in a sentence; of several arms, each one's"),
+    ("error_95_m", "double", "m", "in gaps, 95 of 100 errors of the IMU's position lie below"),
     ("gaps_untrusted", "int64", "", "gaps that are not to be trusted; all where the result is not"),
     ("recorded_day", "double", "d", "from a day that the study chose at random for this person"),
     ("measures", "measures", "", "with --measures: the measures of each arm's session"),
+    ("waveforms", "string", "", "with --measures: JSON, angles over the repetitions, their mean and spread"),
     ("seconds", "double", "s", "time it took, reading and writing included"),
     ("host", "string", "", "machine that did it; empty without --keep-paths"),
     ("finished", "timestamp", "", "when it was done, UTC"),
@@ -131,6 +134,8 @@ def figures_of(recording: Recording, recovery: Recovery) -> Row:
         "clock_offset_sigma_s": _number(recovery.clock_offset_sigma_s),
         "trusted": recovery.estimates.trusted,
         "verdict": recovery.estimates.verdict,
+        "self_check": "" if (check := recovery.estimates.self_check) is None else check.sentence,
+        "error_95_m": figures["error_95_m"]["occluded"]["all"],
         "gaps_untrusted": sum(gap["trusted"] is False for gap in gaps),
         "notes": len(notes),
         "note_texts": notes,
@@ -162,6 +167,8 @@ def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Seq
     texts = list(dict.fromkeys([*(note for arm in arms for note in arm["note_texts"]), *left_out]))
     said = [(recovery.arm_label, recovery.estimates.verdict) for _, recovery in results]
     together["verdict"] = " ".join(f"{label.capitalize()}: {verdict}" for label, verdict in said if verdict)
+    checks = [(label, arm["self_check"]) for (label, _), arm in zip(said, arms, strict=True)]
+    together["self_check"] = " ".join(f"{label.capitalize()}: {check}" for label, check in checks if check)
     # a clock belongs to one arm's IMU: those of several stand with the arms
     together |= {"clock_offset_s": None, "clock_offset_sigma_s": None}
     together |= {"note_texts": texts, "notes": len(texts), "arms": len(arms)}
@@ -212,11 +219,18 @@ def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:
     ]
 
 
-def measured_arms(recoveries: Sequence[Recovery]) -> list[dict[str, Any]]:
-    """Measure every arm of a recording with the usual settings (`measure_rows`)."""
+def measured_arms(recoveries: Sequence[Recovery]) -> Row:
+    """The columns of measures: every arm of a recording with the usual settings, and its waveforms."""
     from ..measures import measure
+    from .waveforms import waveforms_of
 
-    return measure_rows([measure(recovery) for recovery in recoveries])
+    measured = [measure(recovery) for recovery in recoveries]
+    curves = [
+        curve
+        for recovery, one in zip(recoveries, measured, strict=True)
+        for curve in waveforms_of(recovery, one)
+    ]
+    return {"measures": measure_rows(measured), "waveforms": json.dumps(curves)}
 
 
 def rows_table(files: Sequence[str], columns: Iterable[str] | None = None) -> pa.Table:

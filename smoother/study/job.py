@@ -377,7 +377,7 @@ def _recover_in(
     try:
         images = job.choice.passthrough_images
         answers = [recovery for _, recovery in results]
-        measured = measured_arms(answers) if job.measures else None
+        measured = measured_arms(answers) if job.measures else {}
         # the result is that of `smooth --draws 0`
         answers = [replace(recovery, draws=None) for recovery in answers]
         if job.hash_names:
@@ -393,7 +393,7 @@ def _recover_in(
             output_bytes=about.st_size,
             output_mtime_ns=about.st_mtime_ns,
             **figures_of_arms(results, left_out),
-            measures=measured,
+            **({"measures": None} | measured),
             recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
             seconds=time.perf_counter() - began,
         )

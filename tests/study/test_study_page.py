@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections import deque
 from datetime import datetime
@@ -17,6 +18,7 @@ from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
 from smoother.report.study import worst_first, write_study
 from smoother.study.columns import COLUMNS, schema
+from smoother.study.group import LONG, group_measures, group_waveforms, long_rows
 from smoother.study.run import Tally
 
 
@@ -68,9 +70,9 @@ def test_what_is_not_to_be_trusted_stands_first():
 def test_the_page_of_a_study_with_untrusted_results(tmp_path):
     mirrored = {"trusted": False, "verdict": "Not to be trusted: <mirrored>.", "gaps_untrusted": 2}
     rows = [
-        row("a.mcap", sigma_max_m=0.0912, trusted=True, gaps_untrusted=0),
-        row("b.mcap", sigma_max_m=0.0123, **mirrored),
-        row("c.mcap", sigma_max_m=0.0456, trusted=True, gaps_untrusted=1),
+        row("a.mcap", sigma_max_m=0.0912, error_95_m=0.0912, trusted=True, gaps_untrusted=0),
+        row("b.mcap", sigma_max_m=0.0123, error_95_m=0.0123, **mirrored),
+        row("c.mcap", sigma_max_m=0.0456, error_95_m=0.0456, trusted=True, gaps_untrusted=1),
     ]
     write_study(pa.Table.from_pylist(rows, schema=schema()), tmp_path / "page.html", tmp_path)
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
@@ -133,3 +135,71 @@ def test_the_table_while_it_runs():
     shown = console.file.getvalue()
     assert "not to be trusted" in shown
     assert "a.mcap" in shown and "2.0" in shown and "it [is] broken" in shown
+
+
+def measured(value: float | None, trusted: bool = True, key: str = "elbow_flexion_range_deg") -> list[dict]:
+    about = {"side": "right", "body": None, "trusted": trusted, "key": key, "name": "elbow flexion, range"}
+    low = None if value is None else value - 2
+    high = None if value is None else value + 2
+    rest = {"sigma": 1.0, "recovered_share": 0.2, "n_draws": 64, "note": ""}
+    return [about | {"unit": "deg", "value": value, "low": low, "high": high} | rest]
+
+
+def waves(mean: float, trusted: bool = True) -> str:
+    each = {"side": "right", "angle": "elbow_flexion", "repetitions": 5, "trusted": trusted}
+    return json.dumps([each | {"mean": [mean] * 51, "sd": [3.0] * 51}])
+
+
+def persons_rows() -> list[dict]:
+    """Three persons; the changes are 10, 14 and, not to be trusted, 500."""
+    sessions = {"p1": (100.0, 110.0), "p2": (90.0, 104.0), "p3": (80.0, 580.0)}
+    rows = []
+    for person, values in sessions.items():
+        for number, value in enumerate(values, start=1):
+            trusted = value < 500
+            about = {"arms": 1, "trusted": trusted, "gaps_untrusted": 0, "verdict": "Usable."}
+            about |= {"measures": measured(value, trusted), "waveforms": waves(value, trusted)}
+            about |= {"self_check": "Hidden 8 times.", "error_95_m": 0.02}
+            rows.append(row(f"{person}/s{number}.mcap", **about))
+    return rows
+
+
+def test_a_groups_means_and_changes_are_those_of_what_is_to_be_trusted():
+    (found,) = group_measures(long_rows(persons_rows()))
+    assert (found.first.count, found.first.mean) == (3, pytest.approx(90.0))
+    assert found.first.sd == pytest.approx(10.0)
+    assert (found.last.count, found.last.mean, found.change) == (2, pytest.approx(107.0), pytest.approx(12.0))
+    # Student's t of one degree of freedom at 0.975 is 12.706; 10 and 14 have a standard error of 2
+    assert (found.low, found.high) == (
+        pytest.approx(12 - 25.41, abs=0.01),
+        pytest.approx(12 + 25.41, abs=0.01),
+    )
+    (wave,) = group_waveforms(persons_rows())
+    assert wave.curves.shape == (5, 51) and wave.repetitions == 25 and wave.mean[0] == pytest.approx(96.8)
+    assert wave.sd[0] == pytest.approx(np.std([100, 110, 90, 104, 80], ddof=1))
+
+
+def test_the_page_of_persons_has_group_curves_links_and_a_file_for_statistics(tmp_path):
+    (tmp_path / "p1").mkdir()
+    (tmp_path / "p1" / "s1.html").write_text("a report")
+    write_study(pa.Table.from_pylist(persons_rows(), schema=schema()), tmp_path / "study.html", tmp_path)
+    text = (tmp_path / "study.html").read_text(encoding="utf-8")
+    table = text[text.index(">Recordings</h2>") : text.index("</tbody>")]
+    rows = table.split("<tr>")[2:]
+    assert "p3/s2" in rows[0] and "580" not in rows[0], "untrusted first, without its measures"
+    assert 'href="p1/s1.html"' in table and 'href="p1/s2.mcap"' in table
+    assert "Hidden 8 times." in table and "100 (98 to 102)" in table and "<td>p2</td>" in table
+    group = text[text.index(">The group</h2>") :]
+    assert "<td>90 (10)</td>" in group and "<td>+12 (-13.4 to +37.4)</td>" in group
+    assert "Angles over a repetition" in group and 'href="study_measures.csv"' in group
+    with open(tmp_path / "study_measures.csv", newline="", encoding="utf-8") as file:
+        long = list(csv.DictReader(file))
+    assert len(long) == 6 and list(long[0]) == list(LONG)
+    assert [line["trusted"] for line in long] == ["1", "1", "1", "1", "1", "0"]
+    assert long[3]["person"] == "p2" and long[3]["session_number"] == "2" and float(long[3]["value"]) == 104.0
+
+
+def test_recordings_without_folders_are_a_person_each_and_have_no_change():
+    rows = [row(f"{name}.mcap", measures=measured(value)) for name, value in (("a", 1.0), ("b", 3.0))]
+    (found,) = group_measures(long_rows(rows))
+    assert found.first.count == 2 and found.last.count == 0 and np.isnan(found.change)
