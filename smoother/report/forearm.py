@@ -23,8 +23,8 @@ from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, c
 
 #: The sensor is drawn as a cube of this size, and its axes so long, cm.
 CUBE_CM, AXIS_CM = 2.0, 4.5
-#: Ellipses are drawn at so many sigmas.
-SIGMAS = 2.0
+#: Ellipses hold 95 of 100 cases of two coordinates, at so many sigmas; of one coordinate these many.
+SIGMAS, SIGMAS_OF_ONE = 2.448, 1.96
 _CHAIN = ("elbow", "wrist", "hand")
 
 
@@ -184,7 +184,7 @@ def _label(
 
 
 def _cm(value_m: float, sigma_m: float) -> str:
-    return f"{100 * value_m:.1f} ± {100 * sigma_m:.1f} cm"
+    return f"{100 * value_m:.1f} ± {100 * SIGMAS_OF_ONE * sigma_m:.1f} cm"
 
 
 def forearm_page(calibration: ForearmCalibration, recording: Recording) -> Page:
@@ -222,8 +222,8 @@ def _sections(recording: Recording, calibration: ForearmCalibration, rows: list[
         table = [
             (
                 row.name,
-                f"{row.pose:.1f} ± {row.pose_sigma:.1f} {row.unit}",
-                f"{row.motion:.1f} ± {row.motion_sigma:.1f} {row.unit}"
+                f"{row.pose:.1f} ± {SIGMAS_OF_ONE * row.pose_sigma:.1f} {row.unit}",
+                f"{row.motion:.1f} ± {SIGMAS_OF_ONE * row.motion_sigma:.1f} {row.unit}"
                 if row.motion_sigma
                 else "counted from it",
                 f"{row.apart:.1f}",
@@ -232,12 +232,12 @@ def _sections(recording: Recording, calibration: ForearmCalibration, rows: list[
             for row in rows
         ]
         columns = ("measure", "pose", "motion", "sigmas apart", "")
-        yield tabulated("Measures", "Each with its standard deviation.", columns, table)
+        yield tabulated("Measures", "Each ± what 95 of 100 errors stay below.", columns, table)
     plot = mount(_as_found(calibration))
     if plot is not None:
         yield figure(
             "How the sensor sits on the arm",
-            "By the pose. The dark square is the sensor with its axes; ellipses are two standard deviations.",
+            "By the pose. The dark square is the sensor with its axes; ellipses and ± hold 95 of 100 cases.",
             plot,
         )
     yield listing("What stayed open", open_questions(calibration), "Nothing stayed open.")

@@ -346,7 +346,7 @@ _CALIBRATION = (
 )
 _DRAWN = (
     "The dark square is the sensor (drawn 2 cm large) with its axes x, y, z; the ellipse about each joint"
-    " holds it in 95 of 100 cases."
+    " holds it in 95 of 100 cases, and so does ±."
 )
 _REJECTED = (
     "Camera samples that called themselves tracked and took no part, by joint, a colour a reason; pale ticks"
