@@ -279,8 +279,11 @@ def batch(
         write_reports(rows, folder.path, processes or 0, force)
     if page is not None:
         from ..report.study import write_study
+        from ..study.group import long_rows, persons_of
 
-        write_study(rows, page, folder.path, force=True)
+        names = ["recording", "status", "recorded_day", "measures"]
+        plain = rows.select(names).to_pylist()
+        write_study(rows, page, folder.path, persons=persons_of(plain), long=long_rows(plain), force=True)
     figures = study_figures(rows, tally)
     write_json(
         json_file,

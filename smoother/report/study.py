@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,6 @@ from plotly.subplots import make_subplots
 from ..array_types import FloatArray
 from ..evaluation.quantity import first_of
 from ..evaluation.summary import trust_word
-from ..study.group import entries_of
 from .chart import NOT_TRUSTED, badge
 from .sheet import ALARM, CONTENTS, Html, figure, folded, label, listing, tabulated, write_sheet
 from .study_group import group_sections
@@ -35,7 +34,13 @@ _DIGITS = 3
 
 
 def write_study(
-    rows: pa.Table, path: str | os.PathLike[str], folder: str | os.PathLike[str], *, force: bool = False
+    rows: pa.Table,
+    path: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    persons: Mapping[str, str] | None = None,
+    long: Sequence[Mapping[str, Any]] = (),
+    force: bool = False,
 ) -> None:
     """Write the page of a study.
 
@@ -47,6 +52,10 @@ def write_study(
         The page to write.
     folder : path-like
         The study's folder, which the outputs' names count from.
+    persons : mapping of str to str, optional
+        Whose each recording is, by its name.
+    long : sequence of mapping
+        The measures in long format, for the group's table and the file beside the page.
     force : bool
         Overwrite a page that exists.
 
@@ -66,8 +75,8 @@ def write_study(
     sections = [_failures(failed)] if len(failed) else []
     if len(recovered):
         order = worst_first(columns["sigma_max_m"], columns["trusted"], columns["gaps_untrusted"])
-        sections.append(_worst(recovered, order[:MOST_WORST], Path(path), Path(folder)))
-        sections += group_sections(rows, Path(path))
+        sections.append(_worst(recovered, order[:MOST_WORST], persons or {}, Path(path), Path(folder)))
+        sections += group_sections(rows, long, Path(path))
         sections += folded(
             [
                 figure(
@@ -212,23 +221,24 @@ def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndar
     return dress(plot, 420, head=20, showlegend=False)
 
 
-def _worst(recovered: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
+def _worst(
+    recovered: pa.Table, order: np.ndarray, persons: Mapping[str, str], path: Path, folder: Path
+) -> str:
     """The recordings, each with a link to its report, or to its result where it has none."""
     rows = recovered.take(order).to_pylist()
     keys = first_of([each["key"] for row in rows for each in row["measures"] or ()], MOST_SHOWN)
     words = {each["key"]: f"{each['name']}, {each['unit']}" for row in rows for each in row["measures"] or ()}
     heads = (
-        *("recording", "person", "verdict", "self-check", "within, cm (95 %)"),
+        *("recording", "person", "verdict", "self-check: recovered to within", "within, cm (95 %)"),
         *("longest gap, s", "gaps", "occluded, s", "length, s"),
         *(words[key].removesuffix(", ") for key in keys),
     )
-    entries = entries_of(rows)
     cells = [
         (
             _named(row, path, folder),
-            entries[row["recording"]].person if "/" in row["recording"] else None,
+            persons.get(row["recording"]),
             _trust(row),
-            row["self_check"] or None,
+            _self_check(row),
             None if row["trusted"] is False else _scaled(row["error_95_m"], 100),
             _scaled(row["gap_longest_s"]),
             row["gaps"],
@@ -252,6 +262,15 @@ def _named(row: dict[str, Any], path: Path, folder: Path) -> Html:
     page = report_of(row["output"])
     shown = page if (folder / page).is_file() else str(row["output"])
     return Html(f'<a href="{escape(_link(shown, path, folder))}">{escape(row["recording"])}</a>')
+
+
+def _self_check(row: dict[str, Any]) -> str | None:
+    """What the self-check found and what was stated of it, and its sentence under the pointer."""
+    found, stated = row["self_check_95_m"], row["self_check_stated_95_m"]
+    if found is None or stated is None:
+        return row["self_check"] or None
+    words = f"{100 * found:.1f} cm (stated: {100 * stated:.1f})"
+    return Html(f'<span title="{escape(row["self_check"] or "")}">{words}</span>')
 
 
 def report_of(output: str) -> str:

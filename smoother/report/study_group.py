@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import numpy as np
@@ -14,13 +14,12 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..angles import JOINT_ANGLES
-from ..study.group import (
+from ..evaluation.group import (
     GroupMeasure,
     GroupWaveform,
     Spread,
     group_measures,
     group_waveforms,
-    long_rows,
     write_long,
 )
 from .sheet import Html, figure, headed, table
@@ -34,23 +33,23 @@ MOST_CURVES = 60
 _TITLES = {angle.name: angle.title for angle in JOINT_ANGLES}
 
 
-def group_sections(rows: pa.Table, page: Path) -> Iterator[str]:
+def group_sections(rows: pa.Table, long: Sequence[Mapping[str, Any]], page: Path) -> Iterator[str]:
     """The group's table and curves; beside the page its file in long format. Nothing without measures.
 
     Parameters
     ----------
     rows : pyarrow.Table
         Of the study.
+    long : sequence of mapping
+        Its measures in long format (`evaluation.group.LONG`).
     page : Path
         Where the page is to be; the file is called after it.
     """
-    plain = rows.select(["recording", "status", "recorded_day", "measures", "waveforms"]).to_pylist()
-    long = long_rows(plain)
     if long:
         file = page.with_name(f"{page.stem}_measures.csv")
         write_long(long, file)
         yield _table(group_measures(long), file.name)
-    waves = group_waveforms(plain)
+    waves = group_waveforms(rows.select(["waveforms"]).to_pylist())
     if waves:
         yield figure("Angles over a repetition", _WAVES, _drawn(waves))
 

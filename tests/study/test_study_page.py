@@ -16,9 +16,10 @@ from rich.console import Console
 from smoother.cli.batch import headline, progress_table
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
+from smoother.evaluation.group import LONG, group_measures, group_waveforms
 from smoother.report.study import worst_first, write_study
 from smoother.study.columns import COLUMNS, schema
-from smoother.study.group import LONG, group_measures, group_waveforms, long_rows
+from smoother.study.group import long_rows, persons_of
 from smoother.study.run import Tally
 
 
@@ -160,6 +161,7 @@ def persons_rows() -> list[dict]:
             about = {"arms": 1, "trusted": trusted, "gaps_untrusted": 0, "verdict": "Usable."}
             about |= {"measures": measured(value, trusted), "waveforms": waves(value, trusted)}
             about |= {"self_check": "Hidden 8 times.", "error_95_m": 0.02}
+            about |= {"self_check_95_m": 0.031, "self_check_stated_95_m": 0.042}
             rows.append(row(f"{person}/s{number}.mcap", **about))
     return rows
 
@@ -182,13 +184,20 @@ def test_a_groups_means_and_changes_are_those_of_what_is_to_be_trusted():
 def test_the_page_of_persons_has_group_curves_links_and_a_file_for_statistics(tmp_path):
     (tmp_path / "p1").mkdir()
     (tmp_path / "p1" / "s1.html").write_text("a report")
-    write_study(pa.Table.from_pylist(persons_rows(), schema=schema()), tmp_path / "study.html", tmp_path)
+    rows = persons_rows()
+    table = pa.Table.from_pylist(rows, schema=schema())
+    own = {"persons": persons_of(rows), "long": long_rows(rows)}
+    write_study(table, tmp_path / "study.html", tmp_path, **own)
     text = (tmp_path / "study.html").read_text(encoding="utf-8")
     table = text[text.index(">Recordings</h2>") : text.index("</tbody>")]
     rows = table.split("<tr>")[2:]
     assert "p3/s2" in rows[0] and "580" not in rows[0], "untrusted first, without its measures"
     assert 'href="p1/s1.html"' in table and 'href="p1/s2.mcap"' in table
-    assert "Hidden 8 times." in table and "100 (98 to 102)" in table and "<td>p2</td>" in table
+    assert (
+        'title="Hidden 8 times.">3.1 cm (stated: 4.2)' in table
+        and "100 (98 to 102)" in table
+        and "<td>p2</td>" in table
+    )
     group = text[text.index(">The group</h2>") :]
     assert "<td>90 (10)</td>" in group and "<td>+12 (-13.4 to +37.4)</td>" in group
     assert "Angles over a repetition" in group and 'href="study_measures.csv"' in group

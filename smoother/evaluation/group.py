@@ -1,0 +1,171 @@
+"""Measures and curves of several persons together: mean, spread, change; the long format for statistics."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..runtime.outputs import writing
+from .quantity import first_of
+
+#: Measures of a group's table.
+MOST_MEASURES = 12
+#: Names of the long format's columns.
+LONG = (
+    *("person", "session", "session_number", "day", "task", "recording", "side", "trusted"),
+    *("measure", "name", "unit", "value", "low", "high", "sigma", "recovered_share"),
+)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Values of several persons.
+
+    Attributes
+    ----------
+    count : int
+        Persons.
+    mean, sd : float
+        nan without any, and of one.
+    """
+
+    count: int
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class GroupMeasure:
+    """One measure over the persons.
+
+    Attributes
+    ----------
+    side, task, key, name, unit : str
+    first, last : Spread
+        Of the persons' first sessions; of the last ones of those who have several.
+    change : float
+        Mean of last less first over those persons; nan without any.
+    low, high : float
+        95 % interval of that mean by Student's t over the persons; nan for fewer than two.
+    """
+
+    side: str
+    task: str
+    key: str
+    name: str
+    unit: str
+    first: Spread
+    last: Spread
+    change: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+
+
+def write_long(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write the long format as CSV: a header, a comma, a point, empty cells where there is nothing."""
+    with (
+        writing(path, force=True) as temporary,
+        open(temporary, "w", newline="", encoding="utf-8") as file,
+    ):
+        table = csv.DictWriter(file, LONG)
+        table.writeheader()
+        table.writerows(rows)
+
+
+def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[GroupMeasure]:
+    """The main measures over the persons, without what is not to be trusted.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        The long format.
+
+    Returns
+    -------
+    measures : list of GroupMeasure
+        By arm, task, and the order in which one looks at them.
+    """
+    values: dict[tuple[str, str, str], dict[str, dict[int, float]]] = {}
+    about: dict[str, tuple[str, str]] = {}
+    for row in rows:
+        if not row["trusted"] or row["value"] is None:
+            continue
+        about[row["measure"]] = row["name"], row["unit"] or ""
+        persons = values.setdefault((row["side"], row["task"], row["measure"]), {})
+        persons.setdefault(row["person"], {})[row["session_number"]] = float(row["value"])
+    keys = first_of(list(about), MOST_MEASURES)
+    chosen = sorted((key for key in values if key[2] in keys), key=lambda key: (*key[:2], keys.index(key[2])))
+    return [_of_group(key, about[key[2]], values[key]) for key in chosen]
+
+
+def _of_group(
+    key: tuple[str, str, str], about: tuple[str, str], persons: Mapping[str, Mapping[int, float]]
+) -> GroupMeasure:
+    from scipy.stats import t
+
+    first = [each[min(each)] for each in persons.values()]
+    several = [each for each in persons.values() if len(each) > 1]
+    last = [each[max(each)] for each in several]
+    changes = [each[max(each)] - each[min(each)] for each in several]
+    spread = _spread(changes)
+    half = math.nan
+    if spread.count > 1:
+        half = float(t.ppf(0.975, spread.count - 1)) * spread.sd / math.sqrt(spread.count)
+    low, high = spread.mean - half, spread.mean + half
+    return GroupMeasure(*key, *about, _spread(first), _spread(last), spread.mean, low, high)
+
+
+def _spread(values: Sequence[float]) -> Spread:
+    count = len(values)
+    return Spread(
+        count,
+        float(np.mean(values)) if count else math.nan,
+        float(np.std(values, ddof=1)) if count > 1 else math.nan,
+    )
+
+
+@dataclass(frozen=True)
+class GroupWaveform:
+    """An angle over a repetition, of several recordings.
+
+    Attributes
+    ----------
+    side, angle : str
+    curves : ndarray, shape (n, points), deg
+        Mean of each recording.
+    mean, sd : ndarray, shape (points,), deg
+        Over the recordings; of one recording its own, over its repetitions.
+    repetitions : int
+        Of all recordings.
+    """
+
+    side: str
+    angle: str
+    curves: FloatArray
+    mean: FloatArray
+    sd: FloatArray
+    repetitions: int
+
+
+def group_waveforms(rows: Sequence[Mapping[str, Any]]) -> list[GroupWaveform]:
+    """The waveforms of a study's rows (JSON in `waveforms`), without what is not to be trusted."""
+    by_kind: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        for each in json.loads(row.get("waveforms") or "[]"):
+            if each["trusted"] is not False:
+                by_kind.setdefault((each["side"] or "", each["angle"]), []).append(each)
+    found = []
+    for (side, angle), each in sorted(by_kind.items(), key=lambda item: (item[0][1], item[0][0])):
+        curves = np.array([one["mean"] for one in each])
+        sd = curves.std(axis=0, ddof=1) if len(each) > 1 else np.array(each[0]["sd"])
+        count = sum(one["repetitions"] for one in each)
+        found.append(GroupWaveform(side, angle, curves, curves.mean(axis=0), sd, count))
+    return found
