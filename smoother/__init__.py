@@ -82,9 +82,17 @@ __all__ = [
 ]
 
 
+#: What values offer as methods and floors above them do: `Recovery.export`, `Recovery.plot`.
+_METHODS = {
+    "export_recovery": "smoother.io.export.by_suffix",
+    "plot_recovery": "smoother.report.publication",
+}
+
+
 def __getattr__(name: str) -> object:
-    if name in _HOME:
-        return getattr(import_module(_HOME[name]), name)
+    home = _HOME.get(name) or _METHODS.get(name)
+    if home is not None:
+        return getattr(import_module(home), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -67,7 +67,7 @@ MAY: dict[str, set[str]] = {
     "manuscript": {"evaluation"},
     "streams": {"calib", "io"},
     "cli": {"calib", *MIDDLE},
-    "unocclude": {"io", "measures"},
+    "unocclude": {"io", "measures", "simulation"},
 }
 #: Packages that make a command slow to start, or that need system libraries: imported where they are used.
 HEAVY = {"open3d", "cv2", "plotly", "vqf", "libusb_package", "rich", "gtsam", "pylsl", "foxglove"}

@@ -74,7 +74,7 @@ def test_the_wheel_is_imported_by_its_own_name(wheel: Path, tmp_path: Path) -> N
 
 
 def test_dir_shows_the_public_names_and_no_others() -> None:
-    assert dir(unocclude) == sorted([*smoother.__all__, "measures", "__version__"])
+    assert dir(unocclude) == sorted([*smoother.__all__, "measures", "simulation", "__version__"])
     for name in smoother.__all__:
         same = getattr(unocclude, name) is getattr(smoother, name)
         assert same or name == "smooth"

@@ -122,6 +122,7 @@ _COMMANDS = {
     "check": _spec("recordings", "check session.mcap --json check.json"),
     "match": _spec("recordings", "match session.mcap --json matches.json"),
     "repair": _spec("recordings", "repair broken.mcap -o whole.mcap --json lost.json"),
+    "cut": _spec("cut", "cut session.mcap --trials trials.csv -o trials"),
     "smooth": _spec("smooth", "smooth session.mcap -o out.mcap --calibration arm.toml --report out.html"),
     "validate": _spec(
         "validate", "validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml"

@@ -406,7 +406,8 @@ def _print_untrusted(figures: dict[str, Any]) -> None:
 
 def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     """Print what came of a study, the worst recordings first."""
-    speed = f", {tally.recorded_s / tally.seconds:.1f} times real time" if tally.computed else ""
+    times = tally.recorded_s / tally.seconds if tally.computed else 0.0
+    speed = f", {times:.1f} times real time by all processes together" if tally.computed else ""
     say(
         f"{tally.total} recordings: {tally.computed} recovered now in {tally.seconds:.0f} s{speed};"
         f" {tally.before} were dealt with before; {figures['failed']} failed in all"

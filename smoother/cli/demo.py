@@ -17,7 +17,6 @@ from .output import (
     cell,
     centimetres,
     check_outputs,
-    percent,
     print_notes,
     print_table,
     progress_bar,
@@ -90,7 +89,8 @@ def demo(
 
 def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
     """Print one table: every gap, its stated sigma, and the error against the truth where there is one."""
-    from ..evaluation.summary import gap_summaries
+    from ..error_radius import in_cm, within_words
+    from ..evaluation.summary import error_figures, gap_summaries
 
     errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
     rows = []
@@ -100,12 +100,12 @@ def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
             (
                 f"{summary.gap.start_s:.2f}",
                 f"{summary.gap.length_s:.2f}",
-                centimetres(summary.sigma_max_m),
+                centimetres(summary.error_95_m),
                 *(
                     ("-", "-", "-")
                     if figures is None
                     else (
-                        centimetres(figures.position_rms_m),
+                        centimetres(figures.position_p95_m),
                         centimetres(figures.position_max_m),
                         cell(figures.orientation_rms_deg),
                     )
@@ -113,16 +113,16 @@ def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
             )
         )
     columns = (
-        *("gap starts, s", "length, s", "stated sigma, cm"),
-        *("error rms, cm", "error max, cm", "error rms, deg"),
+        *("gap starts, s", "length, s", "stated within, cm"),
+        *("95 % within, cm", "error max, cm", "error rms, deg"),
     )
     print_table(f"{recovery.name}: the forearm where the camera did not see it", columns, rows)
-    if validation is not None and validation.occluded.position_rms_m is not None:
-        inside = percent(validation.occluded.coverage_95)
+    if validation is not None and validation.occluded.position_p95_m is not None:
+        stated_m = error_figures(recovery)["occluded"]["all"]
+        stated = "" if stated_m is None else f" (stated: {in_cm(stated_m)})"
         say(
-            f"In the gaps the answer is {centimetres(validation.occluded.position_rms_m)} cm (rms) from the"
-            f" truth, {centimetres(validation.occluded.position_max_m)} cm at most;"
-            f" {inside} of the truth lies inside the stated 95 % region."
+            f"In the gaps the answer is {within_words(validation.occluded.position_p95_m)}{stated}"
+            f" of the truth, {in_cm(validation.occluded.position_max_m or 0.0)} at most."
         )
 
 

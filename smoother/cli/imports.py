@@ -119,7 +119,7 @@ def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path 
     from .recordings import print_topics
 
     print_topics(about)
-    print_notes(recording.notes)
+    print_notes(recording.notes, imported=True)
 
 
 def files(
@@ -186,7 +186,11 @@ def files(
     check_outputs(force, [output, json_file], [*named, *beside])
     more_skeletons, more_imus, passed_over = sort_files(paths or [], reader, output)
     file, reports = import_files(
-        skeletons + more_skeletons, imus + more_imus, imu_starts_at_s=imu_starts_at, reader=reader
+        skeletons + more_skeletons,
+        imus + more_imus,
+        imu_starts_at_s=imu_starts_at,
+        reader=reader,
+        one_session=bool(paths),
     )
     if truth is not None:
         reports.append(add_truth(file, truth))

@@ -83,6 +83,7 @@ Strict = Annotated[
         "--strict", help="Exit with 3 where a result is not to be trusted; outputs are written all the same."
     ),
 ]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Print all that was found, not what matters only.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite outputs that exist.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Same seed, same result.")]
 Draws = Annotated[

@@ -269,10 +269,21 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
     screen.print(laid_out(printable(title), titles, cells, screen.width))
 
 
-def print_notes(notes: Iterable[str]) -> None:
-    """Print what the user must know, a line each, none twice."""
+def print_notes(notes: Iterable[str], imported: bool = False) -> None:
+    """Print what the user must know, a line each, none twice.
+
+    Notes that the recording's import has said already are left to `info` and --verbose (`imported`).
+    """
     for note in dict.fromkeys(notes):
-        say(f"note: {note}")
+        if imported or not is_imported(note):
+            say(f"note: {note}")
+
+
+def is_imported(note: str) -> bool:
+    """Whether a note stands in the recording's file, whose import said it."""
+    from ..recording.notes import ImportNote
+
+    return isinstance(note, ImportNote)
 
 
 def say(text: str) -> None:

@@ -62,7 +62,7 @@ def info(
     print_topics(about)
     print_arm(about)
     print_missing(about)
-    print_notes(about.notes)
+    print_notes(about.notes, imported=True)
 
 
 def print_topics(about: RecordingInfo) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,7 @@ from .arm_output import (
     say_untrusted_parts,
     say_verdict,
 )
-from .load import AS_RECORDED, SetUp, load_arms
+from .load import AS_RECORDED, SetUp, damage, load_arms
 from .methods import (
     METHODS,
     baseline_settings,
@@ -50,12 +51,23 @@ from .options import (
     Report,
     SolveLeverArms,
     Strict,
+    Verbose,
 )
-from .output import check_mcap, check_outputs, print_notes, progress_bar, say, say_written, write_json
+from .output import (
+    check_mcap,
+    check_outputs,
+    is_imported,
+    print_notes,
+    progress_bar,
+    say,
+    say_written,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from calib.motion.motion_calibration import ArmEstimates
 
+    from ..evaluation.summary import GapSummary
     from ..recording import Recording
     from ..report.film import Film
     from ..result import Recovery
@@ -86,6 +98,7 @@ def smooth(
     draws: Draws = None,
     seed: DrawSeed = None,
     strict: Strict = False,
+    verbose: Verbose = False,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -156,7 +169,7 @@ def smooth(
             write_json(json_file, together, force)
         for recording, recovery in results:
             say_arm(recovery, len(results))
-            print_recovery(recording, recovery)
+            print_recovery(recording, recovery, verbose)
         print_notes(left_out)
     say_written(output, report, json_file)
     if strict:
@@ -195,51 +208,98 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     }
 
 
-def print_recovery(recording: Recording, recovery: Recovery) -> None:
-    """Print a recovery's gaps, what was found and rejected, and what must be known of it."""
+def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = False) -> None:
+    """Print what matters of a recovery: verdict, self-check, gaps, and what must be known of it.
+
+    `verbose`: every gap, what was found and rejected, and every note.
+    """
     from calib.motion.motion_calibration import found_in
 
     from ..evaluation.summary import gap_summaries
-    from .output import centimetres, print_table
+    from .output import print_table
 
-    rows = [
-        (
-            number,
-            f"{summary.gap.start_s:.2f}",
-            f"{summary.gap.length_s:.2f}",
-            {True: "yes", False: "no", None: "-"}[summary.trusted],
-            centimetres(summary.sigma_max_m),
-            "-" if summary.sigma_max_deg is None else f"{summary.sigma_max_deg:.1f}",
-            "-" if summary.sigma_max_flexion_deg is None else f"{summary.sigma_max_flexion_deg:.1f}",
-            "one side" if summary.gap.open_start or summary.gap.open_end else "both sides",
-        )
-        for number, summary in enumerate(gap_summaries(recovery), start=1)
-    ]
+    gaps = list(enumerate(gap_summaries(recovery), start=1))
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
     say_verdict(recovery)
     say(
-        f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples, {len(rows)}"
-        f" {'gap' if len(rows) == 1 else 'gaps'}, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
+        f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples, {len(gaps)}"
+        f" {'gap' if len(gaps) == 1 else 'gaps'}, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
     )
-    if rows:
-        columns = (
-            "gap",
-            "starts, s",
-            "length, s",
-            "trusted",
-            "largest sigma, cm",
-            "orientation, deg",
-            "elbow, deg",
-            "seen from",
-        )
-        print_table("Gaps (sigma = one standard deviation)", columns, rows[:MOST_ROWS])
-        if len(rows) > MOST_ROWS:
-            say(f".. and {len(rows) - MOST_ROWS} gaps more; --json and the report have them all")
-    say_untrusted_parts(recovery)
-    if (found := found_in(recovery, recording)) is not None:
-        print_found(found)
-    print_rejected(recovery)
-    print_notes([*recording.notes, *recovery.notes])
+    most = MOST_ROWS if verbose else FEW_GAPS
+    # of many the doubtful and the least certain; in the order of time
+    shown = sorted(gaps, key=lambda gap: _doubt(gap[1]))[:most]
+    if rows := [_gap_row(number, gap) for number, gap in sorted(shown, key=lambda gap: gap[0])]:
+        which = "Gaps" if len(rows) == len(gaps) else f"The {len(rows)} least certain of {len(gaps)} gaps"
+        title = f"{which}: how far off at most, in 95 of 100 cases"
+        columns = ("gap", "starts, s", "length, s", "trusted", "position, cm", "elbow, deg", "seen from")
+        print_table(title, columns, rows)
+    found = found_in(recovery, recording)
+    if verbose:
+        if len(rows) < len(gaps):
+            say(f".. and {len(gaps) - len(rows)} gaps more; --json and the report have them all")
+        say_untrusted_parts(recovery)
+        if found is not None:
+            print_found(found)
+        print_rejected(recovery)
+        print_notes([*recording.notes, *recovery.notes], imported=True)
+    else:
+        remarks = _remarks(recording, recovery, () if found is None else found.not_determined)
+        table = len(rows) + TABLE_LINES if rows else 0
+        print_remarks(remarks, MOST_LINES - _verdict_lines(recovery) - table - 3)
+
+
+def _doubt(gap: GapSummary) -> tuple[bool, float]:
+    """A key by which gaps are sorted: not to be trusted first, then the least certain."""
+    return gap.trusted is not False, -math.inf if gap.error_95_m is None else -gap.error_95_m
+
+
+def _gap_row(number: int, gap: GapSummary) -> tuple[object, ...]:
+    """A gap in a table: how far off position and elbow may be, as the 95 % of the error."""
+    flexion_deg = gap.sigma_max_flexion_deg
+    return (
+        number,
+        f"{gap.gap.start_s:.2f}",
+        f"{gap.gap.length_s:.2f}",
+        {True: "yes", False: "no", None: "-"}[gap.trusted],
+        "-" if gap.error_95_m is None else f"{100 * gap.error_95_m:.1f}",
+        "-" if flexion_deg is None else f"{SIGMAS_95 * flexion_deg:.1f}",
+        "one side" if gap.one_sided else "both sides",
+    )
+
+
+def _remarks(recording: Recording, recovery: Recovery, not_determined: Iterable[str]) -> list[str]:
+    """What must be known of a result, the most important first: one sentence each, with what it is."""
+    from ..result.untrusted import untrusted_sentences
+
+    notes = [note for note in (*recording.notes, *recovery.notes) if not is_imported(note)]
+    damaged = damage(notes)
+    return [
+        *(f"not to be trusted: {sentence}" for sentence in untrusted_sentences(recovery)),
+        *(f"note: {note}" for note in dict.fromkeys(damaged)),
+        *(f"not determined: {sentence}" for sentence in not_determined),
+        *(f"note: {note}" for note in dict.fromkeys(notes) if note not in damaged),
+    ]
+
+
+def _verdict_lines(recovery: Recovery) -> int:
+    """How many lines `say_verdict` takes."""
+    estimates = recovery.estimates
+    signs = len(estimates.reasons[1:]) if estimates.cause else 0
+    return bool(estimates.verdict) + (estimates.self_check is not None) + signs
+
+
+def print_remarks(remarks: Sequence[str], lines: int) -> None:
+    """Print remarks on so many lines, one at least: the first of them, and how many more there are.
+
+    What is not to be trusted, and what is damaged, is printed in any case.
+    """
+    grave = sum(each.startswith("not to be trusted") or bool(damage([each])) for each in remarks)
+    few = len(remarks) if len(remarks) <= max(lines, 1) else max(lines - 1, min(grave, MOST_GRAVE))
+    for remark in remarks[:few]:
+        say(remark)
+    if more := len(remarks) - few:
+        counted = f".. and {more} more remarks" if few else f"{more} remarks on the result"
+        say(f"{counted}: --verbose prints them, --json and the report have them")
 
 
 def print_found(found: ArmEstimates) -> None:
@@ -274,5 +334,9 @@ def print_rejected(recovery: Recovery) -> None:
         print_table("Tracked samples that were rejected", columns, table)
 
 
-#: A table longer than this helps nobody on a terminal.
-MOST_ROWS = 25
+#: A table longer than this helps nobody on a terminal; without --verbose so many gaps are shown.
+MOST_ROWS, FEW_GAPS = 25, 4
+#: An arm takes so many lines; so many grave remarks are printed anyway; lines of a table besides rows.
+MOST_LINES, MOST_GRAVE, TABLE_LINES = 15, 3, 5
+#: A normal error is smaller than so many sigmas in 95 of 100 cases.
+SIGMAS_95 = 1.96

@@ -12,7 +12,7 @@ import typer
 from ..errors import UnoccludeError
 from .arm_output import arms_figures, say_arm, warn
 from .load import camera_frame_of, damage, load_recoveries
-from .options import NO_FILES, Align, Body, Outputs, Result, Side, one_side
+from .options import NO_FILES, Align, Body, Outputs, Result, Side, Verbose, one_side
 from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -30,18 +30,25 @@ def pooled_measures(paths: Sequence[Path]) -> list[MeasurePair]:
     return unique_pairs(pair for path in paths for pair in read_pairs(path))
 
 
-def print_measures(validation: Validation) -> None:
-    """Print the main measures of the session, and how well all that were compared agree."""
+def print_measures(validation: Validation, verbose: bool) -> None:
+    """Print the main measures of the session, and how well all that were compared agree.
+
+    Agreement is that of several recordings: of one it is left to `verbose`.
+    """
     from ..evaluation.measure_agreement import agreement_cells, pair_cells
+    from ..evaluation.quantity import first_of
 
     comparison = validation.measures
     if comparison is None:
         return
-    _print(validation.title("Measures of the session"), *pair_cells(comparison))
-    _print(
-        validation.title("Agreement of the measures (answer minus truth) over recordings and movements"),
-        *agreement_cells(comparison),
-    )
+    several = max((one.recordings for one in comparison.agreements), default=0) > 1
+    first = first_of([pair.key for pair in comparison.pairs if pair.scope == "session"], FEW_MEASURES)
+    chosen = None if verbose else first
+    if verbose or not several:
+        _print(validation.title("Measures of the session"), *pair_cells(comparison, chosen))
+    if verbose or several:
+        title = "Agreement of the measures (answer minus truth) over recordings and movements"
+        _print(validation.title(title), *agreement_cells(comparison, chosen))
 
 
 def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -50,8 +57,10 @@ def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) ->
 
 
 _PARTS = ("all", "occluded", "visible")
-#: More gaps than this are not printed; `--json` has them all.
-_MOST_GAPS = 40
+#: More gaps than this are not printed, `--json` has them all; without --verbose so many notes and measures.
+_MOST_GAPS, FEW_NOTES, FEW_MEASURES = 40, 2, 4
+#: About so many samples are pooled to one stated distance.
+MOST_POOLED = 4000
 
 
 def validate(
@@ -92,6 +101,7 @@ def validate(
     ] = None,
     side: Side = None,
     body: Body = None,
+    verbose: Verbose = False,
     to: Outputs = NO_FILES,
 ) -> None:
     """Compare a result with a reference: position, orientation, angles, measures, consistency of sigma.
@@ -133,7 +143,7 @@ def validate(
     warn(recoveries)
     for recovery, validation in zip(recoveries, validations, strict=True):
         say_arm(recovery, len(recoveries))
-        print_validation(validation)
+        print_validation(recovery, validation, verbose)
 
 
 def _check_truth_of_several(truth_file: Path, recoveries: Sequence[Recovery]) -> None:
@@ -165,34 +175,52 @@ def write_page(
         write_arms_report(arms, path, camera_frame=camera_frame, force=force)
 
 
-def print_validation(validation: Validation) -> None:
-    """Print the figures of a validation."""
-    _print_errors(validation)
+def print_validation(recovery: Recovery, validation: Validation, verbose: bool = False) -> None:
+    """Print the figures of a validation: what matters in 40 lines, or all of them."""
+    _print_errors(recovery, validation, verbose)
     _print_points(validation)
-    _print_gaps(validation)
-    _print_angles(validation)
-    print_measures(validation)
-    _print_table_one(validation)
-    if (lag_s := validation.lag_s) is not None:
+    if verbose:
+        _print_gaps(validation)
+    _print_angles(validation, verbose)
+    print_measures(validation, verbose)
+    if verbose:
+        _print_table_one(validation)
+    if verbose and (lag_s := validation.lag_s) is not None:
         say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
-    if (angles := validation.angles) is not None and (carrying_deg := angles.carrying_truth_deg) is not None:
+    if (
+        verbose
+        and (angles := validation.angles) is not None
+        and (carrying_deg := angles.carrying_truth_deg) is not None
+    ):
         say(f"the truth's carrying angle: {carrying_deg:.1f} degrees (median; valgus < 0)")
-    print_notes(validation.notes)
+    few = len(validation.notes) if verbose else FEW_NOTES
+    print_notes(validation.notes[:few])
+    if not verbose:
+        say("--verbose prints every gap, part, measure and note; --json has them all")
 
 
-def _print_errors(validation: Validation) -> None:
+def _print_errors(recovery: Recovery, validation: Validation, verbose: bool) -> None:
+    import numpy as np
+
+    from ..error_radius import pooled_radius
+
     columns = (
-        *("part", "rms, cm", "95 %, cm", "max, cm"),
+        *("part", "95 % within, cm", "stated, cm", "rms, cm", "max, cm"),
         *("rms, deg", "95 %, deg", "max, deg", "NEES", "inside 95 %", "samples"),
     )
     rows = []
     for name in _PARTS:
         figures = getattr(validation, name)
+        part = {"occluded": recovery.occluded, "visible": ~recovery.occluded}.get(name)
+        chosen = np.arange(len(recovery)) if part is None else np.flatnonzero(part)
+        some = recovery.pose_covariance[chosen[:: max(1, len(chosen) // MOST_POOLED)]]
+        stated_m = pooled_radius(some[:, :3, :3]) if figures.position_p95_m is not None else None
         rows.append(
             (
                 name,
-                centimetres(figures.position_rms_m),
                 centimetres(figures.position_p95_m),
+                centimetres(stated_m),
+                centimetres(figures.position_rms_m),
                 centimetres(figures.position_max_m),
                 figures.orientation_rms_deg,
                 figures.orientation_p95_deg,
@@ -202,10 +230,9 @@ def _print_errors(validation: Validation) -> None:
                 figures.samples,
             )
         )
-    title = validation.title("Error against the truth; NEES: 1 = the stated sigma is consistent")
+    title = validation.title("Error against the truth: 95 of 100 cases are within, and what was stated of it")
     print_table(title, columns, rows)
-    bias = validation.all.position_bias_m
-    if bias is not None:
+    if verbose and (bias := validation.all.position_bias_m) is not None:
         say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
 
 
@@ -243,21 +270,36 @@ def _print_gaps(validation: Validation) -> None:
         print_table(validation.title("Error gap by gap"), columns, rows)
 
 
-def _print_angles(validation: Validation) -> None:
+def _print_angles(validation: Validation, verbose: bool) -> None:
     from ..evaluation.agreement import WORDS
 
-    rows = [
-        (WORDS[name], part, *_agreement_cells(each))
-        for name in (validation.angles.compared if validation.angles else ())
-        for part, each in ((part, validation.angle_figures[part][name]) for part in _PARTS)
-        if each.samples
-    ]
-    if rows:
-        columns = ("angle", "part", "RMSE", "bias", "limits of agreement", "ICC(A,1)", "95 % interval")
-        print_table(validation.title("Joint angles, degrees (answer minus truth)"), columns, rows)
+    title = validation.title("Joint angles, degrees (answer minus truth)")
+    names = validation.angles.compared if validation.angles else ()
+    figures = validation.angle_figures
+    if verbose:
+        columns: tuple[str, ...] = ("angle", "part", "RMSE", "bias", "limits of agreement")
+        rows: list[tuple[str, ...]] = [
+            (WORDS[name], part, *_agreement_cells(each))
+            for name in names
+            for part, each in ((part, figures[part][name]) for part in _PARTS)
+            if each.samples
+        ]
+    else:
+        known = [name for name in names if figures["all"][name].samples]
+        columns = ("angle", "RMSE", "RMSE in gaps", "bias", "limits of agreement")
+        rows = [_angle_cells(WORDS[name], figures["all"][name], figures["occluded"][name]) for name in known]
+    _print(title, columns, rows)
 
 
-def _agreement_cells(each: Agreement) -> tuple[str, ...]:
+def _angle_cells(name: str, all_samples: Agreement, in_gaps: Agreement) -> tuple[str, ...]:
+    """An angle in a line."""
+    rmse, bias, limits = _agreement_cells(all_samples)
+    return name, rmse, _agreement_cells(in_gaps)[0], bias, limits
+
+
+def _agreement_cells(each: Agreement) -> tuple[str, str, str]:
+    """RMSE, bias and limits; `--json` has the ICC, which over the samples of one arm says nothing."""
+
     def text(value: float | None, digits: int) -> str:
         return "-" if value is None else f"{value:.{digits}f}"
 
@@ -265,8 +307,6 @@ def _agreement_cells(each: Agreement) -> tuple[str, ...]:
         text(each.rmse, 2),
         text(each.bias, 2),
         f"{text(each.limits_low, 1)} to {text(each.limits_high, 1)}",
-        text(each.icc, 3),
-        f"{text(each.icc_low, 3)} to {text(each.icc_high, 3)}",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -332,8 +332,10 @@ def _agreement(pairs: Sequence[MeasurePair]) -> KeyAgreement:
     )
 
 
-def pair_cells(comparison: MeasureComparison) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Columns and rows of a table of the session's main measures."""
+def pair_cells(
+    comparison: MeasureComparison, keys: Collection[str] | None = None
+) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+    """Columns and rows of a table of the session's main measures, or of those with these keys."""
     rows = [
         (
             pair.name,
@@ -345,7 +347,7 @@ def pair_cells(comparison: MeasureComparison) -> tuple[Sequence[str], Sequence[S
             f"{100 * pair.recovered_share:.0f} %" if np.isfinite(pair.recovered_share) else "-",
         )
         for pair in comparison.pairs
-        if pair.scope == "session" and is_main(pair.key)
+        if pair.scope == "session" and (is_main(pair.key) if keys is None else pair.key in keys)
     ]
     return (
         "measure",
@@ -358,8 +360,13 @@ def pair_cells(comparison: MeasureComparison) -> tuple[Sequence[str], Sequence[S
     ), rows
 
 
-def agreement_cells(comparison: MeasureComparison) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Columns and rows of a table of agreement: the main measures with three pairs or more."""
+def agreement_cells(
+    comparison: MeasureComparison, keys: Collection[str] | None = None
+) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+    """Columns and rows of a table of agreement: the main measures with three pairs or more.
+
+    Or of those with these keys.
+    """
     rows = [
         (
             one.name,
@@ -372,7 +379,8 @@ def agreement_cells(comparison: MeasureComparison) -> tuple[Sequence[str], Seque
             f"{one.inside} of {one.intervals}" if one.intervals else "-",
         )
         for one in comparison.agreements
-        if is_main(one.key) and (found := one.agreement).limits_low is not None
+        if (is_main(one.key) if keys is None else one.key in keys)
+        and (found := one.agreement).limits_low is not None
     ]
     return (
         "measure",

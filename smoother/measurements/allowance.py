@@ -23,6 +23,8 @@ from .visibility import accepted_samples, find_gaps, visible_frames
 GROWTH_ALONE, GROWTH_WITH_SHOULDER, FULL_RATE_HZ = 0.007, 0.0035, 80.0
 #: What a mounting that does not show makes of it.
 UNKNOWN_MOUNTING = 2.0
+#: Gaps that are longer are said to be of some seconds, s.
+SOME_SECONDS_S = 1.5
 #: How well frames are dated, s; where stamps are synthetic.
 DATED_S, SYNTHETIC_S = 0.003, 0.06
 #: Errors that are asked for in turn, m; gaps shorter than this, or longer, are not named, s.
@@ -70,11 +72,9 @@ class Allowance:
         within = f"{100 * self.within_m:.0f} cm"
         if self.longest_s is None:
             first = f"allows no gap within {within}"
-        elif self.longest_s >= LONGEST_S:
-            first = f"allows gaps of {LONGEST_S:.0f} s and more within {within}"
-        else:
-            first = f"allows gaps up to about {self.longest_s:.2g} s within {within}"
-        first += ", slow errors of the camera apart"
+        else:  # `check` tries the lengths: two numbers for one thing help nobody
+            some = "some seconds" if self.longest_s >= SOME_SECONDS_S else "a second or less"
+            first = f"allows gaps of {some} within {within}, by a rule of thumb; `unocclude check` tries them"
         return "; ".join([first, *self.undetermined])
 
 

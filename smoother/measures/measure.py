@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..errors import UnoccludeError
 from ..recording import arm_words
 
 if TYPE_CHECKING:
+    import pandas
     import pyarrow
 
 
@@ -235,6 +237,20 @@ class Measures:
             values = [getattr(row, name) for row in self.rows]
             columns[name] = pa.array(values, types.get(name, pa.string()), from_pandas=True)
         return pa.table(columns)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The same as a pandas table.
+
+        Raises
+        ------
+        UnoccludeError
+            pandas is not installed.
+        """
+        try:
+            import pandas  # noqa: F401
+        except ImportError as error:
+            raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
+        return self.to_table().to_pandas()
 
     def as_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` states them.

@@ -18,6 +18,9 @@ from .measure import UNKNOWN, Figure, Measure, Measures
 from .motion import ElbowBend, Motion, grid_of, motion_of, nearest_rows
 from .settings import MeasureSettings
 
+#: A shoulder turns about its long axis by some 180 degrees; a wider range is one of the angles' definition.
+WIDE_ROTATION_DEG = 180.0
+
 
 class DrawnFigures:
     """Every measure of every drawn motion.
@@ -296,6 +299,14 @@ def _notes(measuring: Measuring) -> list[str]:
     if motion.hand_joint != "hand":
         instead = "the IMU" if motion.hand_joint == "imu" else f"the {motion.hand_joint}"
         notes.append(f"The recording has no hand: {instead} stands for it.")
+    figure = measuring.answer.get(SESSION, {}).get("shoulder_rotation_range_deg")
+    turned = float("nan") if figure is None else figure.value
+    if turned > WIDE_ROTATION_DEG:
+        notes.append(
+            f"Shoulder rotation spans {turned:.0f} degrees, more than a shoulder turns: near a hanging or a"
+            " raised arm plane and rotation turn about nearly the same axis, and only their sum is defined"
+            " (ISB); compare their range over movements at the side or in front."
+        )
     if (recovery.trunk is None or not recovery.trunk.by_imu) and motion.R_K_T is not None:
         notes.append(
             "No IMU is on the trunk: it counts as upright and facing the camera, for the shoulder's angles"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from .given_arrays import camera_frame_of, check_imu, direction_of, imu_of, join
 from .imu_stream import ImuStream
 from .joint_tracks import JointTracks
 from .truth import Truth
+
+#: What `Recording.crop` cuts.
+Cropped = TypeVar("Cropped", ImuStream, JointTracks, Truth)
 
 
 def arm_words(side: str, body: int | None) -> str:
@@ -116,6 +120,53 @@ class Recording:
         """The same with another IMU on a segment beyond the forearm ("upper_arm"); without it where None."""
         others = {name: stream for name, stream in self.further_imus.items() if name != segment}
         return replace(self, further_imus=others if imu is None else others | {segment: imu})
+
+    def crop(self, from_s: float | None = None, to_s: float | None = None) -> Recording:
+        """A part of the recording by time; `unocclude cut` does the same to a file.
+
+        Times stay what they are, so that gaps and results of the part are those of the whole. Each stream is
+        cut on its own clock: where IMU and camera are seconds apart, so are their ends.
+
+        Parameters
+        ----------
+        from_s, to_s : float, s
+            On the recording's axis (`imu.t_s`); the recording's own start or end where None.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        RecordingError
+            No IMU sample or no frame is left.
+        """
+        start_s, end_s = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
+
+        def cut(stream: Cropped) -> Cropped:
+            return stream.select(slice(*np.searchsorted(stream.t_s, [start_s, end_s]).tolist()))
+
+        trunk = self.trunk
+        if trunk is not None:
+            other = None if trunk.other_arm is None else cut(trunk.other_arm)
+            trunk = replace(trunk, imu=cut(trunk.imu), other_arm=other)
+        part = replace(
+            self,
+            imu=cut(self.imu),
+            arm=cut(self.arm),
+            base_imu=None if self.base_imu is None else cut(self.base_imu),
+            truth=None if self.truth is None else cut(self.truth),
+            further_imus={name: cut(imu) for name, imu in self.further_imus.items()},
+            trunk=trunk,
+            opposite=None if self.opposite is None else cut(self.opposite),
+        )
+        if not (start_s < end_s and len(part.imu) and len(part.arm)):
+            first, last = (self.imu.t_s[0], self.imu.t_s[-1]) if len(self.imu) else (np.nan, np.nan)
+            raise RecordingError(
+                f"{self.name}: nothing is left between {start_s:g} and {end_s:g} s; the recording lasts from"
+                f" {first:.1f} to {last:.1f} s"
+            )
+        return part
 
     def __repr__(self) -> str:
         return lines_text(self._lines())

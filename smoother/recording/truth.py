@@ -33,3 +33,8 @@ class Truth:
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    def select(self, rows: BoolArray | slice) -> Truth:
+        """The same reference with some of the samples only."""
+        joints = {joint: position[rows] for joint, position in self.joints.items()}
+        return Truth(self.t_s[rows], self.position[rows], self.quaternion[rows], self.score[rows], joints)

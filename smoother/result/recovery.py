@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from textwrap import shorten
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,7 @@ from .verdict import GapVerdict, gap_verdicts, trusted_at
 if TYPE_CHECKING:
     import pandas
     import pyarrow
+    from matplotlib.figure import Figure
 
     from ..angles import AngleTable
 
@@ -349,6 +352,80 @@ class Recovery:
 
         return joint_angles(self)
 
+    def plot(
+        self,
+        what: Sequence[str] | None = None,
+        *,
+        from_s: float | None = None,
+        to_s: float | None = None,
+        width_cm: float = 17.0,
+    ) -> Figure:
+        """A figure for a paper: curves over time with their 95 % bands, gaps shaded.
+
+        Parameters
+        ----------
+        what : sequence of str, optional
+            Angles ("elbow_flexion", ..), joints ("wrist", ..; "imu"), or "error_95", how far off the IMU's
+            position may be; elbow flexion, shoulder elevation, wrist and that where None.
+        from_s, to_s : float, s
+            Part of the recording to draw; all of it where None.
+        width_cm : float, cm
+            17 fits a page, 8.5 a column.
+
+        Returns
+        -------
+        figure : matplotlib.figure.Figure
+            Text of 8 pt; `.savefig("figure.pdf")` writes it.
+
+        Raises
+        ------
+        UnoccludeError
+            matplotlib is not installed, or there is nothing of what was asked for.
+
+        Examples
+        --------
+        >>> recovery.plot(["elbow_flexion"], from_s=10, to_s=20).savefig("elbow.pdf")  # doctest: +SKIP
+        """
+        draw: Callable[..., Figure] = _from_above("plot_recovery")
+        chosen = {} if what is None else {"what": what}
+        return draw(self, **chosen, from_s=from_s, to_s=to_s, width_cm=width_cm)
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        force: bool = False,
+        frame: str | None = None,
+        rate_hz: float | None = None,
+        origin: str = "camera",
+    ) -> None:
+        """Write it in the format of the file's ending, as `unocclude export` does.
+
+        Parameters
+        ----------
+        path : path-like
+            Ending in .csv, .parquet, .trc, .mot, .c3d, .osim, .rrd or .mcap.
+        force : bool
+            Overwrite a file that exists.
+        frame : str, optional
+            Axes of trc and c3d: "camera" or "opensim".
+        rate_hz : float, optional
+            Rows a second of trc, mot and c3d; the IMU's where None.
+        origin : str
+            Zero of trc and c3d: "camera" or "shoulder".
+
+        Raises
+        ------
+        UnoccludeError
+            The ending is no format, the format needs what there is not, or the file exists.
+
+        Examples
+        --------
+        >>> recovery.export("recovered.csv")  # doctest: +SKIP
+        """
+        write: Callable[..., None] = _from_above("export_recovery")
+        write(self, path, force=force, frame=frame, rate_hz=rate_hz, origin=origin)
+
     def to_arrays(self) -> dict[str, FloatArray | BoolArray]:
         """Everything a notebook needs, by the column families of the CSV export.
 
@@ -412,6 +489,12 @@ class Recovery:
             self.trusted if self.has_verdict else [None] * len(self), dtype="boolean"
         )
         return frame
+
+
+def _from_above(name: str) -> Callable[..., Any]:
+    """A function of a floor above the core, by the name under which the package has it."""
+    function: Callable[..., Any] = getattr(import_module(__package__.partition(".")[0]), name)
+    return function
 
 
 def _zeros(values: FloatArray) -> FloatArray:

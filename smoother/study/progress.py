@@ -21,7 +21,7 @@ from ..evaluation.quantity import BY_MOVEMENT, is_main
 from .columns import DONE, Row, rows_table
 from .fingerprint import hashed_name
 from .folder import StudyFolder
-from .inputs import SessionEntry, by_folders, in_order, read_sessions
+from .inputs import SessionEntry, by_folders, in_order, read_sessions, with_named_days
 
 _READ = (
     *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),
@@ -103,7 +103,7 @@ def sessions_of(
         rest = [name for name in names if name not in sessions]
         return sessions, [f"{name}: {table.name} does not name it" for name in rest]
     found = {row["recording"]: by_folders(row["recording"], _number(row["recorded_day"])) for row in rows}
-    sessions = {name: attendance for name, attendance in found.items() if attendance is not None}
+    sessions = with_named_days({name: entry for name, entry in found.items() if entry is not None})
     if not sessions:
         raise UnoccludeError(
             f"{folder}: its recordings lie in no folder, so whose they are is not known; record as"

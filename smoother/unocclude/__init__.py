@@ -11,6 +11,7 @@ What `smoother` shows, under the name that is installed; `smooth` also takes fil
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from typing import TYPE_CHECKING, Unpack
 
 import smoother
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from smoother.runtime.store import Store
     from smoother.smoothing import Progress
 
-__all__ = sorted([*smoother.__all__, "measures"])
+__all__ = sorted([*smoother.__all__, "measures", "simulation"])
 
 
 def smooth(
@@ -177,6 +178,8 @@ def measures(
 
 
 def __getattr__(name: str) -> object:
+    if name == "simulation":
+        return import_module("unocclude.simulation")
     if name in __all__:
         return getattr(smoother, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -28,6 +28,7 @@ export out.mcap --format parquet -o out.parquet
 export out.mcap --format osim -o out.osim
 methods out.mcap -o methods.tex --json methods.json
 repair PROJECT/data/demo.mcap -o whole.mcap --json repair.json
+cut PROJECT/data/demo.mcap --from 10 --to 25 -o part.mcap --json cut.json
 info out.mcap --json result.json
 smooth PROJECT/data/demo.mcap -o out.mcap --processes 1
 smooth PROJECT/data/demo.mcap -o two.mcap --calibration PROJECT/data/demo_calibration.toml \

@@ -20,7 +20,7 @@ from ..recording.streams import ImuSamples, RecordingFile
 from ..tables.imu_checks import paired
 from ..tables.protocol import DeviceFormat, ImuTable, SkeletonTable
 from .registry import FileReader
-from .repair import Timed, count_from_zero, repaired_imu, repaired_skeleton, shifts
+from .repair import Timed, check_one_session, count_from_zero, repaired_imu, repaired_skeleton, shifts
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,7 @@ def import_files(
     skeleton_format: str | None = None,
     imu_starts_at_s: float | None = None,
     reader: FileReader | None = None,
+    one_session: bool = False,
 ) -> tuple[RecordingFile, list[FileReport]]:
     """Make a recording of device files.
 
@@ -99,6 +100,8 @@ def import_files(
         When the first IMU sample was taken, after the first camera frame.
     reader : FileReader, optional
         One that has read some of the files already.
+    one_session : bool
+        Refuse files whose dates lie a day apart or more, as those that one folder held.
 
     Returns
     -------
@@ -120,6 +123,8 @@ def import_files(
     sensors = _named([row for files in imus for row in _sensors(reader, files, reports)])
     streams = [Timed(report.path, _all_times(tables), False, report.path) for tables, report in bodies]
     streams += [Timed(topic, times_of(table), True, report.path) for topic, table, report in sensors]
+    if one_session:
+        check_one_session(streams)
     shift, sentences = shifts(streams, imu_starts_at_s)
     if imu_starts_at_s is None and not sentences and count_from_zero(streams):
         sentences = [

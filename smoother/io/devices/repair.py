@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -312,6 +313,35 @@ class Timed:
     t_s: FloatArray
     is_imu: bool
     source: str = ""
+
+
+#: Stamps from the year 2000 on are dates, s; files of one session are not so far apart, s.
+_DATES_S, _SESSION_S = 946_684_800.0, 86_400.0
+
+
+def check_one_session(streams: list[Timed]) -> None:
+    """Refuse files that were found together and are of different days.
+
+    Raises
+    ------
+    RecordingError
+        Two lie a day apart or more by their dates: names both.
+    """
+    dated = [stream for stream in streams if len(stream.t_s) and stream.t_s[0] >= _DATES_S]
+    if not dated:
+        return
+    ends = min(dated, key=lambda stream: float(stream.t_s[-1]))
+    starts = max(dated, key=lambda stream: float(stream.t_s[0]))
+    if starts.t_s[0] - ends.t_s[-1] < _SESSION_S:
+        return
+    early, late = (
+        f"{stream.source or stream.label} ({datetime.fromtimestamp(float(stream.t_s[0]), UTC):%Y-%m-%d})"
+        for stream in (ends, starts)
+    )
+    raise RecordingError(
+        f"the folder mixes sessions: {early} and {late}; give each session a folder of its own, or name its"
+        " files with --skeleton and --imu"
+    )
 
 
 def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[list[float], list[str]]:

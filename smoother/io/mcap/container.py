@@ -242,8 +242,8 @@ class Container:
         alike = sum(a == b for a, b in zip(magic, MAGIC, strict=False))
         if not summary.is_there and alike < len(MAGIC) - 2:
             raise RecordingError(
-                f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and plain files "
-                "with `unocclude import csv`."
+                f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and the files of"
+                " devices with `unocclude import files`."
             )
         self._log.note("the first bytes are damaged")
 

@@ -104,12 +104,12 @@ def repair_container(
     """
     container = Container(source, unverified=True)
     with tempfile.TemporaryFile() as payloads:
-        rows, topics = _spooled(container, payloads)
+        rows, topics = spooled(container, payloads)
         if any("no record before them" in loss.what for loss in container.losses):
             container = Container(source, unverified=True, definitions=container.definitions)
             payloads.seek(0)
             payloads.truncate()
-            rows, topics = _spooled(container, payloads)
+            rows, topics = spooled(container, payloads)
         report = _report(container, topics, rows)
         if not len(rows):
             raise RecordingError(
@@ -121,7 +121,7 @@ def repair_container(
                     file.metadata(name, values)
             if report.notes or REPAIRED in container.metadata:
                 file.metadata(REPAIRED, _told(report, container.metadata.get(REPAIRED, {})))
-            file.interleave(_sorted(rows, topics, payloads))
+            file.interleave(by_time(rows, topics, payloads))
             file.write([])
     return report
 
@@ -149,7 +149,7 @@ def _told(report: RepairReport, before: dict[str, str]) -> dict[str, str]:
     }
 
 
-def _spooled(container: Container, payloads: IO[bytes]) -> tuple[IntArray, list[Topic]]:
+def spooled(container: Container, payloads: IO[bytes]) -> tuple[IntArray, list[Topic]]:
     """All payloads in a file; by message topic, number, log and publish time, place and size, (n, 6)."""
     parts: list[IntArray] = []
     place = 0
@@ -165,7 +165,7 @@ def _spooled(container: Container, payloads: IO[bytes]) -> tuple[IntArray, list[
     return (np.concatenate(parts) if parts else np.empty((0, 6), np.int64)), topics
 
 
-def _sorted(rows: IntArray, topics: list[Topic], payloads: IO[bytes]) -> Iterator[ChunkMessages]:
+def by_time(rows: IntArray, topics: list[Topic], payloads: IO[bytes]) -> Iterator[ChunkMessages]:
     """Messages by log time; those of one time in the order in which they came."""
     order = np.argsort(rows[:, 2], kind="stable")
     for start in range(0, len(order), _TOGETHER):

@@ -14,6 +14,7 @@ from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import JOINTS, CameraFrame, Recording
+from ...recording.notes import ImportNote
 from ...runtime.printable import printable
 from ...runtime.store import Store, batches
 from ..mcap.container import Container
@@ -332,7 +333,7 @@ def _take_metadata(file: RecordingFile) -> None:
                 raise ValueError("gravity is no direction")
         file.clocks_unrelated = record.get("clocks") == CLOCKS_UNRELATED
         notes = json.loads(record.get("notes", "[]"))
-        file.notes += [printable(str(note)[:_LONGEST_NOTE]) for note in notes[:_MOST_NOTES]]
+        file.notes += [ImportNote(printable(str(note)[:_LONGEST_NOTE])) for note in notes[:_MOST_NOTES]]
         file.notes += repair_notes(file.metadata)
         scores = json.loads(record.get("truth_score", "{}"))
         for poses in file.poses:
