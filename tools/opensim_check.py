@@ -9,6 +9,7 @@ that the TRC file shows. Moved by the MOT file, its elbow and wrist must lie whe
 
 With `--model out.osim` OpenSim's Inverse Kinematics tool moves the exported model by the TRC file, and its
 angles are held against those of the MOT file; with `--truth out.mcap` also against the truth in that result.
+With `--orientations out.sto` too, OpenSense moves it by the IMUs' orientations (forearm and upper arm).
 
 Needs `opensim` and numpy alone, so that it runs in an environment of its own; `--truth` needs unocclude too.
 """
@@ -46,6 +47,7 @@ def main() -> int:
     parser.add_argument("--side", choices=("left", "right"), default="right")
     parser.add_argument("--rows", type=int, default=200, help="how many rows to compare")
     parser.add_argument("--model", help="the exported model, to be moved by inverse kinematics")
+    parser.add_argument("--orientations", help="exported orientations, to move the model by OpenSense")
     parser.add_argument("--truth", help="a result with a truth in it, to compare the angles with")
     parser.add_argument("--seconds", type=float, help="how much of the recording to move the model through")
     arguments = parser.parse_args()
@@ -56,6 +58,10 @@ def main() -> int:
         figures["ik_minus_mot_deg"] = against(times, angles, *motion_file(arguments.mot))
         if arguments.truth:
             figures["ik_minus_truth_deg"] = against(times, angles, *truth_angles(arguments.truth))
+        if arguments.orientations:
+            times, angles = opensense(arguments.model, arguments.orientations, arguments.seconds)
+            figures["opensense_rows"] = len(times)
+            figures["opensense_minus_mot_deg"] = against(times, angles, *motion_file(arguments.mot))
     print(json.dumps(figures, indent=2))
     return 0 if figures["worst_m"] <= TOLERANCE_M else 1
 
@@ -132,6 +138,29 @@ def inverse_kinematics(model_file: str, trc: str, seconds: float | None = None):
         tool.set_report_errors(False)
         tool.run()
         return motion_file(output)
+
+
+def opensense(model_file: str, sto: str, seconds: float | None = None):
+    """Times (n,) and angles (n,) by coordinate, degrees, as OpenSim's tool for IMUs finds them."""
+    import opensim
+
+    opensim.Logger.removeFileSink()
+    opensim.Logger.setLevelString("Error")
+    times = opensim.TimeSeriesTableQuaternion(str(sto)).getIndependentColumn()
+    with tempfile.TemporaryDirectory() as folder:
+        output = "imu_ik.mot"
+        tool = opensim.IMUInverseKinematicsTool()
+        tool.set_model_file(str(model_file))
+        tool.set_orientations_file(str(sto))
+        tool.set_sensor_to_opensim_rotations(opensim.Vec3(0.0, 0.0, 0.0))  # y up already
+        tool.setStartTime(times[0])
+        tool.setEndTime(times[-1] if seconds is None else min(times[-1], times[0] + seconds))
+        tool.set_results_directory(folder)
+        tool.set_output_motion_file(output)
+        tool.set_accuracy(ACCURACY)
+        tool.set_report_errors(False)
+        tool.run(False)
+        return motion_file(str(Path(folder) / output))
 
 
 def motion_file(path: str):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..recording import Truth
     from ..result import Recovery
 
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "rrd")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
 ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 #: Endings of files that are none of these.
@@ -76,7 +76,8 @@ def export(
     before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
     straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
-    and the markers of trc, for its Inverse Kinematics. rrd: a recording of Rerun with its views, all
+    and the markers of trc, for its Inverse Kinematics. sto: orientations of all IMUs for its OpenSense,
+    rows without one left out. rrd: a recording of Rerun with its views, all
     arms in one file; `unocclude view` opens it (needs `pip install '.[view]'`).
 
     What is not to be trusted is named on stderr, and marked in the file: column or channel `trusted`, dark

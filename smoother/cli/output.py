@@ -213,8 +213,8 @@ def _identity(path: Path) -> set[object]:
 
 
 #: Endings that say that a file is something else than MCAP; those of `unocclude export` first.
-_OTHER_ENDINGS = ("csv", "trc", "mot", "c3d", "parquet")
-_NO_RESULT = ("html", "json", "toml", "txt", "xlsx", "mat", "bag", "rrd", "sto", "osim", "npz")
+_OTHER_ENDINGS = ("csv", "trc", "mot", "c3d", "parquet", "sto")
+_NO_RESULT = ("html", "json", "toml", "txt", "xlsx", "mat", "bag", "rrd", "osim", "npz")
 
 
 def check_mcap(path: Path, exports: bool = False) -> None:

@@ -186,10 +186,9 @@ def _method(facts: ArmFacts) -> Iterator[str]:
 
 
 def _facing(facts: ArmFacts) -> str:
-    trunk = any(imu.segment == "trunk" for imu in facts.further_imus)
-    if trunk or not any(name.startswith("shoulder") for name in facts.angles):
-        return ""
-    return ", with the trunk taken as upright and facing the camera"
+    """Of the shoulder's angles that need no trunk."""
+    is_shoulder = any(name.startswith("shoulder") for name in facts.angles)
+    return ", with the trunk taken as upright and facing the camera" if is_shoulder else ""
 
 
 def _calibration(facts: ArmFacts) -> Iterator[str]:

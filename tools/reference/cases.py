@@ -26,6 +26,7 @@ export out.mcap --format mot -o out.mot
 export out.mcap --format c3d -o out.c3d
 export out.mcap --format parquet -o out.parquet
 export out.mcap --format osim -o out.osim
+export out.mcap --format sto -o out.sto
 methods out.mcap -o methods.tex --json methods.json
 repair PROJECT/data/demo.mcap -o whole.mcap --json repair.json
 cut PROJECT/data/demo.mcap --from 10 --to 25 -o part.mcap --json cut.json

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +33,9 @@ class ArmMeasures:
         towards the thumb, x = y cross z. What a recovery does not have is left out.
     turns : bool
         The forearm's axes are known, so that its pronation is.
+    imus : dict of str to ndarray, shape (3, 3)
+        By body (`radius`, `humerus`) the rotation from the axes of its IMU to the body's, as OpenSim has
+        them; of those whose mounting is known.
     """
 
     side: str
@@ -40,6 +43,7 @@ class ArmMeasures:
     forearm_m: float
     places: dict[str, FloatArray]
     turns: bool
+    imus: dict[str, FloatArray] = field(default_factory=dict)
 
 
 def arm_measures(recovery: Recovery) -> ArmMeasures:
@@ -70,15 +74,33 @@ def arm_measures(recovery: Recovery) -> ArmMeasures:
     upper, fore = np.linalg.norm(elbow - shoulder, axis=1), np.linalg.norm(wrist - elbow, axis=1)
     if not np.isfinite(upper + fore).any():
         raise UnoccludeError(f"{recovery.name}: shoulder, elbow and wrist are never all there at once")
-    places, turns = _forearm(rows)
-    return ArmMeasures(recovery.side, float(np.nanmedian(upper)), float(np.nanmedian(fore)), places, turns)
+    places, axes = _forearm(rows)
+    imus = {}
+    if axes is not None:
+        imus["radius"] = _mirror(recovery.side) @ _QUARTER @ axes
+    calibration = recovery.calibration
+    if recovery.upper is not None and calibration is not None and calibration.R_U_B is not None:
+        # of a left arm z, from the medial to the lateral epicondyle, points to the left
+        to_body = np.diag([-1.0, 1.0, -1.0]) if recovery.side == "left" else np.eye(3)
+        imus["humerus"] = to_body @ calibration.R_U_B
+    lengths_m = float(np.nanmedian(upper)), float(np.nanmedian(fore))
+    return ArmMeasures(recovery.side, *lengths_m, places, axes is not None, imus)
 
 
-def _forearm(rows: Recovery) -> tuple[dict[str, FloatArray], bool]:
-    """Places from the elbow, and whether they say how the forearm is turned about its bone."""
+#: `pro_sup` counts from the thumb up, a quarter turn from the axes in which the places are stated.
+_QUARTER = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+
+
+def _mirror(side: str) -> FloatArray:
+    """What makes a right arm one of the side, (3, 3)."""
+    return np.diag([1.0, 1.0, -1.0 if side == "left" else 1.0])
+
+
+def _forearm(rows: Recovery) -> tuple[dict[str, FloatArray], FloatArray | None]:
+    """Places from the elbow, and their axes in the IMU's (3, 3); None where its mounting is not known."""
     known = np.isfinite(rows.quaternion).all(axis=1) & np.isfinite(rows.position).all(axis=1)
     if not known.any():
-        return {}, False
+        return {}, None
     R_A_K = Rotation.from_quat(rows.quaternion[known], scalar_first=True).inv()
 
     def in_imu(values: FloatArray) -> FloatArray:
@@ -91,13 +113,16 @@ def _forearm(rows: Recovery) -> tuple[dict[str, FloatArray], bool]:
     y = unit(levers["elbow"] - levers["wrist"])
     if mounting is None:  # the hand lies along the bone; how the IMU lies about it is not known
         along = {"hand": levers["hand"]} if "hand" in levers else {}
-        return {name: np.array([0.0, (at - levers["elbow"]) @ y, 0.0]) for name, at in along.items()}, False
+        return {name: np.array([0.0, (at - levers["elbow"]) @ y, 0.0]) for name, at in along.items()}, None
     hand_of = -1.0 if rows.side == "left" else 1.0
     thumb = hand_of * np.asarray(mounting)[2]
     x = hand_of * unit(np.cross(y, thumb))
     axes = np.stack([x, y, hand_of * np.cross(x, y)])
     levers["imu"] = np.zeros(3)
-    return {name: axes @ (levers[name] - levers["elbow"]) for name in ("hand", "imu") if name in levers}, True
+    places: dict[str, FloatArray] = {
+        name: axes @ (levers[name] - levers["elbow"]) for name in ("hand", "imu") if name in levers
+    }
+    return places, axes
 
 
 #: `data/arm.osim`: a right arm of an adult's lengths, the IMU on the back of the wrist.
@@ -166,9 +191,9 @@ def osim_text(measures: ArmMeasures, name: str = "arm") -> str:
         _body("shoulder_base", 0.0),
         _body("shoulder_plane", 0.0),
         _body("shoulder_elevation", 0.0),
-        _body("humerus", measures.upper_m),
+        _body("humerus", measures.upper_m, measures.imus.get("humerus")),
         _body("ulna", 0.0),
-        _body("radius", measures.forearm_m),
+        _body("radius", measures.forearm_m, measures.imus.get("radius")),
     ]
     joints = [
         _base(),
@@ -204,10 +229,8 @@ def osim_text(measures: ArmMeasures, name: str = "arm") -> str:
         _marker("elbow", "humerus", elbow),
         _marker("wrist", "radius", wrist),
     ]
-    # `pro_sup` counts from the thumb up, a quarter turn from the axes in which the places are stated.
-    quarter = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     markers += [
-        _marker(marker, "radius", mirror * (quarter @ place)) for marker, place in measures.places.items()
+        _marker(marker, "radius", mirror * (_QUARTER @ place)) for marker, place in measures.places.items()
     ]
     return _MODEL.format(
         name=_escaped(name), bodies="".join(bodies), joints="".join(joints), markers="".join(markers)
@@ -241,17 +264,25 @@ _MODEL = """<?xml version="1.0" encoding="UTF-8" ?>
 """
 
 
-def _body(name: str, length_m: float) -> str:
-    """A body of a gram; a cylinder along its bone where it has one."""
-    drawn = ""
+def _body(name: str, length_m: float, R_imu: FloatArray | None = None) -> str:
+    """A body of a gram; a cylinder along its bone, and the frame of its IMU, where it has one."""
+    parts = ""
     if length_m:
-        drawn = (
-            f'<components><PhysicalOffsetFrame name="{name}_middle"><attached_geometry>'
+        parts = (
+            f'<PhysicalOffsetFrame name="{name}_middle"><attached_geometry>'
             f'<Cylinder name="{name}_bone"><socket_frame>..</socket_frame>'
             f"<radius>{_RADII_M[name]:g}</radius><half_height>{length_m / 2:.6f}</half_height></Cylinder>"
             f"</attached_geometry><socket_parent>..</socket_parent>"
-            f"<translation>0 {-length_m / 2:.6f} 0</translation></PhysicalOffsetFrame></components>\n"
+            f"<translation>0 {-length_m / 2:.6f} 0</translation></PhysicalOffsetFrame>"
         )
+    if R_imu is not None:
+        angles = Rotation.from_matrix(R_imu).as_euler("XYZ")
+        parts += (
+            f'<PhysicalOffsetFrame name="{name}_imu"><socket_parent>..</socket_parent>'
+            f"<translation>0 {-length_m:.6f} 0</translation><orientation>{_numbers(angles)}</orientation>"
+            "</PhysicalOffsetFrame>"
+        )
+    drawn = f"<components>{parts}</components>\n" if parts else ""
     return (
         f'<Body name="{name}">\n{drawn}<mass>0.001</mass><mass_center>0 0 0</mass_center>'
         "<inertia>1e-06 1e-06 1e-06 0 0 0</inertia>\n</Body>\n"

@@ -12,11 +12,11 @@ from ...recording import Truth
 from ...result import Recovery
 
 #: The formats, and for which of them axes and rate may be chosen.
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "rrd")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
 WITH_FRAME = ("trc", "c3d")
 WITH_RATE = ("trc", "mot", "c3d")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
-DEFAULT_FRAME = {"trc": "opensim", "c3d": "camera"}
+DEFAULT_FRAME = {"trc": "opensim", "c3d": "camera", "sto": "opensim"}
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,8 @@ def prepare_export(
         return _markers(recovery, format_name, chosen, rate_hz, level_down, version, origin)
     if format_name == "osim":
         return _osim(recovery)
+    if format_name == "sto":
+        return _sto(recovery, level_down)
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
     if format_name == "parquet" and draws:
@@ -179,6 +181,25 @@ def _osim(recovery: Recovery) -> Export:
     )
 
 
+def _sto(recovery: Recovery, level_down: FloatArray | None) -> Export:
+    from .sto import orientation_table, write_sto
+
+    table = orientation_table(recovery, level_down)
+    notes = (*table.notes, *_level(recovery))
+    return Export(
+        len(table.t_s), lambda path, force: write_sto(table, path, force), frame="opensim", notes=notes
+    )
+
+
+def _level(recovery: Recovery) -> tuple[str, ...]:
+    """A note where OpenSim's axes are those of a camera that is taken to stand level."""
+    import numpy as np
+
+    if np.isfinite(recovery.gravity_direction).all():
+        return ()
+    return (f"the method '{recovery.method}' found no gravity: the camera is taken to stand level.",)
+
+
 def _markers(
     recovery: Recovery,
     format_name: str,
@@ -188,15 +209,11 @@ def _markers(
     version: str,
     origin: str,
 ) -> Export:
-    import numpy as np
-
     from .markers import c3d_content, check_frames, marker_table, write_c3d, write_trc
 
     table = marker_table(recovery, frame, rate_hz, level_down, origin)
     rate, rows = table.grid.rate_hz, len(table.grid.t_s)
-    notes: tuple[str, ...] = ()
-    if frame == "opensim" and not np.isfinite(recovery.gravity_direction).all():
-        notes = (f"the method '{recovery.method}' found no gravity: the camera is taken to stand level.",)
+    notes = _level(recovery) if frame == "opensim" else ()
     if format_name == "trc":
         return Export(
             rows,

@@ -244,7 +244,9 @@ def test_the_formats_are_known_by_one_list():
     from smoother.io.export import prepare as exports
     from smoother.io.export.markers import FRAMES
 
-    assert export.FORMATS == exports.FORMATS == (*FORMATS, "osim", "rrd")  # which have tests of their own
+    assert (
+        export.FORMATS == exports.FORMATS == (*FORMATS, "osim", "sto", "rrd")
+    )  # which have tests of their own
     assert export.FRAMES == FRAMES
     with pytest.raises(UnoccludeError, match="'xls' is not available"):
         exports.prepare_export(made(), "xls")
