@@ -121,17 +121,17 @@ def test_a_slow_sensor_and_a_clipped_one() -> None:
     )
     half = replace(recording, imu=recording.imu.select(np.arange(len(recording.imu)) % 3 == 0))
     assert "Usable with care: the IMU has 27" in with_verdict(recovery, half, anatomy).estimates.verdict
-    acc = np.clip(recording.imu.acc, -10.0, 10.0)
-    clipped = with_verdict(
-        recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy
-    ).estimates
-    assert clipped.trusted is False
-    assert any("clipped at about 10 m/s^2 in 14 % of its samples" in reason for reason in clipped.reasons)
-    limit = float(np.sort(np.abs(recording.imu.acc).ravel())[-20])  # the ends of a few samples
-    acc = np.clip(recording.imu.acc, -limit, limit)
-    touched = with_verdict(
-        recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy
-    ).estimates
+
+    def clipped(limit: float) -> Estimates:
+        acc = np.clip(recording.imu.acc, -limit, limit)
+        return with_verdict(
+            recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy
+        ).estimates
+
+    much = clipped(10.0)
+    assert much.trusted is False
+    assert any("clipped at about 10 m/s^2 in 14 % of its samples" in reason for reason in much.reasons)
+    touched = clipped(float(np.sort(np.abs(recording.imu.acc).ravel())[-20]))  # the ends of a few samples
     assert touched.trusted is True
     assert any("the accelerometer was clipped" in caution for caution in touched.cautions)
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import ALONE, arm
 
-from smoother import Config, Recovery, smooth
+from smoother import Recovery, smooth
 from smoother.array_types import FloatArray
-from smoother.config import Windows
 from smoother.errors import SolveError
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock, constant_clock
 from smoother.recording import Recording
@@ -17,21 +17,10 @@ from smoother.selfcal.clock_fit import ClockScore, refined_clock
 from smoother.selfcal.pairing import coarse_clock, coarse_offset, synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
-ALONE = Config(windows=Windows(processes=1))
-
 
 def simulated(duration_s: float) -> SimulatedArm:
-    return simulate_arm(
-        ArmSimulation.preset(
-            "white",
-            protocol="random",
-            duration_s=duration_s,
-            imu_rate_hz=80.0,
-            occlusion_lengths_s=(2.0,),
-            occlusion_every_s=10.0,
-        ),
-        seed=4,
-    )
+    often = {"occlusion_lengths_s": (2.0,), "occlusion_every_s": 10.0}
+    return arm(4, protocol="random", duration_s=duration_s, imu_rate_hz=80.0, **often)
 
 
 @pytest.fixture(scope="module")
