@@ -246,7 +246,7 @@ def test_the_site_checker_finds_what_is_wrong(tmp_path: Path):
 def test_pictures_are_small_and_whole():
     from xml.dom import minidom
 
-    from tools.figures.tutorial import movements_drawing, setup_drawing
+    from tools.figures.pictures import movements_drawing, setup_drawing
 
     pictures = [path for path in (ROOT / "docs" / "pictures").iterdir() if path.suffix in (".svg", ".webp")]
     assert len(pictures) >= 5

@@ -15,8 +15,7 @@ from calib.file import CalibrationFile, write_calibration
 from smoother.cli.run import run
 from smoother.evaluation.validate import sample_errors
 from smoother.io import read_recovery, write_recording
-from tools.reliability.setup_cases import CASES, Setup, sound
-from tools.reliability.setup_errors import LARGEST_ERROR_M, Job
+from tools.reliability.setup_errors import CASES, LARGEST_ERROR_M, Job, Setup, sound
 
 #: What the first sentence says by case, and what undoes it ("" where no option does). Cases that leave the
 #: answer right may be called usable.

@@ -19,7 +19,7 @@ from smoother.recovery.trust import sensor_at_elbow, swapped_joints
 from smoother.selfcal.mounting import closed_form
 from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm, simulate_both_arms
-from tools.reliability import setup_cases
+from tools.reliability import setup_errors
 from tools.reliability.setup_errors import Job
 
 #: Options that undo a case; of several either one may be meant.
@@ -45,7 +45,7 @@ NAMED = {
 @pytest.mark.parametrize("preset", ["white", "realistic", "azure"])
 @pytest.mark.parametrize("case", [*OFFERED, *NAMED, "sound"])
 def test_each_mistake_has_its_cause(case: str, preset: str) -> None:
-    setup = Job(getattr(setup_cases, case), 5, preset, 30.0).setup()
+    setup = Job(getattr(setup_errors, case), 5, preset, 30.0).setup()
     recording, _ = synchronise_coarsely(replace(setup.recording, truth=None))
     cause = likeliest_cause(recording, setup.calibration)
     if case == "sound":
@@ -79,8 +79,8 @@ def test_what_is_right_is_far_from_what_is_wrong(sound: Recording) -> None:
 
 def test_without_a_shoulder_no_names_are_doubted(sound: Recording) -> None:
     assert not list(swapped_joints(sound.arm))
-    swapped = setup_cases.elbow_and_wrist_swapped(
-        Job(setup_cases.sound, 5, "realistic", 14.0).setup()
+    swapped = setup_errors.elbow_and_wrist_swapped(
+        Job(setup_errors.sound, 5, "realistic", 14.0).setup()
     ).recording.arm
     assert list(swapped_joints(swapped))
     hidden = swapped.hide(np.ones(len(swapped), bool), ("shoulder", "hand"))

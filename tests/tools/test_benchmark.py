@@ -15,9 +15,8 @@ from smoother.io import read_recording
 from tools.benchmark import __main__ as program
 from tools.benchmark.isolated import PrivatePeak, Stopped, isolated
 from tools.benchmark.profile import PARTS, READ, WRITE, profile
-from tools.benchmark.recordings import IMAGE_TOPIC, Made, make, read_truth
 from tools.benchmark.tables import growth, table
-from tools.benchmark.whole import run_method, run_smooth
+from tools.benchmark.whole import IMAGE_TOPIC, Made, make, read_truth, run_method, run_smooth
 
 MINUTES, IMAGE_KB = 0.3, 2.0
 

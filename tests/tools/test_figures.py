@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tools.figures import measure
-from tools.figures.measure import WITHOUT, tables
+from tools.figures import curves
+from tools.figures.curves import WITHOUT, tables
 
 SHORT_S = 12.0
 
@@ -16,19 +16,19 @@ SHORT_S = 12.0
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated recordings of twelve seconds."""
-    monkeypatch.setattr(measure, "DURATION_S", SHORT_S)
+    monkeypatch.setattr(curves, "DURATION_S", SHORT_S)
 
 
 def test_a_job_has_a_row_a_gap_and_method(short):
-    rows = measure.run_job(measure.Job("realistic", "500", 0.5, ("graph", "hold")))
+    rows = curves.run_job(curves.Job("realistic", "500", 0.5, ("graph", "hold")))
     assert {row["method"] for row in rows} == {"graph", "hold"}
     assert len(rows) % 2 == 0 and all(row["failure"] == "" and 0 < row["rms_m"] < 0.5 for row in rows)
     assert json.loads(json.dumps(rows)) == rows
 
 
 def test_every_ingredient_can_be_taken_away(short):
-    whole = measure.run_job(measure.Job("realistic", "500", 1.0, ("graph",)))
-    without = measure.run_job(measure.Job("ingredients", "500", 1.0, tuple(WITHOUT)))
+    whole = curves.run_job(curves.Job("realistic", "500", 1.0, ("graph",)))
+    without = curves.run_job(curves.Job("ingredients", "500", 1.0, tuple(WITHOUT)))
     assert {row["method"] for row in without} == set(WITHOUT)
     assert all(row["failure"] == "" for row in without)
     # the very gaps of the whole graph, so that they can stand side by side
@@ -39,11 +39,11 @@ def test_every_ingredient_can_be_taken_away(short):
 
 
 def test_jobs_that_say_most_come_first():
-    todo = list(measure.jobs(["realistic", "clean", "ingredients"], seeds=2))
+    todo = list(curves.jobs(["realistic", "clean", "ingredients"], seeds=2))
     assert len({job.name for job in todo}) == len(todo)
-    assert {job.length_s for job in todo if job.data == "realistic"} == set(measure.LENGTHS_S)
+    assert {job.length_s for job in todo if job.data == "realistic"} == set(curves.LENGTHS_S)
     lengths = [job.length_s for job in todo if job.data != "ingredients"]
-    assert lengths == sorted(lengths, key=measure.LENGTHS_S.index)
+    assert lengths == sorted(lengths, key=curves.LENGTHS_S.index)
 
 
 def row(method: str, length_s: float, start_s: float, rms_m: float | None, recording: str = "a") -> dict:
@@ -77,7 +77,7 @@ def test_summed_up_and_drawn(tmp_path: Path):
         {"job": "3", "data": "ingredients", "rows": [row("no wrist", 2.0, 9.0, 0.05)]},
     ]
     kept.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
-    found = measure.summed_up(measure.read_rows(kept))
+    found = curves.summed_up(curves.read_rows(kept))
     first, second = found["realistic"]["lengths"]
     assert (first["length_s"], second["length_s"]) == (0.5, 2.0)
     assert first["methods"]["graph"]["median_m"] == 0.005 and first["methods"]["graph"]["gaps"] == 2
@@ -98,7 +98,7 @@ def test_summed_up_and_drawn(tmp_path: Path):
 
 def test_what_is_done_is_not_done_again(tmp_path: Path, capsys):
     kept = tmp_path / "rows.jsonl"
-    todo = [measure.Job("realistic", "500", 0.5)]
+    todo = [curves.Job("realistic", "500", 0.5)]
     kept.write_text(json.dumps({"job": todo[0].name, "data": "realistic", "rows": []}) + "\n")
-    measure.measure(todo, kept, processes=1)
-    assert len(measure.read_rows(kept)) == 1 and capsys.readouterr().out == ""
+    curves.measure(todo, kept, processes=1)
+    assert len(curves.read_rows(kept)) == 1 and capsys.readouterr().out == ""

@@ -9,7 +9,7 @@ import pytest
 from smoother.matching import ImuMatch, Limb
 from smoother.simulation import ArmSimulation, simulate_arm
 from tools.accuracy.__main__ import main
-from tools.accuracy.match import Answer, answer_rows
+from tools.accuracy.pairing import Answer, answer_rows
 
 
 def test_rows_count_what_they_say() -> None:

@@ -31,8 +31,7 @@ from tools.reliability.judging import (
 from tools.reliability.motions import EXERCISES, SPECIAL, perform
 from tools.reliability.pairs import preset_jobs, preset_pair
 from tools.reliability.real import known_offset_s
-from tools.reliability.scene import Scene, draw_scene
-from tools.reliability.sensors import Tracker, film, ideal_imu, plan_gaps
+from tools.reliability.scene import Scene, Tracker, draw_scene, film, ideal_imu, plan_gaps
 
 #: Cases that are a choice of exercise, length or rate, and leave the scene as it was drawn.
 DRAWN = {"sound", "sound at another rate", "sound short"}

@@ -12,9 +12,8 @@ import pytest
 from smoother.errors import SolveError
 from smoother.recording import JointState
 from smoother.result import Recovery
-from tools.reliability import setup_cases, setup_errors
-from tools.reliability.setup_cases import CASES, Setup, sound
-from tools.reliability.setup_errors import Job, Outcome, draw, run, summarise
+from tools.reliability import setup_errors
+from tools.reliability.setup_errors import CASES, Job, Outcome, Setup, draw, run, sound, summarise
 
 #: What each case may change; `truth` where the answer's coordinates change.
 CHANGES = {
@@ -125,7 +124,7 @@ def test_the_sizes_of_the_mistakes(right: Setup):
 
 
 def test_a_sensor_on_the_upper_arm_measures_its_own_motion():
-    setup = job(setup_cases.sensor_on_the_upper_arm).setup()
+    setup = job(setup_errors.sensor_on_the_upper_arm).setup()
     truth = setup.recording.truth
     assert truth is not None
     upper = truth.joints["elbow"] - truth.joints["shoulder"]
@@ -181,7 +180,7 @@ def test_errors_end_as_their_sentence(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_the_last_lines_count_what_must_not_be(capsys: pytest.CaptureFixture[str]):
-    wrong, good = job(setup_cases.gyroscope_sign), job()
+    wrong, good = job(setup_errors.gyroscope_sign), job()
     outcomes = [Outcome(0.5, 0.1, trusted=True), Outcome(0.5, 0.1, trusted=False), Outcome(0.02, 0.1)]
     outcomes += [
         Outcome(0.02, 0.02, trusted=True),

@@ -11,33 +11,19 @@ import sys
 
 from tools.accuracy import (
     angles,
-    clock,
-    coverage,
-    draws,
-    forearm,
-    imu,
+    calibrations,
     live,
-    magnetometer,
-    match,
     measures,
+    more_imus,
     pairing,
     panel,
-    progress,
     recordings,
-    trunk,
-    two_imus,
-    world,
+    uncertainty,
 )
 
-#: Every check by name, in the order of the help.
-CHECKS = {
-    check.name: check
-    for module in (
-        *(recordings, two_imus, trunk, angles, coverage, draws, measures, progress, live),
-        *(clock, imu, magnetometer, forearm, panel, world, match, pairing),
-    )
-    for check in module.CHECKS
-}
+MODULES = (recordings, more_imus, angles, uncertainty, measures, live, calibrations, panel, pairing)
+#: Every check by name.
+CHECKS = {check.name: check for module in MODULES for check in module.CHECKS}
 
 
 def option_parser() -> argparse.ArgumentParser:

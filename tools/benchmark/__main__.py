@@ -26,8 +26,7 @@ from tools.benchmark.whole import METHODS, Beside, exactness_of_file, run_method
 from . import tables
 from .isolated import Stopped, isolated
 from .profile import READ, WRITE, profile
-from .recordings import Made, make
-from .whole import against, end_to_end, help_seconds
+from .whole import Made, against, end_to_end, help_seconds, make
 
 MEASURES = ("whole", "parts", "rest", "beside")
 #: Numerical libraries on one thread, so that idle ones do not spin processor time away.

@@ -39,15 +39,15 @@ def main() -> None:
     four.add_argument("-o", "--output", type=Path, default=HERE / "docs" / "pictures", help="folder")
     options = parser.parse_args()
     if options.command == "docs":
-        from .tutorial import draw as draw_tutorial
+        from .pictures import draw_tutorial
 
         draw_tutorial(options.output)
     elif options.command == "picture":
-        from .picture import draw
+        from .pictures import draw
 
         draw(options.output, options.gap)
     elif options.command == "tables":
-        from tools.figures.measure import tables
+        from tools.figures.curves import tables
 
         print("\n".join(tables(json.loads(options.file.read_text(encoding="utf-8")))))
     else:
@@ -56,10 +56,9 @@ def main() -> None:
 
 def curves(options: argparse.Namespace) -> None:
     """Measure what is not measured yet, and draw."""
-    from tools.figures.measure import jobs
+    from tools.figures.curves import jobs
 
-    from .curves import draw
-    from .measure import measure, read_rows, summed_up
+    from .curves import draw, measure, read_rows, summed_up
 
     options.rows.parent.mkdir(parents=True, exist_ok=True)
     measure(jobs(options.data, options.seeds), options.rows, options.processes, 60 * options.minutes)

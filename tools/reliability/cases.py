@@ -13,11 +13,10 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.linalg import interpolate, unit
 from smoother.recording import JOINTS, JointState
 from tools.reliability.body import Motion, slow_noise
-from tools.reliability.sensors import FOREARM, TRACKED, in_columns
+from tools.reliability.scene import FOREARM, TRACKED, in_columns
 
 from .motions import EXERCISES, Gaps
-from .scene import Scene, View, as_it_is, worn_imu
-from .sensors import bursts_lost, evenly_restamped, turned_on_the_arm
+from .scene import Scene, View, as_it_is, bursts_lost, evenly_restamped, turned_on_the_arm, worn_imu
 
 ALL_JOINTS = [JOINTS.index(joint) for joint in TRACKED]
 ELBOW, WRIST, HAND = FOREARM

@@ -16,7 +16,7 @@ from smoother.array_types import FloatArray
 from smoother.linalg import unit
 from smoother.measures import measure
 from smoother.smoothing import smooth
-from tools.reliability.sensors import TRACKERS
+from tools.reliability.scene import TRACKERS
 
 from .judging import ONE_PROCESS
 from .motions import EXERCISES, SPECIAL

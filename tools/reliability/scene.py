@@ -1,21 +1,277 @@
-"""A scene: a motion, what both sensors make of it, and how an answer is to be held against the truth."""
+"""A scene: a motion, what both sensors make of it, and how an answer is to be held against the truth.
+
+The sensors of the second simulator: an IMU, and what skeleton trackers make of a body.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
-from smoother.recording import CameraFrame, ImuStream, JointState, JointTracks, Recording
+from smoother.linalg import runs, unit
+from smoother.recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from tools.reliability.body import Motion
-from tools.reliability.sensors import TRACKERS, Film, Tracker, film, plan_gaps
+from tools.reliability.motions import Gaps, perform
 
-from .motions import Gaps, perform
-from .sensors import ImuErrors, ideal_imu, measured
+#: The motion is looked at at least so often, Hz.
+FINE_HZ = 1000.0
+
+
+def ideal_imu(motion: Motion, duration_s: float, rate_hz: float, *, left: bool = False) -> ImuStream:
+    """Error-free samples: means over each sample's interval, stamped at its centre.
+
+    The angular velocity of a fine step is the rotation vector over it, so that the samples add up to the turn
+    exactly; the acceleration is the second difference of the position over it.
+
+    Parameters
+    ----------
+    motion : Motion
+        The person.
+    duration_s : float, s
+        Samples fill 0 to here.
+    rate_hz : float, Hz
+        Samples a second.
+    left : bool
+        The left wrist's instead of the right one's.
+    """
+    fine = int(np.ceil(FINE_HZ / rate_hz))
+    count = int(duration_s * rate_hz)
+    h = 1.0 / (rate_hz * fine)
+    edges = h * np.arange(count * fine + 1, dtype=np.float64)
+    middles = edges[:-1] + 0.5 * h
+    R_edges, _ = motion.imu_pose(edges, left=left)
+    R_K_A, _ = motion.imu_pose(middles, left=left)
+    turns = Rotation.from_matrix(R_edges)
+    rate = (turns[:-1].inv() * turns[1:]).as_rotvec() / h
+    before, here, after = (motion.imu_pose(middles + k * 0.5 * h, left=left)[1] for k in (-1, 0, 1))
+    acceleration = (after - 2 * here + before) / (0.5 * h) ** 2
+    force = np.einsum("nji,nj->ni", R_K_A, acceleration - motion.camera.gravity)
+    acc, gyro = (values.reshape(count, fine, 3).mean(axis=1) for values in (force, rate))
+    stamps = (np.arange(count, dtype=np.float64) + 0.5) / rate_hz
+    return ImuStream("simulated wrist", stamps, acc, gyro)
+
+
+@dataclass(frozen=True)
+class ImuErrors:
+    """How large a sensor's errors are: densities and sigmas, SI units.
+
+    Attributes
+    ----------
+    acc_density, gyro_density : float, m/s^2/sqrt(Hz), rad/s/sqrt(Hz)
+    acc_bias, gyro_bias : float, m/s^2, rad/s
+        Per axis.
+    acc_walk, gyro_walk : float
+        Of the biases, per sqrt(s).
+    scale, misalignment : float
+        Per axis, as fractions and rad.
+    acc_range, gyro_range : float, m/s^2, rad/s
+        Full scale, of 16 bits.
+    """
+
+    acc_density: float = 0.002
+    gyro_density: float = 2e-4
+    acc_bias: float = 0.05
+    gyro_bias: float = 0.01
+    acc_walk: float = 5e-4
+    gyro_walk: float = 5e-5
+    scale: float = 0.002
+    misalignment: float = 0.003
+    acc_range: float = 16 * 9.81
+    gyro_range: float = np.radians(2000.0)
+    names: tuple[str, ...] = field(default=("acc", "gyro"), repr=False)
+
+
+def measured(ideal: ImuStream, errors: ImuErrors, rng: np.random.Generator) -> ImuStream:
+    """The samples with a sensor's errors."""
+    rate_hz, samples = ideal.rate_hz, {}
+    for name in errors.names:
+        density, bias, walk, full = (
+            getattr(errors, f"{name}_{of}") for of in ("density", "bias", "walk", "range")
+        )
+        true = getattr(ideal, name)
+        matrix = np.eye(3) + np.diag(rng.normal(0, errors.scale, 3))
+        matrix += np.tril(rng.normal(0, errors.misalignment, (3, 3)), -1)
+        drift = rng.normal(0, bias, 3) + np.cumsum(rng.normal(0, walk / np.sqrt(rate_hz), true.shape), axis=0)
+        values = true @ matrix.T + drift + rng.normal(0, density * np.sqrt(rate_hz), true.shape)
+        step = full / 2**15
+        samples[name] = np.clip(np.round(values / step) * step, -full, full)
+    return replace(ideal, acc=samples["acc"], gyro=samples["gyro"])
+
+
+def evenly_restamped(imu: ImuStream, kept: BoolArray) -> ImuStream:
+    """The kept samples (N,) with stamps spread evenly at the sensor's rate, as a writer counts them."""
+    left = imu.select(kept)
+    return replace(left, t_s=imu.t_s[0] + np.arange(len(left)) / imu.rate_hz)
+
+
+def bursts_lost(
+    imu: ImuStream, share: float, longest_s: float, rng: np.random.Generator, first_s: float = 2.0
+) -> BoolArray:
+    """(N,) False where samples are lost: bursts of up to `longest_s` until about `share` of all is gone."""
+    kept, goal = np.ones(len(imu), dtype=bool), (1.0 - share) * len(imu)
+    while kept.sum() > goal:
+        start_s = rng.uniform(imu.t_s[0] + first_s, imu.t_s[-1] - longest_s)
+        kept &= ~((imu.t_s >= start_s) & (imu.t_s < start_s + rng.uniform(0.2, 1.0) * longest_s))
+    return kept
+
+
+def turned_on_the_arm(imu: ImuStream, R_A_new: FloatArray, rows: BoolArray) -> ImuStream:
+    """The samples of some rows (N,) in other axes: columns of `R_A_new` are the new axes in the old ones."""
+    acc, gyro = imu.acc.copy(), imu.gyro.copy()
+    acc[rows], gyro[rows] = acc[rows] @ R_A_new, gyro[rows] @ R_A_new
+    return replace(imu, acc=acc, gyro=gyro)
+
+
+#: Joints that the tracker knows, in the order of their columns; the strap's column stays empty.
+TRACKED = JOINTS[:4]
+FOREARM = [JOINTS.index(joint) for joint in ("elbow", "wrist", "hand")]
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """How well a tracker sees.
+
+    Attributes
+    ----------
+    white_m : float, m
+        White noise, per axis.
+    slow_m : tuple of float, m
+        Noise with a memory, 3D rms, by joint.
+    memory_s : float, s
+        Of the slow noise.
+    offset_m : float, m
+        Constant error of a joint, 3D, half of it fixed to the camera and half to the limb.
+    rate_hz : float, Hz
+        Frames a second.
+    dropped : float
+        Fraction of the frames that never arrive.
+    """
+
+    white_m: float
+    slow_m: tuple[float, ...]
+    memory_s: float
+    offset_m: float
+    rate_hz: float = 30.0
+    dropped: float = 0.01
+
+
+#: Depth cameras and networks from good to poor.
+TRACKERS = {
+    "good": Tracker(0.003, (0.004, 0.005, 0.007, 0.010), 0.3, 0.006),
+    "ordinary": Tracker(0.005, (0.008, 0.012, 0.018, 0.025), 0.5, 0.010),
+    "poor": Tracker(0.006, (0.015, 0.022, 0.040, 0.050), 0.6, 0.015),
+}
+
+
+def plan_gaps(duration_s: float, rng: np.random.Generator, *, every_s: float = 5.0) -> Gaps:
+    """When the arm will be hidden: one or more gaps of 0.5 to 4 s, at least 1.5 s of sight between them."""
+    gaps: list[tuple[float, float]] = []
+    t_s = rng.uniform(3.0, 6.0)
+    while True:
+        length_s = float(rng.choice([0.5, 1.0, 1.5, 2.0, 3.0, 4.0]))
+        if t_s + length_s > duration_s - 2.5:
+            break
+        gaps.append((t_s, t_s + length_s))
+        t_s += length_s + 1.5 + rng.exponential(every_s - 1.5)
+    # a short recording has one all the same
+    return tuple(gaps) or ((0.5 * duration_s - 0.6, 0.5 * duration_s + 0.6),)
+
+
+@dataclass(frozen=True)
+class Film:
+    """Frames of a tracker before they are stamped.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (F,), s
+        True times.
+    true : ndarray, shape (F, 5, 3), m
+        Where the joints are, in {K}.
+    error : ndarray, shape (F, 5, 3), m
+        What the tracker adds to any joint that it sees.
+    position : ndarray, shape (F, 5, 3), m
+        What it states; nan where nothing.
+    state : ndarray of int8, shape (F, 5)
+        `JointState` values.
+    hidden : ndarray of bool, shape (F,)
+        The arm is behind something, whatever the tracker states.
+    """
+
+    t_s: FloatArray
+    true: FloatArray
+    error: FloatArray
+    position: FloatArray
+    state: np.ndarray
+    hidden: BoolArray
+
+    def tracks(self, offset_s: float, rng: np.random.Generator) -> JointTracks:
+        """The frames on the camera's clock (t_imu = t_camera + offset), stamped 1 ms unevenly."""
+        stamp = self.t_s - offset_s + np.clip(rng.normal(0, 0.001, len(self.t_s)), -0.004, 0.004)
+        position = np.where(self.state[:, :, None] == JointState.NOT_TRACKED, np.nan, self.position)
+        return JointTracks("skeleton", stamp, position, self.state.copy())
+
+    def between(self, start_s: float, end_s: float) -> BoolArray:
+        """(F,) frames between two true times."""
+        return np.asarray((self.t_s >= start_s) & (self.t_s < end_s))
+
+
+def in_columns(joints: dict[str, FloatArray]) -> FloatArray:
+    """Joints by name (F, 3) as (F, 5, 3), nan where there is none."""
+    columns = np.full((len(next(iter(joints.values()))), len(JOINTS), 3), np.nan)
+    for name, place in joints.items():
+        columns[:, JOINTS.index(name)] = place
+    return columns
+
+
+def film(motion: Motion, tracker: Tracker, duration_s: float, gaps: Gaps, rng: np.random.Generator) -> Film:
+    """What a tracker makes of a person who is hidden now and then."""
+    times_rng, noise_rng, state_rng = rng.spawn(3)
+    t_s = np.arange(times_rng.uniform(0, 1) / tracker.rate_hz, duration_s, 1.0 / tracker.rate_hz)
+    t_s = t_s[times_rng.uniform(size=len(t_s)) >= tracker.dropped]
+    true = in_columns(motion.joints(t_s))
+    error = tracker_error(motion, tracker, t_s, noise_rng)
+    hidden = np.zeros(len(t_s), dtype=bool)
+    state = np.zeros((len(t_s), len(JOINTS)), dtype=np.int8)
+    state[:, : len(TRACKED)] = JointState.TRACKED
+    for start_s, end_s in gaps:
+        inside = (t_s >= start_s) & (t_s < end_s)
+        hidden |= inside
+        later = (t_s >= start_s + state_rng.uniform(0, 0.12)) & (t_s < end_s)
+        state[inside, 2:4] = JointState.NOT_TRACKED
+        state[later, 1] = JointState.NOT_TRACKED
+    state[hidden & (state_rng.uniform(size=len(t_s)) < 0.05), 0] = JointState.NOT_TRACKED
+    state[state_rng.uniform(size=len(t_s)) < 0.01, 3] = JointState.NOT_TRACKED  # hands are lost at any time
+    return Film(t_s, true, error, true + error, state, hidden)
+
+
+def tracker_error(motion: Motion, tracker: Tracker, t_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """(F, 5, 3) m: white and slow noise, constant errors of the camera and of the limbs."""
+    frames = len(t_s)
+    error = rng.normal(0, tracker.white_m, (frames, len(JOINTS), 3))
+    memory = np.exp(-1.0 / (tracker.rate_hz * tracker.memory_s))
+    drive = rng.normal(size=(frames, len(TRACKED), 3)) * np.sqrt(1 - memory**2)
+    drive[0] /= np.sqrt(1 - memory**2)
+    slow = lfilter([1.0], [1.0, -memory], drive, axis=0)
+    error[:, : len(TRACKED)] += slow * (np.array(tracker.slow_m) / np.sqrt(3))[:, None]
+    joints = motion.joints(t_s)
+    along = unit(joints["wrist"] - joints["elbow"])
+    for column in range(len(TRACKED)):
+        error[:, column] += 0.6 * tracker.offset_m * unit(rng.normal(size=3))
+        error[:, column] += 0.6 * tracker.offset_m * rng.normal() * along
+    return np.asarray(error)
+
+
+def hidden_runs(mask: BoolArray) -> list[slice]:
+    """Runs of hidden frames, the longest first."""
+    return sorted(runs(mask), key=lambda run: run.start - run.stop)
+
 
 #: True time and places (N, 3) of the body to what the skeleton's coordinates call them.
 View = Callable[[FloatArray, FloatArray], FloatArray]

@@ -1,4 +1,11 @@
-"""The pictures of the tutorial, docs/pictures: how to set up, what to do in view, and what comes out.
+"""The pictures of README and tutorial, drawn from real runs.
+
+The README's picture, docs/picture.svg: one occlusion of data/demo.mcap before and after.
+
+Drawn from a real run with nothing calibrated. The SVG is written by hand, so that the picture needs no
+plotting library.
+
+The pictures of the tutorial, docs/pictures: how to set up, what to do in view, and what comes out.
 
 `setup.svg` and `movements.svg` are drawings; `gap.svg` and `sigma.svg` are of a real run on the recording
 that the tutorial simulates; `report.webp` is a photograph of its report, where Chromium is installed.
@@ -9,16 +16,188 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from smoother import smooth
+from smoother import read_recording, smooth
 from smoother.array_types import FloatArray
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
-from tools.figures.picture import FRAME, GAP, RECOVERED, SEEN, TEXT, TRUTH, Panel, area, dots, line, text
+
+HERE = Path(__file__).parents[2]
+CHAIN = ("shoulder", "elbow", "wrist", "hand")
+SEEN, RECOVERED, TRUTH, GAP, FRAME, TEXT = "#1a6fb5", "#d9650b", "#222222", "#f3e9dc", "#bbbbbb", "#333333"
+#: Time shown around the gap, s; how often the arm is drawn, s.
+AROUND_S, EVERY_S = 1.2, 0.15
+
+
+@dataclass
+class Panel:
+    """A rectangle of the picture with its own scales."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+
+    def place(self, x: FloatArray, y: FloatArray) -> list[tuple[float, float]]:
+        """Pixels of points; y grows upwards."""
+        (x0, x1), (y0, y1) = self.x_range, self.y_range
+        across = self.left + (np.asarray(x) - x0) / (x1 - x0) * self.width
+        down = self.top + self.height - (np.asarray(y) - y0) / (y1 - y0) * self.height
+        return [(float(a), float(b)) for a, b in zip(across, down, strict=True)]
+
+    def frame(self) -> str:
+        """Its border."""
+        return (
+            f'<rect x="{self.left:g}" y="{self.top:g}" width="{self.width:g}" height="{self.height:g}" '
+            f'fill="none" stroke="{FRAME}"/>'
+        )
+
+    def box(self, x0: float, x1: float, color: str) -> str:
+        """A shaded stretch of x over the whole height."""
+        (a, _), (b, _) = self.place(np.array([x0, x1]), np.full(2, self.y_range[0]))
+        return (
+            f'<rect x="{a:.1f}" y="{self.top:g}" width="{b - a:.1f}" height="{self.height:g}" '
+            f'fill="{color}"/>'
+        )
+
+
+def line(points: Sequence[tuple[float, float]], color: str, width: float = 2.0, extra: str = "") -> str:
+    """An open line."""
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return (
+        f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="{width:g}" '
+        f'stroke-linejoin="round" stroke-linecap="round" {extra}/>'
+    )
+
+
+def area(points: Sequence[tuple[float, float]], color: str) -> str:
+    """A filled outline."""
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return f'<polygon points="{path}" fill="{color}" fill-opacity="0.25" stroke="none"/>'
+
+
+def dots(points: Iterable[tuple[float, float]], color: str, radius: float = 2.0) -> str:
+    """Small discs."""
+    return "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{color}"/>' for x, y in points)
+
+
+def text(x: float, y: float, words: str, size: int = 13, extra: str = "") -> str:
+    """A line of text."""
+    return f'<text x="{x:g}" y="{y:g}" font-size="{size}" fill="{TEXT}" {extra}>{words}</text>'
+
+
+def arms(panel: Panel, joints: dict[str, FloatArray], color: str, opacity: float) -> str:
+    """The arm from shoulder to hand at several instants: joints (n, 3) by name, nan where unknown."""
+    drawn = []
+    for k in range(len(joints["wrist"])):
+        chain = np.array([joints[joint][k] for joint in CHAIN])
+        chain = chain[np.isfinite(chain).all(axis=1)]
+        if len(chain) >= 2:
+            points = panel.place(-chain[:, 0], chain[:, 1])  # Kinect's x points left
+            drawn.append(line(points, color, 2.2, f'stroke-opacity="{opacity:g}"'))
+    return "".join(drawn)
+
+
+def picture(recording: Recording, recovery: Recovery, number: int) -> str:
+    """The picture of one gap."""
+    gap, truth = recovery.gaps[number], recording.truth
+    assert truth is not None
+    start, end = gap.start_s - AROUND_S, gap.end_s + AROUND_S
+    camera, t = recovery.arm, recovery.t_s
+    wrist, true = recovery.joints["wrist"], truth.joints["wrist"]
+    spread = np.sqrt(recovery.joint_covariance["wrist"][:, 1, 1])
+    shown = (t >= start) & (t <= end)
+    frames = (camera.t_s >= start) & (camera.t_s <= end)
+
+    instants = np.arange(start, end, EVERY_S)
+    at_frame = np.abs(camera.t_s[:, None] - instants).argmin(axis=0)
+    at_sample = np.abs(t[:, None] - instants).argmin(axis=0)
+    hidden = (instants > gap.start_s) & (instants < gap.end_s)
+    before = {
+        joint: np.where(camera.tracked(joint)[:, None], camera.joint(joint), np.nan)[at_frame]
+        for joint in CHAIN
+    }
+    before["elbow"][hidden] = np.nan
+    after = {joint: recovery.joints[joint][at_sample] for joint in CHAIN}
+
+    shoulder = after["shoulder"][:, :2].mean(axis=0)
+    everything = np.concatenate([each for each in after.values()])
+    middle = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
+    half = 0.64 * float(np.ptp(everything[:, :2], axis=0).max())
+    wide = half * 380 / 330
+    across, up = (-middle[0] - wide, -middle[0] + wide), (middle[1] - half, middle[1] + half)
+    heights = np.concatenate([wrist[shown, 1], true[shown, 1]])
+    height = (float(heights.min()) - 0.08, float(heights.max()) + 0.08)
+
+    parts = []
+    for column, name in enumerate(("What the camera gives", "What comes out")):
+        left = 60 + 440 * column
+        view = Panel(left, 50, 380, 330, across, up)
+        plot = Panel(left, 420, 380, 170, (start, end), height)
+        parts += [text(left, 36, name, 17, 'font-weight="bold"'), view.frame()]
+        parts += [plot.box(gap.start_s, gap.end_s, GAP), plot.frame()]
+        seen = {joint: each[~hidden] for joint, each in (before if column == 0 else after).items()}
+        parts.append(arms(view, seen, SEEN, 0.75))
+        ticks = np.arange(np.ceil(height[0] * 5) / 5, height[1], 0.2)
+        for tick, (_, y) in zip(ticks, plot.place(np.full(len(ticks), start), ticks), strict=True):
+            parts.append(text(left - 6, y + 4, f"{tick:.1f}", 11, 'text-anchor="end"'))
+        for second in range(int(np.ceil(start)), int(end) + 1):
+            ((x, y),) = plot.place(np.array([second]), np.array([height[0]]))
+            parts.append(text(x, y + 16, f"{second} s", 11, 'text-anchor="middle"'))
+        rows = frames & camera.tracked("wrist")
+        if column == 0:
+            parts.append(dots(plot.place(camera.t_s[rows], camera.joint("wrist")[rows, 1]), SEEN))
+            ((x, y),) = plot.place(np.array([0.5 * (gap.start_s + gap.end_s)]), np.array([np.mean(height)]))
+            parts.append(text(x, y, "forearm hidden", 14, 'text-anchor="middle"'))
+        else:
+            parts.append(arms(view, {joint: each[hidden] for joint, each in after.items()}, RECOVERED, 0.8))
+            upper = plot.place(t[shown], wrist[shown, 1] + 2 * spread[shown])
+            lower = plot.place(t[shown], wrist[shown, 1] - 2 * spread[shown])
+            parts.append(area(upper + lower[::-1], RECOVERED))
+            occluded = shown & recovery.occluded
+            for part, color in (
+                (shown & (t <= gap.start_s), SEEN),
+                (shown & (t >= gap.end_s), SEEN),
+                (occluded, RECOVERED),
+            ):
+                parts.append(line(plot.place(t[part], wrist[part, 1]), color, 2.5))
+            inside = (truth.t_s >= start) & (truth.t_s <= end)
+            parts.append(
+                line(plot.place(truth.t_s[inside], true[inside, 1]), TRUTH, 1.2, 'stroke-dasharray="4 4"')
+            )
+        ((x, y),) = view.place(*(np.array([each]) for each in shoulder * [-1, 1]))
+        parts.append(text(x + 14, y + 14, "shoulder", 12))
+    parts.append(text(60, 406, "Height of the wrist, m", 12))
+    parts.append(text(500, 406, "Height of the wrist, m, with +- 2 sigma; dashed: truth", 12))
+    key = (
+        (60, SEEN, "arm seen, every 0.15 s, from the camera's side"),
+        (500, RECOVERED, "arm recovered while hidden"),
+    )
+    for x, color, words in key:
+        parts.append(line([(x + 8, 66), (x + 32, 66)], color, 3))
+        parts.append(text(x + 40, 70, words, 12))
+    return (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 900 625" font-family="sans-serif" role="img">'
+        "<title>An arm behind the head: hidden from the camera, and recovered</title>"
+        '<rect width="900" height="625" fill="white"/>' + "\n".join(parts) + "</svg>\n"
+    )
+
+
+def draw(output: Path, gap: int) -> None:
+    """Recover the demo recording and draw one of its gaps, counted from 0."""
+    recording = read_recording(HERE / "data" / "demo.mcap")
+    recovery = smooth(replace(recording, truth=None))
+    output.write_text(picture(recording, recovery, gap), encoding="utf-8")
+    print(f"written: {output}")
+
 
 #: Of what is drawn of a person, besides the arm.
 SKIN = "#8a8f98"
@@ -137,7 +316,7 @@ def movements_drawing() -> str:
 #: `unocclude simulate arm --preset realistic --seed 7`: the tutorial's recording.
 PRESET, SEED = "realistic", 7
 #: Visible time beside a gap that is drawn, s.
-AROUND_S = 1.5
+AROUND_GAP_S = 1.5
 #: What Chromium needs to take a photograph without a screen, and to leave everything else alone.
 CHROMIUM = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars"),
@@ -172,7 +351,7 @@ def gap_drawing(recording: Recording, recovery: Recovery) -> str:
     assert truth is not None
     t, wrist = recovery.t_s, recovery.joints["wrist"][:, 1]
     spread = 2 * np.sqrt(recovery.joint_covariance["wrist"][:, 1, 1])
-    shown = (t > gap.start_s - AROUND_S) & (t < gap.end_s + AROUND_S)
+    shown = (t > gap.start_s - AROUND_GAP_S) & (t < gap.end_s + AROUND_GAP_S)
     panel = Panel(70, 30, 700, 260, (float(t[shown][0]), float(t[shown][-1])), limits(wrist[shown]))
     seen = (
         recovery.arm.tracked("wrist") & (recovery.arm.t_s > t[shown][0]) & (recovery.arm.t_s < t[shown][-1])
@@ -232,7 +411,7 @@ def photograph(page: Path, output: Path) -> bool:
     return True
 
 
-def draw(folder: Path) -> None:
+def draw_tutorial(folder: Path) -> None:
     """Make all pictures of the tutorial in a folder."""
     from smoother.report import write_report
 
