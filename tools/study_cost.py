@@ -20,8 +20,8 @@ import numpy as np
 from smoother.config import Config
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.study.columns import Row
-from smoother.study.fingerprint import InputSelection, config_hash, text_hash
+from smoother.study.folder import Row
+from smoother.study.inputs import InputSelection, config_hash, text_hash
 from smoother.study.job import Job, run_job
 from smoother.study.ledger import MOST_ROWS, Ledger
 from smoother.study.run import study_folder

@@ -37,7 +37,7 @@ from ..measurements.position_process import (
     log_likelihood,
     mapped_covariance,
 )
-from .error_state import white_sigma
+from .rts import white_sigma
 from .scene import Path, Scene, no_answer
 
 

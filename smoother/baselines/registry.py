@@ -56,9 +56,9 @@ BASELINES: dict[str, BaselineEntry] = {
         BaselineEntry("rts"),
         BaselineEntry("ukf"),
         BaselineEntry("gaussian-process"),
-        BaselineEntry("multirate-kalman"),
+        BaselineEntry("multirate-kalman", module="kalman"),
         BaselineEntry("kalman"),
-        BaselineEntry("linear-drift", options=frozenset({"boundary_s"})),
+        BaselineEntry("linear-drift", options=frozenset({"boundary_s"}), module="simple"),
         BaselineEntry("camera-only", needs_orientation=False, module="simple"),
         BaselineEntry("pchip", module="simple"),
         BaselineEntry("hold", module="simple"),
@@ -69,12 +69,12 @@ BASELINES: dict[str, BaselineEntry] = {
 LIVE_BASELINES: dict[str, BaselineEntry] = {
     entry.name: entry
     for entry in (
-        BaselineEntry("autoregressive", options=frozenset({"latency_s"}), module="live_display"),
+        BaselineEntry("autoregressive", options=frozenset({"latency_s"}), module="simple"),
         BaselineEntry(
             "constant-velocity",
             needs_orientation=False,
             options=frozenset({"latency_s"}),
-            module="live_display",
+            module="simple",
         ),
     )
 }
@@ -112,7 +112,7 @@ def recover(
     UnoccludeError
         Method, orientation or option is unknown, or nothing can be recovered; in one sentence.
     """
-    from .adapter import recovery_of, scenes_of
+    from .scene import recovery_of, scenes_of
 
     options = dict(options or {})
     entries = BASELINES | LIVE_BASELINES

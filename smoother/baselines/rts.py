@@ -7,6 +7,12 @@ loss: Gauss-Newton on the whole segment (Bell, SIAM J. Optimization 1994, for th
 2017 for the error state). What the graph has beyond it: lever arms solved along, and a quiet arm's prior.
 
 Order of the method: on error-free sensors tenths of a millimetre, what the integration leaves.
+
+The arm's IMU as an inertial navigation state with errors to estimate: what `rts` linearises.
+
+State at a node: position p, velocity v (m, m/s in {K}), `R_K_A`, accelerometer and gyroscope bias in {A},
+gravity g and the shoulder s in {K}. The error is additive, of the orientation a rotation vector in {K}:
+R = Exp(theta) R_hat.
 """
 
 from __future__ import annotations
@@ -14,18 +20,219 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
-from ..array_types import FloatArray
+from .. import units
+from ..array_types import BoolArray, FloatArray
 from ..config import ArmPrior, CameraNoise, ImuNoise
 from ..linalg import interpolate, robust_sigma, skew
-from ..measurements.inertial import InertialSignal, integrate
+from ..measurements.alignment import lever_of
+from ..measurements.inertial import InertialSignal, Preintegration, integrate
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..window.nodes import decimate, insert_nodes
 from ..window.prepare import states_from_camera
-from . import error_state as es
-from .error_state import InertialTrajectory
-from .linear import Chain, FilterEstimates, rts_smoother
+from ..window.problem import States
+from ..window.trajectory import SegmentTrajectory, at_times
+from .kalman import Chain, FilterEstimates, rts_smoother
 from .scene import Path, Scene, no_answer
+
+#: Rows of the error state.
+P, V, TURN, ACC_BIAS, GYRO_BIAS, GRAVITY, SHOULDER = (slice(3 * k, 3 * k + 3) for k in range(7))
+SIZE = 21
+#: Error of the integration itself, m^2/s.
+INTEGRATION_VARIANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class InertialTrajectory:
+    """States at the nodes.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+    p, v : ndarray, shape (n, 3), m and m/s
+        Of the IMU in {K}.
+    R : ndarray, shape (n, 3, 3)
+        Orientation `R_K_A`.
+    bias : ndarray, shape (n, 6), m/s^2 and rad/s
+        Of accelerometer and gyroscope in {A}.
+    gravity : ndarray, shape (n, 3), m/s^2
+        In {K}.
+    shoulder : ndarray, shape (n, 3), m
+        In {K}.
+    """
+
+    t: FloatArray
+    p: FloatArray
+    v: FloatArray
+    R: FloatArray
+    bias: FloatArray
+    gravity: FloatArray
+    shoulder: FloatArray
+
+    def moved(self, error: FloatArray) -> InertialTrajectory:
+        """The states with errors (n, 21) added."""
+        return InertialTrajectory(
+            self.t,
+            self.p + error[:, P],
+            self.v + error[:, V],
+            Rotation.from_rotvec(error[:, TURN]).as_matrix() @ self.R,
+            self.bias + error[:, ACC_BIAS.start : GYRO_BIAS.stop],
+            self.gravity + error[:, GRAVITY],
+            self.shoulder + error[:, SHOULDER],
+        )
+
+
+def orientation_at(scene: Scene, t: FloatArray) -> FloatArray:
+    """The scene's `R_K_A` (k, 3, 3) at times (k,) s, held beyond its ends."""
+    curve = Slerp(scene.t, Rotation.from_matrix(scene.R_K_A))
+    return curve(np.clip(t, scene.t[0], scene.t[-1])).as_matrix()
+
+
+def seen_joints(scene: Scene) -> BoolArray:
+    """(f, 5) joints that have an accepted position."""
+    return np.isfinite(scene.joints[:, :, 0])
+
+
+def levers_of(scene: Scene) -> dict[str, FloatArray]:
+    """Lever arms (3,) m in {A} of the forearm's joints that have one and are seen in the scene."""
+    ever_seen = seen_joints(scene).sum(axis=0) > 0
+    levers = {joint: lever_of(scene.calibration, joint) for joint in FOREARM_JOINTS}
+    return {
+        joint: lever
+        for joint, lever in levers.items()
+        if lever is not None and ever_seen[JOINTS.index(joint)]
+    }
+
+
+def turned(R: FloatArray, reference: FloatArray) -> FloatArray:
+    """Rotation vectors (..., 3) in {K} that take the reference to R, both (..., 3, 3)."""
+    return np.asarray(Rotation.from_matrix(R @ np.swapaxes(reference, -1, -2)).as_rotvec())
+
+
+def white_sigma(scene: Scene) -> float:
+    """Noise of the scene's point for a method of independent samples, m an axis."""
+    effective = scene.point_effective_sigma_m
+    return float(effective) if np.isfinite(effective) else scene.point_sigma_m
+
+
+def joint_sigma(scene: Scene) -> float:
+    """The same of one joint, where the point is the mean of those that are usually seen."""
+    columns = [JOINTS.index(joint) for joint in levers_of(scene)]
+    usual = int((seen_joints(scene)[scene.visible][:, columns].mean(axis=0) > 0.25).sum())
+    return white_sigma(scene) * float(np.sqrt(max(usual, 1)))
+
+
+def predict(states: InertialTrajectory, motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """p, v (n - 1, 3) and R (n - 1, 3, 3) of the next nodes by the IMU from each node's state.
+
+    Forster et al., IEEE Trans. Robotics 33:1-21 (2017), eq 33.
+    """
+    h, g, R = motion.dt[:, None], states.gravity[:-1], states.R[:-1]
+    p = states.p[:-1] + states.v[:-1] * h + 0.5 * g * h**2 + np.einsum("nij,nj->ni", R, motion.delta_p)
+    v = states.v[:-1] + g * h + np.einsum("nij,nj->ni", R, motion.delta_v)
+    return p, v, R @ motion.delta_R
+
+
+def transition(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
+    """Jacobian (n - 1, 21, 21) of the next node's error to this one's, over a whole interval.
+
+    Sola, Quaternion kinematics for the error-state Kalman filter (arXiv 1711.02508, 2017), section 7 (global
+    angular errors). Bias derivatives hold the rotation inside an interval to first order.
+    """
+    h, R = motion.dt[:, None, None], states.R[:-1]
+    eye = np.eye(3)
+    middle = 0.5 * (R + R @ motion.delta_R)
+    F = np.tile(np.eye(SIZE), (len(motion.dt), 1, 1))
+    F[:, P, V], F[:, V, GRAVITY], F[:, P, GRAVITY] = h * eye, h * eye, 0.5 * h**2 * eye
+    F[:, P, TURN] = -skew(np.einsum("nij,nj->ni", R, motion.delta_p))
+    F[:, V, TURN] = -skew(np.einsum("nij,nj->ni", R, motion.delta_v))
+    F[:, P, ACC_BIAS], F[:, V, ACC_BIAS] = -0.5 * h**2 * middle, -h * middle
+    F[:, P, GYRO_BIAS] = h / 3.0 * R @ skew(motion.delta_p)
+    F[:, V, GYRO_BIAS] = 0.5 * h * R @ skew(motion.delta_v)
+    F[:, TURN, GYRO_BIAS] = -h * middle
+    return F
+
+
+def defects(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
+    """What the IMU predicts less what the next node has, (n - 1, 21)."""
+    p, v, R = predict(states, motion)
+    out = np.zeros((len(motion.dt), SIZE))
+    out[:, P], out[:, V] = p - states.p[1:], v - states.v[1:]
+    out[:, TURN] = turned(R, states.R[1:])
+    steps = [(ACC_BIAS, states.bias[:, :3]), (GYRO_BIAS, states.bias[:, 3:])]
+    for rows, values in [*steps, (GRAVITY, states.gravity), (SHOULDER, states.shoulder)]:
+        out[:, rows] = -np.diff(values, axis=0)
+    return out
+
+
+def white_noise(
+    h: FloatArray, acc: FloatArray | float, gyro: FloatArray | float, size: int = SIZE
+) -> FloatArray:
+    """Covariance (k, size, size) of what white noise of the IMU adds to p, v and the orientation.
+
+    Parameters
+    ----------
+    h : ndarray, shape (k,), s
+        Lengths of the intervals.
+    acc, gyro : ndarray, shape (k,), or float, (m/s^2)^2/Hz and (rad/s)^2/Hz
+        Squares of the densities.
+    size : int
+        Of the state, which begins with `P`, `V` and `TURN`.
+    """
+    Q = np.zeros((len(h), size, size))
+    for rows, columns, value in (
+        (P, P, acc * h**3 / 3.0 + INTEGRATION_VARIANCE * h),
+        (P, V, 0.5 * acc * h**2),
+        (V, P, 0.5 * acc * h**2),
+        (V, V, acc * h),
+        (TURN, TURN, gyro * h),
+    ):
+        Q[:, rows, columns] = value[:, None, None] * np.eye(3)
+    return Q
+
+
+def process_noise(
+    signal: InertialSignal, t: FloatArray, motion: Preintegration, noise: ImuNoise, shoulder_walk: float
+) -> FloatArray:
+    """Covariance (n - 1, 21, 21) of what happens between nodes; the densities grow with the motion.
+
+    Parameters
+    ----------
+    signal : InertialSignal
+    t : ndarray, shape (n,), s
+        Times of the nodes.
+    motion : Preintegration
+        The signal integrated between the nodes.
+    noise : ImuNoise
+        Densities, their share of the motion, and the biases' walks.
+    shoulder_walk : float, m/sqrt(s)
+    """
+    h = motion.dt
+    force = np.linalg.norm(motion.delta_v, axis=1) / h - units.GRAVITY
+    rate = Rotation.from_matrix(motion.delta_R).magnitude() / h
+    acc = np.hypot(noise.accelerometer_density, noise.accelerometer_share * force) ** 2
+    acc = acc + signal.velocity_error(t) ** 2 / h
+    gyro = np.hypot(noise.gyroscope_density, noise.gyroscope_share * rate) ** 2
+    Q = white_noise(h, acc, gyro)
+    for rows, walk in (
+        (ACC_BIAS, noise.accelerometer_bias_walk),
+        (GYRO_BIAS, noise.gyroscope_bias_walk),
+        (SHOULDER, shoulder_walk),
+    ):
+        Q[:, rows, rows] = (walk**2 * h)[:, None, None] * np.eye(3)
+    return Q
+
+
+def at_samples(states: InertialTrajectory, signal: InertialSignal, t: FloatArray) -> States:
+    """Pose and velocity at times (k,) s between the nodes, by the IMU (`window.trajectory.at_times`)."""
+    no_covariance = np.zeros((len(states.t), 3, 3))
+    states_at_nodes = States(states.R, states.p, states.v)
+    motion = SegmentTrajectory(
+        states.t, states_at_nodes, no_covariance, no_covariance, states.bias, states.gravity
+    )
+    return at_times(motion, signal, t)
+
 
 #: Rounds end when no node moved more than this, m, and at the latest after so many.
 SETTLED_M = 0.0005
@@ -43,7 +250,7 @@ LARGEST_FLEX_M = 0.04
 LEAST_SIGMA_M = 2e-4
 #: The sensor and the arm, as in the graph by default.
 IMU_NOISE, ARM_PRIOR = ImuNoise(), ArmPrior()
-SHOULDER = JOINTS.index("shoulder")
+SHOULDER_JOINT = JOINTS.index("shoulder")
 
 
 @dataclass(frozen=True)
@@ -82,7 +289,7 @@ def rts(scene: Scene) -> Path:
     path : Path
         Position, velocity and orientation, with the covariances of position and orientation.
     """
-    levers = es.levers_of(scene)
+    levers = levers_of(scene)
     if not levers or scene.visible.sum() < 2:
         return no_answer(scene)
     signal = InertialSignal(scene.imu)
@@ -92,21 +299,21 @@ def rts(scene: Scene) -> Path:
         states = states.moved(error.mean[..., 0])
         if round_ == 0:
             camera = with_noise_of(camera, states, scene)
-        elif np.abs(error.mean[:, es.P, 0]).max() < SETTLED_M:
+        elif np.abs(error.mean[:, P, 0]).max() < SETTLED_M:
             break
     return _path(scene, states, signal, error)
 
 
 def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajectory, CameraAtNodes]:
     """Nodes at the frames with a joint and between them; start values from camera and filter."""
-    any_joint = np.flatnonzero(es.seen_joints(scene).sum(axis=1))
+    any_joint = np.flatnonzero(seen_joints(scene).sum(axis=1))
     frames = any_joint[decimate(scene.frame_t[any_joint])]
     t = insert_nodes(scene.frame_t[frames], float(scene.t[0]), float(scene.t[-1]))
     joints = np.full((len(t), len(JOINTS), 3), np.nan)
     node = np.clip(np.searchsorted(t, scene.frame_t[frames] - 1e-9), 0, len(t) - 1)
     on = np.abs(t[node] - scene.frame_t[frames]) < 1e-9
     joints[node[on]] = scene.joints[frames[on]]
-    R = es.orientation_at(scene, t)
+    R = orientation_at(scene, t)
     first = states_from_camera(t, R, *scene.visible_points)
     shoulder = interpolate(scene.t, scene.shoulder, t)
     has_shoulder = bool(np.isfinite(shoulder).all())
@@ -121,7 +328,7 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajecto
     )
     length = scene.calibration.upper_arm
     known = has_shoulder and length is not None and "elbow" in levers
-    sigmas = np.full(len(JOINTS), max(es.joint_sigma(scene), LEAST_SIGMA_M))
+    sigmas = np.full(len(JOINTS), max(joint_sigma(scene), LEAST_SIGMA_M))
     return states, CameraAtNodes(
         joints,
         sigmas,
@@ -133,7 +340,7 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajecto
 
 def _flex(joints: FloatArray, sigma_m: float) -> float:
     """How much more the upper arm's length varies, as it is seen, than the joints' noise explains, m."""
-    length = np.linalg.norm(joints[:, SHOULDER] - joints[:, JOINTS.index("elbow")], axis=1)
+    length = np.linalg.norm(joints[:, SHOULDER_JOINT] - joints[:, JOINTS.index("elbow")], axis=1)
     length = length[np.isfinite(length)]
     if len(length) < 10:
         return ARM_PRIOR.upper_arm_flex_m
@@ -148,14 +355,14 @@ def residuals(states: InertialTrajectory, camera: CameraAtNodes) -> FloatArray:
     for joint, lever in camera.levers.items():
         column = JOINTS.index(joint)
         out[:, column] = camera.joints[:, column] - states.p - states.R @ lever
-    out[:, SHOULDER] = camera.joints[:, SHOULDER] - states.shoulder
+    out[:, SHOULDER_JOINT] = camera.joints[:, SHOULDER_JOINT] - states.shoulder
     return out
 
 
 def with_noise_of(camera: CameraAtNodes, states: InertialTrajectory, scene: Scene) -> CameraAtNodes:
     """The same with each joint's noise from its residuals, widened by the memory of the scene's noise."""
     residual = residuals(states, camera)
-    memory = es.white_sigma(scene) / max(scene.point_sigma_m, 1e-9)
+    memory = white_sigma(scene) / max(scene.point_sigma_m, 1e-9)
     sigma = camera.sigma_m.copy()
     for joint in camera.levers:
         own = residual[:, JOINTS.index(joint)]
@@ -163,7 +370,7 @@ def with_noise_of(camera: CameraAtNodes, states: InertialTrajectory, scene: Scen
         if len(own) >= 30:
             sigma[JOINTS.index(joint)] = max(memory * float(robust_sigma(own)), LEAST_SIGMA_M)
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS if joint in camera.levers]
-    sigma[SHOULDER] = sigma[forearm].max()
+    sigma[SHOULDER_JOINT] = sigma[forearm].max()
     return replace(camera, sigma_m=sigma)
 
 
@@ -186,15 +393,15 @@ def linearised(
     Returns
     -------
     chain : Chain
-        Of the error states of dimension 21, see `error_state`.
+        Of the error states of dimension 21.
     """
     motion = integrate(signal, states.t, states.bias[:-1])
     information, vector = _measured(states, camera)
     mean, covariance = _prior(states, scene)
     return Chain(
-        F=es.transition(states, motion),
-        Q=es.process_noise(signal, states.t, motion, IMU_NOISE, ARM_PRIOR.shoulder_walk),
-        drift=es.defects(states, motion)[..., None],
+        F=transition(states, motion),
+        Q=process_noise(signal, states.t, motion, IMU_NOISE, ARM_PRIOR.shoulder_walk),
+        drift=defects(states, motion)[..., None],
         information=information,
         vector=vector[..., None],
         mean=mean[:, None],
@@ -204,24 +411,24 @@ def linearised(
 
 def _prior(states: InertialTrajectory, scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Error of the first node before anything is measured: what was known less what the states hold."""
-    R = es.orientation_at(scene, states.t[:1])[0]
-    mean = np.zeros(es.SIZE)
-    mean[es.TURN] = es.turned(R, states.R[0])
-    mean[es.ACC_BIAS], mean[es.GYRO_BIAS] = -states.bias[0, :3], -states.bias[0, 3:]
-    mean[es.GRAVITY] = scene.gravity - states.gravity[0]
+    R = orientation_at(scene, states.t[:1])[0]
+    mean = np.zeros(SIZE)
+    mean[TURN] = turned(R, states.R[0])
+    mean[ACC_BIAS], mean[GYRO_BIAS] = -states.bias[0, :3], -states.bias[0, 3:]
+    mean[GRAVITY] = scene.gravity - states.gravity[0]
     down = scene.gravity / np.linalg.norm(scene.gravity)
     across = (GRAVITY_SIGMA_RAD * np.linalg.norm(scene.gravity)) ** 2
-    covariance = np.zeros((es.SIZE, es.SIZE))
+    covariance = np.zeros((SIZE, SIZE))
     for rows, variance in (
-        (es.P, START_SIGMA_M**2),
-        (es.V, START_SIGMA_SPEED**2),
-        (es.TURN, ATTITUDE_SIGMA_RAD**2 + scene.attitude_sigma_rad**2),
-        (es.ACC_BIAS, IMU_NOISE.accelerometer_bias_sigma**2),
-        (es.GYRO_BIAS, IMU_NOISE.gyroscope_bias_sigma**2),
-        (es.SHOULDER, START_SIGMA_M**2),
+        (P, START_SIGMA_M**2),
+        (V, START_SIGMA_SPEED**2),
+        (TURN, ATTITUDE_SIGMA_RAD**2 + scene.attitude_sigma_rad**2),
+        (ACC_BIAS, IMU_NOISE.accelerometer_bias_sigma**2),
+        (GYRO_BIAS, IMU_NOISE.gyroscope_bias_sigma**2),
+        (SHOULDER, START_SIGMA_M**2),
     ):
         covariance[rows, rows] = variance * np.eye(3)
-    covariance[es.GRAVITY, es.GRAVITY] = across * np.eye(3) + (GRAVITY_SIZE_SIGMA**2 - across) * np.outer(
+    covariance[GRAVITY, GRAVITY] = across * np.eye(3) + (GRAVITY_SIZE_SIGMA**2 - across) * np.outer(
         down, down
     )
     return mean, covariance
@@ -230,7 +437,7 @@ def _prior(states: InertialTrajectory, scene: Scene) -> tuple[FloatArray, FloatA
 def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatArray, FloatArray]:
     """Sums of H' R^-1 H (n, 21, 21) and H' R^-1 z (n, 21) over what the camera saw of each node."""
     n = len(states.t)
-    information, vector = np.zeros((n, es.SIZE, es.SIZE)), np.zeros((n, es.SIZE))
+    information, vector = np.zeros((n, SIZE, SIZE)), np.zeros((n, SIZE))
     residual = residuals(states, camera)
 
     def add(H: FloatArray, z: FloatArray, weight: FloatArray) -> None:
@@ -242,12 +449,12 @@ def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatA
     for joint in (*camera.levers, "shoulder"):
         column = JOINTS.index(joint)
         z, seen = residual[:, column], np.isfinite(residual[:, column, 0])
-        H = np.zeros((n, 3, es.SIZE))
+        H = np.zeros((n, 3, SIZE))
         if joint == "shoulder":
-            H[:, :, es.SHOULDER] = np.eye(3)
+            H[:, :, SHOULDER] = np.eye(3)
         else:
-            H[:, :, es.P] = np.eye(3)
-            H[:, :, es.TURN] = -skew(states.R @ camera.levers[joint])
+            H[:, :, P] = np.eye(3)
+            H[:, :, TURN] = -skew(states.R @ camera.levers[joint])
         size = np.linalg.norm(z, axis=1) / camera.sigma_m[column]
         cauchy = 1.0 / (1.0 + (size / CameraNoise().cauchy) ** 2)
         weight = np.where(seen, cauchy, 0.0) / camera.sigma_m[column] ** 2
@@ -257,9 +464,9 @@ def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatA
         upper = states.p + arm - states.shoulder
         length = np.linalg.norm(upper, axis=1)
         along = upper / length[:, None]
-        H = np.zeros((n, 1, es.SIZE))
-        H[:, 0, es.P], H[:, 0, es.SHOULDER] = along, -along
-        H[:, 0, es.TURN] = np.cross(arm, along)
+        H = np.zeros((n, 1, SIZE))
+        H[:, 0, P], H[:, 0, SHOULDER] = along, -along
+        H[:, 0, TURN] = np.cross(arm, along)
         share = np.minimum(np.gradient(states.t) / RANGE_EVERY_S, 1.0)
         add(H, (camera.upper_arm_m - length)[:, None], share / camera.upper_arm_sigma_m**2)
     return information, vector
@@ -267,11 +474,11 @@ def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatA
 
 def _path(scene: Scene, states: InertialTrajectory, signal: InertialSignal, error: FilterEstimates) -> Path:
     """The answer at the IMU's samples."""
-    answer = es.at_samples(states, signal, scene.t)
+    answer = at_samples(states, signal, scene.t)
     return Path(
         position=answer.p,
         velocity=answer.v,
-        covariance=interpolate(states.t, error.covariance[:, es.P, es.P], scene.t),
+        covariance=interpolate(states.t, error.covariance[:, P, P], scene.t),
         R_K_A=answer.R,
-        attitude_covariance=interpolate(states.t, error.covariance[:, es.TURN, es.TURN], scene.t),
+        attitude_covariance=interpolate(states.t, error.covariance[:, TURN, TURN], scene.t),
     )

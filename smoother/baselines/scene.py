@@ -3,20 +3,35 @@
 A baseline gets the graph's calibration, clock and accepted samples, so that a comparison is of methods and of
 nothing else. `Scene` is one segment of the recording (between pauses of the IMU); a baseline is a function
 from a scene to a `Path`.
+
+From a recording to the scenes that a baseline gets, and from its paths to a `Recovery`.
+
+A baseline gets the graph's calibration, its clock (wander included), the samples it accepted, its gravity and
+its gaps, so that a comparison is of the methods. It gets nothing of the graph's path.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration
-from ..linalg import interpolate
-from ..measurements.visibility import Gap, occluded_at
-from ..recording import JOINTS, ImuStream
+from ..config import CameraNoise
+from ..errors import SolveError
+from ..linalg import interpolate, rotate_covariance, skew
+from ..measurements.alignment import Alignment, VectorPairs, align, lever_of, pairs
+from ..measurements.inertial import InertialSignal, inertial_attitude
+from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
+from ..measurements.timestamps import dejitter, split_at_pauses
+from ..measurements.visibility import Gap, enough_joints, joints_needed, occluded_at
+from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording
+from ..result import Estimates, Recovery
+from ..units import GRAVITY
+from .orientation import attitude_by
 
 #: The note of a path where a method has too little to begin with.
 TOO_LITTLE_SEEN = "The camera saw too little of this segment."
@@ -155,3 +170,337 @@ def between(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
     """
     t, values = finite_rows(t, values)
     return interpolate(t, values, at) if len(t) else np.full((len(at), 3), np.nan)
+
+
+#: How far the filter's vertical is off at any one frame, rad: {E} is tied to the graph's gravity.
+VERTICAL_SIGMA_RAD = np.radians(0.5)
+
+
+def scenes_of(recording: Recording, graph: Recovery, orientation: str = "vqf") -> list[Scene]:
+    """The segments of a recording in which the graph answers, as a baseline gets them.
+
+    Parameters
+    ----------
+    recording : Recording
+        One arm and its forearm IMU; its truth is not looked at.
+    graph : Recovery
+        The graph's recovery of this very recording.
+    orientation : str
+        Which filter, see `baselines.registry.ORIENTATIONS`.
+
+    Returns
+    -------
+    scenes : list of Scene
+        In order of time, one for each segment with an answer.
+
+    Raises
+    ------
+    SolveError
+        The recovery is of another recording, or has no answer anywhere.
+    """
+    if len(graph) != len(recording.imu) or len(graph.arm) != len(recording.arm) or graph.residuals is None:
+        raise SolveError(f"{recording.name}: what the baselines get is the result of another recording")
+    answered = graph.answered
+    scenes = []
+    for samples in split_at_pauses(recording.imu):
+        rows = samples.start + np.flatnonzero(answered[samples])
+        if len(rows) >= FEWEST_SAMPLES:
+            scenes.append(_scene(recording, graph, orientation, samples, slice(rows[0], rows[-1] + 1)))
+    if not scenes:
+        raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
+    return scenes
+
+
+def _scene(recording: Recording, graph: Recovery, orientation: str, samples: slice, rows: slice) -> Scene:
+    """One segment; the filter goes from pause to pause, the scene has the rows with an answer."""
+    assert graph.residuals is not None
+    calibration = graph.calibration or ArmCalibration(side=recording.side)
+    whole = _unbiased(recording.imu.select(samples), calibration)
+    inside = slice(rows.start - samples.start, rows.stop - samples.start)
+    imu = whole.select(inside)
+    frames = (graph.arm.t_s >= imu.t_s[0]) & (graph.arm.t_s <= imu.t_s[-1])
+    frame_t, used = graph.arm.t_s[frames], graph.residuals.used[frames]
+    camera_joints = np.where(
+        (recording.arm.state[frames] != JointState.NOT_TRACKED)[:, :, None],
+        recording.arm.position[frames],
+        np.nan,
+    )
+    joints = np.where(used[:, :, None], camera_joints - _joint_bias(graph), np.nan)
+    segment = _segment(recording, graph, whole, orientation, frame_t, joints, used)
+    alignment = _aligned(segment, calibration, graph.gravity_direction)
+    R_K_A = (alignment.at(imu.t_s) * segment.attitude.at(imu.t_s)).as_matrix()
+    gravity = GRAVITY * graph.gravity_direction
+    attitude_sigma = np.sqrt(np.trace(alignment.covariance, axis1=1, axis2=2) / 3.0)
+    R_frames = (alignment.at(frame_t) * segment.attitude.at(frame_t)).as_matrix()
+    point = _point(joints, used, R_frames, calibration, segment.needed)
+    return Scene(
+        imu=imu,
+        R_K_A=R_K_A,
+        attitude_sigma_rad=float(np.median(attitude_sigma)),
+        gravity=gravity,
+        acceleration=np.einsum("nij,nj->ni", R_K_A, imu.acc) + gravity,
+        frame_t=frame_t,
+        joints=joints,
+        camera_joints=camera_joints,
+        point=point,
+        point_sigma_m=_point_sigma(graph.estimates.camera_sigma_m, used),
+        gaps=tuple(gap for gap in graph.gaps if gap.end_s > imu.t_s[0] and gap.start_s < imu.t_s[-1]),
+        calibration=calibration,
+        point_effective_sigma_m=_point_sigma(graph.estimates.camera_effective_sigma_m, used),
+        rows=rows,
+    )
+
+
+def _unbiased(imu: ImuStream, calibration: ArmCalibration) -> ImuStream:
+    """The samples on dejittered times, the biases that a calibration knows taken off."""
+    acc, gyro = imu.acc, imu.gyro
+    if calibration.accelerometer_bias is not None:
+        acc = acc - calibration.accelerometer_bias
+    if calibration.gyroscope_bias is not None:
+        gyro = gyro - calibration.gyroscope_bias
+    return replace(imu, t_s=dejitter(imu.t_s), acc=acc, gyro=gyro)
+
+
+def _joint_bias(graph: Recovery) -> FloatArray:
+    """The camera's constant errors (5, 3) m in {K} that the lever arms go with."""
+    bias = np.zeros((len(JOINTS), 3))
+    for joint, value in (graph.estimates.joint_bias_m or {}).items():
+        bias[JOINTS.index(joint)] = value
+    return bias
+
+
+def _segment(
+    recording: Recording,
+    graph: Recovery,
+    imu: ImuStream,
+    orientation: str,
+    frame_t: FloatArray,
+    joints: FloatArray,
+    used: BoolArray,
+) -> Segment:
+    """The segment as the alignment takes it, its attitude by the chosen filter.
+
+    A gyroscope bias that no calibration knows is estimated from the IMU alone, for every filter alike.
+    """
+    signal, rate_hz = InertialSignal(imu), min(imu.rate_hz, FILTER_RATE_HZ)
+    bias = inertial_attitude(signal, rate_hz).gyroscope_bias
+    return Segment(
+        signal=signal,
+        attitude=attitude_by(orientation, signal, imu, rate_hz, bias),
+        frame_t_camera=frame_t,
+        position=joints,
+        accepted=used,
+        reason=np.zeros(used.shape, np.uint8),
+        down=graph.gravity_direction,
+        needed=joints_needed(recording.arm),
+        frames=slice(0, len(frame_t)),
+        start_s=float(imu.t_s[0]),
+        end_s=float(imu.t_s[-1]),
+    )
+
+
+def _aligned(segment: Segment, calibration: ArmCalibration, down: FloatArray) -> Alignment:
+    """`R_K_E` over time: heading from what camera and IMU both saw, the vertical from the graph's gravity."""
+    both_saw = pairs(segment, segment.frame_t_camera, segment.accepted, calibration)
+    t = segment.frame_t_camera
+    vertical = VectorPairs(
+        t,
+        np.tile(-down, (len(t), 1)),
+        np.tile([0.0, 0.0, 1.0], (len(t), 1)),
+        np.full(len(t), VERTICAL_SIGMA_RAD**-2),
+    )
+    return align([*both_saw, vertical], segment.start_s, segment.end_s, down)
+
+
+def _point(
+    joints: FloatArray, used: BoolArray, R_K_A: FloatArray, calibration: ArmCalibration, needed: int
+) -> FloatArray:
+    """The IMU's position (f, 3) at visible frames: mean over joints of joint - R_K_A lever; nan elsewhere."""
+    total, count = np.zeros((len(joints), 3)), np.zeros(len(joints))
+    for joint in FOREARM_JOINTS:
+        lever, column = lever_of(calibration, joint), JOINTS.index(joint)
+        if lever is None:
+            continue
+        seen = used[:, column]
+        total[seen] += joints[seen, column] - R_K_A[seen] @ lever
+        count[seen] += 1.0
+    good = (count > 0) & enough_joints(used, needed)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(good[:, None], total / count[:, None], np.nan)
+
+
+def _point_sigma(sigma_m: dict[str, float] | None, used: BoolArray) -> float:
+    """Noise of the mean over the joints that are usually seen, m an axis."""
+    default = CameraNoise().joint_sigma_m
+    usual = [joint for joint in FOREARM_JOINTS if used[:, JOINTS.index(joint)].mean() > 0.25]
+    variances = [(sigma_m or {}).get(joint, default) ** 2 for joint in usual] or [default**2]
+    return float(np.sqrt(np.sum(variances)) / len(variances))
+
+
+#: What of the graph's figures a baseline gets, and its result repeats.
+GRAPH_ESTIMATES = (
+    "camera_sigma_m",
+    "camera_effective_sigma_m",
+    "joint_bias_m",
+    "joint_bias_sigma_m",
+    "trusted",
+    "reasons",
+    "cautions",
+    "cause",
+    "remedies",
+    "untrusted",
+    "pairing",
+    "clock_given_s",
+)
+#: The note of every baseline's result.
+GRAPH_NOTE = (
+    "calibration, clock, gravity and what is occluded are the graph's, which every method to compare with is"
+    " told; only the path between is this method's"
+)
+
+
+def recovery_of(
+    recording: Recording,
+    graph: Recovery,
+    scenes: Sequence[Scene],
+    paths: Sequence[Path],
+    method: str,
+    settings: dict[str, object] | None = None,
+) -> Recovery:
+    """A baseline's answer at every IMU sample; nan where it has none, covariances nan where it states none.
+
+    Joints are pose and lever arm unless the path gives them; the shoulder is the camera's, linear between
+    its frames.
+
+    Parameters
+    ----------
+    recording : Recording
+        One arm and its forearm IMU.
+    graph : Recovery
+        The graph's recovery of this very recording, see `scenes_of`.
+    scenes : sequence of Scene
+        The segments, see `scenes_of`.
+    paths : sequence of Path
+        The baseline's answers, one for each scene.
+    method : str
+        The baseline's name.
+    settings : dict, optional
+        The baseline's options by name; they are kept in the result's figures.
+
+    Returns
+    -------
+    recovery : Recovery
+    """
+    assert graph.residuals is not None
+    n, frames = len(recording.imu), len(graph.arm)
+    names = [joint for joint in JOINTS if joint in recording.arm.present and joint != "strap"]
+    recovery = replace(
+        graph,
+        method=method,
+        t_s=recording.imu.t_s,
+        position=np.full((n, 3), np.nan),
+        quaternion=np.full((n, 4), np.nan),
+        velocity=np.full((n, 3), np.nan),
+        pose_covariance=np.full((n, 6, 6), np.nan),
+        velocity_covariance=np.full((n, 3, 3), np.nan),
+        joints={joint: np.full((n, 3), np.nan) for joint in names},
+        joint_covariance={joint: np.full((n, 3, 3), np.nan) for joint in names},
+        residuals=replace(
+            graph.residuals, t_s=graph.arm.t_s, residual=np.full((frames, len(JOINTS), 3), np.nan)
+        ),
+        origin_ns=recording.origin_ns,
+        side=recording.side,
+        name=recording.name,
+        notes=tuple(
+            dict.fromkeys((*(note for path in paths for note in path.notes), GRAPH_NOTE, *graph.notes))
+        ),
+        estimates=Estimates(
+            **{name: getattr(graph.estimates, name) for name in GRAPH_ESTIMATES}, further=settings or {}
+        ),
+    )
+    for scene, path in zip(scenes, paths, strict=True):
+        _write(recovery, recording, scene, path)
+    return recovery
+
+
+def _write(recovery: Recovery, recording: Recording, scene: Scene, path: Path) -> None:
+    """Write a scene's path into its rows, from the scene's even times to the IMU's own stamps."""
+    assert recovery.residuals is not None
+    rows, frame_t = scene.rows, recovery.arm.t_s
+    stamps = recovery.t_s[rows]
+    same = np.array_equal(scene.t, stamps)
+
+    def at_stamps(values: FloatArray) -> FloatArray:
+        return values if same else interpolate(scene.t, values, stamps)
+
+    R = scene.R_K_A if path.R_K_A is None else path.R_K_A
+    pose_covariance = _pose_covariance(scene, path)
+    recovery.position[rows] = at_stamps(path.position)
+    recovery.quaternion[rows] = _quaternion(scene.t, R, stamps)
+    recovery.pose_covariance[rows] = at_stamps(pose_covariance)
+    if path.velocity is not None:
+        recovery.velocity[rows] = at_stamps(path.velocity)
+    joints = {"strap": _strap(scene, path, R)}
+    for joint in recovery.joints:
+        joints[joint], covariance = _joint(joint, scene, path, R, pose_covariance)
+        recovery.joints[joint][rows] = at_stamps(joints[joint])
+        recovery.joint_covariance[joint][rows] = at_stamps(covariance)
+    frames = (frame_t >= scene.t[0]) & (frame_t <= scene.t[-1])
+    for joint, position in joints.items():
+        column = JOINTS.index(joint)
+        at_frames = interpolate(scene.t, position, frame_t[frames])
+        recovery.residuals.residual[frames, column] = recording.arm.position[frames, column] - at_frames
+
+
+def _pose_covariance(scene: Scene, path: Path) -> FloatArray:
+    """(n, 6, 6) of position and orientation, independent of each other; nan where the path states none."""
+    covariance = np.full((len(scene.t), 6, 6), np.nan)
+    if path.covariance is not None:
+        covariance[:, :3, :3] = path.covariance
+    if path.attitude_covariance is not None:
+        covariance[:, 3:, 3:] = path.attitude_covariance
+    if path.covariance is not None and path.attitude_covariance is not None:
+        covariance[:, :3, 3:] = covariance[:, 3:, :3] = 0.0
+    return covariance
+
+
+def _joint(
+    joint: str, scene: Scene, path: Path, R: FloatArray, pose_covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A joint's position (n, 3) and covariance (n, 3, 3) at the scene's times."""
+    unknown = np.full((len(scene.t), 3, 3), np.nan)
+    if joint in path.joints:
+        return path.joints[joint], unknown
+    if joint == "shoulder":
+        return scene.shoulder, unknown
+    lever = lever_of(scene.calibration, joint)
+    if lever is None:
+        return unknown[:, 0], unknown
+    arm = R @ lever
+    attitude_covariance = pose_covariance[:, 3:, 3:]
+    if path.attitude_covariance is None:  # the scene's orientation, with the sigma that the scene states
+        attitude_covariance = np.tile(np.eye(3) * scene.attitude_sigma_rad**2, (len(arm), 1, 1))
+    covariance = pose_covariance[:, :3, :3] + rotate_covariance(skew(arm), attitude_covariance)
+    if joint in scene.calibration.lever_arms:
+        sigma = scene.calibration.lever_arms[joint].sigma_m
+        covariance = covariance + rotate_covariance(R, np.diag(sigma**2))
+    return path.position + arm, covariance
+
+
+def _strap(scene: Scene, path: Path, R: FloatArray) -> FloatArray:
+    """The strap's position (n, 3), also where a path without orientation has the IMU's position alone."""
+    lever = lever_of(scene.calibration, "strap")
+    return path.position if lever is None or not lever.any() else path.position + R @ lever
+
+
+def _quaternion(t: FloatArray, R: FloatArray, stamps: FloatArray) -> FloatArray:
+    """qw, qx, qy, qz (n, 4) at the stamps; nan where there is no orientation."""
+    known = np.isfinite(R).all(axis=(1, 2))
+    quaternion = np.full((len(stamps), 4), np.nan)
+    if not known.any():
+        return quaternion
+    rotation = Rotation.from_matrix(R[known])
+    if not np.array_equal(t, stamps):
+        rotation = Slerp(t[known], rotation)(np.clip(stamps[known], t[known][0], t[known][-1]))
+    quaternion[known] = rotation.as_quat(scalar_first=True)
+    return quaternion

@@ -22,7 +22,7 @@ from ..measurements.inertial import InertialSignal, Preintegration, integrate
 from ..recording import JOINTS
 from ..window.nodes import decimate
 from ..window.prepare import states_from_camera
-from .error_state import TURN, P, V, joint_sigma, levers_of, orientation_at, seen_joints, turned, white_noise
+from .rts import TURN, P, V, joint_sigma, levers_of, orientation_at, seen_joints, turned, white_noise
 from .scene import Path, Scene, no_answer
 
 #: Process noise: m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); the first holds a bias that nobody took off.

@@ -32,7 +32,7 @@ from .output import centimetres, check_outputs, print_notes, print_table, say, s
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from ..study.columns import Row
+    from ..study.folder import Row
     from ..study.run import Tally
 
 
@@ -223,8 +223,7 @@ def batch(
     from ..measures.definitions import FEWEST_DRAWS
     from ..runtime.outputs import check_output
     from ..study.cluster import run_cluster, run_local
-    from ..study.fingerprint import InputSelection
-    from ..study.inputs import find_entries, left_out_note
+    from ..study.inputs import InputSelection, find_entries, left_out_note
     from ..study.job import Limits
     from ..study.run import StudySettings, run_study, study_folder
     from .config import read_config
@@ -383,7 +382,7 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
 def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """A row an arm, untrusted ones first, then the least certain; of several the name says which."""
     from ..recording import arm_words
-    from ..study.columns import arms_of, least_trusted
+    from ..study.folder import arms_of, least_trusted
 
     arms = []
     for row in rows:

@@ -109,8 +109,7 @@ def clock(
     from calib.clock.links import beep_receptions, beeps_of_tracks, buzzer_node
     from calib.clock.motion_clock import clock_from_motion
 
-    from ..io.media.audio import read_sound
-    from ..io.media.clock_files import read_broadcast
+    from ..io.media.clock_files import read_broadcast, read_sound
 
     if sound is None and broadcast is None and motion is None:
         raise typer.BadParameter("give --sound with --event-time, --broadcast, --motion, or several of them")

@@ -93,14 +93,14 @@ def _session(
     from calib.panel.definition import read_intrinsics
     from calib.panel.images import read_view
 
-    from ..io.markers.files import read_positions
+    from ..io.markers import read_positions
 
     lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
     positions = [read_positions(path) for path in marked]
     if recording is not None:
         if depths or infrareds:
             raise typer.BadParameter("give either a recording or --depth and --infrared, not both")
-        from ..io.media.panel_reading import read_panel_session
+        from ..io.media.panel_files import read_panel_session
 
         return read_panel_session(recording, positions, lens, notes)
     if not depths:
@@ -259,7 +259,7 @@ def _from_files(
 def _from_recording(
     path: Path, panel_topic: str, base_topic: str, lens: Intrinsics | None
 ) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream], Intrinsics, tuple[str, ...]]:
-    from ..io.media.panel_reading import read_session
+    from ..io.media.panel_files import read_session
 
     session = read_session(path, panel_topic, base_topic)
     lens = lens or session.lens

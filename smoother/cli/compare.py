@@ -282,7 +282,7 @@ def truth_for(
     from calib.file import read_calibration
 
     from ..evaluation.reference import ReferenceAlignment, read_reference
-    from ..io.markers.files import MARKER_FORMATS
+    from ..io.markers import MARKER_FORMATS
 
     if truth_file is None:
         assert recording.truth is not None

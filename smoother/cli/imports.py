@@ -248,7 +248,7 @@ def describe(
     from ..errors import RecordingError
     from ..io.devices.describe_table import guess_of, toml_of
     from ..io.devices.registry import recognise
-    from ..io.tables.file_head import first_rows, read_head
+    from ..io.tables.protocol import first_rows, read_head
     from ..io.tables.text_table import read_sheet
 
     check_outputs(force, [json_file], [path])
@@ -319,7 +319,7 @@ def strap(
     to the sensor. Images stream by, memory stays flat. What contradicts the forearm is rejected.
     """
     from calib.file import read_calibration
-    from calib.strap.strap_mount import held_radius, mounted_on
+    from calib.strap import held_radius, mounted_on
 
     from ..calibration import Length
     from ..io.media.strap import check_images

@@ -22,8 +22,7 @@ from .output import check_mcap, check_outputs, print_notes, say, say_command, sa
 if TYPE_CHECKING:
     from ..config import Config
     from ..streams.arrivals import Source, SourceInfo
-    from ..streams.session import LiveSession, Receiver, SessionCalibration
-    from ..streams.session_recording import SessionRecording
+    from ..streams.session import LiveSession, Receiver, SessionCalibration, SessionRecording
 
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -316,8 +315,13 @@ def live(
     from ..streams.foxglove import foxglove_module
     from ..streams.lsl import lsl_module
     from ..streams.replay import Replay
-    from ..streams.session import SessionCalibration, prefer_side, read_calibration_file
-    from ..streams.session_recording import SessionRecording, check_recording
+    from ..streams.session import (
+        SessionCalibration,
+        SessionRecording,
+        check_recording,
+        prefer_side,
+        read_calibration_file,
+    )
     from .config import read_config
 
     if record is not None:

@@ -65,11 +65,11 @@ def load_arm(
     """Read a recording and the calibration of its arm, and say what was chosen.
 
     Where the recording leaves the side open, a calibration of one arm settles it. Parameters as of
-    `io.recording.read_arm`.
+    `io.recording.read`.
     """
     reading.update(arm.reading())
     check_allowance()
-    from ..io.recording.read_arm import read_arm
+    from ..io.recording.read import read_arm
 
     recording, calibration = read_arm(path, calibration_file, remedy=remedy, **reading)
     _say_chosen(path, recording)
@@ -89,7 +89,7 @@ def load_arms(
     """
     reading.update(arm.reading())
     check_allowance()
-    from ..io.recording.read_arm import read_arms
+    from ..io.recording.read import read_arms
 
     arms = read_arms(path, calibration_file, remedy=remedy, **reading)
     for recording, _ in arms:

@@ -115,7 +115,7 @@ def _value_text(row: Measure | None) -> str:
 
 
 def _interval_text(row: Measure) -> str:
-    from ..evaluation.quantity import interval
+    from ..evaluation.progress import interval
 
     if not row.has_interval:
         return ""
@@ -127,7 +127,7 @@ def _interval_text(row: Measure) -> str:
 
 def _text(row: Measure, value: float) -> str:
     """As pages write it, with the unit; yes or no for what is reached."""
-    from ..evaluation.quantity import worded
+    from ..evaluation.progress import worded
 
     return worded(row.key, value, row.unit)
 

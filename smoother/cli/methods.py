@@ -15,7 +15,7 @@ from ..errors import UnoccludeError
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
-    from ..evaluation.live_methods import LivePlay
+    from ..evaluation.compare import LivePlay
     from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recoveries, Recovery
@@ -221,7 +221,7 @@ class _SharedPlay:
         return {"_inputs": self._inputs, "_play": None}
 
     def __call__(self, kind: str, recording: Recording) -> Recovery:
-        from ..evaluation.live_methods import LivePlay
+        from ..evaluation.compare import LivePlay
 
         if self._play is None:
             self._play = LivePlay(*self._inputs)

@@ -135,7 +135,7 @@ def _print(progress: PersonProgress) -> None:
 
 
 def _cells(series: Series) -> tuple[str, ...]:
-    from ..evaluation.quantity import interval, quantity, worded
+    from ..evaluation.progress import interval, quantity, worded
 
     change, unit = series.change, series.unit
     assert change is not None

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..evaluation.gaps import TriedGaps
     from ..io.info import RecordingInfo
-    from ..io.mcap.repair_container import RepairReport
+    from ..io.mcap.merge import RepairReport
     from ..matching import ImuMatch
     from ..measurements.clock import Clock
     from ..recording import Recording
@@ -169,7 +169,7 @@ def match(
     the upper arm of one body, on none of the limbs in view, or unknown where the motion does not settle it.
     """
     from ..io import open_recording
-    from ..io.recording.match_file import match_file
+    from ..io.recording.select import match_file
     from ..matching import METHODS
 
     names = list(METHODS) if method == "all" else [method]
@@ -232,7 +232,7 @@ def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Fo
     Messages stand in the order of their log times, behind a new index. Messages of chunks that fail their
     checksum are kept; the new file says so, and every command that reads it repeats it.
     """
-    from ..io.mcap.repair_container import repair_container
+    from ..io.mcap.merge import repair_container
 
     check_mcap(output)
     check_outputs(force, [output, json_file], [broken_file])

@@ -36,7 +36,7 @@ def print_measures(validation: Validation, verbose: bool) -> None:
     Agreement is that of several recordings: of one it is left to `verbose`.
     """
     from ..evaluation.measure_agreement import agreement_cells, pair_cells
-    from ..evaluation.quantity import first_of
+    from ..evaluation.progress import first_of
 
     comparison = validation.measures
     if comparison is None:

@@ -17,7 +17,7 @@ from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_a
 from ..linalg import unit
 from ..recording import Truth
 from ..result import Recovery
-from .align import position_at
+from .metrics import position_at
 
 #: Half width of the limits of agreement in standard deviations.
 LIMITS = 1.96

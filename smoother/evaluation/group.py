@@ -14,7 +14,7 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..runtime.outputs import writing
-from .quantity import first_of
+from .progress import first_of
 
 #: Measures of a group's table.
 MOST_MEASURES = 12

@@ -15,8 +15,15 @@ from ..linalg import robust_sigma
 from ..measurements.visibility import accepted_samples, visible_frames
 from ..recording import JOINTS, Recording
 from ..result import Recovery
-from .align import linear_at, position_at, truth_at
-from .metrics import Figures, orientation_error_deg, squared_sigmas, summarise
+from .metrics import (
+    Figures,
+    linear_at,
+    orientation_error_deg,
+    position_at,
+    squared_sigmas,
+    summarise,
+    truth_at,
+)
 
 #: Frames without the forearm up to this long do not end a visible run, s.
 FLICKER_S = 0.2

@@ -20,7 +20,7 @@ from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import read_toml
 from .agreement import PairAgreement, pair_agreement
-from .quantity import interval, is_main, quantity
+from .progress import interval, is_main, quantity
 
 #: A movement of the answer and one of the reference are the same where they share more of their time.
 SAME_SHARE = 0.5

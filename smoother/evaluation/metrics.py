@@ -2,17 +2,22 @@
 
 Position errors are metres, orientation errors degrees of rotation. A sample without an answer or
 without a reference is nan in every function here and left out of the summaries.
+
+A reference motion at other times, never beyond its ends or gaps; how late an answer is against it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
 
-from ..array_types import FloatArray
-from ..linalg import unit
+from ..array_types import BoolArray, FloatArray
+from ..linalg import parabola_vertex, unit
+from ..recording import Truth
 
 #: 95 % quantile of chi-square with three degrees of freedom: the 95 % region of a position.
 CHI2_95_3 = 7.814727903251179
@@ -202,3 +207,187 @@ def summarise(
         unanswered=unanswered,
         orientation_p95_deg=percentile(angle_deg, 95),
     )
+
+
+#: Samples of a reference farther apart than this are not bridged, s.
+BRIDGED_S = 0.1
+#: Stamps that went through a text file are equal to this, s.
+STAMP_S = 1e-6
+
+
+def truth_at(truth: Truth, t_s: FloatArray) -> Truth:
+    """The truth at the given times (its own clock), nan where it has none.
+
+    Positions between samples are cubic (linear between fewer than four samples), orientations slerp.
+    Nothing is extrapolated, and samples more than 0.1 s apart are not bridged. A time is
+    scored where the samples on both sides of it are.
+    """
+    t_s = np.asarray(t_s, dtype=float)
+    quaternion = np.full((len(t_s), 4), np.nan)
+    if len(truth):
+        quaternion = _piecewise(truth.t_s, truth.quaternion, t_s, _slerp)
+    return Truth(
+        t_s=t_s,
+        position=position_at(truth.t_s, truth.position, t_s),
+        quaternion=quaternion,
+        score=_scored(truth, t_s),
+        joints={name: position_at(truth.t_s, value, t_s) for name, value in truth.joints.items()},
+    )
+
+
+def position_at(t_known: FloatArray, position: FloatArray, t_s: FloatArray) -> FloatArray:
+    """Positions (M, 3) read at other times (N, 3): cubic, nan where none is near."""
+    return _piecewise(t_known, position, t_s, _cubic)
+
+
+def orientation_at(t_known: FloatArray, quaternion: FloatArray, t_s: FloatArray) -> FloatArray:
+    """Orientations (M, 4) read at other times (N, 4): slerp, nan where none is near."""
+    return _piecewise(t_known, quaternion, t_s, _slerp)
+
+
+def linear_at(t_known: FloatArray, values: FloatArray, t_s: FloatArray) -> FloatArray:
+    """Values (M, D) read at other times (N, D): linear, so that variances stay positive."""
+    return _piecewise(t_known, values, t_s, _linear)
+
+
+def _piecewise(
+    t_known: FloatArray,
+    values: FloatArray,
+    t_s: FloatArray,
+    reader: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
+) -> FloatArray:
+    """Apply a reader between samples that may be bridged; other times stay nan."""
+    result = np.full((len(t_s), values.shape[1]), np.nan)
+    finite = np.isfinite(values).all(axis=1) & np.isfinite(t_known)
+    t, v = t_known[finite], values[finite]
+    order = np.argsort(t, kind="stable")
+    t, v = t[order], v[order]
+    fresh = np.append(True, np.diff(t) > 0) if len(t) else np.zeros(0, bool)
+    t, v = t[fresh], v[fresh]
+    for part in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > BRIDGED_S + STAMP_S) + 1):
+        if not len(part):
+            continue
+        inside = (t_s >= t[part[0]] - STAMP_S) & (t_s <= t[part[-1]] + STAMP_S)
+        if inside.any():
+            clipped = np.clip(t_s[inside], t[part[0]], t[part[-1]])
+            result[inside] = reader(t[part], v[part], clipped)
+    return result
+
+
+def _cubic(t: FloatArray, v: FloatArray, at: FloatArray) -> FloatArray:
+    if len(t) >= 4:
+        return np.asarray(CubicSpline(t, v)(at))
+    return _linear(t, v, at)
+
+
+def _linear(t: FloatArray, v: FloatArray, at: FloatArray) -> FloatArray:
+    return np.column_stack([np.interp(at, t, column) for column in v.T])
+
+
+def _slerp(t: FloatArray, quaternion: FloatArray, at: FloatArray) -> FloatArray:
+    if len(t) == 1:
+        return np.repeat(quaternion, len(at), axis=0)
+    rotation = Rotation.from_quat(quaternion, scalar_first=True)
+    return np.asarray(Slerp(t, rotation)(at).as_quat(scalar_first=True))
+
+
+def _scored(truth: Truth, t_s: FloatArray) -> BoolArray:
+    if not len(truth):
+        return np.zeros(len(t_s), dtype=bool)
+    after = np.searchsorted(truth.t_s, t_s - STAMP_S)  # first sample at or after
+    before = np.searchsorted(truth.t_s, t_s + STAMP_S, side="right") - 1  # last at or before
+    inside = (after < len(truth)) & (before >= 0)
+    last = len(truth) - 1
+    both = truth.score[np.clip(after, 0, last)] & truth.score[np.clip(before, 0, last)]
+    return inside & both
+
+
+#: Lags looked at, s: up to this in coarse steps, then about the best one in finer steps.
+LONGEST_S, COARSE_S, FINE_S = 0.5, 0.02, 0.002
+#: From fewer samples no lag is read; more than the second make it no surer.
+FEWEST, MOST = 20, 20_000
+
+
+# Sliding two whole signals over each other cuts every gap short at every lag. Here the samples stay as they
+# are and the reference, which is known everywhere, is read earlier or later: the same samples take part at
+# every lag, so that short gaps do not bias the peak (Feng 2014, 4.5.3, unbiased).
+def lag_s(
+    t_s: FloatArray,
+    samples: FloatArray,
+    reference: FloatArray,
+    reference_t_s: FloatArray | None = None,
+) -> float | None:
+    """Lag of samples behind a reference.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (n,), s
+        Times of the samples, rising.
+    samples : ndarray, shape (n, d)
+        nan rows take no part.
+    reference : ndarray, shape (m, d)
+        In the same unit; nan where there is none.
+    reference_t_s : ndarray, shape (m,), s, optional
+        Its times, rising, on the same clock; those of the samples if None.
+
+    Returns
+    -------
+    lag : float or None, s
+        Positive where the samples are late. None where nothing moves, too little is known, or the peak lies
+        beyond half a second: then the samples do not follow the reference.
+    """
+    t_reference = t_s if reference_t_s is None else reference_t_s
+    coarse = _coarse_lags()
+    roughly = _peak(coarse, _correlations(t_s, samples, reference, t_reference, coarse))
+    if roughly is None:
+        return None
+    fine = np.linspace(roughly - 10 * FINE_S, roughly + 10 * FINE_S, 21)
+    exactly = _peak(fine, _correlations(t_s, samples, reference, t_reference, fine))
+    return roughly if exactly is None else exactly
+
+
+def best_correlation(t_s: FloatArray, samples: FloatArray, reference: FloatArray) -> float | None:
+    """The largest correlation of samples and a reference (n, d), both at times (n,) s, at any lag.
+
+    None where nothing moves or too little is known.
+    """
+    r = _correlations(t_s, samples, reference, t_s, _coarse_lags())
+    return float(np.nanmax(r)) if np.isfinite(r).any() else None
+
+
+def _coarse_lags() -> FloatArray:
+    return np.arange(-LONGEST_S, LONGEST_S + 0.5 * COARSE_S, COARSE_S)
+
+
+def _correlations(
+    t_s: FloatArray, samples: FloatArray, reference: FloatArray, t_reference: FloatArray, lags: FloatArray
+) -> FloatArray:
+    """Correlation at each lag (k,); nan where too little is known."""
+    r = np.full(len(lags), np.nan)
+    known = np.flatnonzero(np.isfinite(samples).all(axis=1))
+    known = known[:: max(1, len(known) // MOST)]
+    if len(known) < FEWEST:
+        return r
+    t, a = t_s[known], samples[known]
+    for k, lag in enumerate(lags):
+        b = linear_at(t_reference, reference, t - lag)
+        both = np.isfinite(b).all(axis=1)
+        if both.sum() >= FEWEST:
+            r[k] = _correlation(a[both], b[both])
+    return r
+
+
+def _peak(lags: FloatArray, r: FloatArray) -> float | None:
+    """The vertex of the parabola through the three highest; None at the ends."""
+    best = int(np.nanargmax(r)) if np.isfinite(r).any() else 0
+    around = slice(best - 1, best + 2)
+    if not 0 < best < len(r) - 1 or not np.isfinite(r[around]).all():
+        return None
+    return parabola_vertex(lags[around], -r[around])
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> float:
+    """Over all columns together, each about its own mean; nan where one stands still."""
+    x, y = a - a.mean(axis=0), b - b.mean(axis=0)
+    scale = float(np.sqrt((x * x).sum() * (y * y).sum()))
+    return float((x * y).sum()) / scale if scale > 1e-9 * len(a) else float("nan")

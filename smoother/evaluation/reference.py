@@ -128,7 +128,7 @@ def read_reference(
     UnoccludeError
         The file, the map or the calibration cannot be used, or the truth cannot be aligned.
     """
-    from ..io.markers.files import MARKER_FORMATS, read_markers
+    from ..io.markers import MARKER_FORMATS, read_markers
 
     path = Path(path)
     if path.suffix.lower() not in MARKER_FORMATS:

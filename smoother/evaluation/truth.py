@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
-from ..io.tables.file_head import shown
+from ..io.tables.protocol import shown
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input
-from .align import best_correlation, orientation_at, position_at, truth_at
-from .metrics import orientation_error_deg
+from .metrics import best_correlation, orientation_at, orientation_error_deg, position_at, truth_at
 
 #: What a truth may be read from.
 FORMATS = (".mcap", ".csv")

@@ -14,19 +14,21 @@ from ..measurements.visibility import Gap
 from ..recording import JOINTS, Truth
 from ..result import Recovery
 from .agreement import Agreement, AngleComparison, compare_angles
-from .align import lag_s, position_at, truth_at
 from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
 from .metrics import (
     Figures,
     coverage_95,
+    lag_s,
     maximum,
     mean_vector,
     nees,
     orientation_error_deg,
+    position_at,
     rms,
     rotation_error,
     squared_sigmas,
     summarise,
+    truth_at,
 )
 from .reference import ReferenceAlignment
 from .truth import truth_notes

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from .export.prepare import prepare_export as prepare_export
     from .info import RecordingInfo as RecordingInfo
     from .info import describe as describe
-    from .plain.datasets import import_broad as import_broad
-    from .plain.datasets import import_utd_mhad as import_utd_mhad
+    from .plain.folder import import_broad as import_broad
     from .plain.folder import import_csv as import_csv
+    from .plain.folder import import_utd_mhad as import_utd_mhad
     from .plain.folder import open_csv as open_csv
     from .recording.read import open_recording as open_recording
+    from .recording.read import read_imu as read_imu
     from .recording.read import read_recording as read_recording
     from .recording.read import read_recordings as read_recordings
-    from .recording.read_arm import read_imu as read_imu
     from .recording.select import select_recording as select_recording
     from .recording.select import select_recordings as select_recordings
     from .recording.streams import RecordingFile as RecordingFile
@@ -36,14 +36,14 @@ _HOMES = {
     "check_output": "..runtime.outputs",
     "describe": ".info",
     "export_csv": ".export.csv",
-    "import_broad": ".plain.datasets",
+    "import_broad": ".plain.folder",
     "import_csv": ".plain.folder",
     "import_files": ".devices.files",
-    "import_utd_mhad": ".plain.datasets",
+    "import_utd_mhad": ".plain.folder",
     "open_csv": ".plain.folder",
     "open_recording": ".recording.read",
     "prepare_export": ".export.prepare",
-    "read_imu": ".recording.read_arm",
+    "read_imu": ".recording.read",
     "read_recording": ".recording.read",
     "read_recovery": ".result.read",
     "read_recordings": ".recording.read",

@@ -17,7 +17,7 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..window.problem import NoiseModel
 from ..window.shared import JOINT_ERRORS
 from ..window.solution import LagSolution, NodeState
-from .estimate import LiveEstimate, LiveState
+from .buffers import LiveEstimate, LiveState
 from .tracker import Tracker
 
 #: The IMU's last rate holds for no longer than this beyond its last sample, s.

@@ -31,8 +31,7 @@ from ..window.priors import first_priors, noise_of
 from ..window.problem import ImuIncrements, Priors
 from ..window.shared import Gaussian
 from ..window.solution import LagSolution, NodeState
-from .buffers import ImuBuffer, SkeletonFrame
-from .estimate import LiveState
+from .buffers import ImuBuffer, LiveState, SkeletonFrame
 
 #: So many frames are remembered.
 FRAMES = 400

@@ -11,10 +11,8 @@ from scipy.optimize import linear_sum_assignment
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..errors import UnoccludeError
 from ..recording import ImuStream
-from .acceleration_distance import accumulated_distance, shakeid
 from .excerpt_motion import GRID_HZ, SHORTEST_S, Limb, MatchExcerpt, read_excerpts
-from .joint_likelihood import joint_likelihood
-from .magnitudes import magnitudes
+from .published import accumulated_distance, joint_likelihood, magnitudes, shakeid
 from .rigid_fit import rigid_evidence
 
 #: A limb that an IMU cannot be on costs this.

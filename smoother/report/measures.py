@@ -7,8 +7,16 @@ import os
 from collections.abc import Iterator, Sequence
 from html import escape
 
-from ..evaluation.progress import SessionValue, change_between
-from ..evaluation.quantity import first_of, interval, is_main, number, quantity, shown_unit
+from ..evaluation.progress import (
+    SessionValue,
+    change_between,
+    first_of,
+    interval,
+    is_main,
+    number,
+    quantity,
+    shown_unit,
+)
 from ..measures import BothArms, Measure, Measures
 from .chart import Mark, Strip, badge, bars, charted, sessions, strips
 from .sheet import NO_DIAGNOSIS, Html, bullets, explained, headed, tabulated, terms_of, write_sheet

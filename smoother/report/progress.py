@@ -7,8 +7,22 @@ import os
 from collections.abc import Iterator, Sequence
 from html import escape
 
-from ..evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, Change, PersonProgress, Series, SessionValue
-from ..evaluation.quantity import first_of, interval, number, quantity, shown_unit, worded
+from ..evaluation.progress import (
+    LESS,
+    MORE,
+    UNCLEAR,
+    UNKNOWN,
+    Change,
+    PersonProgress,
+    Series,
+    SessionValue,
+    first_of,
+    interval,
+    number,
+    quantity,
+    shown_unit,
+    worded,
+)
 from .chart import Mark, badge, sessions
 from .sheet import NO_DIAGNOSIS, Html, bullets, explained, headed, tabulated, terms_of, write_sheet
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.strap.strap_in_image import SEARCH
+from calib.strap import SEARCH
 
 from ..array_types import FloatArray
 from ..linalg import robust_sigma

@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..array_types import FloatArray
-from ..evaluation.quantity import first_of
+from ..evaluation.progress import first_of
 from ..evaluation.summary import trust_word
 from .chart import NOT_TRUSTED, badge
 from .sheet import ALARM, CONTENTS, Html, figure, folded, label, listing, tabulated, write_sheet
@@ -47,7 +47,7 @@ def write_study(
     Parameters
     ----------
     rows : pyarrow.Table
-        One row a recording, columns as `study.columns` has them.
+        One row a recording, columns as `study.folder` has them.
     path : path-like
         The page to write.
     folder : path-like

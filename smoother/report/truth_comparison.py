@@ -11,8 +11,8 @@ from plotly.subplots import make_subplots
 from ..array_types import FloatArray
 from ..evaluation.advice import rejected
 from ..evaluation.agreement import WORDS, Agreement, AngleComparison, unwound_deg
-from ..evaluation.align import truth_at
 from ..evaluation.coverage import LEVELS, StatedAndActual, stated_and_actual
+from ..evaluation.metrics import truth_at
 from ..evaluation.validate import Validation, sample_errors
 from ..measurements.visibility import Reason
 from ..recording import JOINTS, Truth

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.strap.strap_in_image import Depth, Sighting, find_strap
-from calib.strap.strap_mount import Mounted
+from calib.strap import Depth, Mounted, Sighting, find_strap
 
 from ..array_types import FloatArray, IntArray
 from ..errors import RecordingError

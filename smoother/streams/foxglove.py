@@ -18,7 +18,7 @@ from ..io.result.messages import gap_messages
 from ..io.result.streams import RecoveryStreams
 from ..io.wire.protobuf_encode import HEAD_BYTES
 from ..io.wire.schemas import message_class, schema_data
-from ..live.estimate import LiveEstimate, LiveOutput, LiveState
+from ..live.buffers import LiveEstimate, LiveOutput, LiveState
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointTracks
 from ..result import Recovery

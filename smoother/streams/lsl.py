@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
-from ..live.estimate import LiveEstimate, LiveOutput, LiveState
+from ..live.buffers import LiveEstimate, LiveOutput, LiveState
 from ..measurements.visibility import Gap
 from ..recording import JOINTS
 from ..runtime.packages import extra_module

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError, UnoccludeError
-from ..io.markers.trajectories import without_origin
+from ..io.markers import without_origin
 from ..io.recording.selection import named_side
 from ..io.tables.columns import find_sensors, joint_label
 from ..io.tables.joint_columns import find_joint_columns, words_of

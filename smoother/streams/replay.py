@@ -10,8 +10,7 @@ import numpy as np
 from ..array_types import IntArray
 from ..errors import RecordingError
 from ..io.mcap.container import Container
-from ..io.mcap.messages import Topic
-from ..io.mcap.stamps import SECOND_NS, seconds
+from ..io.mcap.messages import SECOND_NS, Topic, seconds
 from ..io.recording.assign import choose
 from ..io.recording.decode import ImuDecoder, SkeletonDecoder, plain_decoder, skeleton_decoder
 from ..io.recording.read import open_recording

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import FloatArray
-from ..live.estimate import LiveOutput, LiveState
+from ..live.buffers import LiveOutput, LiveState
 from ..measurements.visibility import Gap
 
 #: Bins of 0.25 ms up to 2 s; what takes longer is in the last.

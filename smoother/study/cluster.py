@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError, debugging
 from ..runtime.pool import THREADS, blank_main, check_allowance, interrupts_wait
-from .columns import Row
+from .folder import Row
 from .job import Job, run_job
 
 if TYPE_CHECKING:

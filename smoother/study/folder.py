@@ -7,22 +7,37 @@
     DIR/.unocclude/study      a word by which a worker knows that it sees this very folder
     DIR/.unocclude/stage/     outputs that are being written
     DIR/.unocclude/rows/      rows of recordings that are done, until they are among the results
+
+The columns of a study's results: one row a recording and way of computing it, and the files of rows.
 """
 
 from __future__ import annotations
 
+import errno
+import json
 import os
 import re
 import secrets
 import shutil
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..errors import UnoccludeError
+from ..measures import Measures
+from ..result import Recovery
 from ..runtime.outputs import remove_stale_tempfiles, writing
+from ..runtime.printable import plain
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from ..recording import Recording
 
 
 @dataclass(frozen=True)
@@ -176,3 +191,270 @@ def _alive(process: int) -> bool:
     except OSError:
         return True
     return True
+
+
+Row = dict[str, Any]
+
+DONE, FAILED = "done", "failed"
+#: Name, Arrow type, unit and meaning of each column.
+COLUMNS: tuple[tuple[str, str, str, str], ...] = (
+    ("id", "string", "", "of recording name, input, configuration, calibration and version together"),
+    ("recording", "string", "", "name in the study"),
+    ("status", "string", "", "done or failed"),
+    ("error", "string", "", "why it failed, one sentence"),
+    ("retry", "bool", "", "it failed by its surroundings, and is tried again by the same command"),
+    ("input", "string", "", "the recording: its name, with --keep-paths its path"),
+    ("input_place", "string", "", "by which the study knows the recording's place again; a hash with a key"),
+    ("input_hash", "string", "", "SHA-256 of the recording's bytes"),
+    ("input_bytes", "int64", "B", "size of the recording"),
+    ("input_mtime_ns", "int64", "ns", "with --keep-paths: when the recording was changed last, since 1970"),
+    ("input_state", "string", "", "by which the study knows that it was not changed; a hash with a key"),
+    ("config_hash", "string", "", "SHA-256 of configuration and choices, number of processes left out"),
+    ("calibration", "string", "", "the calibration file: its name, with --keep-paths its path"),
+    ("calibration_hash", "string", "", "SHA-256 of the calibration file, empty without one"),
+    ("version", "string", "", "of the program"),
+    ("output", "string", "", "result, below the study's folder"),
+    ("output_hash", "string", "", "SHA-256 of the result's bytes"),
+    ("output_bytes", "int64", "B", "size of the result"),
+    ("output_mtime_ns", "int64", "ns", "when the result was written, since 1970"),
+    ("method", "string", "", "how it was recovered"),
+    ("side", "string", "", "the arm"),
+    ("duration_s", "double", "s", "length of the recording"),
+    ("rate_hz", "double", "Hz", "of the IMU"),
+    ("samples", "int64", "", "of the IMU"),
+    ("answered", "int64", "", "samples with an answer"),
+    ("gaps", "int64", "", "occluded stretches"),
+    ("gap_longest_s", "double", "s", "the longest of them"),
+    ("occluded_s", "double", "s", "all of them together"),
+    ("sigma_max_m", "double", "m", "largest standard deviation of the IMU's position in a gap, worst axis"),
+    ("sigma_median_m", "double", "m", "its median over the occluded samples"),
+    ("sigma_visible_m", "double", "m", "its median over the visible samples"),
+    ("sigma_max_deg", "double", "deg", "largest standard deviation of the orientation in a gap"),
+    ("clock_offset_s", "double", "s", "t_imu = t_camera + offset"),
+    ("clock_offset_sigma_s", "double", "s", "one standard deviation of it"),
+    ("notes", "int64", "", "what the result says of itself: number of sentences"),
+    ("note_texts", "list", "", "the sentences"),
+    ("arms", "int64", "", "recovered arms; the figures are the worst of them, and sums of gaps and samples"),
+    ("arm_figures", "string", "", "with several arms: JSON, a list with these columns' figures of each"),
+    ("trusted", "bool", "", "the result is to be trusted; of several arms, each of them"),
+    ("verdict", "string", "", "in a sentence; of several arms, each one's"),
+    ("self_check", "string", "", "what was hidden and recovered, in a sentence; of several arms, each one's"),
+    ("self_check_95_m", "double", "m", "hidden times: 95 of 100 samples were recovered to within this"),
+    ("self_check_stated_95_m", "double", "m", "what was stated of the same"),
+    ("error_95_m", "double", "m", "in gaps, 95 of 100 errors of the IMU's position lie below"),
+    ("gaps_untrusted", "int64", "", "gaps that are not to be trusted; all where the result is not"),
+    ("recorded_day", "double", "d", "from a day that the study chose at random for this person"),
+    ("measures", "measures", "", "with --measures: the measures of each arm's session"),
+    ("waveforms", "string", "", "with --measures: JSON, angles over the repetitions, their mean and spread"),
+    ("seconds", "double", "s", "time it took, reading and writing included"),
+    ("host", "string", "", "machine that did it; empty without --keep-paths"),
+    ("finished", "timestamp", "", "when it was done, UTC"),
+)
+#: Name, Arrow type, unit and meaning of what the column `measures` holds of each.
+MEASURE_FIELDS: tuple[tuple[str, str, str, str], ...] = (
+    ("side", "string", "", "left, right or empty"),
+    ("body", "int64", "", "the camera's number of the person, where several are told apart"),
+    ("trusted", "bool", "", "the arm's result is to be trusted"),
+    ("key", "string", "", "the measure's name in files, with its unit at the end"),
+    ("name", "string", "", "in plain words"),
+    ("unit", "string", "", "of value, low, high and sigma"),
+    ("value", "double", "", "null where it cannot be measured"),
+    ("low", "double", "", "lower end of the 95 % interval; null without draws"),
+    ("high", "double", "", "upper end of it"),
+    ("sigma", "double", "", "standard deviation by the draws"),
+    ("recovered_share", "double", "", "how much of it rests on samples that the camera did not see"),
+    ("n_draws", "int64", "", "how many draws the interval is of"),
+    ("note", "string", "", "what to know of it"),
+)
+
+
+def schema() -> pa.Schema:
+    """The columns as Arrow has them, unit and meaning in each one's metadata."""
+    import pyarrow as pa
+
+    kinds = {
+        "string": pa.string(),
+        "bool": pa.bool_(),
+        "int64": pa.int64(),
+        "double": pa.float64(),
+        "list": pa.list_(pa.string()),
+        "timestamp": pa.timestamp("us"),
+    }
+
+    def named(columns: tuple[tuple[str, str, str, str], ...]) -> list[pa.Field]:
+        return [
+            pa.field(name, kinds[kind], metadata={"unit": unit, "description": meaning})
+            for name, kind, unit, meaning in columns
+        ]
+
+    kinds["measures"] = pa.list_(pa.struct(named(MEASURE_FIELDS)))
+    return pa.schema(named(COLUMNS))
+
+
+def figures_of(recording: Recording, recovery: Recovery) -> Row:
+    """The columns that tell of a recovery."""
+    from ..evaluation.summary import recovery_figures
+
+    figures: dict[str, Any] = recovery_figures(recovery)
+    gaps, sigma = figures["gaps"], figures["sigma_m"]
+    notes = list(dict.fromkeys([*recording.notes, *recovery.notes]))
+    taken = ("method", "side", "duration_s", "rate_hz", "samples", "answered", "occluded_s")
+    return {name: figures[name] for name in taken} | {
+        "gaps": len(gaps),
+        "gap_longest_s": max((gap["length_s"] for gap in gaps), default=0.0),
+        "sigma_max_m": sigma["occluded"]["max"],
+        "sigma_median_m": sigma["occluded"]["median"],
+        "sigma_visible_m": sigma["visible"]["median"],
+        "sigma_max_deg": max((v for gap in gaps if (v := gap["sigma_max_deg"]) is not None), default=None),
+        "clock_offset_s": _number(recovery.clock_offset_s),
+        "clock_offset_sigma_s": _number(recovery.clock_offset_sigma_s),
+        "trusted": recovery.estimates.trusted,
+        "verdict": recovery.estimates.verdict,
+        "self_check": "" if (check := recovery.estimates.self_check) is None else check.sentence,
+        "self_check_95_m": None if check is None else _number(check.error_95_m),
+        "self_check_stated_95_m": None if check is None else _number(check.stated_95_m),
+        "error_95_m": figures["error_95_m"]["occluded"]["all"],
+        "gaps_untrusted": sum(gap["trusted"] is False for gap in gaps),
+        "notes": len(notes),
+        "note_texts": notes,
+    }
+
+
+#: How the figures of several arms become those of their recording; others are the largest.
+_SUMMED = ("samples", "answered", "gaps", "gaps_untrusted", "occluded_s")
+
+
+def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Sequence[str] = ()) -> Row:
+    """The columns that tell of a recording's arms: of several the worst, or their sum, and each by itself.
+
+    `left_out`: sentences on topics that did not go into the result; they join the notes.
+    """
+    arms = [figures_of(recording, recovery) for recording, recovery in results]
+    if len(arms) == 1:
+        texts = list(dict.fromkeys([*arms[0]["note_texts"], *left_out]))
+        return arms[0] | {"arms": 1, "note_texts": texts, "notes": len(texts)}
+    together = dict(arms[0])
+    for name, value in arms[0].items():
+        values = [arm[name] for arm in arms if arm[name] is not None]
+        if name in _SUMMED:
+            together[name] = sum(values)
+        elif name == "trusted":
+            together[name] = all(values) if values else None
+        elif isinstance(value, int | float) or value is None:
+            together[name] = max(values, default=None)
+    texts = list(dict.fromkeys([*(note for arm in arms for note in arm["note_texts"]), *left_out]))
+    said = [(recovery.arm_label, recovery.estimates.verdict) for _, recovery in results]
+    together["verdict"] = " ".join(f"{label.capitalize()}: {verdict}" for label, verdict in said if verdict)
+    checks = [(label, arm["self_check"]) for (label, _), arm in zip(said, arms, strict=True)]
+    together["self_check"] = " ".join(f"{label.capitalize()}: {check}" for label, check in checks if check)
+    # a clock belongs to one arm's IMU: those of several stand with the arms
+    together |= {"clock_offset_s": None, "clock_offset_sigma_s": None}
+    together |= {"note_texts": texts, "notes": len(texts), "arms": len(arms)}
+    together["side"] = ", ".join(recovery.arm_label.replace(" arm", "") for _, recovery in results)
+    each = [{"body": recovery.body, **arm} for (_, recovery), arm in zip(results, arms, strict=True)]
+    return together | {"arm_figures": json.dumps(each)}
+
+
+def arms_of(row: Row) -> list[Row]:
+    """The figures of each arm of a row; those of the row itself where it has one arm."""
+    if not row.get("arm_figures"):
+        return [row]
+    return [row | arm for arm in json.loads(row["arm_figures"])]
+
+
+def least_trusted(row: Row) -> tuple[bool, bool, float]:
+    """By which rows are sorted: not to be trusted first, then some of their gaps, then the largest sigma."""
+    return row["trusted"] is not False, not row["gaps_untrusted"], -(row["sigma_max_m"] or 0.0)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+#: Of a measure itself; the other fields are of its arm.
+_OWN = tuple(name for name, *_ in MEASURE_FIELDS if name not in ("side", "body", "trusted"))
+
+
+def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:
+    """The measures of sessions, as the column `measures` holds them.
+
+    Parameters
+    ----------
+    measured : sequence of Measures
+        One an arm.
+
+    Returns
+    -------
+    rows : list of dict
+        By the names of `MEASURE_FIELDS`; numbers that are not finite are None. No name of a recording, no
+        time of day.
+    """
+    return [
+        {"side": arm.side, "body": arm.body, "trusted": arm.trusted}
+        | {name: plain(getattr(measure, name)) for name in _OWN}
+        for arm in measured
+        for measure in arm.session
+    ]
+
+
+def measured_arms(recoveries: Sequence[Recovery]) -> Row:
+    """The columns of measures: every arm of a recording with the usual settings, and its waveforms."""
+    from ..measures import measure
+    from .waveforms import waveforms_of
+
+    measured = [measure(recovery) for recovery in recoveries]
+    curves = [
+        curve
+        for recovery, one in zip(recoveries, measured, strict=True)
+        for curve in waveforms_of(recovery, one)
+    ]
+    return {"measures": measure_rows(measured), "waveforms": json.dumps(curves)}
+
+
+def rows_table(files: Sequence[str], columns: Iterable[str] | None = None) -> pa.Table:
+    """The rows of all files, one after another; a column that a file lacks is null.
+
+    Read by this thread alone: `pyarrow.dataset` waits for ever for a thread that found no memory.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Of this version or an earlier one.
+    columns : iterable of str, optional
+        Names in `schema()`; None for all.
+
+    Returns
+    -------
+    rows : pyarrow.Table
+
+    Raises
+    ------
+    pyarrow.ArrowException, OSError
+        A file cannot be read.
+    MemoryError
+        Memory does not suffice.
+    """
+    import pyarrow as pa
+
+    wanted = schema() if columns is None else pa.schema([schema().field(name) for name in columns])
+    return pa.concat_tables([wanted.empty_table(), *(_read_file(file, wanted) for file in files)])
+
+
+def _read_file(file: str, wanted: pa.Schema) -> pa.Table:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with open(file, "rb") as stream, parquet.ParquetFile(stream, pre_buffer=False) as rows:
+            there = [name for name in wanted.names if name in rows.schema_arrow.names]
+            table = rows.read(there, use_threads=False)
+            missing = rows.metadata.num_rows
+    except OSError as error:
+        if error.errno == errno.ENOMEM:
+            raise MemoryError(str(error)) from error
+        raise
+    found = [
+        table[field.name].cast(field.type) if field.name in there else pa.nulls(missing, field.type)
+        for field in wanted
+    ]
+    return pa.table(found, schema=wanted)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..evaluation.group import LONG
-from .columns import DONE, Row
+from .folder import DONE, Row
 from .inputs import SessionEntry, by_folders, in_order
 
 

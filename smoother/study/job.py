@@ -22,8 +22,8 @@ from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeErro
 from ..result import is_of_arm
 from ..runtime.inputs import check_input
 from ..runtime.store import Store
-from .columns import DONE, FAILED, Row, figures_of_arms, measured_arms
-from .fingerprint import (
+from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measured_arms
+from .inputs import (
     InputSelection,
     file_hash,
     person_of,
@@ -34,7 +34,6 @@ from .fingerprint import (
     text_hash,
     without_places,
 )
-from .folder import StudyFolder
 
 #: A recording that a library holds on to for so much longer than its time ends with its process, s.
 GRACE_S = 60.0
@@ -360,7 +359,7 @@ def _recover_in(
     from calib.motion.motion_calibration import with_given
 
     from ..io import write_recovery
-    from ..io.recording.read_arm import read_arms
+    from ..io.recording.read import read_arms
     from ..runtime.outputs import check_output
     from ..several_arms import smooth_arms
 

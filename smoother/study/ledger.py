@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..runtime.outputs import writing
-from .columns import COLUMNS, DONE, FAILED, Row, rows_table, schema
-from .fingerprint import file_hash, place_of, state_of
-from .folder import StudyFolder
+from .folder import COLUMNS, DONE, FAILED, Row, StudyFolder, rows_table, schema
+from .inputs import file_hash, place_of, state_of
 from .job import Known
 
 if TYPE_CHECKING:

@@ -10,18 +10,17 @@ from typing import Any
 
 from ..errors import UnoccludeError
 from ..evaluation.progress import (
+    BY_MOVEMENT,
     PersonProgress,
     Series,
     SessionValue,
     change_between,
+    is_main,
     together,
     without_like_movements,
 )
-from ..evaluation.quantity import BY_MOVEMENT, is_main
-from .columns import DONE, Row, rows_table
-from .fingerprint import hashed_name
-from .folder import StudyFolder
-from .inputs import SessionEntry, by_folders, in_order, read_sessions, with_named_days
+from .folder import DONE, Row, StudyFolder, rows_table
+from .inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions, with_named_days
 
 _READ = (
     *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),

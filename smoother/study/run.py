@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING
 from .. import __version__
 from ..config import Config
 from ..errors import UnoccludeError
-from .columns import DONE, FAILED, Row
-from .fingerprint import InputSelection, config_hash, file_hash, hashed_name, text_hash
-from .folder import StudyFolder
-from .inputs import Entry
+from .folder import DONE, FAILED, Row, StudyFolder
+from .inputs import Entry, InputSelection, config_hash, file_hash, hashed_name, text_hash
 from .job import SAME, Job, Limits
 from .ledger import Ledger
 

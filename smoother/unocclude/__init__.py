@@ -110,7 +110,7 @@ def smooth(
 
     given, file = (calibration, None) if isinstance(calibration, ArmCalibration) else (None, calibration)
     if not isinstance(recording, Recording):
-        from smoother.io.recording.read_arm import read_arm
+        from smoother.io.recording.read import read_arm
 
         recording, of_file = read_arm(recording, file, store=store, truth=False, **selection)
         given = given or of_file

@@ -18,7 +18,7 @@ from smoother.baselines.gaussian_process import (
     measurements,
     predict,
 )
-from smoother.evaluation.align import lag_s
+from smoother.evaluation.metrics import lag_s
 from smoother.measurements.position_process import (
     PUBLISHED,
     STEP_S,

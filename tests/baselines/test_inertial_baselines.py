@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 
-from smoother.baselines import error_state as es
-from smoother.baselines.linear import Chain, kalman_filter, rts_smoother
+from smoother.baselines import rts as es
+from smoother.baselines.kalman import Chain, kalman_filter, rts_smoother
 from smoother.baselines.rts import linearised, residuals, rts, start
 from smoother.baselines.scene import Baseline
 from smoother.baselines.ukf import (

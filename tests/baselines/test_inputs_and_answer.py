@@ -9,9 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from solved_arms import ALONE, SolvedArm, solved_arm, without_gaps
 
-from smoother.baselines.adapter import recovery_of, scenes_of
 from smoother.baselines.registry import recover
-from smoother.baselines.scene import Path, Scene
+from smoother.baselines.scene import Path, Scene, recovery_of, scenes_of
 from smoother.errors import SolveError, UnoccludeError
 from smoother.linalg import interpolate
 from smoother.recording import JOINTS, JointState

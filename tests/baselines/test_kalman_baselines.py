@@ -9,10 +9,18 @@ import pytest
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.array_types import FloatArray
-from smoother.baselines.kalman import deviations_at_rest, kalman, low_pass, state_model
-from smoother.baselines.linear import kalman_filter
-from smoother.baselines.multirate_kalman import Events, FilterNoise, merge, multirate_kalman
-from smoother.baselines.multirate_kalman import state_model as wiener_model
+from smoother.baselines.kalman import (
+    Events,
+    FilterNoise,
+    deviations_at_rest,
+    kalman,
+    kalman_filter,
+    low_pass,
+    merge,
+    multirate_kalman,
+    state_model,
+)
+from smoother.baselines.kalman import multirate_model as wiener_model
 from smoother.baselines.scene import Baseline, Scene
 from smoother.simulation import SimulatedArm
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.baselines.linear import Chain, kalman_filter, rts_smoother
+from smoother.baselines.kalman import Chain, kalman_filter, rts_smoother
 
 
 def a_chain(seed: int, n: int = 9, d: int = 3, columns: int = 2, lead: tuple[int, ...] = ()) -> Chain:

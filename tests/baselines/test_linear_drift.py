@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 from solved_arms import SolvedArm, solved_arm
 
 from smoother.array_types import FloatArray
-from smoother.baselines.adapter import scenes_of
-from smoother.baselines.linear_drift import boundary, integrated, linear_drift
 from smoother.baselines.registry import recover
-from smoother.baselines.scene import Scene
+from smoother.baselines.scene import Scene, scenes_of
+from smoother.baselines.simple import boundary, integrated, linear_drift
 from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS
 

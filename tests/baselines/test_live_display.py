@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.baselines.live_display import autoregressive, constant_velocity
 from smoother.baselines.scene import Scene
+from smoother.baselines.simple import autoregressive, constant_velocity
 from smoother.calibration import ArmCalibration
 from smoother.recording import ImuStream
 

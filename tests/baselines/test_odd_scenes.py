@@ -10,8 +10,7 @@ from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.array_types import BoolArray
 from smoother.baselines.gaussian_process import gaussian_process
-from smoother.baselines.kalman import kalman
-from smoother.baselines.multirate_kalman import multirate_kalman
+from smoother.baselines.kalman import kalman, multirate_kalman
 from smoother.baselines.rts import rts
 from smoother.baselines.scene import Baseline, Path, Scene
 from smoother.baselines.ukf import ukf

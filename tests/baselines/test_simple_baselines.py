@@ -10,9 +10,8 @@ from scipy.interpolate import PchipInterpolator
 from solved_arms import SolvedArm, solved_arm, without_gaps
 
 from smoother.array_types import FloatArray
-from smoother.baselines.adapter import scenes_of
 from smoother.baselines.registry import recover
-from smoother.baselines.scene import Scene, between
+from smoother.baselines.scene import Scene, between, scenes_of
 from smoother.baselines.simple import camera_only, hold, pchip
 from smoother.recording import JOINTS
 

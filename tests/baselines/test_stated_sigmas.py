@@ -9,8 +9,7 @@ from simulated_scenes import arm, scene_of
 
 from smoother.array_types import FloatArray
 from smoother.baselines.gaussian_process import gaussian_process
-from smoother.baselines.kalman import kalman
-from smoother.baselines.multirate_kalman import multirate_kalman
+from smoother.baselines.kalman import kalman, multirate_kalman
 from smoother.baselines.rts import rts
 from smoother.baselines.scene import Baseline
 from smoother.baselines.ukf import ukf

@@ -13,7 +13,7 @@ from calib.file import CalibrationFile, write_calibration
 from smoother.cli.load import clock_of
 from smoother.errors import CalibrationError
 from smoother.io import write_recording
-from smoother.io.recording.read_arm import read_arm
+from smoother.io.recording.read import read_arm
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, simulate_arm
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.intrinsics import Intrinsics, PlacedCamera
-from calib.strap.strap_in_image import Depth, find_strap
+from calib.strap import Depth, find_strap
 from smoother.simulation.strap import Arm, StrapImageNoise, render
 
 #: The colour camera sits 5 cm beside the depth camera, as in a Kinect.

@@ -15,7 +15,7 @@ from smoother.cli.load import load_arm
 from smoother.cli.run import run
 from smoother.config import Config
 from smoother.io import open_csv, read_imu, write_recording
-from smoother.io.mcap.stamps import nanoseconds
+from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from calib.file import read_calibration
 from smoother.cli.run import run
 from smoother.errors import RecordingError
-from smoother.io.markers.files import read_positions
+from smoother.io.markers import read_positions
 
 LAYOUT = "markers = [[0.0, 0.0], [0.2, 0.0], [0.5, 0.0], [0.0, 0.35]]"
 

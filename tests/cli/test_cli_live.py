@@ -23,7 +23,7 @@ from smoother.cli.live_dashboard import Lines, drawn, words
 from smoother.cli.output import console
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
-from smoother.live.estimate import Dropped, LiveOutput, LiveState
+from smoother.live.buffers import Dropped, LiveOutput, LiveState
 from smoother.streams.lsl import lsl_module
 from smoother.streams.session_figures import SessionView, StreamView
 

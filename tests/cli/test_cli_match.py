@@ -12,7 +12,7 @@ import pytest
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import open_recording, select_recording, write_recording
-from smoother.io.recording.match_file import match_file
+from smoother.io.recording.select import match_file
 from smoother.io.recording.streams import RecordingFile
 from smoother.io.recording.write import as_file
 from smoother.simulation import ArmSimulation, simulate_arm

@@ -10,7 +10,7 @@ from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.agreement import agreement, icc_a1, memory, unwound_deg
-from smoother.evaluation.align import lag_s
+from smoother.evaluation.metrics import lag_s
 from smoother.evaluation.reference import ReferenceAlignment
 from smoother.evaluation.validate import validate
 

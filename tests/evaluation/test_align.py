@@ -6,7 +6,7 @@ import numpy as np
 from arms import make_truth, path, turn
 from scipy.spatial.transform import Rotation
 
-from smoother.evaluation.align import linear_at, truth_at
+from smoother.evaluation.metrics import linear_at, truth_at
 from smoother.recording import Truth
 
 

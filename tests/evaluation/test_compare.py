@@ -11,12 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError, SolveError
-from smoother.evaluation.align import lag_s
 from smoother.evaluation.compare import compare
 from smoother.evaluation.gap_table import spread_by_length, spread_of
 from smoother.evaluation.gaps import GapRow
 from smoother.evaluation.hidden_gaps import HiddenGap
-from smoother.evaluation.metrics import summarise
+from smoother.evaluation.metrics import lag_s, summarise
 from smoother.recording import Recording, Truth
 from smoother.result import Recovery
 

@@ -8,8 +8,7 @@ import numpy as np
 from imu_files import motion
 
 from smoother.io.devices.registry import recognise
-from smoother.io.tables.file_head import read_head
-from smoother.io.tables.protocol import ImuTable
+from smoother.io.tables.protocol import ImuTable, read_head
 
 ACC, GYRO = motion()
 COUNT = len(ACC)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from smoother.live.estimate import LiveEstimate, LiveOutput, LiveState
+from smoother.live.buffers import LiveEstimate, LiveOutput, LiveState
 from smoother.recording import JOINTS, JointState
 
 

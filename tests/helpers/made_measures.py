@@ -12,8 +12,7 @@ import numpy as np
 
 from smoother.measures import Measure, Measures, Movement
 from smoother.measures.definitions import definition_of
-from smoother.study.columns import COLUMNS, measure_rows, schema
-from smoother.study.folder import StudyFolder
+from smoother.study.folder import COLUMNS, StudyFolder, measure_rows, schema
 
 #: A sound arm, and the standard deviation with which each measure is known.
 ARM: dict[str, tuple[float, float]] = {

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from smoother.io.devices.registry import recognise
-from smoother.io.tables.file_head import read_head
-from smoother.io.tables.protocol import ImuTable, SkeletonTable
+from smoother.io.tables.protocol import ImuTable, SkeletonTable, read_head
 
 
 def read(path: Path, key: str) -> tuple[list[SkeletonTable], list[ImuTable]]:

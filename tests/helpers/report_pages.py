@@ -12,7 +12,7 @@ from strap_recordings import with_images
 
 from smoother.cli.run import run
 from smoother.io import write_recording
-from smoother.io.mcap.stamps import nanoseconds
+from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm

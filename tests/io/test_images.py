@@ -13,10 +13,10 @@ from scipy.io import wavfile
 from calib.panel.images import read_view, unpacked
 from smoother.errors import CalibrationError, RecordingError
 from smoother.io.mcap.merge import Output, OutputStream
-from smoother.io.media import panel_reading
-from smoother.io.media.audio import read_sound
+from smoother.io.media import panel_files
+from smoother.io.media.clock_files import read_sound
 from smoother.io.media.images import ImageMessage, LensMessage, raw_image, read_images
-from smoother.io.media.panel_reading import read_pairs
+from smoother.io.media.panel_files import read_pairs
 from smoother.io.media.strap import check_images
 from smoother.io.wire.schemas import message_class
 from smoother.runtime.outputs import writing
@@ -156,7 +156,7 @@ def test_a_damaged_message_of_an_image_or_of_sound_is_left_out_and_told(tmp_path
     assert heard == ["damaged.mcap: damaged messages of sound, left out: 1."]
     with pytest.raises(RecordingError, match="no colour"):
         check_images(path)  # the frames' tree is read first
-    assert panel_reading._markers(path) == []
+    assert panel_files._markers(path) == []
 
 
 def test_a_png_whose_chunk_states_gigabytes(tmp_path: Path):

@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
-from smoother.io.markers.c3d import _whole
-from smoother.io.markers.files import read_markers
+from smoother.io.markers import _whole, read_markers
 
 DATASETS = os.environ.get("UNOCCLUDE_DATASETS")
 

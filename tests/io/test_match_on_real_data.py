@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from smoother.io import import_utd_mhad, open_recording, write_recording
-from smoother.io.recording.match_file import match_file
+from smoother.io.recording.select import match_file
 
 pytestmark = pytest.mark.real
 

@@ -21,7 +21,7 @@ from calib.world import world_table as apply
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.container import Container
 from smoother.io.recording.decode import SIDES, UNREPORTED, JointRows
-from smoother.io.recording.read_arm import read_arm
+from smoother.io.recording.read import read_arm
 from smoother.io.recording.streams import ArmFrames, RecordingFile
 from smoother.io.recording.write import as_file
 from smoother.recording import JOINTS, ImuStream, JointState

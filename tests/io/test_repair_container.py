@@ -16,7 +16,7 @@ from test_damaged_container import COUNT, read, written
 
 from smoother.cli.run import run
 from smoother.io import open_recording
-from smoother.io.mcap.repair_container import repair_container
+from smoother.io.mcap.merge import repair_container
 from tools.faults.file_faults import places, put
 
 

@@ -12,8 +12,8 @@ from hypothesis.extra import numpy as arrays
 from calib.file import CalibrationFile, read_calibration, write_calibration
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.io.export.markers import write_trc
-from smoother.io.markers.trc import read_trc
-from smoother.io.mcap.repair_container import repair_container
+from smoother.io.markers import read_trc
+from smoother.io.mcap.merge import repair_container
 from smoother.io.recording.read import open_recording
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import write_recording

@@ -22,9 +22,9 @@ from smoother.io.export.csv import csv_columns
 from smoother.io.export.markers import C3dContent, write_c3d
 from smoother.io.export.mot import MotTable, write_mot
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
-from smoother.io.markers.c3d import read_c3d
+from smoother.io.markers import read_c3d
 from smoother.io.mcap.merge import Output, OutputStream
-from smoother.io.mcap.stamps import nanoseconds
+from smoother.io.mcap.messages import nanoseconds
 from smoother.io.media.images import raw_image, read_images
 from smoother.io.wire import protobuf_encode as wire
 from smoother.io.wire.schemas import parsed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.live.estimate import LiveState
+from smoother.live.buffers import LiveState
 from smoother.live.tracker import FrameHistory
 
 DELAY_S = 0.1

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from live_play import LATENCY_S, OFFSET_S, errors, events, play, rms, simulated
 
-from smoother.live.buffers import CameraClock, FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
-from smoother.live.estimate import LiveState
+from smoother.live.buffers import CameraClock, FrameBuffer, ImuBatch, ImuBuffer, LiveState, SkeletonFrame
 
 SIMULATION = simulated(2, 15.0, ())
 ARRIVALS = events(SIMULATION)

@@ -10,7 +10,7 @@ import pytest
 
 from smoother.errors import RecordingError
 from smoother.io import write_recording
-from smoother.io.recording.read_arm import read_arm
+from smoother.io.recording.read import read_arm
 from smoother.measurements.remedy import Remedy
 from smoother.recording import JOINTS, CameraFrame, Recording
 from smoother.simulation import ArmSimulation, simulate_arm

@@ -29,20 +29,16 @@ from smoother.io import (
     read_recovery,
 )
 from smoother.io.devices.files import ImuFiles
-from smoother.io.markers.c3d import read_c3d
-from smoother.io.markers.files import read_markers, read_positions
-from smoother.io.markers.trc import read_trc
+from smoother.io.markers import read_c3d, read_markers, read_positions, read_trc
 from smoother.io.mcap.container import Container
-from smoother.io.media.audio import read_sound
-from smoother.io.media.clock_files import read_broadcast
+from smoother.io.media.clock_files import read_broadcast, read_sound
 from smoother.io.media.images import read_images
-from smoother.io.plain.datasets import import_utd_mhad
+from smoother.io.plain.folder import import_utd_mhad
 from smoother.io.plain.table import read_table
-from smoother.io.tables.file_head import read_head
+from smoother.io.tables.protocol import read_head
 from smoother.io.tables.text_table import read_sheet
 from smoother.runtime.inputs import check_input
-from smoother.study.fingerprint import file_hash
-from smoother.study.inputs import find_entries
+from smoother.study.inputs import file_hash, find_entries
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
 #: No reader waits so long for a writer, s; on a busy machine the processes of `batch` take 10 s to start.

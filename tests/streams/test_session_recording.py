@@ -14,11 +14,10 @@ from scenes import ALONE, arm
 from smoother import smooth
 from smoother.errors import UnoccludeError
 from smoother.io import open_recording, read_recording, write_recording
-from smoother.io.mcap.repair_container import repair_container
+from smoother.io.mcap.merge import repair_container
 from smoother.streams.arrivals import Arrivals
 from smoother.streams.replay import Replay
-from smoother.streams.session import LiveSession
-from smoother.streams.session_recording import SessionRecording, check_recording, growing_name
+from smoother.streams.session import LiveSession, SessionRecording, check_recording, growing_name
 
 
 @pytest.fixture

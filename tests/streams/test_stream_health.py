@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.streams.arrivals import FrameRows, ImuRows
+from smoother.streams.arrivals import FrameRows, ImuRows, StampSteps
 from smoother.streams.session_figures import DelayCounts, StreamHealth
-from smoother.streams.stamp_steps import StampSteps
 
 
 def fed(t, arrival, batch: int = 1) -> tuple[StreamHealth, list[str]]:

@@ -11,7 +11,7 @@ from studies import BROKEN, NAMES
 from smoother.config import Config
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.study.fingerprint import InputSelection, config_hash
+from smoother.study.inputs import InputSelection, config_hash
 from smoother.study.job import Job
 from smoother.study.run import study_folder
 

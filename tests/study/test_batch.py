@@ -15,7 +15,7 @@ from calib.file import CalibrationFile, write_calibration
 from smoother import __version__
 from smoother.calibration import ArmCalibration, Length
 from smoother.cli.run import run
-from smoother.study.fingerprint import file_hash
+from smoother.study.inputs import file_hash
 from smoother.study.job import run_job
 
 

@@ -13,8 +13,7 @@ from studies import BROKEN, NAMES, batch, query, start_batch, state, until_stopp
 from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.study import cluster
-from smoother.study.fingerprint import InputSelection
-from smoother.study.inputs import find_entries
+from smoother.study.inputs import InputSelection, find_entries
 from smoother.study.job import Job, run_job
 from smoother.study.run import StudySettings, run_study, study_folder
 

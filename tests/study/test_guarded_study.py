@@ -18,7 +18,7 @@ from pyarrow import parquet
 from studies import BROKEN, NAMES, batch
 
 from smoother.study.cluster import run_local
-from smoother.study.columns import DONE, FAILED, Row
+from smoother.study.folder import DONE, FAILED, Row
 from smoother.study.inputs import find_entries
 from smoother.study.job import Job, Limits, TimeUp, limited, run_job
 from smoother.study.ledger import Ledger

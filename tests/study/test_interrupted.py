@@ -33,7 +33,7 @@ from smoother.errors import UnoccludeError
 from smoother.runtime.outputs import temporary_name
 from smoother.study import cluster
 from smoother.study.cluster import run_local
-from smoother.study.columns import DONE, FAILED, Row
+from smoother.study.folder import DONE, FAILED, Row
 from smoother.study.inputs import find_entries
 from smoother.study.job import Job, Known, run_job
 from smoother.study.ledger import Ledger

@@ -11,9 +11,8 @@ import pytest
 from studies import NAMES, batch, query, state
 
 from smoother.cli.run import run
-from smoother.study.columns import MEASURE_FIELDS, Row
-from smoother.study.fingerprint import hashed_name, relative_day
-from smoother.study.folder import StudyFolder
+from smoother.study.folder import MEASURE_FIELDS, Row, StudyFolder
+from smoother.study.inputs import hashed_name, relative_day
 from smoother.study.job import Job, run_job
 
 

@@ -12,9 +12,8 @@ from made_measures import made_measure, made_measures, study_row, write_study
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress
-from smoother.study.fingerprint import hashed_name
 from smoother.study.folder import StudyFolder
-from smoother.study.inputs import SessionEntry, by_folders, in_order, read_sessions
+from smoother.study.inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions
 from smoother.study.progress import progress_of, read_rows, sessions_of
 
 FLEXION = "elbow_flexion_range_deg"

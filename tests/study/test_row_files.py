@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import dataset, parquet
 
-from smoother.study.columns import rows_table, schema
+from smoother.study.folder import rows_table, schema
 
 #: So many bytes beside what the child has when it begins: too few for a thread, for some, for all.
 SPARE_MB = (0, 4, 12, 24, 64)
@@ -18,7 +18,7 @@ SHORT_OF_MEMORY = """
 import resource, sys
 from pathlib import Path
 import pyarrow.parquet
-from smoother.study.columns import rows_table
+from smoother.study.folder import rows_table
 used = int(Path("/proc/self/status").read_text().split("VmData:")[1].split()[0]) << 10
 resource.setrlimit(resource.RLIMIT_DATA, (used + (int(sys.argv[1]) << 20),) * 2)
 try:

@@ -18,7 +18,7 @@ from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
 from smoother.evaluation.group import LONG, group_measures, group_waveforms
 from smoother.report.study import worst_first, write_study
-from smoother.study.columns import COLUMNS, schema
+from smoother.study.folder import COLUMNS, schema
 from smoother.study.group import long_rows, persons_of
 from smoother.study.run import Tally
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smoother.io.markers.c3d import read_c3d
+from smoother.io.markers import read_c3d
 from tools.faults.c3d import ENDS, mutants, outcome, sound_files
 
 pytest.importorskip("ezc3d")

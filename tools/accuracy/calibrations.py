@@ -36,7 +36,7 @@ from calib.imu.accelerometer import find_rests, sphere_points
 from calib.imu.magnetometer import calibrate_magnetometer
 from calib.imu.sensor_calibration import GRAVITY, allan_noise, calibrate_imu
 from calib.intrinsics import Intrinsics, PlacedCamera
-from calib.strap.strap_in_image import Depth, find_strap
+from calib.strap import Depth, find_strap
 from smoother.errors import CalibrationError
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.clocks import beep, broadcast

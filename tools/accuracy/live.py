@@ -16,11 +16,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from smoother.evaluation.align import lag_s
-from smoother.evaluation.live_methods import arrivals
-from smoother.live.buffers import ImuBatch
+from smoother.evaluation.compare import arrivals
+from smoother.evaluation.metrics import lag_s
+from smoother.live.buffers import ImuBatch, LiveOutput, LiveState
 from smoother.live.calibrations import InlineCalibrator
-from smoother.live.estimate import LiveOutput, LiveState
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from tools.accuracy.check import Check, option, rms, seeds_option

@@ -34,17 +34,18 @@ from pathlib import Path
 import numpy as np
 
 from smoother.calibration import ArmCalibration
-from smoother.evaluation.align import truth_at
 from smoother.evaluation.measure_agreement import same_samples
+from smoother.evaluation.metrics import truth_at
 from smoother.evaluation.progress import (
+    BY_MOVEMENT,
     LESS,
     MORE,
     UNKNOWN,
     SessionValue,
     change_between,
+    is_main,
     without_like_movements,
 )
-from smoother.evaluation.quantity import BY_MOVEMENT, is_main
 from smoother.measures import Measure, MeasureSettings, measure
 from smoother.measures.layout import SESSION
 from smoother.measures.measuring import Measuring

@@ -29,9 +29,8 @@ from scipy.stats import chi2, chisquare, norm
 
 from calib.motion.motion_calibration import calibrate_motion
 from smoother.calibration import ArmCalibration
-from smoother.evaluation.align import truth_at
 from smoother.evaluation.hidden_gaps import place_gaps
-from smoother.evaluation.metrics import squared_sigmas
+from smoother.evaluation.metrics import squared_sigmas, truth_at
 from smoother.evaluation.validate import sample_errors
 from smoother.io import import_broad, import_utd_mhad
 from smoother.joint_angles import arm_angles, elbow_flexion_sigma, recovery_angles

@@ -25,10 +25,9 @@ from typing import Any
 import numpy as np
 
 from smoother.array_types import BoolArray, FloatArray
-from smoother.baselines.adapter import recovery_of, scenes_of
 from smoother.baselines.registry import BASELINES
 from smoother.baselines.scene import Path as Answer
-from smoother.baselines.scene import Scene
+from smoother.baselines.scene import Scene, recovery_of, scenes_of
 from smoother.config import Config
 from smoother.evaluation.validate import sample_errors
 from smoother.io import read_recording, read_recovery, write_recording

@@ -23,7 +23,7 @@ import numpy as np
 from smoother.errors import RecordingError
 from smoother.io.devices.marker_skeletons import read_segment_origins
 from smoother.io.export.markers import C3dContent, write_c3d
-from smoother.io.markers.c3d import read_c3d
+from smoother.io.markers import read_c3d
 from tools.faults import file_faults, write_table
 
 #: Guard of a mutant: s of the processor and in all, bytes.

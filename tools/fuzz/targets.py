@@ -119,7 +119,7 @@ def recording(data: bytes) -> None:
 def repair(data: bytes) -> None:
     """MCAP, written anew; what was repaired reads back."""
     from smoother.io.mcap.container import Container
-    from smoother.io.mcap.repair_container import repair_container
+    from smoother.io.mcap.merge import repair_container
 
     path, whole = file_of(data, "b.mcap"), place("whole.mcap")
     report = repair_container(path, whole, force=True)
@@ -135,7 +135,7 @@ def result(data: bytes) -> None:
 
 def media(data: bytes) -> None:
     """MCAP: images, lenses, sound."""
-    from smoother.io.media.audio import read_sound
+    from smoother.io.media.clock_files import read_sound
     from smoother.io.media.images import ImageMessage, read_images
 
     path = file_of(data, "c.mcap")
@@ -158,21 +158,21 @@ def picture(data: bytes) -> None:
 
 def sound(data: bytes) -> None:
     """A WAV file."""
-    from smoother.io.media.audio import read_sound
+    from smoother.io.media.clock_files import read_sound
 
     read_sound(file_of(data, "a.wav"))
 
 
 def trc(data: bytes) -> None:
     """Markers in TRC."""
-    from smoother.io.markers.trc import read_trc
+    from smoother.io.markers import read_trc
 
     read_trc(file_of(data, "a.trc"))
 
 
 def c3d(data: bytes) -> None:
     """Markers in C3D, as the header and the parameters say."""
-    from smoother.io.markers.c3d import read_c3d
+    from smoother.io.markers import read_c3d
 
     read_c3d(file_of(data, "a.c3d"))
 
@@ -191,7 +191,7 @@ def csv(data: bytes) -> None:
 
 def matlab(data: bytes) -> None:
     """A trial of a published data set."""
-    from smoother.io.plain.datasets import import_utd_mhad
+    from smoother.io.plain.folder import import_utd_mhad
 
     path = file_of(data, "a.mat")
     import_utd_mhad(path, path)

@@ -17,7 +17,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import masked_correlation, nearest_rotation, robust_sigma
 from ...result import Recovery
-from ..align import orientation_at, position_at
+from ..metrics import orientation_at, position_at
 from .motion import MocapMotion
 
 #: A turn or a way is taken over this time, s.

@@ -17,7 +17,7 @@ from ...errors import CalibrationError, RecordingError
 from ...linalg import nearest_rotation
 from ...recording import CameraFrame
 from ...result import Recovery
-from ..align import orientation_at, position_at
+from ..metrics import orientation_at, position_at
 from .clock import MocapClock, summed_covariance
 from .markers import numbers
 from .motion import MocapMotion

@@ -38,7 +38,7 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import nearest_rotation, runs
 from ...runtime.inputs import check_input, read_toml
-from ..align import STAMP_S
+from ..metrics import STAMP_S
 
 #: Joints that a map may name.
 MAPPED_JOINTS = ("shoulder", "elbow", "wrist", "hand")

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...io.markers.trajectories import Markers
+from ...io.markers import Markers
 from ...recording import Truth
-from ..align import BRIDGED_S
+from ..metrics import BRIDGED_S
 from .markers import (
     LONGEST_S,
     MarkerMap,

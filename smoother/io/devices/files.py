@@ -12,7 +12,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JOINTS, JointState
-from ..mcap.stamps import nanoseconds
+from ..mcap.messages import nanoseconds
 from ..recording.clean import clean_arm, clean_imu
 from ..recording.decode import JointRows, joint_code
 from ..recording.selection import named_side, role

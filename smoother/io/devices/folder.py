@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import RecordingError
-from ..markers.files import MARKER_FORMATS, read_markers
+from ..markers import MARKER_FORMATS, read_markers
 from ..plain.folder import read_pose_table
 from ..recording.read import open_recording
 from ..recording.streams import RecordingFile
-from ..tables.file_head import first_rows, read_head
-from ..tables.protocol import ImuTable, SkeletonTable
+from ..tables.protocol import ImuTable, SkeletonTable, first_rows, read_head
 from .files import FileReport, ImuFiles
 from .registry import FileReader, keys, unknown_file
 

@@ -12,12 +12,9 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
 from ...runtime.inputs import check_input
-from ..markers.c3d import read_c3d, would_crash
-from ..markers.trajectories import Markers
-from ..markers.trc import read_trc
-from ..tables.file_head import shown
+from ..markers import Markers, read_c3d, read_trc, would_crash
 from ..tables.joint_columns import JointName, joint_name
-from ..tables.protocol import FileHead, SkeletonTable
+from ..tables.protocol import FileHead, SkeletonTable, shown
 from ..tables.raw_skeleton import axis_words, down_of, frame_of, half_arm, require_arm, unit_by_arm, up_axis
 from ..tables.units import METRES
 

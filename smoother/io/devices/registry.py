@@ -7,11 +7,10 @@ from pathlib import Path
 
 from ...errors import RecordingError
 from ..tables.columns import MissingAxis, missing_axes, missing_axes_words
-from ..tables.file_head import first_rows, no_table, read_head
 from ..tables.imu_formats import IMU_FORMATS
 from ..tables.joint_columns import find_joint_columns
 from ..tables.phone_formats import PHONE_FORMATS
-from ..tables.protocol import DeviceFormat, FileHead, ImuTable, SkeletonTable
+from ..tables.protocol import DeviceFormat, FileHead, ImuTable, SkeletonTable, first_rows, no_table, read_head
 from ..tables.skeleton_formats import SKELETON_FORMATS
 from ..tables.table_layout import layout_of
 
@@ -19,20 +18,19 @@ from ..tables.table_layout import layout_of
 @cache
 def formats() -> tuple[DeviceFormat, ...]:
     """All importers; where two recognise a file, the earlier one has it."""
-    from . import apdm_hdf, axivity, marker_skeletons, mvnx, numbered_joints, ros_files, skeleton_json, xdf
-    from .long_skeleton import LongSkeleton
+    from . import marker_skeletons, message_files, sensor_files, skeleton_json, skeleton_tables
 
     importers: list[DeviceFormat] = [
-        *(xdf.XdfFile(), ros_files.RosBag1(), ros_files.McapFile(), numbered_joints.JointArray()),
-        *(marker_skeletons.C3dSkeleton(), marker_skeletons.TrcSkeleton()),
+        *(message_files.XdfFile(), message_files.RosBag1(), message_files.McapFile()),
+        *(skeleton_tables.JointArray(), marker_skeletons.C3dSkeleton(), marker_skeletons.TrcSkeleton()),
         *(skeleton_json.KinectJson(), skeleton_json.PoseJson(), *SKELETON_FORMATS),
-        *(LongSkeleton(), numbered_joints.BareKinect()),
+        *(skeleton_tables.LongSkeleton(), skeleton_tables.BareKinect()),
     ]
     #: Files that are no plain tables, listed behind a row of `IMU_FORMATS`.
     behind: dict[str, DeviceFormat] = {
-        "xsens-dot": mvnx.Mvnx(),
-        "apdm": apdm_hdf.ApdmHdf(),
-        "phyphox": axivity.Axivity(),
+        "xsens-dot": sensor_files.Mvnx(),
+        "apdm": sensor_files.ApdmHdf(),
+        "phyphox": sensor_files.Axivity(),
     }
     for row in (*IMU_FORMATS, *PHONE_FORMATS):
         importers.append(row)

@@ -19,8 +19,7 @@ from ...measurements.timestamps import (
     resets_message,
     unwrapped,
 )
-from ..tables.file_head import amount
-from ..tables.protocol import ImuTable, SkeletonTable
+from ..tables.protocol import ImuTable, SkeletonTable, amount
 
 #: Rows at the start with a stamp of zero are no times where the next stamp lies this far on, s.
 _FAR_S = 3600.0

@@ -15,9 +15,8 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input
-from ..tables.file_head import decode
 from ..tables.joint_columns import AZURE, BLAZEPOSE, POINT_SETS, JointName, joint_name
-from ..tables.protocol import FileHead, SkeletonTable
+from ..tables.protocol import FileHead, SkeletonTable, decode
 from ..tables.raw_skeleton import Conventions, RawSkeleton
 from ..tables.skeleton_formats import (
     about_hips,

@@ -12,7 +12,7 @@ from ...body import SEGMENTS, BodySegment
 from ...result import Recovery
 from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ...runtime.outputs import writing
-from ..mcap.stamps import nanoseconds
+from ..mcap.messages import nanoseconds
 from ..result.usable import usable
 
 _ROWS = 20_000

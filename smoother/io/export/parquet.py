@@ -15,7 +15,7 @@ from ...result import Draws, Recovery
 from ...result.draws import turned_by
 from ...runtime.outputs import writing
 from ...runtime.printable import plain
-from ..mcap.stamps import nanoseconds
+from ..mcap.messages import nanoseconds
 from ..result.metadata import recovery_values
 from ..result.usable import usable
 from .csv import column_groups

@@ -1,9 +1,15 @@
-"""Sources of clocks as files: tables of receptions read, a simulated session's files written."""
+"""Sources of clocks as files: tables of receptions read, a simulated session's files written.
+
+Sound tracks: a WAV file, or an audio topic of an MCAP recording.
+"""
 
 from __future__ import annotations
 
 import csv
 import os
+import struct
+import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +20,186 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import Recording
 from ...runtime.inputs import check_input
+from ..mcap.container import Container
+from ..mcap.messages import McapMessage, Topic
 from ..recording.write import write_recording
-from .panel_writing import writing_folder
+from ..wire.cdr import CdrReader
+from ..wire.schemas import parsed
+from .panel_files import writing_folder
+
+#: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
+JUMP_PART = 0.5
+_ROS = ("audio_common_msgs/AudioData", "audio_common_msgs/AudioDataStamped", "audio_common_msgs/AudioStamped")
+
+
+@dataclass(frozen=True)
+class Track:
+    """Sound without a gap.
+
+    Attributes
+    ----------
+    samples : ndarray, shape (N,)
+        The loudest channel, full scale 1.
+    rate_hz : float
+        Samples a second, as measured by the stamps where there are several.
+    start_s : float, s
+        Time of the first sample: 0 for a WAV file, on the recorder's clock for a topic.
+    source : str
+        File, and topic where there is one.
+    """
+
+    samples: FloatArray
+    rate_hz: float
+    start_s: float
+    source: str
+
+
+def read_sound(
+    path: str | os.PathLike[str],
+    topic: str | None = None,
+    ros_rate_hz: int = 16000,
+    notes: list[str] | None = None,
+) -> list[Track]:
+    """The tracks of a WAV file, or of the audio topic of an MCAP file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; anything that does not end in .mcap is read as WAV.
+    topic : str, optional
+        The audio topic, where there are several.
+    ros_rate_hz : int
+        Sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
+    notes : list of str, optional
+        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
+
+    Returns
+    -------
+    list of Track
+        In order of time.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or holds no sound that can be.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".mcap":
+        return _from_mcap(path, topic, ros_rate_hz, [] if notes is None else notes)
+    from scipy.io import wavfile
+
+    check_input(path, RecordingError)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # chunks that it does not know are of no concern
+            rate, data = wavfile.read(path)
+    except FileNotFoundError as error:
+        raise RecordingError(f"{path} does not exist; check the name.") from error
+    except Exception as error:  # whatever a damaged file leads the library into
+        raise RecordingError(
+            f"{path} is not a WAV file that can be read ({' '.join(str(error).split())}); save it as"
+            " 16-bit PCM."
+        ) from error
+    if not len(data) or rate <= 0:
+        raise RecordingError(f"{path} holds no sound; record it again.")
+    return [Track(_loudest(_full_scale(data)), float(rate), 0.0, str(path))]
+
+
+def _full_scale(data: np.ndarray) -> FloatArray:
+    """Samples (N, channels) of any PCM type as floats between -1 and 1."""
+    values = data.reshape(len(data), -1).astype(np.float64)
+    if data.dtype == np.uint8:
+        return (values - 128.0) / 128.0
+    if np.issubdtype(data.dtype, np.integer):
+        return values / float(np.iinfo(data.dtype).max)
+    return np.nan_to_num(values)
+
+
+def _loudest(values: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(values[:, int(np.argmax(values.var(axis=0)))])
+
+
+def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int, notes: list[str]) -> list[Track]:
+    container = Container(path)
+    blocks: dict[int, list[tuple[float, FloatArray, float]]] = {}
+    damaged = 0
+    for batch in container.batches(_is_audio):
+        for position, messages in batch.items():
+            for message in messages:
+                try:
+                    blocks.setdefault(position, []).append(_block(message, ros_rate_hz))
+                except (ValueError, IndexError, struct.error):
+                    damaged += 1
+    notes += container.notes
+    if damaged:
+        notes.append(f"{path.name}: damaged messages of sound, left out: {damaged}.")
+    names = {position: container.topics[position].name for position in blocks}
+    chosen = [k for k, name in names.items() if wanted is None or wanted in name]
+    if len(chosen) != 1:
+        has = ", ".join(sorted(names.values())) or "none"
+        what = "has no audio topic that can be read" if not chosen else "has several audio topics"
+        raise RecordingError(
+            f"{path} {what} (foxglove.RawAudio, audio_common_msgs); found: {has}; name one with"
+            " --audio-topic, or give a WAV file."
+        )
+    (position,) = chosen
+    return _tracks([block for block in blocks[position] if len(block[1])], f"{path}, {names[position]}")
+
+
+def _is_audio(topic: Topic) -> bool:
+    if topic.encoding == "protobuf":
+        return topic.schema == "foxglove.RawAudio"
+    return topic.encoding == "cdr" and topic.schema.replace("/msg/", "/") in _ROS
+
+
+def _block(message: McapMessage, ros_rate_hz: int) -> tuple[float, FloatArray, float]:
+    """Stamp (s), samples (n, channels) and rate (Hz) of one message."""
+    if message.topic.encoding == "protobuf":
+        audio = parsed("foxglove.RawAudio", bytes(message.data))
+        if audio.format != "pcm-s16" or not audio.sample_rate or not audio.number_of_channels:
+            raise RecordingError(f"{message.topic.name} is of format {audio.format!r}; record pcm-s16.")
+        stamp = audio.timestamp.seconds + 1e-9 * audio.timestamp.nanos
+        count = len(audio.data) // (2 * audio.number_of_channels)
+        data = np.frombuffer(audio.data, "<i2", count * audio.number_of_channels)
+        values = data.reshape(count, audio.number_of_channels) / 32767.0
+        return stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate)
+    cdr, stamp = CdrReader(bytes(message.data)), 1e-9 * message.log_ns
+    if not message.topic.schema.endswith("AudioData"):  # std_msgs/Header in front
+        stamp = cdr.number("I") + 1e-9 * cdr.number("I") or stamp
+        cdr.text()
+    raw = cdr.octets()
+    samples = np.frombuffer(raw, f"{cdr.order}i2", len(raw) // 2) / 32767.0
+    return stamp, samples[:, None], float(ros_rate_hz)
+
+
+def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[Track]:
+    """Blocks put together to runs whose stamps keep step; a run's stamps are averaged to one start."""
+    tracks: list[Track] = []
+    first = 0
+    while first < len(blocks):
+        rate, last, count = blocks[first][2], first, 0
+        start = blocks[first][0]
+        while last < len(blocks) and blocks[last][2] == rate:
+            length = len(blocks[last][1])
+            if abs(blocks[last][0] - start - count / rate) > max(JUMP_PART * length / rate, 0.05):
+                break
+            count, last = count + length, last + 1
+        part = blocks[first:last]
+        starts = np.cumsum([0, *(len(block) for _, block, _ in part[:-1])])
+        stamps = np.array([stamp for stamp, _, _ in part])
+        offset = stamps - starts / rate
+        if len(part) >= 20:  # the sound card's crystal against the recorder's clock
+            slope, level = np.polyfit(starts / rate, offset, 1)
+            slope = slope if abs(slope) < 1e-3 else 0.0
+        else:
+            slope, level = 0.0, float(np.median(offset))
+        samples = _loudest(np.concatenate([block for _, block, _ in part]))
+        tracks.append(Track(samples, rate / (1 + slope), float(level), source))
+        first = last
+    if not tracks:
+        raise RecordingError(f"{source} holds no sound; record it again.")
+    return tracks
+
 
 COLUMNS = ("round", "node", "t_s")
 #: Times that say "not received", in lower case.

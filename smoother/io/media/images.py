@@ -16,8 +16,7 @@ from calib.panel.images import unpacked
 
 from ...errors import RecordingError
 from ..mcap.container import Container
-from ..mcap.messages import Topic
-from ..mcap.stamps import SECOND_NS
+from ..mcap.messages import SECOND_NS, Topic
 from ..wire.cdr import CdrReader
 from ..wire.schemas import message_class, parsed
 

@@ -21,8 +21,7 @@ from ...recording import Recording
 from ...runtime.outputs import writing
 from ..mcap.container import Container
 from ..mcap.merge import Output, OutputStream
-from ..mcap.messages import Topic
-from ..mcap.stamps import nanoseconds
+from ..mcap.messages import Topic, nanoseconds
 from ..recording.write import as_file, recording_streams
 from ..wire.schemas import message_class, parsed
 from .images import (

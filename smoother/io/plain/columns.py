@@ -15,9 +15,8 @@ from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
 from ...runtime.inputs import check_input
 from ..recording.decode import joint_code
-from ..tables.file_head import decode, shown
 from ..tables.joint_columns import joint_name
-from ..tables.protocol import ImuTable, SkeletonTable
+from ..tables.protocol import ImuTable, SkeletonTable, decode, shown
 from ..tables.raw_skeleton import BodyRows
 from ..tables.table_layout import SEPARATORS, TableLayout, is_data, layout_of, split_line
 from ..tables.text_table import Sheet, read_sheet, sheet_of_text

@@ -13,7 +13,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import ImuStream
 from ...runtime.inputs import check_input
-from ..tables.file_head import plain_minus, shown
+from ..tables.protocol import plain_minus, shown
 from ..tables.text_table import ROWS_BEFORE, is_cut_number
 
 #: Bytes at the end of a file that hold its last rows.

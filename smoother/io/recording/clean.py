@@ -14,8 +14,7 @@ from ...measurements.timestamps import clock_resets, increasing
 from ...recording import JOINTS, JointState
 from ...runtime.store import Store, batches, sampled
 from ...units import STANDARD_GRAVITY
-from .stamps import kept
-from .streams import ArmFrames, ImuSamples, PoseSamples
+from .streams import ArmFrames, ImuSamples, PoseSamples, kept
 
 #: Names of two causes.
 ZERO, FROZEN = "all zero", "frozen"

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS, CameraFrame, JointState
 from ...runtime.store import Column, Store, batches, sampled
-from ..mcap.messages import Topic, TopicMessages
-from ..mcap.stamps import ros_stamps
+from ..mcap.messages import Topic, TopicMessages, ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
 from ..wire.layout import Block, Grouper, MessageLayout, axes

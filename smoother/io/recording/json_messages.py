@@ -13,8 +13,7 @@ import numpy as np
 
 from ...recording import JOINTS, JointState
 from ...runtime.store import Column, Store
-from ..mcap.messages import Topic, TopicMessages
-from ..mcap.stamps import SECOND_NS
+from ..mcap.messages import SECOND_NS, Topic, TopicMessages
 from .decode import SIDES, JointRows, joint_code
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples
 

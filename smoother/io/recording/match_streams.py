@@ -12,7 +12,7 @@ from ...matching import ImuMatch, Limb, limbs_of, match_imus
 from ...recording import JOINTS, ImuStream, JointState, JointTracks
 from ...runtime.store import Store, batches
 from ...selfcal.pairing import shifted_agreement
-from ..mcap.stamps import seconds
+from ..mcap.messages import seconds
 from .clean import clean_arm, clean_imu
 from .streams import ArmFrames, ImuSamples, RecordingFile
 

@@ -15,7 +15,7 @@ from ...linalg import runs
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from ...runtime.outputs import writing
 from ..mcap.merge import Encoded, Output, OutputStream
-from ..mcap.stamps import nanoseconds
+from ..mcap.messages import nanoseconds
 from ..wire import protobuf_encode as wire
 from .read import CLOCKS_UNRELATED, METADATA
 from .selection import OTHER_SIDE

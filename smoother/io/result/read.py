@@ -22,8 +22,7 @@ from ...result import Draws, Estimates, FrameResiduals, Recovery
 from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ...rotation import Rotation
 from ..mcap.container import Container
-from ..mcap.messages import Topic, plain_name
-from ..mcap.stamps import seconds
+from ..mcap.messages import Topic, plain_name, seconds
 from ..recording.read import METADATA, RESULT_PREFIX
 from .metadata import calibration_of, gaps_of
 from .topic_tables import TABLES, CameraTable, DrawsTable, ResidualTable, TopicTable, kind_of

@@ -13,7 +13,7 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...recording import JOINTS, JointState
 from ...result import FrameResiduals, Recovery
 from ..mcap.merge import Encoded, Output, OutputStream, TimeAxis
-from ..mcap.stamps import nanoseconds
+from ..mcap.messages import nanoseconds
 from ..recording.read import RESULT_PREFIX
 from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there

@@ -12,8 +12,7 @@ from ...array_types import IntArray
 from ...body import FURTHER
 from ...recording import JOINTS, JointTracks
 from ...result import Draws
-from ..mcap.messages import Topic, TopicMessages
-from ..mcap.stamps import seconds
+from ..mcap.messages import Topic, TopicMessages, seconds
 from ..recording.decode import SkeletonDecoder, joint_code, proto_grouper
 from ..recording.read import RESULT_PREFIX
 from ..wire import protobuf_decode as proto

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...array_types import FloatArray
-from .file_head import shown
 from .imu_checks import turn_scale
 from .joint_columns import words_of
-from .protocol import ImuTable
+from .protocol import ImuTable, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 
 #: All in lower case; English first.

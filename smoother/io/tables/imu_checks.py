@@ -11,8 +11,7 @@ from ...errors import RecordingError
 from ...linalg import interpolate, median_rate_hz
 from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
 from ...units import STANDARD_GRAVITY
-from .file_head import amount
-from .protocol import ImuTable
+from .protocol import ImuTable, amount
 
 #: A median below this part of gravity holds no gravity.
 _NO_GRAVITY = 0.35

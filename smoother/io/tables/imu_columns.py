@@ -11,9 +11,8 @@ import numpy as np
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
-from .file_head import shown
 from .imu_checks import size_notes, with_settled_unit
-from .protocol import FileHead, ImuTable
+from .protocol import FileHead, ImuTable, shown
 from .table_layout import TableLayout, layout_of
 from .text_table import Sheet, read_sheet
 from .units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit

@@ -1,7 +1,12 @@
-"""What an importer of device files is: it recognises a file by what is in it, and reads it."""
+"""What an importer of device files is: it recognises a file by what is in it, and reads it.
+
+The beginning of a file, as importers see it, and how it is shown in a message.
+"""
 
 from __future__ import annotations
 
+import codecs
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -10,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...array_types import FloatArray
+from ...errors import RecordingError
 from ...recording import CameraFrame
+from ...runtime.inputs import check_input, marked_encoding
 
 
 @dataclass
@@ -157,3 +164,108 @@ class DeviceFormat(Protocol):
         RecordingError
             In one sentence: the file, what was expected, and what to export instead.
         """
+
+
+#: So much of a file is read to recognise it, bytes.
+HEAD_BYTES = 65_536
+#: So much of a file is shown in a message at most, characters.
+SHOWN_CHARACTERS = 200
+#: Among the first characters, more of these than one in so many are no text.
+_CONTROL_SHARE = 0.02
+#: Dashes that stand for a minus: before a number or the digits of an exponent, not between two numbers.
+_DASH = re.compile(r"(?:(?<!\w)|(?<=\d[eE]))[\u2012\u2013](?=[.,]?\d)")
+
+
+def read_head(path: Path) -> FileHead:
+    """Read a file's beginning.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    FileHead
+        Its first 64 kB, decoded where they are text.
+
+    Raises
+    ------
+    RecordingError
+        The file does not exist, is a folder, is empty, or cannot be read.
+    """
+    check_input(path, RecordingError)
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(HEAD_BYTES)
+    except FileNotFoundError:
+        raise RecordingError(f"{path} does not exist; check the name.") from None
+    except IsADirectoryError:
+        raise RecordingError(f"{path} is a folder; name the file in it.") from None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    if not raw:
+        raise RecordingError(f"{path} is empty; export or copy it again.")
+    text = decode(raw)
+    whole = text if len(raw) < HEAD_BYTES else text[: text.rfind("\n") + 1] or text
+    return FileHead(path, raw, text, tuple(whole.splitlines()))
+
+
+def decode(raw: bytes) -> str:
+    """A file's bytes as text without byte-order mark, with plain minus signs; "" where they are no text."""
+    encoding = marked_encoding(raw)
+    if encoding is None and len(raw) >= 4:  # UTF-16 without a mark: every other byte of plain text is zero
+        even, odd = raw[0:400:2].count(0), raw[1:400:2].count(0)
+        half = len(raw[:400]) // 2
+        if odd > 0.8 * half and not even:
+            encoding = "utf-16-le"
+        elif even > 0.8 * half and not odd:
+            encoding = "utf-16-be"
+    if encoding is None:
+        if b"\0" in raw:
+            return ""
+        encoding = "utf-8"
+    try:
+        # The last character may be cut in two by the end of the head.
+        text = codecs.getincrementaldecoder(encoding)().decode(raw)
+    except UnicodeDecodeError:
+        text = raw.decode("cp1252", errors="replace")
+    start = text[:4000]
+    control = sum(1 for character in start if ord(character) < 32 and character not in "\t\r\n\f")
+    return "" if control > _CONTROL_SHARE * len(start) else plain_minus(text)
+
+
+def plain_minus(text: str) -> str:
+    """Text in which typographic minus signs, and dashes before a number, are the plain minus."""
+    text = text.replace("\u2212", "-")
+    return _DASH.sub("-", text) if "\u2012" in text or "\u2013" in text else text
+
+
+def no_table(raw: bytes, text: str) -> str:
+    """What is plainly no table to read, and what to do: goes behind the file's name; "" for others."""
+    if raw.startswith(b"\xd0\xcf\x11\xe0") or (raw.startswith(b"PK\x03\x04") and b"[Content_Types]" in raw):
+        return "is an Excel workbook; save it as CSV."
+    if raw.startswith(b"PK\x03\x04"):
+        return "is an archive (zip, or a spreadsheet); unpack it, or save it as CSV."
+    lines = [line for line in text.splitlines() if line.strip()]
+    names = r"[^\d;,\t][^;,\t]*([;,\t]\s*[^\d\s;,\t+.-][^;,\t]*)+"
+    is_header = len(lines) == 1 and re.fullmatch(names, lines[0])
+    return "has a header and holds no rows; export it again." if is_header else ""
+
+
+def amount(count: int, one: str, many: str) -> str:
+    """A count with the words behind it: of one, or of many."""
+    return f"{count} {one if count == 1 else many}"
+
+
+def shown(text: str, characters: int = SHOWN_CHARACTERS) -> str:
+    """Text as a message can show it: no control characters, no more than so many characters."""
+    plain = " ".join("".join(c if c.isprintable() else " " for c in text[: 8 * characters]).split())
+    return plain if len(plain) <= characters else plain[: characters - 2] + ".."
+
+
+def first_rows(head: FileHead, characters: int = SHOWN_CHARACTERS) -> str:
+    """The first rows of a file for a message, or its first bytes where it is no text."""
+    if not head.text:
+        return f"bytes {head.raw[:16].hex(' ')} .."
+    return shown(" | ".join(line for line in head.lines[:4] if line.strip()), characters)

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
-from ..markers.trajectories import without_origin
-from .file_head import shown
+from ..markers import without_origin
 from .joint_columns import JointName
-from .protocol import SkeletonTable
+from .protocol import SkeletonTable, shown
 from .units import CAMERA_SECONDS, METRES, unit_of_step
 
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.

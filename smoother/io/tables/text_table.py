@@ -14,7 +14,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
-from .file_head import HEAD_BYTES, amount, decode, no_table, shown
+from .protocol import HEAD_BYTES, amount, decode, no_table, shown
 from .table_layout import TableLayout, layout_of, split_line
 
 _DATE = re.compile(

@@ -14,7 +14,7 @@ from library_files import write_opal
 
 from smoother.errors import RecordingError
 from smoother.io.devices.registry import recognise
-from smoother.io.tables.file_head import read_head
+from smoother.io.tables.protocol import read_head
 
 
 def slow_reading(raw: bytes) -> tuple[list[float], list[list[float]]]:

@@ -12,7 +12,7 @@ from imu_tables import ACC, COUNT, DEG, EPOCH, GYRO, MICROS, TIME, check, read, 
 
 from smoother.errors import RecordingError
 from smoother.io.devices.registry import format_named, formats
-from smoother.io.tables.file_head import read_head
+from smoother.io.tables.protocol import read_head
 
 # ---------------------------------------------------------------------------------------- Xsens DOT
 PREAMBLE = (

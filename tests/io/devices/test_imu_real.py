@@ -11,7 +11,7 @@ import pytest
 
 from smoother.errors import RecordingError
 from smoother.io.devices.registry import recognise
-from smoother.io.tables.file_head import read_head
+from smoother.io.tables.protocol import read_head
 
 pytestmark = pytest.mark.real
 

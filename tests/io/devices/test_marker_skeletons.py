@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
 from smoother.io.devices.registry import recognise
-from smoother.io.tables.file_head import read_head
 from smoother.io.tables.joint_columns import AZURE, BODY_25, JointName, joint_name
+from smoother.io.tables.protocol import read_head
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 30

@@ -16,7 +16,7 @@ from smoother.io.devices.files import import_files
 from smoother.io.devices.folder import sort_files
 from smoother.io.devices.registry import FileReader, formats, recognise
 from smoother.io.recording.streams import RecordingFile
-from smoother.io.tables.file_head import read_head
+from smoother.io.tables.protocol import read_head
 
 MUTANTS = 2000
 

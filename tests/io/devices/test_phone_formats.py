@@ -12,7 +12,7 @@ from imu_tables import ACC, COUNT, DEG, EPOCH, GYRO, NANOS, TIME, check, read, w
 from smoother.errors import RecordingError
 from smoother.io.devices.describe_table import guess_sensor
 from smoother.io.devices.registry import recognise
-from smoother.io.tables.file_head import read_head
+from smoother.io.tables.protocol import read_head
 from smoother.io.tables.text_table import read_sheet
 
 

@@ -12,8 +12,8 @@ from imu_files import rows
 
 from smoother.errors import RecordingError
 from smoother.io.devices.registry import format_named, formats, recognise, unknown_file
-from smoother.io.tables.file_head import decode, read_head, shown
 from smoother.io.tables.imu_columns import ImuFormat
+from smoother.io.tables.protocol import decode, read_head, shown
 from smoother.io.tables.text_table import read_sheet
 
 ROOT = Path(__file__).parents[3]

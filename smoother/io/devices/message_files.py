@@ -1,7 +1,15 @@
-"""Recordings of robots and loggers: MCAP files of others, and ROS 1 bags."""
+"""Files of messages: MCAP of others, ROS 1 bags, XDF.
+
+Recordings of robots and loggers: MCAP files of others, and ROS 1 bags.
+
+XDF recordings of the Lab Streaming Layer: sensors and skeletons among the streams, on one clock.
+"""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,13 +19,16 @@ import numpy as np
 from ...errors import RecordingError
 from ...linalg import interpolate
 from ...recording import JOINTS, CameraFrame
-from ..mcap.stamps import seconds
+from ..mcap.messages import seconds
 from ..recording.read import open_recording
 from ..recording.streams import ArmFrames
-from ..tables.file_head import shown
-from ..tables.joint_columns import AZURE, JointName, joint_name
-from ..tables.protocol import FileHead, ImuTable, SkeletonTable
+from ..tables.columns import find_sensors, imu_of, joint_label, stem_of
+from ..tables.imu_checks import paired
+from ..tables.joint_columns import AZURE, JointName, find_joint_columns, joint_name, words_of
+from ..tables.protocol import FileHead, ImuTable, SkeletonTable, shown
 from ..tables.raw_skeleton import Conventions, RawSkeleton
+from ..tables.skeleton_formats import kinect_states, states_of
+from ..tables.units import METRES
 
 
 @dataclass(frozen=True)
@@ -260,3 +271,210 @@ def _skeletons(topic: str, rows: _Rows, path: Path) -> list[SkeletonTable]:
             raw.rest.append((name, position))
     raw.notes.append(f"Bodies are of the topic {topic}.")
     return raw.skeletons(Conventions("m", CameraFrame.OPTICAL))
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """One stream with numbers."""
+
+    name: str
+    kind: str
+    rate_hz: float | None
+    labels: list[str]
+    types: list[str]
+    units: list[str]
+    t_s: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class XdfFile:
+    """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied.
+
+    Stamps stay as they were sent otherwise: an even rate is estimated for sensors later, as for all files,
+    and not for cameras, which drop frames.
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "xdf"
+    title: str = "XDF recording (Lab Streaming Layer)"
+    kind: str = "recording"
+    recognised_by: str = "the first bytes XDF:"
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the file begins as XDF files do."""
+        return head.raw.startswith(b"XDF:")
+
+    def read(self, path: Path) -> list[ImuTable | SkeletonTable]:
+        """Read all sensors and skeletons.
+
+        Raises
+        ------
+        RecordingError
+            The library pyxdf is not installed, the file is damaged, or none of its streams can be used.
+        """
+        streams = [stream for entry in _loaded(path) if (stream := _stream(entry)) is not None]
+        skeletons = [table for stream in streams for table in _xdf_skeletons(stream, path)]
+        imus, reasons = _imus(streams, path)
+        if not skeletons and not imus:
+            listed = (
+                "; ".join(f"{s.name} ({s.kind}, {len(s.labels)} channels)" for s in streams)
+                or "none with numbers"
+            )
+            why = f"; {reasons[0]}" if reasons else ""
+            raise RecordingError(
+                f"{path} holds no stream of an accelerometer, a gyroscope or joints by its channels' labels"
+                f" (streams: {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x,"
+                " WristRight_X and units."
+            )
+        for reason in reasons:
+            (imus or skeletons)[0].notes.append(f"A stream was left out: {reason}.")
+        for number, table in enumerate(skeletons):
+            table.body = number if len({other.body for other in skeletons}) < len(skeletons) else table.body
+        return [*skeletons, *imus]
+
+
+def _loaded(path: Path) -> list[dict[str, Any]]:
+    try:
+        import pyxdf
+    except ImportError:
+        raise RecordingError(
+            f"{path}: XDF files are read by the library pyxdf; install it with: pip install pyxdf"
+        ) from None
+    try:
+        with _silent("pyxdf"):
+            streams, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
+    except Exception as error:  # whatever a damaged file leads the library into
+        raise RecordingError(
+            f"{path} is damaged and pyxdf cannot read it ({shown(str(error), 80)}); copy it again."
+        ) from error
+    return list(streams)
+
+
+@contextmanager
+def _silent(name: str) -> Iterator[None]:
+    """Keep a library's warnings off the terminal."""
+    logger = logging.getLogger(name)
+    before, logger.propagate = logger.propagate, False
+    handler = logging.NullHandler()
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = before
+
+
+def _stream(entry: dict[str, Any]) -> _Stream | None:
+    """A stream with numbers and stamps; None for markers in words, and for what is empty."""
+    info = entry.get("info", {})
+    values = entry.get("time_series")
+    t_s = np.asarray(entry.get("time_stamps", ()), dtype=float)
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or len(t_s) != len(values) or len(t_s) < 2:
+        return None
+    if values.dtype.kind not in "fiu" or values.shape[1] < 3:
+        return None
+    channels = _channels(info, values.shape[1])
+    rate = _rate(_text(info, "nominal_srate"))
+    return _Stream(
+        _text(info, "name"),
+        _text(info, "type"),
+        rate,
+        [_text(channel, "label") or _text(channel, "name") for channel in channels],
+        [_text(channel, "type") for channel in channels],
+        [_text(channel, "unit") for channel in channels],
+        t_s,
+        values,
+    )
+
+
+def _channels(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
+    """What the file says of each channel; a joint's name and its axis are put together as the label."""
+    try:
+        channels = [dict(channel) for channel in info["desc"][0]["channels"][0]["channel"]]
+    except (KeyError, IndexError, TypeError, ValueError):
+        channels = []
+    channels = (channels + [{}] * count)[:count]
+    for channel in channels:
+        marker = _text(channel, "marker") or _text(channel, "object")
+        if label := joint_label(marker, _text(channel, "type")):
+            channel["label"] = [label]
+    return channels
+
+
+def _text(entry: Any, key: str) -> str:
+    value = entry.get(key) if isinstance(entry, dict) else None
+    value = value[0] if isinstance(value, list) and value else value
+    return str(value) if isinstance(value, str | int | float) else ""
+
+
+def _rate(text: str) -> float | None:
+    try:
+        rate = float(text)
+    except ValueError:
+        return None
+    return rate if 0 < rate < 1e5 else None
+
+
+def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
+    """Bodies of a stream whose labels name joints."""
+    columns = find_joint_columns(stream.labels)
+    if not columns.has_arm():
+        return []
+    values = stream.values.astype(float)
+    raw = RawSkeleton(
+        path,
+        {joint: values[:, triple] for joint, triple in columns.axes.items()},
+        states_of({joint: values[:, column] for joint, column in columns.confidence.items()}, kinect_states),
+        time=stream.t_s,
+        time_scale=1.0,
+        body=None
+        if columns.body is None
+        else np.where(values[:, columns.body] > 0, values[:, columns.body], np.nan),
+        rest=[(name, values[:, triple]) for name, triple in columns.rest],
+    )
+    if raw.body is not None and not np.isfinite(raw.body).any():
+        raw.body = None
+    raw.notes.append(f"Joints are of the stream {stream.name} ({stream.kind}).")
+    words = {word for label in stream.labels for word in words_of(label)}
+    frame = (
+        CameraFrame.OPTICAL if words & {"navel", "clavicle"}
+        else CameraFrame.KINECT if "spine" in words and words & {"base", "mid"}
+        else None
+    )  # fmt: skip
+    stated = stream.units[next(iter(columns.axes.values()))[0]].strip().lower()
+    unit = {1.0: "m", 0.01: "cm", 0.001: "mm"}.get(METRES.get(stated, 0.0), "")
+    return raw.skeletons(Conventions(unit, frame))
+
+
+def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:
+    """Sensors of all streams, and why some were left out; halves of a sensor are put together."""
+    whole: list[ImuTable] = []
+    halves: dict[str, list[ImuTable]] = {}
+    reasons: list[str] = []
+    for stream in streams:
+        if find_joint_columns(stream.labels).has_arm():
+            continue
+        for sensor in find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}"):
+            name = "_".join(part for part in (stream.name, sensor.name.replace(" ", "_")) if part)
+            table, why = imu_of(name, stream.t_s, stream.values, sensor, stream.units, stream.rate_hz)
+            if table is None:
+                reasons.append(why)
+            elif table.acc is not None and table.gyro is not None:
+                whole.append(table)
+            else:
+                halves.setdefault(stem_of(name), []).append(table)
+    for stem, tables in halves.items():
+        kinds = {"acc" if table.acc is not None else "gyro" for table in tables}
+        if len(tables) == 2 and len(kinds) == 2:
+            joined = paired(tables, str(path))
+            joined.name = stem.replace(" ", "_") or "imu"
+            whole.append(joined)
+        else:
+            only = "an accelerometer" if "acc" in kinds else "a gyroscope"
+            reasons.append(f"{tables[0].name} is {only} alone, and both are needed")
+    return whole, reasons

@@ -1,1 +1,0 @@
-"""Where the IMU's strap is in images of the forearm."""

@@ -1,0 +1,401 @@
+"""Files of sensors that are no text: APDM's HDF5, Axivity's CWA, Xsens' MVNX.
+
+APDM Opal: HDF5 of Mobility Lab, Moveo and Motion Studio.
+
+Axivity AX6 (and AX3): binary CWA files of OmGui.
+
+Xsens MVN Analyze and Awinda: MVNX (XML) with raw sensors.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ParseError, iterparse
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...array_types import FloatArray
+from ...errors import RecordingError
+from ...runtime.inputs import crashes_in_subprocess
+from ...units import STANDARD_GRAVITY
+from ..tables.imu_checks import holds_gravity, size_notes
+from ..tables.protocol import FileHead, ImuTable, amount, shown
+
+
+class ApdmHdf:
+    """Each sensor one IMU: m/s^2, rad/s, time in us since 1970.
+
+    Layout: APDM, "HDF file format", version 5 (`/Sensors/<id>/Accelerometer`) and versions 1 to 4
+    (`/<id>/Calibrated/Accelerometers`).
+    """
+
+    key = "apdm-hdf5"
+    title = "APDM Opal HDF5"
+    kind = "imu"
+    recognised_by = "HDF5 with Sensors/<id>/Accelerometer or <id>/Calibrated/Accelerometers"
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether it is an HDF5 file; which one shows in reading. Never raises."""
+        return head.raw[:8] == b"\x89HDF\r\n\x1a\n"
+
+    def read(self, path: Path) -> list[ImuTable]:
+        """A table a sensor: see `DeviceFormat.read`.
+
+        Raises
+        ------
+        RecordingError
+            The package h5py is absent, or the file holds no sensors.
+        """
+        try:
+            import h5py
+        except ImportError:
+            raise RecordingError(
+                f"{path} is HDF5, which is read by the library h5py; install it with: pip install h5py"
+                " (or export CSV)."
+            ) from None
+
+        def read(file: Path) -> list[ImuTable]:
+            with h5py.File(file, "r") as opened:
+                return _sensors(opened)
+
+        if crashes_in_subprocess(path, read):  # of damaged lengths HDF5 takes all memory
+            raise RecordingError(f"{path} is a damaged HDF5 file; export it again.")
+        try:
+            tables = read(path)
+        except (OSError, LookupError, ValueError, RuntimeError, TypeError, AttributeError) as error:
+            raise RecordingError(f"{path} cannot be read as HDF5: {shown(str(error), 100)}.") from error
+        if not tables:
+            raise RecordingError(
+                f"{path} holds no raw sensors of an Opal; export 'raw data' as HDF5, or CSV, from the APDM"
+                " program."
+            )
+        for table in tables:
+            table.notes += size_notes(table)
+        return tables
+
+
+def _sensors(file: Any) -> list[ImuTable]:
+    if "Sensors" in file:
+        groups = [(name, group, group) for name, group in file["Sensors"].items()]
+    else:
+        groups = [
+            (name, group["Calibrated"], group) for name, group in file.items() if _has(group, "Calibrated")
+        ]
+    labels = _labels(file)
+    tables = []
+    for name, values, group in groups:
+        acc, gyro, mag = (_vector(values, kind) for kind in ("Accelerometer", "Gyroscope", "Magnetometer"))
+        if acc is None or gyro is None:
+            continue
+        time = np.asarray(group["Time"], dtype=float).ravel() if _has(group, "Time") else None
+        count = min(len(values) for values in (acc, gyro, time) if values is not None)
+        rate = group.attrs.get("SampleRate", file.attrs.get("SampleRate"))
+        tables.append(
+            ImuTable(
+                name=_label(group) or labels.get(name, "") or name,
+                t_s=None if time is None else time[:count] * 1e-6,
+                acc=acc[:count],
+                gyro=gyro[:count],
+                mag=None if mag is None or len(mag) < count else mag[:count],
+                rate_hz=None if rate is None else float(np.ravel(rate)[0]),
+                units="m/s^2, rad/s",
+            )
+        )
+    return tables
+
+
+def _has(group: Any, key: str) -> bool:
+    return hasattr(group, "keys") and key in group
+
+
+def _vector(group: Any, kind: str) -> FloatArray | None:
+    """A sensor's samples (N, 3), whether its name has a plural s or not."""
+    for key in (kind, f"{kind}s"):
+        if _has(group, key):
+            values = np.asarray(group[key], dtype=float)
+            values = values.T if values.ndim == 2 and values.shape[0] == 3 != values.shape[1] else values
+            return values if values.ndim == 2 and values.shape[1] == 3 else None
+    return None
+
+
+def _label(group: Any) -> str:
+    """What the wearer's place is called ("Right Wrist")."""
+    if _has(group, "Configuration"):
+        return _text(group["Configuration"].attrs.get("Label 0", ""))
+    return _text(group.attrs.get("MonitorLabel", ""))
+
+
+def _labels(file: Any) -> dict[str, str]:
+    """What the wearer's places are called, by monitor (older versions)."""
+    monitors, labels = (np.ravel(file.attrs.get(key, [])) for key in ("CaseIdList", "MonitorLabelList"))
+    return {_text(monitor): _text(label) for monitor, label in zip(monitors, labels, strict=False)}
+
+
+def _text(value: Any) -> str:
+    return (value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)).strip("\0 ")
+
+
+#: A data block: 512 bytes, little-endian (Open Movement, "AX3/AX6 technical documentation", CWA data blocks).
+_BLOCK = np.dtype(
+    [
+        ("mark", "S2"),
+        ("length", "<u2"),
+        ("fraction", "<u2"),
+        ("session", "<u4"),
+        ("sequence", "<u4"),
+        ("time", "<u4"),
+        ("light", "<u2"),
+        ("temperature", "<u2"),
+        ("events", "u1"),
+        ("battery", "u1"),
+        ("rate", "u1"),
+        ("axes", "u1"),
+        ("offset", "<i2"),
+        ("count", "<u2"),
+        ("data", "<i2", 240),
+        ("checksum", "<u2"),
+    ]
+)
+#: Gyroscope's range where the block states none, deg/s.
+_USUAL_RANGE = 2000.0
+
+
+class Axivity:
+    """Gyroscope in deg/s and accelerometer in g, 16 bits, in blocks with a time stamp each."""
+
+    key = "axivity"
+    title = "Axivity AX6 (CWA)"
+    kind = "imu"
+    recognised_by = "a binary header that begins with MD, and blocks that begin with AX"
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the file begins as a CWA file does; never raises."""
+        return head.raw[:4] == b"MD\xfc\x03" or head.raw[:4] == b"AX\xfc\x01"
+
+    def read(self, path: Path) -> list[ImuTable]:
+        """A table a sensor: see `DeviceFormat.read`.
+
+        Raises
+        ------
+        RecordingError
+            There are no blocks of samples, or they hold no gyroscope.
+        """
+        try:
+            raw = path.read_bytes()
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+        blocks = np.frombuffer(raw, _BLOCK, count=len(raw) // _BLOCK.itemsize)
+        data = blocks[(blocks["mark"] == b"AX") & (blocks["length"] == 508)]
+        whole = (
+            (data["axes"] & 15 == 2)
+            & (data["axes"] >> 4 == 6)
+            & (data["count"] * 6 <= 240)
+            & (data["count"] > 0)
+        )
+        intact = _sums(data) == 0
+        usable = data[whole & intact]
+        if not len(usable):
+            axes = int(data["axes"][0] >> 4) if len(data) else 0
+            what = f"holds {axes} axes, no gyroscope" if axes == 3 else "holds no intact blocks of samples"
+            raise RecordingError(
+                f"{path} is an {self.title} that {what}; set up an AX6 with its gyroscope on, and download"
+                " it again."
+            )
+        cut = len(raw) % _BLOCK.itemsize != 0
+        return [_table(usable, len(data) - len(usable), cut)]
+
+
+def _table(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
+    """Samples of intact blocks with six axes."""
+    # A sample stands in the rows of its block that are filled.
+    filled = np.arange(40) < blocks["count"][:, None]
+    values = blocks["data"].reshape(-1, 40, 6).astype(float)
+    light = blocks["light"].astype(int)
+    per_g = (1 << (8 + (light >> 13))).astype(float)
+    code = (light >> 10) & 7
+    full_scale = np.where(code > 0, 8000.0 / (1 << code), _USUAL_RANGE)
+    gyro = values[:, :, :3] * (full_scale / 32768 * np.pi / 180)[:, None, None]
+    acc = values[:, :, 3:] * (STANDARD_GRAVITY / per_g)[:, None, None]
+    rate = 3200.0 / (1 << (15 - (blocks["rate"] & 15).astype(int)))
+    t_s = _starts(blocks, rate)[:, None] + np.arange(40) / rate[:, None]
+    notes = [f"{amount(left_out, 'damaged block was', 'damaged blocks were')} left out."] if left_out else []
+    if cut:  # a file is a whole number of blocks
+        notes.append("The file is cut off within a block; what is behind it is lost. Download it again.")
+    return ImuTable(
+        name="",
+        t_s=_even(t_s, blocks)[filled],
+        acc=acc[filled],
+        gyro=gyro[filled],
+        units="g, deg/s",
+        notes=notes,
+    )
+
+
+def _starts(blocks: NDArray[np.void], rate: FloatArray) -> FloatArray:
+    """Time of each block's first sample, s since 1970 on the device's clock."""
+    stamp = blocks["time"].astype(np.int64)
+    year, month, day = 2000 + (stamp >> 26), (stamp >> 22) & 15, (stamp >> 17) & 31
+    hour, minute, second = (stamp >> 12) & 31, (stamp >> 6) & 63, stamp & 63
+    months = (year - 1970) * 12 + np.clip(month, 1, 12) - 1
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + day - 1
+    whole = days * 86_400 + hour * 3600 + minute * 60 + second
+    # A fraction is there where its top bit is set; the offset then counts the fraction's whole samples too.
+    fractional = np.where(blocks["fraction"] & 0x8000, (blocks["fraction"].astype(np.int64) & 0x7FFF) << 1, 0)
+    offset = blocks["offset"] + ((fractional * rate.astype(np.int64)) >> 16)
+    return whole + fractional / 65536 - offset / rate
+
+
+def _even(t_s: FloatArray, blocks: NDArray[np.void]) -> FloatArray:
+    """Times (blocks, 40); samples are spread up to the next block where it follows at once."""
+    count = blocks["count"].astype(int)
+    starts, tick = t_s[:, 0], t_s[:, 1] - t_s[:, 0]
+    follows = np.zeros(len(blocks), bool)
+    length = np.diff(starts)
+    # The crystal differs from its nominal rate by a few percent at most; a longer step is a pause.
+    follows[:-1] = (np.diff(blocks["sequence"].astype(np.int64)) == 1) & (
+        np.abs(length / (count[:-1] * tick[:-1]) - 1) < 0.1
+    )
+    tick[:-1] = np.where(follows[:-1], length / count[:-1], tick[:-1])
+    return starts[:, None] + np.arange(40) * tick[:, None]
+
+
+def _sums(blocks: NDArray[np.void]) -> NDArray[np.uint16]:
+    """Sums of each block's 16-bit words: 0 where its checksum is right."""
+    if not len(blocks):
+        return np.zeros(0, np.uint16)
+    words = np.ascontiguousarray(blocks).view("<u2").reshape(len(blocks), 256)
+    return words.sum(axis=1, dtype=np.uint64).astype(np.uint16)
+
+
+_VALUES = ("sensorAcceleration", "sensorAngularVelocity", "sensorMagneticField")
+_EXPORT = "export it again with sensor data 'acceleration' and 'angular velocity' (calibrated sensor data) on"
+
+
+class Mvnx:
+    """Sensors of a suit, each one IMU: m/s^2 and rad/s in the sensor's axes.
+
+    Layout: MVN user manual, appendix on MVNX (`sensorAcceleration`, `sensorAngularVelocity`).
+    """
+
+    key = "mvnx"
+    title = "Xsens MVNX"
+    kind = "imu"
+    recognised_by = "XML whose root is mvnx"
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the XML's root is mvnx; never raises."""
+        return bool(re.match(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", head.text[:4000], re.DOTALL))
+
+    def read(self, path: Path) -> list[ImuTable]:
+        """A table a sensor: see `DeviceFormat.read`.
+
+        Raises
+        ------
+        RecordingError
+            It is no sound XML, or holds no raw sensors.
+        """
+        rows: dict[str, list[str]] = {key: [] for key in _VALUES}
+        names: list[str] = []
+        times: list[str] = []
+        rate, other = None, ""
+        try:
+            for event, element in iterparse(path, events=("start", "end")):
+                tag = element.tag.rpartition("}")[2]
+                if event == "start":
+                    if tag == "subject":
+                        rate = _number(element.get("frameRate"))
+                    elif tag == "sensor":
+                        names.append(element.get("label", ""))
+                    continue
+                if tag == "frame":
+                    if element.get("type", "normal") == "normal":
+                        other = _read_frame(element, rows, times) or other
+                    element.clear()
+        except ParseError as error:
+            raise RecordingError(
+                f"{path} is no sound MVNX: {shown(str(error), 80)}; export it again."
+            ) from error
+        except (OSError, ValueError) as error:
+            raise RecordingError(f"{path} cannot be read as MVNX: {shown(str(error), 80)}.") from error
+        return _tables(path, names, rows, times, rate, other)
+
+
+def _read_frame(element: Element, rows: dict[str, list[str]], times: list[str]) -> str:
+    """Take a frame's sensors; the name of free acceleration where that is all there is."""
+    other = ""
+    for child in element:
+        tag = child.tag.rpartition("}")[2]
+        if tag in rows:
+            rows[tag].append(child.text or "")
+        elif tag == "sensorFreeAcceleration":
+            other = tag
+    times.append(element.get("time", ""))
+    return other
+
+
+def _tables(
+    path: Path,
+    names: list[str],
+    rows: dict[str, list[str]],
+    times: list[str],
+    rate: float | None,
+    other: str,
+) -> list[ImuTable]:
+    if not rows["sensorAcceleration"] or not rows["sensorAngularVelocity"]:
+        has = "free acceleration and orientation only" if other else "no raw sensors"
+        raise RecordingError(f"{path} is an {Mvnx.title} that holds {has}; {_EXPORT}.")
+    values = {}
+    for key, texts in rows.items():
+        if len(texts) != len(times):
+            if key != "sensorMagneticField":
+                raise RecordingError(f"{path} has {key} in {len(texts)} of {len(times)} frames; {_EXPORT}.")
+            continue
+        values[key] = _vectors(path, key, texts)
+    acc, gyro, mag = (values.get(key) for key in _VALUES)
+    assert acc is not None and gyro is not None
+    count = acc.shape[1]
+    if gyro.shape[1] != count:
+        raise RecordingError(f"{path} has {count} accelerometers and {gyro.shape[1]} gyroscopes; {_EXPORT}.")
+    if not holds_gravity(acc.reshape(-1, 3)):
+        raise RecordingError(f"{path} holds acceleration without gravity; {_EXPORT}.")
+    stamps = np.array([_number(text) or 0.0 for text in times]) * 1e-3
+    stamped = bool((np.diff(stamps) > 0).any())
+    tables = []
+    for at in range(count):
+        table = ImuTable(
+            name=names[at] if at < len(names) else f"sensor {at + 1}",
+            t_s=stamps.copy() if stamped else None,
+            acc=acc[:, at],
+            gyro=gyro[:, at],
+            mag=None if mag is None or mag.shape[1] != count else mag[:, at],
+            rate_hz=rate,
+            units="m/s^2, rad/s",
+        )
+        table.notes += size_notes(table)
+        tables.append(table)
+    return tables
+
+
+def _vectors(path: Path, key: str, texts: list[str]) -> np.ndarray:
+    """Vectors of all sensors, shape (frames, sensors, 3)."""
+    lengths = {text.count(" ") for text in map(str.strip, texts)}
+    try:
+        values = np.array(" ".join(texts).split(), dtype=float).reshape(len(texts), -1, 3)
+    except ValueError:
+        raise RecordingError(
+            f"{path}: {key} is not three numbers a sensor in every frame; export it again."
+        ) from None
+    if len(lengths) > 1 and len({len(text.split()) for text in texts}) > 1:
+        raise RecordingError(f"{path}: {key} has unequally many numbers in its frames; export it again.")
+    return values
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None

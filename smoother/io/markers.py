@@ -1,0 +1,523 @@
+"""Markers of motion capture, from TRC, C3D and tables.
+
+Marker trajectories of a motion capture, whatever file they come from.
+
+TRC files (Motion Analysis; OpenSim's marker format), with the habits of the programs that write them.
+
+C3D files (c3d.org), by the library ezc3d.
+
+Marker files of motion capture, by the ending of their names; one position a marker of a still object.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..errors import RecordingError
+from ..runtime.inputs import check_input, crashes_in_subprocess
+from .plain.table import read_table
+from .tables.protocol import plain_minus, shown
+from .tables.units import METRES
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Trajectories of markers in the mocap's frame {E} and on its own clock.
+
+    Attributes
+    ----------
+    names : tuple of str
+        As the file has them, without spaces around.
+    t_s : ndarray, shape (N,), s
+        Frame times.
+    position : ndarray, shape (N, M, 3), m
+        nan where a marker was not seen.
+    rate_hz : float
+        As the file states it; nan where it does not.
+    unit : str
+        Of the file.
+    residual_m : ndarray, shape (N, M), m, optional
+        The capture's own residual (0 = measured or filled without one, nan where the marker was not
+        seen), or None where the format has none.
+    source : str
+        What to call the file in messages.
+    notes : tuple of str
+        What was dropped or decided on reading, one sentence each.
+    """
+
+    names: tuple[str, ...]
+    t_s: FloatArray
+    position: FloatArray
+    rate_hz: float
+    unit: str
+    residual_m: FloatArray | None = None
+    source: str = "the motion capture"
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @property
+    def seen(self) -> FloatArray:
+        """(M,) share of the frames in which each marker was seen."""
+        return np.asarray(np.isfinite(self.position).all(axis=2).mean(axis=0))
+
+
+def metres_in(unit: str, path: Path) -> float:
+    """Metres in a unit of length as a file names it.
+
+    Raises
+    ------
+    RecordingError
+        The unit is not known.
+    """
+    try:
+        return METRES[unit.strip().strip('"').lower()]
+    except KeyError:
+        raise RecordingError(
+            f"{path}: the unit of length is '{shown(unit, 40)}', and only m, cm, mm, dm and inches are known;"
+            " export the file in mm or m"
+        ) from None
+
+
+def without_origin(position: FloatArray) -> FloatArray:
+    """Positions (..., 3) in which all of (0, 0, 0), as many programs write a lost marker, is nan."""
+    return np.where((position == 0).all(axis=-1, keepdims=True), np.nan, position)
+
+
+def told_apart(names: list[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Names without spaces around and none twice (`name_2` ..), and the names that were."""
+    result: list[str] = []
+    twice: list[str] = []
+    originals = {name.strip() for name in names}
+    used: set[str] = set()
+    for number, name in enumerate((name.strip() for name in names), 1):
+        name = name or f"unnamed_{number}"
+        if name in used:
+            twice.append(name)
+            count = 2
+            while f"{name}_{count}" in originals | used:
+                count += 1
+            name = f"{name}_{count}"
+        used.add(name)
+        result.append(name)
+    return tuple(result), twice
+
+
+#: Spellings of "no number", beyond those that `float` reads: Windows' and spreadsheets' ones.
+_NOTHING = re.compile(
+    r"[-+]?(nan\(.*\)|1\.?#(ind|qnan|snan|inf).*|#n/a|n/?a|null|none|missing|-+|\*+|inf(inity)?)",
+    re.IGNORECASE,
+)
+#: Times that differ from the frame rate's by no more than this were rounded on writing, s.
+ROUNDED_S = 0.00051
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d*([eEdD][-+]?\d+)?")
+
+
+def read_trc(path: Path) -> Markers:
+    """Read a TRC file.
+
+    Cells are parted by tabs, commas, semicolons or spaces; decimal commas, blank cells, nan in any
+    spelling, exponents, Windows line ends, blank lines, names over the wrong columns and counts in the
+    header that are wrong do no harm. Times are those of the column `Time`; where they are missing, of the
+    frame rate.
+
+    Raises
+    ------
+    RecordingError
+        It is no TRC file, has no marker or frame, or a cell is not a number; the text names the line.
+    """
+    lines = _lines(path)
+    place = next((k for k, line in enumerate(lines) if _starts(line, "frame#", "frame", "#frame")), None)
+    if place is None:
+        raise RecordingError(
+            f"{path}: not a TRC file: no line begins with Frame#, above the markers' names; export it again"
+        )
+    header = _header(lines[:place])
+    mark = _mark(lines[place])
+    names, twice = told_apart([cell for cell in _cells(lines[place], mark)[2:] if cell.strip()])
+    if not names:
+        raise RecordingError(f"{path}: the line with Frame# names no marker; export the file again")
+    # the line of X1 Y1 Z1 .. may be missing
+    rows = [
+        (number, line)
+        for number, line in enumerate(lines[place + 1 :], place + 2)
+        if line.strip(" \t,;") and not _starts(line, "x1", '"x1')
+    ]
+    if not rows:
+        raise RecordingError(f"{path}: the file names {len(names)} markers and holds no frame")
+    counted = header.get("numframes", "")
+    cut_off = counted.isdigit() and int(counted) > len(rows) > 1
+    if cut_off and len(_cells(rows[-1][1], mark)) < len(_cells(rows[-2][1], mark)):
+        rows.pop()  # its last number may have lost digits
+    table = _numbers(path, rows, mark, 2 + 3 * len(names))
+    unit = header.get("units", "")
+    if not unit:
+        raise RecordingError(f"{path}: the header states no Units; add mm or m on its third line")
+    position = without_origin(table[:, 2:].reshape(len(table), -1, 3)) * metres_in(unit, path)
+    position[~np.isfinite(position).all(axis=2)] = np.nan
+    rate = _rate(header)
+    t_s, notes = _times(path, table, rate)
+    if twice:
+        notes.append(f"{path.name}: several markers are called {', '.join(dict.fromkeys(twice))}; numbered.")
+    stated = header.get("nummarkers", "")
+    if stated.isdigit() and int(stated) != len(names):
+        notes.append(f"{path.name}: the header states {stated} markers and names {len(names)}.")
+    if cut_off:
+        notes.append(
+            f"{path.name}: the header counts {counted} frames and the file holds {len(table)}; it may be"
+            " cut off."
+        )
+    return Markers(names, t_s, position, rate, unit, source=str(path), notes=tuple(notes))
+
+
+def _lines(path: Path) -> list[str]:
+    check_input(path, RecordingError)
+    raw = path.read_bytes()
+    if b"\0" in raw[:4096]:
+        raise RecordingError(f"{path}: not a TRC file: it holds no text; is it a C3D file with a wrong name?")
+    text = raw.decode("utf-8-sig", errors="replace")
+    return text.splitlines()
+
+
+def _starts(line: str, *words: str) -> bool:
+    cells = re.split(r"[\t,; ]+", line.strip(" \t,;"), maxsplit=1)
+    return cells[0].strip().lower() in words
+
+
+def _header(lines: list[str]) -> dict[str, str]:
+    """Values of the header by name in small letters: the line under the line of names."""
+    for above, below in pairwise(lines):
+        if _starts(above, "datarate"):
+            mark = _mark(above)
+            names = [cell.strip().lower() for cell in _cells(above, mark)]
+            return dict(zip(names, (cell.strip() for cell in _cells(below, mark)), strict=False))
+    return {}
+
+
+def _mark(line: str) -> str | None:
+    """What parts the cells; None for spaces."""
+    return next((mark for mark in ("\t", ";", ",") if mark in line), None)
+
+
+def _cells(line: str, mark: str | None) -> list[str]:
+    return line.split(mark) if mark else line.split()
+
+
+def _numbers(path: Path, rows: list[tuple[int, str]], mark: str | None, width: int) -> FloatArray:
+    """The table (N, width); cells that a line lacks at its end are nan."""
+    parts = []
+    for number, line in rows:
+        cells = [cell.strip() for cell in _cells(line, mark)]
+        if len(cells) > width and any(cells[width:]):
+            raise RecordingError(
+                f"{path}, line {number}: {len(cells)} cells where {(width - 2) // 3} markers make {width};"
+                " a marker has no name, or a number has a comma for thousands"
+            )
+        if mark is None and len(cells) < width:
+            raise RecordingError(
+                f"{path}, line {number}: {len(cells)} cells where {width} are needed, and with spaces between"
+                " them it is not clear which are missing; export the file with tabs"
+            )
+        parts.append(cells[:width] + [""] * (width - len(cells)))
+    try:
+        return np.array([[cell or "nan" for cell in row] for row in parts], dtype=np.float64)
+    except ValueError:
+        pass
+    table = np.empty((len(parts), width))
+    for k, row in enumerate(parts):
+        for column, cell in enumerate(row):
+            table[k, column] = _number(cell, path, rows[k][0], column)
+    return table
+
+
+def _number(cell: str, path: Path, line: int, column: int) -> float:
+    try:
+        return float(cell or "nan")
+    except ValueError:
+        pass
+    text = plain_minus(cell.strip('"').replace(" ", ""))
+    if _DECIMAL_COMMA.fullmatch(text):
+        text = text.replace(",", ".")
+    if not text or _NOTHING.fullmatch(text):
+        return float("nan")
+    try:
+        return float(re.sub("[dD]", "e", text))  # Fortran's exponents
+    except ValueError:
+        raise RecordingError(
+            f"{path}, line {line}: '{shown(cell, 40)}' in column {column + 1} is not a number; mend the cell"
+        ) from None
+
+
+def _rate(header: dict[str, str]) -> float:
+    try:
+        return float(header.get("datarate", "").replace(",", "."))
+    except ValueError:
+        return float("nan")
+
+
+def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list[str]]:
+    """Times (N,), s, and what is to be said of them."""
+    t_s = table[:, 1]
+    if not np.isfinite(t_s).all() or (len(t_s) > 1 and not np.ptp(t_s) > 0):
+        if not (np.isfinite(rate) and rate > 0):
+            raise RecordingError(f"{path}: neither the column Time nor DataRate tells the frames' times")
+        first = table[0, 0] if np.isfinite(table[0, 0]) else 1.0
+        even = np.asarray((first - 1.0 + np.arange(len(table))) / rate, dtype=np.float64)
+        return even, [f"{path.name}: times are made of DataRate."]
+    back = np.flatnonzero(np.diff(t_s) <= 0)
+    if len(back):
+        raise RecordingError(
+            f"{path}: time does not go on after {t_s[back[0]]:g} s (frame {back[0] + 1}); export it again"
+        )
+    if len(t_s) < 2 or not rate > 0:
+        return t_s, []
+    regular = (np.arange(len(t_s)) - 0.5 * (len(t_s) - 1)) / rate + t_s.mean()
+    off = np.abs(regular - t_s).max()
+    if off <= ROUNDED_S:
+        return t_s if off < 1e-9 else regular, []  # times written with three decimals jitter
+    real = (len(t_s) - 1) / np.ptp(t_s)
+    if abs(real / rate - 1) < 0.01:
+        return t_s, []
+    return t_s, [f"{path.name}: DataRate states {rate:g} Hz and the times make {real:g} Hz; the times count."]
+
+
+def read_c3d(path: Path) -> Markers:
+    """Read the points of a C3D file.
+
+    Missing is what has a negative residual, and what lies at (0, 0, 0). Names go on in `POINT:LABELS2`,
+    `LABELS3` .. where there are more than 255. Time zero is the trial's frame zero: a file that was cut
+    out of a trial begins later.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Markers
+        All points.
+
+    Raises
+    ------
+    RecordingError
+        It is no C3D file, is damaged, or holds no point.
+    """
+    check_input(path, RecordingError)
+    with open(path, "rb") as file:
+        start = file.read(2)
+    if len(start) < 2 or start[1] != 0x50:
+        raise RecordingError(f"{path}: not a C3D file (its second byte is not 0x50); export it again")
+    data, parameters = _load(path)
+    point = parameters.get("POINT", {})
+    _whole(path, point)
+    position = np.moveaxis(np.asarray(data["points"], dtype=np.float64)[:3], (0, 1, 2), (2, 1, 0))
+    if not position.shape[0] or not position.shape[1]:
+        what = "no frame" if position.shape[1] else "no point"
+        raise RecordingError(f"{path}: the C3D file holds {what}; export the markers with it")
+    unit = _first(point, "UNITS", "")
+    if not str(unit).strip():
+        raise RecordingError(f"{path}: the parameter POINT:UNITS is missing; export the file in mm or m")
+    scale = metres_in(str(unit), path)
+    residual = _residuals(data, position.shape[:2])
+    position = without_origin(position)
+    position[(residual < 0) | ~np.isfinite(position).all(axis=2)] = np.nan
+    rate = float(_first(point, "RATE", np.nan))
+    if not (np.isfinite(rate) and rate > 0):
+        raise RecordingError(f"{path}: the parameter POINT:RATE is missing, so the frames have no times")
+    names, notes = _names(point, position.shape[1], path)
+    first = int(data["first_frame"])
+    return Markers(
+        names,
+        (first + np.arange(len(position))) / rate,
+        position * scale,
+        rate,
+        str(unit).strip(),
+        np.where(np.isfinite(position[..., 0]), residual, np.nan) * scale,
+        str(path),
+        tuple(notes),
+    )
+
+
+def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Points, residuals and first frame; and the parameters by group and name."""
+    import ezc3d
+
+    if would_crash(path):
+        raise RecordingError(f"{path}: a damaged C3D file; export it again")
+    try:
+        file = ezc3d.c3d(str(path))
+        data = {
+            "points": file["data"]["points"],
+            "residuals": file["data"]["meta_points"]["residuals"],
+            "first_frame": file["header"]["points"]["first_frame"],
+        }
+    except Exception as error:  # whatever the library throws at a damaged file
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise RecordingError(f"{path}: a damaged C3D file ({reason}); export it again") from error
+    return data, {group: dict(file["parameters"][group]) for group in file["parameters"]}
+
+
+def would_crash(path: Path) -> bool:
+    """Whether the library would end the process on this file, or never end itself.
+
+    Its C++ reads past the end of parameters whose lengths are damaged, and takes memory for as many frames as
+    a damaged header counts.
+    """
+    import ezc3d
+
+    return crashes_in_subprocess(path, lambda file: ezc3d.c3d(str(file)))
+
+
+def _whole(path: Path, point: dict[str, Any]) -> None:
+    """Refuse a file that ends before the last frame that its header counts; the library makes frames up.
+
+    Words of the header (c3d.org): 2 points, 3 analog samples a frame, 4 and 5 first and last frame, 9 the
+    first block of 512 bytes that holds data. A scale below zero says that numbers have four bytes, else two.
+    """
+    with open(path, "rb") as file:
+        header = file.read(512)
+        file.seek(512 * (header[0] - 1) + 3)
+        big_endian = file.read(1) == b"\x56"
+    words = np.frombuffer(header[:24], dtype=">u2" if big_endian else "<u2")
+    points, analogs, first, last, start = (int(words[k]) for k in (1, 2, 3, 4, 8))
+    size = 4 if float(_first(point, "SCALE", -1.0)) < 0 else 2
+    needed = (last - first + 1) * (4 * points + analogs) * size
+    held = path.stat().st_size - 512 * (start - 1)
+    if last >= first and held < needed:
+        share = max(held, 0) / max(needed, 1)  # a header may count no points
+        raise RecordingError(
+            f"{path}: the C3D file is cut off: it holds {100 * share:.0f} % of the frames"
+            " that its header counts; copy or export it again"
+        )
+
+
+def _first(group: dict[str, Any], name: str, default: Any) -> Any:
+    value = group.get(name, {}).get("value", [])
+    return value[0] if len(value) else default
+
+
+def _residuals(data: dict[str, Any], shape: tuple[int, ...]) -> np.ndarray:
+    residual = np.asarray(data["residuals"], dtype=np.float64)
+    if residual.size != shape[0] * shape[1]:
+        return np.zeros(shape)
+    residual = residual.reshape(shape[1], shape[0]).T
+    return np.where(np.isfinite(residual), residual, -1.0)
+
+
+def _names(point: dict[str, Any], count: int, path: Path) -> tuple[tuple[str, ...], list[str]]:
+    """A name for every point; labels go on in LABELS2, LABELS3 .."""
+    labels: list[str] = [str(name) for name in point.get("LABELS", {}).get("value", [])]
+    number = 2
+    while len(labels) < count and f"LABELS{number}" in point:
+        labels += [str(name) for name in point[f"LABELS{number}"]["value"]]
+        number += 1
+    notes = []
+    if len(labels) < count:
+        notes.append(f"{path.name}: {count - len(labels)} of {count} points have no name.")
+        labels += [""] * (count - len(labels))
+    names, twice = told_apart(labels[:count])
+    if twice:
+        notes.append(f"{path.name}: several points are called {', '.join(dict.fromkeys(twice))}; numbered.")
+    return names, notes
+
+
+#: Files of marker trajectories that can be read.
+MARKER_FORMATS = (".c3d", ".trc")
+
+
+def read_markers(path: str | os.PathLike[str]) -> Markers:
+    """Read a `.c3d` or `.trc` file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    Markers
+        In the mocap's frame, on its clock.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, of another kind, damaged, or holds no marker.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in MARKER_FORMATS:
+        raise RecordingError(f"{path}: markers are read from {' or '.join(MARKER_FORMATS)}")
+    check_input(path, RecordingError)
+    if not path.is_file():
+        raise RecordingError(f"{path}: there is no such file")
+    return read_trc(path) if path.suffix.lower() == ".trc" else read_c3d(path)
+
+
+#: A marker that strays farther than this from its mean was not still, m (rms).
+STILL_M = 0.003
+#: A marker is taken if it was seen in at least this share of the frames.
+LEAST_SEEN = 0.3
+
+
+def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
+    """Positions (3,) m by marker, in the mocap's frame.
+
+    Parameters
+    ----------
+    path : path-like
+        CSV with the columns `marker`, `x`, `y`, `z` in metres, a row a marker; or `.trc` or `.c3d`, whose
+        frames are averaged.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (3,), m
+        By marker.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, holds no marker, or a marker moved.
+    """
+    path = Path(path)
+    if path.suffix.lower() in MARKER_FORMATS:
+        return _still(read_markers(path))
+    check_input(path, RecordingError)
+    if not path.is_file():
+        raise RecordingError(f"{path}: there is no such file")
+    numbers, words = read_table(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
+    rows = np.column_stack([numbers[axis] for axis in "xyz"])
+    names, _ = told_apart(words["marker"])
+    known = np.asarray(np.isfinite(rows).all(axis=1), bool)
+    if not known.any():
+        raise RecordingError(f"{path} holds no marker; give marker,x,y,z in metres, a row a marker.")
+    return {name: row for name, row, good in zip(names, rows, known.tolist(), strict=True) if good}
+
+
+def _still(markers: Markers) -> dict[str, FloatArray]:
+    """The mean over time, about the median; refused where a marker moved."""
+    means = {}
+    for column, name in enumerate(markers.names):
+        track = markers.position[:, column]
+        track = track[np.isfinite(track).all(axis=1)]
+        if len(track) < max(1, LEAST_SEEN * len(markers)):
+            continue
+        away = np.linalg.norm(track - np.median(track, axis=0), axis=1)
+        spread = float(np.sqrt(np.mean(away**2)))
+        if spread > STILL_M:
+            raise RecordingError(
+                f"{markers.source}: marker {name} moved by {1e3 * spread:.0f} mm (rms) and must be still; cut"
+                " the file to the moment of the images."
+            )
+        means[name] = track[away <= max(3 * np.median(away), 1e-6)].mean(axis=0)
+    if not means:
+        raise RecordingError(f"{markers.source} holds no marker that was seen for long enough.")
+    return means

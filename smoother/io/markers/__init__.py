@@ -1,1 +1,0 @@
-"""Markers of motion capture, from TRC, C3D and tables."""
