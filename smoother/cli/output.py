@@ -281,7 +281,7 @@ def print_notes(notes: Iterable[str], imported: bool = False) -> None:
 
 def is_imported(note: str) -> bool:
     """Whether a note stands in the recording's file, whose import said it."""
-    from ..recording.notes import ImportNote
+    from ..recording import ImportNote
 
     return isinstance(note, ImportNote)
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 from .camera_frame import CameraFrame
 from .imu_stream import ImuStream
 from .joint_tracks import FOREARM_JOINTS, JOINTS, JointState, JointTracks
-from .recording import Recording, TrunkSensors, arm_words
+from .recording import ImportNote, Recording, TrunkSensors, arm_words
 from .truth import Truth
 
 __all__ = [
     "FOREARM_JOINTS",
     "JOINTS",
     "CameraFrame",
+    "ImportNote",
     "ImuStream",
     "JointState",
     "JointTracks",

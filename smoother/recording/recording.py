@@ -28,6 +28,12 @@ def arm_words(side: str, body: int | None) -> str:
     return f"{side + ' ' if side else ''}arm{'' if body is None else f' of body {body}'}"
 
 
+class ImportNote(str):
+    """A note of a recording's file: its import said it; `unocclude info` repeats it, no other command."""
+
+    __slots__ = ()
+
+
 @dataclass(frozen=True)
 class TrunkSensors:
     """An IMU on the trunk, and what the camera sees of the trunk besides the arm's own shoulder.

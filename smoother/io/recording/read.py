@@ -18,8 +18,7 @@ from ...calibration import ArmCalibration
 from ...errors import RecordingError
 from ...linalg import unit
 from ...measurements.remedy import Remedy
-from ...recording import JOINTS, CameraFrame, ImuStream, Recording
-from ...recording.notes import ImportNote
+from ...recording import JOINTS, CameraFrame, ImportNote, ImuStream, Recording
 from ...runtime.printable import printable
 from ...runtime.store import Store, batches
 from ..mcap.container import Container
