@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from .calibration import ArmCalibration
+from .cameras import join_cameras
 from .config import Config
 from .errors import SolveError, UnoccludeError
 from .measurements.clock import OFFSET_SIGMA_S, Clock
@@ -15,6 +16,7 @@ from .measurements.segment import Timeline
 from .recording import FOREARM_JOINTS, Recording
 from .recovery.ambiguity import with_ambiguities
 from .recovery.camera_blocks import CameraEvidence, Solved, without_wrong_blocks
+from .recovery.cameras import names_of, with_cameras
 from .recovery.cause import diagnose_failures, with_cause
 from .recovery.first_pass import FirstPass, magnetic_field
 from .recovery.merge import merge
@@ -101,6 +103,8 @@ def smooth(
     if not any(joint in FOREARM_JOINTS for joint in recording.arm.present):
         raise SolveError(f"{recording.name}: the camera never tracked the forearm")
 
+    # 0. Several cameras: where each stands, its clock, and all frames as one stream in the first one's frame.
+    recording, rig = join_cameras(recording, store)
     # 1. Clocks: whether the streams are a pair, and the camera's stamps where the fine search finds the rest.
     report(0.0, "calibrating")
     as_recorded = recording
@@ -114,9 +118,9 @@ def smooth(
             return _solved(one, given, config, workers, store, report, clock, coarse_clock, (draws, seed))
 
         # 2. to 6. The motion; blocks of the camera's samples that the rest contradicts are left out of it.
-        best = without_wrong_blocks(recording, solved)
+        best = without_wrong_blocks(recording, solved, names_of(rig))
     #    The thorax by an IMU on the trunk, where there is one.
-    recovery = with_trunk(best.recovery, as_recorded, store)
+    recovery = with_cameras(with_trunk(best.recovery, as_recorded, store), rig)
     # 7. Sigma as hidden gaps of this camera asked for: the calibration's, or the self-check's.
     recovery = with_sigma_factors(recovery, given.sigma_factors)
     recovery = with_self_check(recovery, best.evidence.stretches)

@@ -31,6 +31,7 @@ STACK = (
     ),
     ("runtime",),
     ("measurements",),
+    ("cameras",),
     ("result", "angles", "joint_angles", "shoulder_angles", "matching"),
     ("window",),
     ("graph",),

@@ -135,6 +135,8 @@ def arm(
         raise typer.BadParameter("the settings of markers and mocap need --mocap")
     if arms not in ("one", "both"):
         raise typer.BadParameter(f"--arms is one or both, not '{arms}'")
+    if config.cameras and arms == "both":
+        raise typer.BadParameter("--cameras films one arm; leave out --arms both")
     if mocap and arms == "both":
         raise typer.BadParameter("--mocap captures one arm; leave out --arms both")
     files = MocapFiles.beside(output, calibration_out) if mocap else None
@@ -163,6 +165,9 @@ def arm(
         ("IMU samples", len(recording.imu)),
         ("camera frames", len(recording.arm)),
     ]
+    for camera in recording.cameras:
+        angle = simulated.parameters["cameras"][camera.name]["angle_deg"]
+        rows.append((f"frames of {camera.name}, at {angle:g} degrees", len(camera.arm)))
     for one in both:
         which = f", {one.recording.side} arm" if len(both) > 1 else ""
         rows.append((f"occluded frames{which}", int(one.occluded.sum())))
@@ -218,7 +223,10 @@ def parsed_setting(name: str, value: Any) -> Any:
 
 
 #: Settings of an arm that each person draws for themselves, or that a crowd has no use for.
-_NOT_OURS = {"side", "strap", "belly", "frozen_gaps", "swapped_gaps", "still_all"}
+_NOT_OURS = {
+    *("side", "strap", "belly", "frozen_gaps", "swapped_gaps", "still_all"),
+    *("cameras", "camera_clock_s", "camera_clock_ppm", "camera_blind", "camera_fault"),
+}
 
 
 def people(

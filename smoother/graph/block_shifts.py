@@ -45,48 +45,65 @@ class Cells:
         On the IMU's clock.
     segment : ndarray of int, shape (k,)
         Cells of one segment follow each other without a gap or a jump.
+    camera : ndarray of int, shape (k,)
+        The camera whose samples they hold; those of a camera follow each other.
     """
 
     start_s: FloatArray
     end_s: FloatArray
     segment: IntArray
+    camera: IntArray
 
     def __len__(self) -> int:
         return len(self.start_s)
 
-    def of(self, t: FloatArray) -> IntArray:
-        """The cell of each time (n,); -1 where there is none."""
-        if not len(self):
+    def of(self, t: FloatArray, camera: int = 0) -> IntArray:
+        """The cell of each time (n,) of a camera; -1 where there is none."""
+        own = np.flatnonzero(self.camera == camera)
+        if not len(own):
             return np.full(len(t), -1)
-        index = np.clip(np.searchsorted(self.start_s, t + 1e-9, side="right") - 1, 0, None)
+        index = own[np.clip(np.searchsorted(self.start_s[own], t + 1e-9, side="right") - 1, 0, None)]
         inside = (t >= self.start_s[index] - 1e-9) & (t <= self.end_s[index] + 1e-9)
         return np.where(inside, index, -1)
 
 
 def cells_of(window: Window) -> Cells:
-    """The cells of the camera's samples in a window's core."""
-    measured = [each for each in window.joint_measurements if each.joint != "strap"]
-    if not measured:
-        measured = list(window.joint_measurements)
-    if not measured:
-        return Cells(np.zeros(0), np.zeros(0), np.zeros(0, int))
+    """The cells of the cameras' samples in a window's core."""
+    of_cameras, segments = [], 0
+    for camera in sorted({each.camera for each in window.joint_measurements}):
+        cells = _cells_of_camera(window, camera)
+        of_cameras.append((cells, segments))
+        segments += int(cells.segment.max(initial=-1)) + 1
+    if not of_cameras:
+        return Cells(np.zeros(0), np.zeros(0), np.zeros(0, int), np.zeros(0, int))
+    return Cells(
+        np.concatenate([cells.start_s for cells, _ in of_cameras]),
+        np.concatenate([cells.end_s for cells, _ in of_cameras]),
+        np.concatenate([cells.segment + first for cells, first in of_cameras]),
+        np.concatenate([cells.camera for cells, _ in of_cameras]),
+    )
+
+
+def _cells_of_camera(window: Window, camera: int) -> Cells:
+    own = [each for each in window.joint_measurements if each.camera == camera]
+    measured = [each for each in own if each.joint != "strap"] or own
     t = np.unique(np.concatenate([each.t_s for each in measured]))
     t = t[(t >= window.core_start_s) & (t <= window.core_end_s)]
     if len(t) < 2:
-        return Cells(np.zeros(0), np.zeros(0), np.zeros(0, int))
+        return Cells(np.zeros(0), np.zeros(0), np.zeros(0, int), np.zeros(0, int))
     breaks = np.diff(t) > MISSING_S
     for each in measured:
         breaks |= np.isin(t[1:], _jumps(each.t_s, each.position))
     starts, ends, segments = [], [], []
     edges = np.concatenate(([0], np.flatnonzero(breaks) + 1, [len(t)]))
     for number, (a, b) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
-        own = t[a:b]
-        count = max(round(float(own[-1] - own[0]) / CELL_S), 1)
-        for part in np.array_split(own, min(count, len(own))):
+        run = t[a:b]
+        count = max(round(float(run[-1] - run[0]) / CELL_S), 1)
+        for part in np.array_split(run, min(count, len(run))):
             starts.append(float(part[0]))
             ends.append(float(part[-1]))
             segments.append(number)
-    return Cells(np.array(starts), np.array(ends), np.array(segments))
+    return Cells(np.array(starts), np.array(ends), np.array(segments), np.full(len(starts), camera))
 
 
 def _jumps(t: FloatArray, position: FloatArray) -> FloatArray:
@@ -123,7 +140,7 @@ class CameraBlocks:
                 continue
             weight = factors.weight.reshape(-1, 3)
             rows = np.arange(factors.rows.start, factors.rows.stop).reshape(-1, 3)
-            cell = self.cells.of(window.t[factors.nodes])
+            cell = self.cells.of(window.t[factors.nodes], factors.camera)
             mine = np.flatnonzero(cell >= 0)
             for axis in range(3):
                 columns[rows[mine, axis], 3 * cell[mine] + axis] = weight[mine, axis]
@@ -147,7 +164,7 @@ class CameraBlocks:
             allowed = covariance + SLOW_M**2 * np.eye(3)
             score = float(shift @ np.linalg.solve(allowed, shift)) / 3.0
             start_s, end_s = float(cells.start_s[rows.start]), float(cells.end_s[rows.stop - 1])
-            shifts.append(BlockShift(start_s, end_s, shift, score))
+            shifts.append(BlockShift(start_s, end_s, shift, score, int(cells.camera[rows.start])))
         return tuple(shifts)
 
     def _reduced(self, system: LinearSystem) -> tuple[FloatArray, FloatArray]:

@@ -73,6 +73,8 @@ class FactorGroup:
         Their rows in its whitened Jacobian.
     nodes : ndarray of int, shape (m,)
         The node of each; empty where they have none.
+    camera : int
+        The camera whose samples they are.
     """
 
     kind: str
@@ -80,6 +82,7 @@ class FactorGroup:
     factors: range
     rows: slice
     nodes: IntArray
+    camera: int = 0
 
 
 class WindowGraph(NamedTuple):
@@ -105,6 +108,7 @@ class WindowGraph(NamedTuple):
         factors: Iterable[gtsam.NonlinearFactor],
         dimension: int,
         nodes: Sequence[int] | IntArray = (),
+        camera: int = 0,
     ) -> None:
         """Add factors, each with so many rows, and record where they are."""
         first, row = self.graph.size(), self.groups[-1].rows.stop if self.groups else 0
@@ -112,7 +116,7 @@ class WindowGraph(NamedTuple):
             self.graph.add(factor)
         added = range(first, self.graph.size())
         rows = slice(row, row + dimension * len(added))
-        self.groups.append(FactorGroup(kind, of, added, rows, np.asarray(nodes, dtype=int)))
+        self.groups.append(FactorGroup(kind, of, added, rows, np.asarray(nodes, dtype=int), camera))
 
 
 def build(window: Window) -> WindowGraph:
@@ -167,7 +171,7 @@ def _add_joints(built: WindowGraph, window: Window) -> None:
             joint_factor(keys.pose + node, lever, position, robust(sigma, cauchy))
             for node, position, sigma in zip(nodes.tolist(), positions, sigmas.tolist(), strict=True)
         ]
-        built.add("camera", measured.joint, factors, POINT_ROWS, nodes)
+        built.add("camera", measured.joint, factors, POINT_ROWS, nodes, measured.camera)
 
 
 def stacked_measurements(

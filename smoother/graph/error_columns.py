@@ -17,6 +17,7 @@ from gtsam.symbol_shorthand import B, G, S
 from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
 from ..linalg import skew
+from ..measurements.outliers import noise_key
 from ..recording import JOINTS
 from ..window.problem import JointMeasurements, States, Window
 from ..window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, ErrorEvidence
@@ -107,12 +108,20 @@ class CameraRows:
         Three a factor, in {K}.
     weight : ndarray, shape (3 m,), 1/m
         How a shift of the joint counts in each.
+    camera : int
+        The camera whose samples they are.
     """
 
     joint: str
     nodes: IntArray
     rows: slice
     weight: FloatArray
+    camera: int = 0
+
+    @property
+    def key(self) -> str:
+        """As that of the `JointMeasurements`."""
+        return noise_key(self.joint, self.camera)
 
 
 def camera_rows(jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup]) -> Iterator[CameraRows]:
@@ -133,7 +142,7 @@ def camera_rows(jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup
     for group in groups:
         if group.kind == "camera":
             weight = _weight(jacobian, group.rows, group.of, window)
-            yield CameraRows(group.of, group.nodes, group.rows, weight)
+            yield CameraRows(group.of, group.nodes, group.rows, weight, group.camera)
 
 
 def _means(window: Window) -> tuple[FloatArray, FloatArray]:
@@ -231,11 +240,11 @@ def offset_column(
     column : ndarray, shape (r, 1), 1/s
         Of the first r rows; the offset is in no others.
     """
-    by_joint = {measured.joint: measured for measured in window.joint_measurements}
+    by_key = {measured.key: measured for measured in window.joint_measurements}
     column = np.zeros((0, 1))
     for factors in camera_rows(jacobian, window, groups):
-        if factors.joint in by_joint:
-            measured = by_joint[factors.joint]
+        if factors.key in by_key:
+            measured = by_key[factors.key]
             mean, _ = _velocity_at_nodes(measured, states[measured.segment], window.noise.cauchy)
             rows = np.zeros((factors.rows.stop, 1))
             rows[: len(column)] = column

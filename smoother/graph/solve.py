@@ -439,5 +439,5 @@ def _residuals(values: gtsam.Values, window: Window, states: Mapping[str, States
         lever = values.atPoint3(keys.lever_of(measured.joint)) if measured.joint in known else np.zeros(3)
         own = states[measured.segment]
         answer = own.p[measured.node] + own.R[measured.node] @ lever
-        residuals[measured.joint] = measured.position - measured.shift - answer
+        residuals[measured.key] = measured.position - measured.shift - answer
     return residuals

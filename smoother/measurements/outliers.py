@@ -42,6 +42,11 @@ class JointNoise:
     memory_m: float
 
 
+def noise_key(joint: str, camera: int = 0) -> str:
+    """What a joint's samples by one camera are called: its name where that is the first."""
+    return joint if camera == 0 else f"{joint}@{camera}"
+
+
 #: A fourth difference counts as none below this part of the joint's usual one, and of the step from sample
 #: to sample: cameras that smooth (Kinect v1) are nearly free of noise where an arm rests, not where it moves.
 PART, PART_OF_STEP = 0.02, 0.01
@@ -134,8 +139,28 @@ def reject_by_camera(segment: Segment) -> Segment:
     Returns
     -------
     segment : Segment
-        With fewer accepted samples, their reasons noted.
+        With fewer accepted samples, their reasons noted; each camera's frames are looked at by themselves.
     """
+    if segment.camera is None:
+        return _reject_by_one_camera(segment)
+    accepted, reason = segment.accepted.copy(), segment.reason.copy()
+    for number in np.unique(segment.camera):
+        own = segment.camera == number
+        alone = _reject_by_one_camera(
+            replace(
+                segment,
+                frame_t_camera=segment.frame_t_camera[own],
+                position=segment.position[own],
+                accepted=segment.accepted[own],
+                reason=segment.reason[own],
+                camera=None,
+            )
+        )
+        accepted[own], reason[own] = alone.accepted, alone.reason
+    return replace(segment, accepted=accepted, reason=reason)
+
+
+def _reject_by_one_camera(segment: Segment) -> Segment:
     with np.errstate(over="ignore", invalid="ignore"):
         segment = _reject(segment, np.linalg.norm(segment.position, axis=2) > FARTHEST_M, Rejection.FAR)
     for column in range(len(JOINTS)):
@@ -206,7 +231,7 @@ def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, 
     residual : ndarray, shape (f, 5, 3), m
         Camera minus answer; nan where there is none.
     noise : dict of str to JointNoise
-        By joint; samples of a joint without are not rejected.
+        By joint and camera (`noise_key`); samples of a joint without are not rejected.
 
     Returns
     -------
@@ -214,12 +239,17 @@ def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, 
         With fewer accepted samples, their reasons noted.
     """
     length = np.linalg.norm(residual, axis=2)
+    cameras = 1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1
     limit = np.array(
         [
-            max(RESIDUAL_M, RESIDUAL_SIGMAS * noise[joint].sample_m) if joint in noise else np.inf
-            for joint in JOINTS
+            [
+                max(RESIDUAL_M, RESIDUAL_SIGMAS * noise[key].sample_m) if key in noise else np.inf
+                for key in (noise_key(joint, camera) for joint in JOINTS)
+            ]
+            for camera in range(cameras)
         ]
     )
+    limit = limit[0] if segment.camera is None else limit[segment.camera]
     with np.errstate(invalid="ignore"):
         return _reject(segment, length > limit, Rejection.RESIDUAL)
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, CameraNumbers, FloatArray
 from ..recording import ImuStream, JointState, JointTracks, Recording
 from .clock import LARGEST_OFFSET_S, Clock
 from .inertial import ImuRun, InertialAttitude, InertialSignal, inertial_attitude
 from .timestamps import dejitter, split_at_pauses, synthetic_stamps
-from .visibility import MISSING_S, accepted_samples, enough_joints, joints_needed
+from .visibility import MISSING_S, accepted_samples, enough_joints, joints_needed, seen_by_any
 
 #: A single sample of the gyroscope that jumps by more than this and back is an error, rad/s.
 SPIKE_RAD_S = 15.0
@@ -60,6 +60,8 @@ class Segment:
         What the answer is wanted for; the time around it only supports it.
     further : tuple of ImuRun
         Of IMUs on other segments, on this one's clock, between their pauses.
+    camera : ndarray of int8, shape (f,), or None
+        Which camera each frame is of; None where all are of one.
     """
 
     signal: InertialSignal
@@ -79,6 +81,7 @@ class Segment:
     core_start_s: float = -np.inf
     core_end_s: float = np.inf
     further: tuple[ImuRun, ...] = ()
+    camera: CameraNumbers | None = None
 
     def between(self, start_s: float, end_s: float) -> Segment:
         """The same segment with a narrower time range (IMU clock), and the frames in and around it.
@@ -102,6 +105,7 @@ class Segment:
             position=self.position[rows],
             accepted=self.accepted[rows],
             reason=self.reason[rows],
+            camera=None if self.camera is None else self.camera[rows],
             frames=slice(self.frames.start + rows.start, self.frames.start + rows.stop),
             start_s=start_s,
             end_s=end_s,
@@ -129,7 +133,7 @@ def traits_of(recording: Recording, number: int = 0) -> SegmentTraits:
         down=down_hint(recording),
         down_sigma_rad=None if recording.gravity_hint is None else recording.gravity_sigma_rad,
         needed=joints_needed(recording.arm),
-        synthetic_stamps=synthetic_stamps(recording.arm.t_s),
+        synthetic_stamps=synthetic_stamps(recording.arm.of_first_camera.t_s),
         recording=number,
     )
 
@@ -206,6 +210,7 @@ def make_segment(
         recording=traits.recording,
         synthetic_stamps=traits.synthetic_stamps,
         down_sigma_rad=traits.down_sigma_rad,
+        camera=arm.camera,
     )
 
 
@@ -278,6 +283,7 @@ class Timeline:
             even_t[rows] = dejitter(np.asarray(recording.imu.t_s[rows]))
         tracked = recording.arm.state == JointState.TRACKED
         visible, seen = enough_joints(tracked, traits.needed), enough_joints(tracked, 1)
+        visible = seen_by_any(recording.arm.t_s, visible, recording.arm.camera)
         return cls(segments, even_t, visible, seen, traits)
 
     @property

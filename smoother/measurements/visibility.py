@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, CameraNumbers, FloatArray
 from ..recording import FOREARM_JOINTS, JOINTS, JointTracks
 
 #: Frames farther apart than this (s, and in frame periods) leave a gap although none says `occluded`.
@@ -50,6 +50,33 @@ def enough_joints(accepted: BoolArray, needed: int) -> BoolArray:
     """Frames (F,) with so many accepted forearm joints; with one, the camera saw something of the forearm."""
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     return accepted[:, forearm].sum(axis=1) >= needed
+
+
+def seen_by_any(t_s: FloatArray, visible: BoolArray, camera: CameraNumbers | None) -> BoolArray:
+    """Frames at whose time some camera sees the forearm, (F,): their own, or one on both sides in time.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (F,), s
+        Frame times on one clock, increasing.
+    visible : ndarray of bool, shape (F,)
+        Frames that show the forearm.
+    camera : ndarray of int8, shape (F,), or None
+        Which camera each frame is of; None where all are of one.
+    """
+    if camera is None:
+        return visible
+    seen = visible.copy()
+    for number in np.unique(camera):
+        own = np.flatnonzero(camera == number)
+        if len(own) < 2:
+            continue
+        period_s = float(np.median(np.diff(t_s[own])))
+        near = np.diff(t_s[own]) <= max(MISSING_S, MISSING_FRAMES * period_s)
+        between = visible[own][1:] & visible[own][:-1] & near
+        after = np.clip(np.searchsorted(t_s[own], t_s), 1, len(own) - 1)
+        seen |= between[after - 1] & (t_s >= t_s[own[0]]) & (t_s <= t_s[own[-1]])
+    return seen
 
 
 def find_gaps(t_s: FloatArray, visible: BoolArray, start_s: float, end_s: float) -> tuple[Gap, ...]:

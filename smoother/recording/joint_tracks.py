@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, CameraNumbers, FloatArray, IntArray
 from ..linalg import median_rate_hz
 
 #: Joints of one arm, in the order of every joint axis. `strap` is the IMU's own position.
@@ -39,12 +39,16 @@ class JointTracks:
         In {K}, joints in the order of `JOINTS`; nan where there is none.
     state : ndarray of int8, shape (F, 5)
         `JointState` values.
+    camera : ndarray of int8, shape (F,), optional
+        Which camera each frame is of, where frames of several are joined (`cameras.joined`); None where all
+        are of one.
     """
 
     name: str
     t_s: FloatArray
     position: FloatArray
     state: NDArray[np.int8]
+    camera: CameraNumbers | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -71,14 +75,28 @@ class JointTracks:
         return (self.state[:, index] == JointState.TRACKED) & finite
 
     @property
+    def of_first_camera(self) -> JointTracks:
+        """The frames of the recording's first camera; all of them where they are of one."""
+        return self if self.camera is None else self.select(np.asarray(self.camera) == 0)
+
+    @property
+    def rows_by_camera(self) -> list[IntArray]:
+        """The frames of each camera, in the order of their numbers; one entry where all are of one."""
+        if self.camera is None:
+            return [np.arange(len(self))]
+        camera = np.asarray(self.camera)
+        return [np.flatnonzero(camera == number) for number in range(int(camera.max(initial=0)) + 1)]
+
+    @property
     def forearm_tracked(self) -> BoolArray:
         """(F,) frames in which a joint of the forearm is tracked."""
         columns = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
         return np.asarray((self.state[:, columns] == JointState.TRACKED).any(axis=1))
 
-    def select(self, rows: BoolArray | slice) -> JointTracks:
+    def select(self, rows: BoolArray | IntArray | slice) -> JointTracks:
         """The same tracks with some of the frames only."""
-        return JointTracks(self.name, self.t_s[rows], self.position[rows], self.state[rows])
+        camera = None if self.camera is None else self.camera[rows]
+        return JointTracks(self.name, self.t_s[rows], self.position[rows], self.state[rows], camera)
 
     def hide(self, hidden: BoolArray, joints: tuple[str, ...] = FOREARM_JOINTS) -> JointTracks:
         """A copy in which the joints are not tracked, and have no position, in the hidden frames (F,)."""
@@ -86,4 +104,4 @@ class JointTracks:
         for index in (JOINTS.index(joint) for joint in joints):
             position[hidden, index] = np.nan
             state[hidden, index] = JointState.NOT_TRACKED
-        return JointTracks(self.name, self.t_s, position, state)
+        return replace(self, position=position, state=state)

@@ -13,6 +13,7 @@ from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..linalg import runs
 from ..sketch import Line, about_median, card_html, even_rows, lines_svg, lines_text
+from .camera import Camera
 from .camera_frame import CameraFrame
 from .given_arrays import camera_frame_of, check_imu, direction_of, imu_of, joints_of, times_of
 from .imu_stream import ImuStream
@@ -92,6 +93,9 @@ class Recording:
     clocks_unrelated : bool
         The IMU's clock and the camera's have nothing in common (files of two devices that each count from
         zero): the motion has to prove that they belong together.
+    cameras : tuple of Camera
+        Further cameras that saw the same arm, each on a clock and in a frame of its own; `arm` is the first
+        one's, in whose frame results stand.
     """
 
     imu: ImuStream
@@ -111,6 +115,7 @@ class Recording:
     applied_fixes: tuple[str, ...] = ()
     clocks_unrelated: bool = False
     opposite: JointTracks | None = None
+    cameras: tuple[Camera, ...] = ()
 
     @property
     def arm_label(self) -> str:
@@ -165,6 +170,7 @@ class Recording:
             further_imus={name: cut(imu) for name, imu in self.further_imus.items()},
             trunk=trunk,
             opposite=None if self.opposite is None else cut(self.opposite),
+            cameras=tuple(camera.with_arm(cut(camera.arm)) for camera in self.cameras),
         )
         if not (start_s < end_s and len(part.imu) and len(part.arm)):
             first, last = (self.imu.t_s[0], self.imu.t_s[-1]) if len(self.imu) else (np.nan, np.nan)

@@ -12,19 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..errors import UnoccludeError
 from ..linalg import interpolate, runs
 from ..measurements.clock import Clock
 from ..measurements.segment import Segment
-from ..measurements.visibility import MISSING_S, Gap, Rejection
+from ..measurements.visibility import MISSING_S, Rejection
 from ..recording import JOINTS, JointState, Recording
-from ..result import Pairing, Recovery, UntrustedInterval
+from ..result import Pairing, Recovery
 from ..selfcal.pairing import find_pairing
 from ..window.solution import BlockShift
+from .camera_faults import camera_faults
 from .second_pass import SecondAnswer
 from .self_check import HiddenStretch
 
@@ -48,10 +50,6 @@ SLICE_S, READMITTED = 0.5, 3.0
 SLOW_M, PREDICTED_M = 0.017, 0.05
 #: The camera's shoulder is readmitted with them where it is no farther from the answer's, m.
 SHOULDER_M = 0.10
-#: Bones that are off by this share of their usual length, and by so much, m, are another body's.
-OTHER_LENGTH, OTHER_LENGTH_M = 0.15, 0.035
-#: Joints that move less than this, m, while the rest says that they move this much more are guessed.
-HELD_M, HELD_SHARE = 0.03, 4.0
 
 _ELBOW, _WRIST, _HAND = (JOINTS.index(joint) for joint in ("elbow", "wrist", "hand"))
 _REJECTED = (
@@ -62,6 +60,14 @@ _REJECTED = (
     Rejection.JUMP,
 )
 _BY_CAMERA = (Rejection.FROZEN, Rejection.INTERPOLATED, Rejection.FAR, Rejection.JUMP, Rejection.BONE)
+
+
+class Suspect(NamedTuple):
+    """A time, s on the IMU's clock, whose samples by a camera, its number, the rest contradicts."""
+
+    start_s: float
+    end_s: float
+    camera: int = 0
 
 
 @dataclass
@@ -179,7 +185,9 @@ class Excluded:
         return replace(recovery, arm=arm, residuals=residuals)
 
 
-def without_wrong_blocks(recording: Recording, solve: Callable[[Recording], Solved]) -> Solved:
+def without_wrong_blocks(
+    recording: Recording, solve: Callable[[Recording], Solved], names: Sequence[str] = ("the camera",)
+) -> Solved:
     """The recovery of a recording without the camera's blocks that the rest contradicts.
 
     Parameters
@@ -188,6 +196,8 @@ def without_wrong_blocks(recording: Recording, solve: Callable[[Recording], Solv
         As the camera saw it, its clocks near each other.
     solve : callable
         From a recording to its recovery.
+    names : sequence of str
+        Of the cameras, in sentences.
 
     Returns
     -------
@@ -217,7 +227,7 @@ def without_wrong_blocks(recording: Recording, solve: Callable[[Recording], Solv
             break
         excluded, contradicting = wanted, suspects(best.evidence)
     recovery = excluded.noted(best.recovery, recording)
-    faults = camera_faults(excluded, contradicting, recovery, recording)
+    faults = camera_faults(excluded.frames, contradicting, recovery, recording, names)
     estimates = replace(
         recovery.estimates,
         untrusted=(*recovery.estimates.untrusted, *faults.untrusted),
@@ -226,29 +236,41 @@ def without_wrong_blocks(recording: Recording, solve: Callable[[Recording], Solv
     return replace(best, recovery=replace(recovery, estimates=estimates), excluded=excluded)
 
 
-def suspects(evidence: CameraEvidence) -> list[tuple[float, float]]:
-    """Times of the camera's samples that the rest contradicts, s on the IMU's clock, merged.
+def suspects(evidence: CameraEvidence) -> list[Suspect]:
+    """Times of a camera's samples that the rest contradicts, merged.
 
     Parameters
     ----------
     evidence : CameraEvidence
         Of a recovery.
     """
-    times = [(shift.start_s, shift.end_s) for shift in evidence.shifts if shift.score > SUSPICIOUS]
-    return _merged(
-        [*times, *((each.start_s, each.end_s) for each in evidence.stretches if each.contradicted)]
-    )
+    found = [
+        Suspect(shift.start_s, shift.end_s, shift.camera)
+        for shift in evidence.shifts
+        if shift.score > SUSPICIOUS
+    ]
+    found += [
+        Suspect(each.start_s, each.end_s, camera)
+        for each in evidence.stretches
+        for camera in each.contradicting
+    ]
+    cameras = sorted({each.camera for each in found})
+    return [
+        Suspect(start_s, end_s, camera)
+        for camera in cameras
+        for start_s, end_s in _merged([each[:2] for each in found if each.camera == camera])
+    ]
 
 
-def _mostly_rejected(recovery: Recovery) -> Iterator[tuple[float, float]]:
-    """Times of `REJECTED_S` of which more than half was rejected."""
+def _mostly_rejected(recovery: Recovery, own: IntArray) -> Iterator[tuple[float, float]]:
+    """Times of `REJECTED_S` of which more than half of a camera's frames, those rows, was rejected."""
     residuals = recovery.residuals
-    if residuals is None or not len(residuals):
+    if residuals is None or not len(residuals) or not len(own):
         return
     columns = [_ELBOW, _WRIST]
-    rejected = np.isin(residuals.reason[:, columns], [int(reason) for reason in _REJECTED])
-    tracked = rejected | residuals.used[:, columns]
-    t = np.asarray(residuals.t_s)
+    rejected = np.isin(residuals.reason[own][:, columns], [int(reason) for reason in _REJECTED])
+    tracked = rejected | residuals.used[own][:, columns]
+    t = np.asarray(residuals.t_s)[own]
     step = np.floor((t - t[0]) / STEP_S).astype(int)
     steps = round(REJECTED_S / STEP_S)
     sums = [
@@ -258,8 +280,8 @@ def _mostly_rejected(recovery: Recovery) -> Iterator[tuple[float, float]]:
     # a time that the camera hardly saw says nothing of the rest of it
     wrong = (sums[0] > REJECTED_SHARE * sums[1]) & (sums[1] >= sums[2]) & (sums[2] > 2 * steps)
     for first in np.flatnonzero(wrong).tolist():
-        own = t[(step >= first) & (step < first + steps) & rejected.any(axis=1)]
-        yield float(own[0]), float(own[-1])
+        wrong_t = t[(step >= first) & (step < first + steps) & rejected.any(axis=1)]
+        yield float(wrong_t[0]), float(wrong_t[-1])
 
 
 def _merged(times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -273,26 +295,32 @@ def _merged(times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     return merged
 
 
-def left_out(recording: Recording, recovery: Recovery, times: Sequence[tuple[float, float]]) -> Excluded:
-    """All joints of suspects, of what the camera saw beside them, and of what was mostly rejected already.
+def left_out(recording: Recording, recovery: Recovery, times: Sequence[Suspect]) -> Excluded:
+    """All joints of suspects, of what their camera saw beside them, and of what was mostly rejected already.
 
     A block that the answer has followed looks sound, and the ones beside it guilty: so as much as `BESIDE_S`
     on both sides goes with a suspect, and so does what would be left between two of them. Where most samples
     were rejected one by one, the others go as well.
     """
-    t = np.asarray(recovery.arm.t_s)
     tracked = recording.arm.state == JointState.TRACKED
-    beside = [(start_s - BESIDE_S, end_s + BESIDE_S) for start_s, end_s in times]
-    rejected = list(_mostly_rejected(recovery))  # the answer has not followed what lies beside these
-    frames = np.zeros(len(t), bool)
-    for visible in _visible_runs(t, tracked[:, 1:].any(axis=1)):
-        first_s, last_s = float(t[visible.start]), float(t[visible.stop - 1])
-        near = [one for one, suspect in zip(beside, times, strict=True) if _overlap(suspect, first_s, last_s)]
-        near += [one for one in rejected if _overlap(one, first_s, last_s)]
-        for start_s, end_s in _merged(near):
-            start_s = first_s if start_s - first_s < SLICE_S else start_s
-            end_s = last_s if last_s - end_s < SLICE_S else end_s
-            frames[visible] |= (t[visible] >= start_s - 1e-6) & (t[visible] <= end_s + 1e-6)
+    frames = np.zeros(len(tracked), bool)
+    for camera, own in enumerate(recording.arm.rows_by_camera):
+        t, seen = np.asarray(recovery.arm.t_s)[own], tracked[own][:, 1:].any(axis=1)
+        suspected = [each[:2] for each in times if each.camera == camera]
+        beside = [(start_s - BESIDE_S, end_s + BESIDE_S) for start_s, end_s in suspected]
+        rejected = list(_mostly_rejected(recovery, own))  # the answer has not followed what lies beside these
+        for visible in _visible_runs(t, seen):
+            first_s, last_s = float(t[visible.start]), float(t[visible.stop - 1])
+            near = [
+                one
+                for one, suspect in zip(beside, suspected, strict=True)
+                if _overlap(suspect, first_s, last_s)
+            ]
+            near += [one for one in rejected if _overlap(one, first_s, last_s)]
+            for start_s, end_s in _merged(near):
+                start_s = first_s if start_s - first_s < SLICE_S else start_s
+                end_s = last_s if last_s - end_s < SLICE_S else end_s
+                frames[own[visible]] |= (t[visible] >= start_s - 1e-6) & (t[visible] <= end_s + 1e-6)
     return Excluded(frames[:, None] & tracked)
 
 
@@ -320,12 +348,17 @@ def readmitted(excluded: Excluded, recovery: Recovery, recording: Recording) -> 
     """
     samples = excluded.samples.copy()
     frame_t = np.asarray(recovery.arm.t_s)
-    for run in runs(excluded.frames):
-        for rows in _slices(frame_t, run):
-            if all(_agrees(joint, rows, frame_t, recovery, recording) for joint in ("elbow", "wrist")):
-                samples[rows, 1:] = False
-                if _shoulder_agrees(rows, frame_t, recovery, recording):
-                    samples[rows, 0] = False
+    slices = [
+        own[rows]
+        for own in recording.arm.rows_by_camera
+        for run in runs(excluded.frames[own])
+        for rows in _slices(frame_t[own], run)
+    ]
+    for rows in slices:
+        if all(_agrees(joint, rows, frame_t, recovery, recording) for joint in ("elbow", "wrist")):
+            samples[rows, 1:] = False
+            if _shoulder_agrees(rows, frame_t, recovery, recording):
+                samples[rows, 0] = False
     return Excluded(samples)
 
 
@@ -339,7 +372,9 @@ def _slices(t: FloatArray, run: slice) -> Iterator[slice]:
             yield slice(first, last)
 
 
-def _agrees(joint: str, rows: slice, frame_t: FloatArray, recovery: Recovery, recording: Recording) -> bool:
+def _agrees(
+    joint: str, rows: IntArray, frame_t: FloatArray, recovery: Recovery, recording: Recording
+) -> bool:
     """Whether a joint's mean over a slice lies where the answer says, within both sigmas."""
     if joint not in recovery.joints:
         return True
@@ -361,7 +396,7 @@ def _agrees(joint: str, rows: slice, frame_t: FloatArray, recovery: Recovery, re
     return float(error @ np.linalg.solve(allowed, error)) / 3.0 < READMITTED
 
 
-def _shoulder_agrees(rows: slice, frame_t: FloatArray, recovery: Recovery, recording: Recording) -> bool:
+def _shoulder_agrees(rows: IntArray, frame_t: FloatArray, recovery: Recovery, recording: Recording) -> bool:
     if "shoulder" not in recovery.joints:
         return True
     t = frame_t[rows]
@@ -373,115 +408,3 @@ def _shoulder_agrees(rows: slice, frame_t: FloatArray, recovery: Recovery, recor
     distance = np.linalg.norm(error, axis=1)
     distance = distance[np.isfinite(distance)]
     return not len(distance) or float(np.median(distance)) < SHOULDER_M
-
-
-@dataclass(frozen=True)
-class CameraFaults:
-    """What is wrong with the camera's samples, in words.
-
-    Attributes
-    ----------
-    cautions : tuple of str
-        Blocks that were left out, with their times and what they look like.
-    untrusted : tuple of UntrustedInterval
-        Times at which nothing decides.
-    """
-
-    cautions: tuple[str, ...] = ()
-    untrusted: tuple[UntrustedInterval, ...] = ()
-
-
-def camera_faults(
-    excluded: Excluded,
-    contradicting: Sequence[tuple[float, float]],
-    recovery: Recovery,
-    recording: Recording,
-) -> CameraFaults:
-    """What was left out, and what contradicts even then.
-
-    Parameters
-    ----------
-    excluded : Excluded
-        What the recovery was made without.
-    contradicting : sequence of (start, end) in s
-        What the answer contradicts all the same.
-    recovery : Recovery
-    recording : Recording
-        As the camera saw it.
-    """
-    frame_t = np.asarray(recovery.arm.t_s)
-    cautions, untrusted = [], []
-    for rows in _joined(excluded.frames, recording):
-        start_s, end_s = float(frame_t[rows.start]), float(frame_t[rows.stop - 1])
-        looks = _looks_like(rows, recovery, recording)
-        what = f"from {start_s:.1f} to {end_s:.1f} s the camera's joints contradict the IMU and the rest"
-        cautions.append(f"{what}: {looks}; they were left out")
-        for gap in recovery.gaps:
-            beside = gap.start_s < end_s + 0.2 and gap.end_s > start_s - 0.2
-            if beside and (gap.open_start or gap.open_end):
-                untrusted.append(
-                    UntrustedInterval(
-                        min(gap.start_s, start_s),
-                        max(gap.end_s, end_s),
-                        (f"{what} ({looks}), and nothing on that side confirms the answer",),
-                    )
-                )
-    for start_s, end_s in contradicting:
-        reason = (
-            f"from {start_s:.1f} to {end_s:.1f} s the camera's joints and the IMU contradict each other, and"
-            " nothing shows which is right"
-        )
-        untrusted.append(UntrustedInterval(*_with_gaps(recovery.gaps, start_s, end_s), (reason,)))
-    return CameraFaults(tuple(cautions), tuple(_unique(untrusted)))
-
-
-def _unique(intervals: Sequence[UntrustedInterval]) -> Iterator[UntrustedInterval]:
-    """Intervals in the order of time; the same one once."""
-    yield from sorted(dict.fromkeys(intervals), key=lambda each: (each.start_s, each.end_s))
-
-
-def _with_gaps(gaps: Sequence[Gap], start_s: float, end_s: float) -> tuple[float, float]:
-    """Times widened to the gaps beside them, which rest on what the camera saw then."""
-    for gap in gaps:
-        if gap.start_s <= end_s + 0.2 and gap.end_s >= start_s - 0.2:
-            start_s, end_s = min(start_s, gap.start_s), max(end_s, gap.end_s)
-    return start_s, end_s
-
-
-def _joined(frames: BoolArray, recording: Recording) -> list[slice]:
-    """Runs of frames that are left out; runs with nothing visible between them are one."""
-    visible = (recording.arm.state[:, [_ELBOW, _WRIST]] == JointState.TRACKED).all(axis=1) & ~frames
-    joined: list[slice] = []
-    for run in runs(frames):
-        if joined and not visible[joined[-1].stop : run.start].any():
-            joined[-1] = slice(joined[-1].start, run.stop)
-        else:
-            joined.append(run)
-    return joined
-
-
-def _looks_like(rows: slice, recovery: Recovery, recording: Recording) -> str:
-    """What a block that is wrong looks like."""
-    arm = recording.arm
-    both = (arm.state[:, [_ELBOW, _WRIST]] == JointState.TRACKED).all(axis=1)
-    length = np.linalg.norm(arm.joint("wrist") - arm.joint("elbow"), axis=1)
-    inside = np.zeros(len(arm), bool)
-    inside[rows] = True
-    own, rest = length[both & inside], length[both & ~inside]
-    if len(own) and len(rest):
-        usual_m, here_m = float(np.median(rest)), float(np.median(own))
-        if abs(here_m - usual_m) > max(OTHER_LENGTH * usual_m, OTHER_LENGTH_M):
-            return (
-                f"the forearm is {100 * here_m:.0f} cm long there, where it is {100 * usual_m:.0f} cm"
-                " otherwise: another person's body, or joints that the tracker guessed"
-            )
-    t = np.asarray(recovery.arm.t_s)[rows]
-    seen = both[rows]
-    if seen.sum() > 5 and "wrist" in recovery.joints:
-        seen_m = np.ptp(arm.joint("wrist")[rows][seen], axis=0)
-        span = slice(*np.searchsorted(recovery.t_s, [t[0], t[-1]]).tolist())
-        answer_m = np.ptp(recovery.joints["wrist"][span], axis=0)
-        moved, should = float(np.linalg.norm(seen_m)), float(np.linalg.norm(answer_m))
-        if moved < HELD_M and should > HELD_SHARE * max(moved, 0.01):
-            return "the joints hardly move while the IMU does: guessed by the tracker"
-    return "another person's body, the other arm, or joints that the tracker guessed"

@@ -6,18 +6,19 @@ answers for it; the arm's measures and the clock, which all of the recording sha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..body import FOREARM
 from ..calibration import SigmaFactors
 from ..error_radius import pooled_radius
 from ..errors import SolveError
 from ..graph.solve import solve
-from ..measurements.visibility import MISSING_S, Gap, enough_joints
+from ..measurements.outliers import noise_key
+from ..measurements.visibility import MISSING_S, Gap, enough_joints, seen_by_any
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..result import Draws, Recovery, SelfCheck
 from ..runtime.store import batches
@@ -66,6 +67,8 @@ class HiddenStretch:
         3D error of each sample.
     stated_95_m : float, m
         Distance within which 95 of 100 of them should lie.
+    contradicting : tuple of int
+        Cameras whose samples lie where the rest says that they cannot; of one camera as `contradicted` says.
     """
 
     start_s: float
@@ -77,6 +80,7 @@ class HiddenStretch:
     nees: float = float("nan")
     error_m: tuple[float, ...] = ()
     stated_95_m: float = float("nan")
+    contradicting: tuple[int, ...] = ()
 
     @property
     def failed(self) -> bool:
@@ -175,7 +179,8 @@ def _visible_runs(prepared: PreparedSegment) -> list[tuple[float, float]]:
     """From when to when the camera sees the forearm within what the section answers for, s."""
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     needed = 2 if np.count_nonzero(np.asarray(prepared.accepted[:, forearm].any(axis=0))) > 1 else 1
-    t = prepared.frame_t_imu[enough_joints(prepared.accepted, needed)]
+    visible = enough_joints(prepared.accepted, needed)
+    t = prepared.frame_t_imu[seen_by_any(prepared.frame_t_imu, visible, prepared.camera)]
     t = t[(t >= prepared.start_s) & (t <= prepared.end_s)]
     if len(t) < 2:
         return []
@@ -257,8 +262,12 @@ def _recovered(
         trajectory.lever_at(reference, t[rows]),
         None if lever is None else np.diag(lever.sigma_m**2),
     )
-    sample = model.joint_noise[reference].sample_m if reference in model.joint_noise else 0.01
-    covariance = covariance + sample**2 * np.eye(3)
+    cameras = np.zeros(len(rows), int) if prepared.camera is None else prepared.camera[rows].astype(int)
+    keys = [noise_key(reference, camera) for camera in range(int(cameras.max(initial=0)) + 1)]
+    samples = np.array(
+        [model.joint_noise[key].sample_m if key in model.joint_noise else 0.01 for key in keys]
+    )
+    covariance = covariance + samples[cameras, None, None] ** 2 * np.eye(3)
     squared = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     finite = np.isfinite(squared)
     if not finite.any():
@@ -274,7 +283,17 @@ def _recovered(
         nees=float(squared[finite].mean()) / 3.0,
         error_m=tuple(lengths.tolist()),
         stated_95_m=pooled_radius(covariance[finite]) or float("nan"),
+        contradicting=tuple(_contradicting(squared[finite], lengths, cameras[finite])),
     )
+
+
+def _contradicting(squared: FloatArray, lengths: FloatArray, cameras: IntArray) -> Iterator[int]:
+    """Cameras whose samples fail by themselves, from each sample's squared sigmas and error, m."""
+    for camera in np.unique(cameras).tolist():
+        own = cameras == camera
+        nees, rms_m = float(squared[own].mean()) / 3.0, float(np.sqrt(np.mean(lengths[own] ** 2)))
+        if nees > FAILED_NEES and rms_m > FAILED_M:
+            yield camera
 
 
 def summary(stretches: Sequence[HiddenStretch]) -> SelfCheck:

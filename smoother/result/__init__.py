@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .camera_estimate import CameraEstimate
 from .draws import Draws
 from .estimates import Estimates
 from .frame_residuals import FrameResiduals
@@ -10,6 +11,7 @@ from .recovery import Recovery
 from .verdict import GapVerdict, Pairing, SelfCheck, UntrustedInterval
 
 __all__ = [
+    "CameraEstimate",
     "Draws",
     "Estimates",
     "FrameResiduals",

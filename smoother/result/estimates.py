@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from ..recording import JOINTS
+from .camera_estimate import CameraEstimate, cameras_from_plain
 from .verdict import Pairing, SelfCheck, UntrustedInterval, intervals_from_plain, intervals_plain
 
 
@@ -54,6 +55,8 @@ class Estimates:
         Whether skeleton and IMU were shown to be of one motion.
     clock_given_s : tuple of float, s, optional
         Mean offset and sigma of a clock that was measured and given beforehand; t_imu = t_camera + offset.
+    cameras : tuple of CameraEstimate
+        Where a recording has several: the first one, then the further ones.
     further : dict
         What else a file or a baseline states, by name.
     """
@@ -80,6 +83,7 @@ class Estimates:
     self_check: SelfCheck | None = None
     pairing: Pairing | None = None
     clock_given_s: tuple[float, ...] | None = None
+    cameras: tuple[CameraEstimate, ...] = ()
     further: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -97,11 +101,11 @@ class Estimates:
         """Plain values by name, as files and `--json` state them; what is not stated is left out."""
 
         def listed(value: Any) -> Any:
-            if isinstance(value, SelfCheck | Pairing):
+            if isinstance(value, SelfCheck | Pairing | CameraEstimate):
                 return value.plain()
             if isinstance(value, dict):
                 return {name: listed(item) for name, item in value.items()}
-            return list(value) if isinstance(value, tuple) else value
+            return [listed(item) for item in value] if isinstance(value, tuple) else value
 
         stated = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "further"}
         plain = {name: listed(value) for name, value in stated.items() if value is not None and value != ()}
@@ -181,4 +185,5 @@ _KINDS: dict[str, Callable[[object], Any]] = {
     "self_check": SelfCheck.from_plain,
     "pairing": Pairing.from_plain,
     "clock_given_s": _pair,
+    "cameras": cameras_from_plain,
 }

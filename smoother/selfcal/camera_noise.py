@@ -8,7 +8,7 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..linalg import nonnegative_pair
-from ..measurements.outliers import JointNoise
+from ..measurements.outliers import JointNoise, noise_key
 from ..recording import JOINTS
 from ..window.problem import Window
 from ..window.solution import Solution
@@ -27,13 +27,13 @@ SMALLEST_SIGMA_M = 5e-4
 
 
 def joint_noise(windows: list[Window], solutions: list[Solution]) -> dict[str, JointNoise]:
-    """Noise of each forearm joint from its residuals (camera minus answer) in all windows."""
+    """Noise of each forearm joint, by camera, from its residuals (camera minus answer) in all windows."""
     found: dict[str, list[FloatArray]] = {}
     times: dict[str, list[FloatArray]] = {}
     for window, solution in zip(windows, solutions, strict=True):
         for measured in window.joint_measurements:
-            found.setdefault(measured.joint, []).append(solution.residuals[measured.joint])
-            times.setdefault(measured.joint, []).append(measured.t_s)
+            found.setdefault(measured.key, []).append(solution.residuals[measured.key])
+            times.setdefault(measured.key, []).append(measured.t_s)
     memory = _memory(found, times)
     return {joint: _noise(np.vstack(found[joint]), memory) for joint in found}
 
@@ -112,6 +112,15 @@ def _fitted(rho: FloatArray, counts: FloatArray, step_s: float) -> _Memory:
                 1.0 + 2.0 * share * ratio / (1.0 - ratio), hidden, float(np.clip(y[:3].mean(), 0, 1))
             )
     return found
+
+
+def sigma_by_camera(noise: dict[str, JointNoise], fallback_m: float, cameras: int) -> FloatArray:
+    """Effective sigma of each camera's joints (c, 5), m an axis; see `sigma_by_joint`."""
+    rows = []
+    for camera in range(cameras):
+        by_joint = {joint: noise[key] for joint in JOINTS if (key := noise_key(joint, camera)) in noise}
+        rows.append(sigma_by_joint(by_joint or noise, fallback_m))
+    return np.array(rows)
 
 
 def sigma_by_joint(noise: dict[str, JointNoise], fallback_m: float) -> FloatArray:

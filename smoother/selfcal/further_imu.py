@@ -88,8 +88,12 @@ class FurtherImu:
         noise, sigma_m = dict(forearm.joint_noise), forearm.joint_sigma_m.copy()
         for key, joint in joints.items():
             if joint in self.segment.camera_joints:
-                sigma_m[JOINTS.index(joint)] = own.joint_sigma_m[JOINTS.index(key)]
-                noise |= {joint: own.joint_noise[key]} if key in own.joint_noise else {}
+                sigma_m[..., JOINTS.index(joint)] = own.joint_sigma_m[..., JOINTS.index(key)]
+                noise |= {
+                    each.replace(key, joint): found
+                    for each, found in own.joint_noise.items()
+                    if each.partition("@")[0] == key
+                }
         bias = np.concatenate([np.zeros(3), own.initial.gyroscope_bias])
         return replace(
             forearm,

@@ -42,7 +42,7 @@ from ..window.priors import (
 from ..window.problem import Priors, Window
 from ..window.solution import Solution
 from ..window.trajectory import Trajectory, at_times, merge_windows
-from .camera_noise import joint_noise, sigma_by_joint
+from .camera_noise import joint_noise, sigma_by_camera, sigma_by_joint
 from .clock_fit import SYNTHETIC_SIGMA_S, refined_clocks
 from .error_estimate import ConstantErrors, JointBias
 from .excerpts import choose_excerpts
@@ -176,6 +176,7 @@ def self_calibrate(
         np.full(len(JOINTS), config.camera.joint_sigma_m),
         config.arm.upper_arm_flex_m,
     )
+    cameras = max(1 if each.camera is None else int(each.camera.max(initial=0)) + 1 for each in excerpts)
     errors = ConstantErrors()
     trajectories: dict[int, Trajectory] = {}
     solve_once = partial(
@@ -204,7 +205,11 @@ def self_calibrate(
         noise = joint_noise(windows, solutions)
         largest_m = max((each.sample_m for each in noise.values()), default=0.0)
         upper_arm_sigma_m = upper_arm_length_sigma(list(corrected.values()), config, largest_m)
-        joint_sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
+        joint_sigma_m = (
+            sigma_by_joint(noise, config.camera.joint_sigma_m)
+            if cameras == 1
+            else sigma_by_camera(noise, config.camera.joint_sigma_m, cameras)
+        )
         before = prior, errors.joints, clocks
         errors = errors.updated(
             windows,

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration, Length, LeverArm, SegmentMounting
-from ..recording import CameraFrame, ImuStream, JointState, Recording, TrunkSensors, Truth
+from ..recording import Camera, CameraFrame, ImuStream, JointState, Recording, TrunkSensors, Truth
 from ..units import GRAVITY
 from .body import BodyMeasures, draw_measures
 from .camera import (
@@ -28,6 +28,7 @@ from .camera import (
     random_gaps,
 )
 from .config import ArmSimulation, PointSimulation
+from .further_cameras import FilmedScene, add_cameras
 from .inertial import (
     SegmentImuMotion,
     TrunkImuMotion,
@@ -242,6 +243,12 @@ def record_arm(
         add_noise(other, config, trunk_rng)
         trunk = TrunkSensors(trunk_imu, deliver(other, "simulated", config, same_stamps)[0])
 
+    cameras: tuple[Camera, ...] = ()
+    if config.cameras:
+        scene = FilmedScene(performance, measures, stage, wobble, turn, wrist)
+        cameras, of_cameras = add_cameras(config, scene, hidden, times, gap_rng.spawn(1)[0])
+        parameters["cameras"] = of_cameras
+
     on_forearm = ("elbow", "wrist") if "hand" in further else ("elbow", "wrist", "hand")
     lever_arms = given({joint: measures.lever_arm(joint) for joint in on_forearm})
     calibration = ArmCalibration(
@@ -268,6 +275,7 @@ def record_arm(
         name=name,
         further_imus=further,
         trunk=trunk,
+        cameras=cameras,
     )
     return SimulatedArm(
         recording, calibration, parameters, ideal, hidden[delivered], motion, motions, trunk_motion

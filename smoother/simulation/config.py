@@ -218,6 +218,27 @@ class ArmSimulation(SensorErrors):
         default=0.0, ge=0, description="the last so many seconds of `random` are occluded, s"
     )
 
+    cameras: tuple[float, ...] = Field(
+        default=(),
+        max_length=7,
+        description="further depth cameras round the person: the angle of each from the first one's place, "
+        "degrees, + towards the person's left",
+    )
+    camera_clock_s: float = Field(
+        default=0.0, description="each camera's clock is ahead of the one before by this, s"
+    )
+    camera_clock_ppm: float = Field(default=0.0, description="and all but the first gain so many millionths")
+    camera_blind: float = Field(
+        default=0.3,
+        ge=0,
+        le=1,
+        description="fraction of the first camera's occlusions in `random` in which no other sees the "
+        "forearm either",
+    )
+    camera_fault: Literal["none", "mirrored", "other_person", "moved"] = Field(
+        default="none", description="what is wrong with the last further camera"
+    )
+
     @classmethod
     def _changes(cls, name: Preset) -> dict[str, Any]:
         extra = _REALISTIC_ARM if name in (Preset.REALISTIC, Preset.AZURE) else {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -212,8 +212,12 @@ def _joint_measurements(
         for measured in _of_run(prepared, run, lo, hi, prior, gravity_magnitude)
     ]
     joint_measurements = []
-    for joint in FOREARM_JOINTS:
-        own = [part for part in parts if part.joint == joint and part.segment == layout.segment_of(joint)]
+    for joint, camera in product(FOREARM_JOINTS, sorted({part.camera for part in parts})):
+        own = [
+            part
+            for part in parts
+            if (part.joint, part.camera) == (joint, camera) and part.segment == layout.segment_of(joint)
+        ]
         if len(own) > 1:  # between the pauses of its IMU
             own = [JointMeasurements.joined(own)]
         joint_measurements += own
@@ -240,9 +244,13 @@ def _of_run(
         layout.down(mean) * gravity_magnitude,
         mean[layout.bias_of(run.segment)],
     )
-    for joint in joints:
+    cameras = np.zeros(1, int) if prepared.camera is None else np.unique(prepared.camera)
+    for joint, camera in product(joints, cameras.tolist()):
         column, rows_of = JOINTS.index(joint), layout.lever_of_sample(joint, run.segment)
-        rows = np.flatnonzero(prepared.accepted[inside, column])
+        accepted = prepared.accepted[inside, column]
+        if prepared.camera is not None:
+            accepted = accepted & (prepared.camera[inside] == camera)
+        rows = np.flatnonzero(accepted)
         if len(rows):
             lever = np.zeros(3) if rows_of is None else mean[rows_of]
             yield JointMeasurements(
@@ -254,6 +262,7 @@ def _of_run(
                 motion.shift(lever)[rows],
                 motion.velocity(lever)[rows],
                 run.segment,
+                camera,
             )
 
 

@@ -97,6 +97,53 @@ def insert_nodes(t: FloatArray, start_s: float, end_s: float, spacing_s: float =
     return np.append(nodes, knots[-1])
 
 
+def group_frames_of_cameras(t: FloatArray, visible: BoolArray, cameras: int) -> IntArray:
+    """As `decimate` and `group_frames` for the joined frames of several cameras.
+
+    Frames of two cameras may lie as near to each other as they like: they share a node, and none is left out.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,), s
+        Increasing times of the frames with at least one forearm joint.
+    visible : ndarray of bool, shape (n,)
+        Frames at whose time some camera sees enough of them.
+    cameras : int
+        How many there are.
+
+    Returns
+    -------
+    owner : ndarray of int, shape (n,)
+        Row of the frame whose node it is.
+    """
+    owner = np.arange(len(t))
+    kept = decimate(t)
+    alone = np.flatnonzero(kept)[
+        np.cumsum(kept) - 1
+    ]  # frames that are too near the one before share its node
+    owner = alone.copy()
+    if len(t) < 3:
+        return owner
+    step = float(np.median(t[cameras:] - t[:-cameras] if len(t) > cameras else np.diff(t)))
+    breaks = np.flatnonzero((np.diff(t) > 2.5 * step) | (visible[1:] != visible[:-1])) + 1
+    length = 2.0 * GROUPED_S + step
+    for a, b in pairwise([0, *breaks.tolist(), len(t)]):
+        first, last = a + np.searchsorted(t[a:b], [t[a] + FINE_S, t[b - 1] - FINE_S])
+        count = int((t[last - 1] - t[first]) / length) if last - first > 2 else 0
+        if count < 1 or not visible[a]:
+            continue
+        edges = t[first] + length * np.arange(count + 1)
+        rows = np.arange(first, last)
+        group = np.searchsorted(edges, t[rows], side="right") - 1
+        inside = group < count
+        rows, group = rows[inside], group[inside]
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        for number in np.unique(group):
+            own = rows[group == number]
+            owner[own] = own[int(np.argmin(np.abs(t[own] - middle[number])))]
+    return np.where(np.abs(t - t[owner]) <= 1.5 * GROUPED_S, owner, alone)
+
+
 @dataclass(frozen=True)
 class RelativeMotion:
     """The IMU's motion from each frame's node to the frame, in {K}.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray, IntArray
+from ..array_types import BoolArray, CameraNumbers, FloatArray, IntArray
 from ..body import FOREARM, FURTHER, SEGMENTS
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, unit
@@ -24,11 +24,19 @@ from ..measurements.alignment import (
 from ..measurements.clock import Clock
 from ..measurements.inertial import ImuRun, InertialSignal, acceleration_std
 from ..measurements.segment import Segment
-from ..measurements.visibility import Gap, enough_joints, find_gaps, occluded_at
+from ..measurements.visibility import Gap, enough_joints, find_gaps, occluded_at, seen_by_any
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..splines import PiecewiseCubic
 from ..units import GRAVITY
-from .nodes import CLOSEST_S, GAP_NODE_CHAIN_S, GAP_NODE_S, decimate, group_frames, insert_nodes
+from .nodes import (
+    CLOSEST_S,
+    GAP_NODE_CHAIN_S,
+    GAP_NODE_S,
+    decimate,
+    group_frames,
+    group_frames_of_cameras,
+    insert_nodes,
+)
 from .problem import States
 
 #: Frames with both joints of its segment that a run of samples needs: without them its heading is not known.
@@ -94,6 +102,8 @@ class PreparedSegment:
         How much the sensor's acceleration varies.
     start_s, end_s : float, s
         What the answer is wanted for; nodes beyond only support it.
+    camera : ndarray of int8, shape (f,), or None
+        Which camera each frame is of; None where all are of one.
     """
 
     t: FloatArray
@@ -107,6 +117,7 @@ class PreparedSegment:
     acceleration_std: FloatArray
     start_s: float
     end_s: float
+    camera: CameraNumbers | None = None
 
     @property
     def forearm(self) -> PreparedRun:
@@ -139,8 +150,8 @@ def prepare(
         Its lever arms tie the joints to the IMU.
     clock : Clock
         Takes the camera's times to the IMU's.
-    sigma_m : ndarray, shape (5,), m
-        Noise of the camera's joints, an axis.
+    sigma_m : ndarray, shape (5,) or (c, 5), m
+        Noise of the camera's joints, an axis; of each camera where there are c of them.
     margin_s : float, s
         Nodes reach so far beyond what the answer is wanted for.
     alignment : Alignment, optional
@@ -165,7 +176,7 @@ def prepare(
     core_start_s, core_end_s = max(start_s, segment.core_start_s), min(end_s, segment.core_end_s)
     if core_end_s - core_start_s < 0.1:
         return None
-    visible = enough_joints(accepted, segment.needed)
+    visible = seen_by_any(frame_t_imu, enough_joints(accepted, segment.needed), segment.camera)
     rows = np.flatnonzero(inside)
     gaps = find_gaps(frame_t_imu[rows], visible[rows], start_s, end_s)
     t, frame_node = _nodes(
@@ -175,6 +186,7 @@ def prepare(
         (start_s, end_s),
         reach(core_start_s, core_end_s, gaps, margin_s),
         GAP_NODE_CHAIN_S if with_further else GAP_NODE_S,
+        1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1,
     )
     if alignment is None:
         vectors = pairs(segment, frame_t_imu, accepted, calibration)
@@ -197,13 +209,21 @@ def prepare(
         frame_node=frame_node[rows],
         position=segment.position[rows],
         accepted=accepted[rows],
-        sigma_m=np.tile(sigma_m, (len(rows), 1)),
+        sigma_m=sigma_of_frames(sigma_m, segment.camera, rows),
         gaps=gaps,
         acceleration_std=acceleration_std(segment.signal, segment.attitude, t),
         start_s=core_start_s,
         end_s=core_end_s,
+        camera=None if segment.camera is None else segment.camera[rows],
     )
     return prepared, alignment
+
+
+def sigma_of_frames(sigma_m: FloatArray, camera: CameraNumbers | None, rows: IntArray) -> FloatArray:
+    """Noise of the joints in some frames (k, 5), m, from that of one camera (5,) or of several (c, 5)."""
+    if camera is None or sigma_m.ndim == 1:
+        return np.tile(sigma_m if sigma_m.ndim == 1 else sigma_m[0], (len(rows), 1))
+    return np.asarray(sigma_m[np.minimum(camera[rows], len(sigma_m) - 1)])
 
 
 def _nodes(
@@ -213,11 +233,15 @@ def _nodes(
     range_s: tuple[float, float],
     reach_s: tuple[float, float],
     spacing_s: float,
+    cameras: int = 1,
 ) -> tuple[FloatArray, IntArray]:
     """Nodes (n,) of the time range within reach, and the node of each frame (f,), -1 where there is none."""
     rows = np.flatnonzero(measured)
-    rows = rows[decimate(frame_t_imu[rows])]
-    owner = rows[group_frames(frame_t_imu[rows], visible[rows])]
+    if cameras > 1:
+        owner = rows[group_frames_of_cameras(frame_t_imu[rows], visible[rows], cameras)]
+    else:
+        rows = rows[decimate(frame_t_imu[rows])]
+        owner = rows[group_frames(frame_t_imu[rows], visible[rows])]
     t = insert_nodes(frame_t_imu[np.unique(owner)], *range_s, spacing_s)
     t = t[(t >= reach_s[0]) & (t <= reach_s[1])]
     node = np.clip(np.searchsorted(t, frame_t_imu[owner] - 1e-9), 0, len(t) - 1)

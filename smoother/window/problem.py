@@ -12,6 +12,7 @@ import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
+from ..measurements.outliers import noise_key
 from .shared import Considered, Gaussian, SharedLayout
 
 
@@ -85,6 +86,8 @@ class JointMeasurements:
         The joint's velocity at the frame less the IMU's at the node, in {K}.
     segment : str
         The segment whose IMU it is tied to.
+    camera : int
+        Number of the camera that saw it.
     """
 
     joint: str
@@ -95,6 +98,12 @@ class JointMeasurements:
     shift: FloatArray
     velocity: FloatArray
     segment: str = FOREARM.name
+    camera: int = 0
+
+    @property
+    def key(self) -> str:
+        """Its name among the samples of all cameras (`noise_key`)."""
+        return noise_key(self.joint, self.camera)
 
     @classmethod
     def joined(cls, parts: Sequence[JointMeasurements]) -> JointMeasurements:
@@ -108,6 +117,7 @@ class JointMeasurements:
             np.concatenate([part.shift for part in parts]),
             np.concatenate([part.velocity for part in parts]),
             parts[0].segment,
+            parts[0].camera,
         )
 
 

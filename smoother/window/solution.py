@@ -24,12 +24,15 @@ class BlockShift:
         What the block would have to be moved by in {K}.
     score : float
         Squared shift in sigmas / 3, the camera's slow errors allowed for; about 1 where it is chance.
+    camera : int
+        Whose samples they are.
     """
 
     start_s: float
     end_s: float
     shift_m: FloatArray
     score: float
+    camera: int = 0
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ def test_pieces_end_at_gaps_and_jumps(window: Window) -> None:
 
 
 def test_times_outside_all_pieces_belong_to_none() -> None:
-    cells = Cells(np.array([0.0, 2.0]), np.array([1.0, 3.0]), np.array([0, 1]))
+    cells = Cells(np.array([0.0, 2.0]), np.array([1.0, 3.0]), np.array([0, 1]), np.zeros(2, int))
     assert cells.of(np.array([-0.5, 0.0, 1.0, 1.5, 2.5, 3.5])).tolist() == [-1, 0, 0, -1, 1, -1]
 
 

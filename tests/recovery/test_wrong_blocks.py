@@ -15,7 +15,7 @@ from smoother.evaluation.validate import sample_errors
 from smoother.linalg import runs
 from smoother.measurements.visibility import Rejection
 from smoother.recording import JOINTS, JointState
-from smoother.recovery.camera_blocks import Excluded, left_out
+from smoother.recovery.camera_blocks import Excluded, Suspect, left_out
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 SHOULDER, ELBOW, WRIST, HAND = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand"))
@@ -116,7 +116,7 @@ def test_a_suspect_takes_what_lies_beside_it_along_but_not_over_a_gap() -> None:
     recording = made().recording
     recovery = replace(recovered(drape), arm=recording.arm)
     t, start_s = recording.arm.t_s, after_a_gap()
-    excluded = left_out(recording, recovery, [(start_s + 1.0, start_s + 1.5)])
+    excluded = left_out(recording, recovery, [Suspect(start_s + 1.0, start_s + 1.5)])
     frames = t[excluded.frames]
     assert frames.min() == pytest.approx(start_s, abs=0.05)
     assert frames.max() < start_s + 1.5 + 3.1

@@ -12,6 +12,7 @@ from ...body import FURTHER
 from ...errors import RecordingError
 from ...runtime.store import Store
 from .bodies import people
+from .camera_streams import of_first_camera, same_arm
 from .selection import (
     Selection,
     StreamChoice,
@@ -69,6 +70,7 @@ def choose(
         Nothing fits, or more than one pair does; the message lists what the file has.
     """
     notes: list[str] = []
+    file, others = of_first_camera(file, skeleton)
     if body is None:
         arms, notes = people(file, store)
         file = replace(file, arms=arms)
@@ -100,7 +102,16 @@ def choose(
             " the answer is off by centimetres. Wear one on the forearm as well."
         )
     more = truth_notes + further_notes
-    return StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + more, further)
+    choice = StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + more, further)
+    return with_cameras(choice, others, store)
+
+
+def with_cameras(choice: StreamChoice, others: RecordingFile | None, store: Store | None) -> StreamChoice:
+    """The same with what further cameras saw of its arm."""
+    if others is None:
+        return choice
+    cameras, notes = same_arm(others, choice.arm, choice.imu, store)
+    return replace(choice, cameras=cameras, notes=[*choice.notes, *notes])
 
 
 def _may_match(imu: ImuSamples, arm: ArmFrames, side: str | None) -> bool:
@@ -259,8 +270,9 @@ def choose_arms(
     """
 
     def one_arm() -> ArmChoices:
-        return ArmChoices((choose(file, prefer_side=prefer_side, store=store, **selection),))
+        return ArmChoices((choose(whole, prefer_side=prefer_side, store=store, **selection),))
 
+    whole, (file, others) = file, of_first_camera(file, selection.get("skeleton"))
     if selection.get("imu") is not None:
         return one_arm()
     wanted = (selection.get("skeleton"), selection.get("side"), selection.get("body"))
@@ -274,9 +286,12 @@ def choose_arms(
     if len(imus) < 2 or len(arms) < 2:
         return one_arm()
     if _sides_settle(imus, arms):
-        return _by_side(joined, selection, store, notes)
+        both = _by_side(joined, selection, store, notes)
+        return replace(both, chosen=tuple(with_cameras(one, others, store) for one in both.chosen))
     by_motion = _arms_by_motion(joined, arms, selection.get("side"), store, notes)
-    return ArmChoices(tuple(by_motion)) if len(by_motion) > 1 else one_arm()
+    if len(by_motion) < 2:
+        return one_arm()
+    return ArmChoices(tuple(with_cameras(one, others, store) for one in by_motion))
 
 
 def _bodies(arms: Sequence[ArmFrames]) -> list[tuple[str, int]]:

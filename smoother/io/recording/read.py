@@ -24,6 +24,7 @@ from ...runtime.store import Store, batches
 from ..mcap.container import Container
 from ..mcap.merge import repair_notes
 from ..mcap.messages import SECOND_NS, Topic, plain_name, seconds
+from .camera_streams import cameras_from_plain
 from .clean import clean_imu
 from .decode import (
     FieldDecoder,
@@ -344,6 +345,8 @@ def _take_metadata(file: RecordingFile) -> None:
             if not (np.isfinite(gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
                 raise ValueError("gravity is no direction")
         file.clocks_unrelated = record.get("clocks") == CLOCKS_UNRELATED
+        if record.get("cameras"):
+            file.cameras = cameras_from_plain(json.loads(record["cameras"]))
         notes = json.loads(record.get("notes", "[]"))
         file.notes += [ImportNote(printable(str(note)[:_LONGEST_NOTE])) for note in notes[:_MOST_NOTES]]
         file.notes += repair_notes(file.metadata)

@@ -19,6 +19,7 @@ from ...runtime.store import Store
 from ..mcap.messages import SECOND_NS, seconds
 from .assign import choose, choose_arms, left_out_words
 from .bodies import join_bodies, people
+from .camera_streams import camera_of
 from .clean import clean_arm, clean_imu, clean_poses
 from .match_streams import REACH_S, match_streams
 from .selection import Selection, StreamChoice, is_named, named_side, role, role_among
@@ -173,6 +174,8 @@ class _CleanArm:
     def recording(self, file: RecordingFile, origin: int, store: Store) -> Recording:
         arm = self.arm
         trunk, trunk_notes = trunk_of(file, self.choice, origin, store)
+        found = [camera_of(*each, str(file.path), origin, store) for each in self.choice.cameras]
+        more = [note for _, notes in found for note in notes]
         return Recording(
             imu=_imu_stream(self.imu, origin, store),
             arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
@@ -183,7 +186,7 @@ class _CleanArm:
             truth=None if self.truth is None else _truth(self.truth, origin, store),
             origin_ns=origin,
             name=file.name,
-            notes=(*self.notes, *trunk_notes),
+            notes=(*self.notes, *trunk_notes, *more),
             further_imus={
                 segment: _imu_stream(stream, origin, store) for segment, stream in self.further.items()
             },
@@ -191,6 +194,7 @@ class _CleanArm:
             trunk=trunk,
             clocks_unrelated=file.clocks_unrelated,
             opposite=opposite_arm(file, self.choice, origin, store),
+            cameras=tuple(camera for camera, _ in found if camera is not None),
         )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 from ...body import BodySegment
 from ...errors import RecordingError
-from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+from .streams import ArmFrames, CameraStream, ImuSamples, PoseSamples, RecordingFile
 
 if TYPE_CHECKING:
     from ...runtime.store import Store
@@ -74,6 +74,8 @@ class StreamChoice:
         The IMUs on the same arm's further segments, by the segment's name.
     body : int, optional
         The camera's number of the person, where arms of several were chosen.
+    cameras : list of (CameraStream, ArmFrames)
+        Further cameras, and what each saw of the arm.
     """
 
     imu: ImuSamples
@@ -84,6 +86,7 @@ class StreamChoice:
     notes: list[str] = field(default_factory=list)
     further: dict[str, ImuSamples] = field(default_factory=dict)
     body: int | None = None
+    cameras: list[tuple[CameraStream, ArmFrames]] = field(default_factory=list)
 
 
 OTHER_SIDE = {"left": "right", "right": "left"}

@@ -107,6 +107,24 @@ class ArmFrames:
         return int(enough_joints(self.state == JointState.TRACKED, 1).sum())
 
 
+@dataclass(frozen=True)
+class CameraStream:
+    """A camera beyond the first, whose skeleton is a topic of its own.
+
+    Attributes
+    ----------
+    name : str
+    camera_frame : CameraFrame, optional
+        Convention of its axes.
+    gravity_hint : ndarray, shape (3,), optional
+        Unit vector of down in its frame.
+    """
+
+    name: str
+    camera_frame: CameraFrame | None = None
+    gravity_hint: FloatArray | None = None
+
+
 @dataclass
 class PoseSamples:
     """Poses of something in a frame: the truth, or a candidate for it.
@@ -184,6 +202,8 @@ class RecordingFile:
         Skeleton messages were there, and none had a joint of an arm.
     clocks_unrelated : bool
         The IMUs' clock and the camera's have nothing in common.
+    cameras : dict of str to CameraStream
+        Cameras beyond the first that the file names, by the topic of their skeleton.
     """
 
     path: Path
@@ -198,6 +218,7 @@ class RecordingFile:
     frames_without_body: int = 0
     damage: list[str] = field(default_factory=list)
     clocks_unrelated: bool = False
+    cameras: dict[str, CameraStream] = field(default_factory=dict)
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:

@@ -17,9 +17,10 @@ from ...runtime.outputs import writing
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.messages import nanoseconds
 from ..wire import protobuf_encode as wire
+from .camera_streams import CAMERA_TOPIC, cameras_plain
 from .read import CLOCKS_UNRELATED, METADATA
 from .selection import OTHER_SIDE
-from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+from .streams import ArmFrames, CameraStream, ImuSamples, PoseSamples, RecordingFile
 
 CAMERA = "camera"
 
@@ -60,6 +61,8 @@ def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]
         metadata["camera_frame"] = str(file.camera_frame)
     if file.gravity_hint is not None:
         metadata["gravity"] = json.dumps([float(value) for value in file.gravity_hint])
+    if file.cameras:
+        metadata["cameras"] = json.dumps(cameras_plain(file.cameras))
     if file.clocks_unrelated:
         metadata["clocks"] = CLOCKS_UNRELATED
     scores = {
@@ -118,6 +121,12 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
         file.arms.append(
             ArmFrames("/skeleton", CAMERA, body, one.side, stamp, one.arm.position, one.arm.state)
         )
+        for camera in one.cameras:
+            topic = f"{CAMERA_TOPIC}{camera.name}"
+            file.cameras[topic] = CameraStream(camera.name, camera.camera_frame, camera.gravity_hint)
+            stamp = nanoseconds(camera.arm.t_s, one.origin_ns)
+            arm = camera.arm
+            file.arms.append(ArmFrames(topic, camera.name, body, one.side, stamp, arm.position, arm.state))
         if one.trunk is not None and "/imu/trunk" not in topics:
             topics.add("/imu/trunk")
             trunk = one.trunk.imu

@@ -1,0 +1,166 @@
+"""Cameras that are wrong as a whole: mirrored, of somebody else, moved, or never looking with the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..linalg import nearest_rotation
+from ..rotation import Rotation
+from .overlap import Overlap
+from .placing import Placement, residuals, start, weights
+
+#: A camera that sees the forearm together with the first one for less than this is not placed, s.
+LEAST_S = 3.0
+#: Joints that are as far apart as this, m, and as this share of how far they move, are not the same arm's.
+OTHER_M, OTHER_SHARE = 0.09, 0.55
+#: Mirrored, the two agree so much better, as a share of the distance, where that is more than this, m.
+MIRRORED_M, MIRRORED_SHARE = 0.03, 0.6
+#: Parts of what both saw are placed one by one: about so long, s, and at most so many of them.
+PART_S, MOST_PARTS = 8.0, 24
+#: A camera was moved where the parts before and after a time differ by this, m and rad, and in sigmas.
+MOVED_M, MOVED_RAD, MOVED_SIGMAS = 0.04, np.radians(3.0), 4.0
+#: .. and where each part by itself fits to within this, m.
+PLACED_M = 0.065
+
+
+@dataclass(frozen=True)
+class Move:
+    """A camera that stood elsewhere from a time on.
+
+    Attributes
+    ----------
+    t_s : float, s
+        On the first camera's clock, to some seconds.
+    turned_rad, shifted_m : float
+        By how much; the second where it sees the arm.
+    misfit_m : float, m
+        Median distance of the joints, each part at its own place.
+    """
+
+    t_s: float
+    turned_rad: float
+    shifted_m: float
+    misfit_m: float
+
+
+def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first: str) -> str:
+    """Why a camera cannot take part, in words; "" where it can.
+
+    Parameters
+    ----------
+    found : sequence of (Placement, Overlap)
+        Of the camera against the first one, at every clock offset that was tried: with a wrong pose the right
+        offset need not fit best.
+    best : Placement
+        The one that fits best.
+    first : str
+        The first camera's name.
+    """
+    mirrored_m = min(start(together.mirrored(), each.clock).misfit_m for each, together in found)
+    if best.misfit_m > MIRRORED_M and mirrored_m < MIRRORED_SHARE * best.misfit_m:
+        return (
+            f"its joints fit {first}'s as a mirror image only ({100 * mirrored_m:.0f} cm apart in the"
+            f" middle, {100 * best.misfit_m:.0f} cm as they are): it or {first} is mirrored; mirror it"
+            " back in the camera's program"
+        )
+    moves = [move for each, together in found if (move := moved(each, together)) is not None]
+    if moves:
+        move = min(moves, key=lambda each: each.misfit_m)
+        return (
+            f"from about {move.t_s:.0f} s on it stands {100 * move.shifted_m:.0f} cm and"
+            f" {np.degrees(move.turned_rad):.0f} degrees from where it stood before, against {first}: one of"
+            " the two was moved; cut the recording there"
+        )
+    if best.misfit_m > OTHER_M and best.misfit_m > OTHER_SHARE * best.spread_m:
+        return (
+            f"its joints are {100 * best.misfit_m:.0f} cm from {first}'s wherever it stands, and whatever"
+            " its clock: it saw another person or the other arm, or is of another session"
+        )
+    return ""
+
+
+def moved(placement: Placement, together: Overlap) -> Move | None:
+    """Whether and when a camera was moved against the other one; None where nothing shows it."""
+    parts = _parts(together)
+    if len(parts) < 2:
+        return None
+    shifts = [_shift(placement, together.rows(part)) for part in parts]
+    values, variances = np.array([each[0] for each in shifts]), np.array([each[1] for each in shifts])
+    misfit_m = float(np.median([each[2] for each in shifts]))
+    if misfit_m > PLACED_M:
+        return None  # no place makes it the same arm
+    best: Move | None = None
+    most = MOVED_SIGMAS
+    for cut in range(1, len(parts)):
+        (before, var_before), (after, var_after) = (
+            _mean(values[rows], variances[rows]) for rows in (slice(0, cut), slice(cut, None))
+        )
+        apart = after - before
+        sigmas = float(np.sqrt(np.mean(apart**2 / (var_before + var_after))))
+        turned, shifted = float(np.linalg.norm(apart[:3])), float(np.linalg.norm(apart[3:]))
+        if sigmas > most and (turned > MOVED_RAD or shifted > MOVED_M):
+            t = 0.5 * float(together.t[parts[cut - 1].stop - 1] + together.t[parts[cut].start])
+            best, most = Move(t, turned, shifted, misfit_m), sigmas
+    return best
+
+
+def _parts(together: Overlap) -> list[slice]:
+    count = min(int(len(together) * together.step_s / PART_S), MOST_PARTS)
+    edges = np.linspace(0, len(together), max(count, 1) + 1).astype(int)
+    return [slice(a, b) for a, b in pairwise(edges.tolist())]
+
+
+def _mean(values: FloatArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean of parts (k, 6), each weighted by what it knows, and its variance by their scatter as well."""
+    weight = 1.0 / variances
+    mean = (weight * values).sum(axis=0) / weight.sum(axis=0)
+    by_parts = 1.0 / weight.sum(axis=0)
+    if len(values) > 1:
+        chi = (weight * (values - mean) ** 2).sum(axis=0) / (len(values) - 1)
+        by_parts = by_parts * np.maximum(chi, 1.0)
+    return mean, by_parts
+
+
+def _shift(placement: Placement, together: Overlap) -> tuple[FloatArray, FloatArray, float]:
+    """How a part of the moments is turned and shifted against the whole, (6,), its variances, its misfit."""
+    R, p = placement.R, placement.p
+    for _ in range(5):
+        placed = together.other @ R.T + p + placement.offset_m
+        residual = np.where(together.both[:, :, None], together.first - placed, np.nan)
+        w = weights(residual, together.both)[together.both]
+        a, b = together.first[together.both], placed[together.both]
+        mean_a, mean_b = (w @ a) / w.sum(), (w @ b) / w.sum()
+        turn = nearest_rotation((w[:, None] * (a - mean_a)).T @ (b - mean_b))
+        offset = placement.offset_m
+        R, p = turn @ R, turn @ (p - mean_b) + mean_a + turn @ offset.mean(axis=0) - offset.mean(axis=0)
+    turned = Rotation.from_matrix(R @ placement.R.T).as_rotvec()
+    centre = placement.centre_m
+    shifted = R @ placement.R.T @ (centre - placement.p) + p - centre
+    there = replace(placement, R=R, p=p)
+    distance = np.linalg.norm(residuals(there, together)[together.both], axis=1)
+    return np.concatenate([turned, shifted]), _variances(there, together), float(np.median(distance))
+
+
+#: Errors of a skeleton last so long, s: of so many samples as lie in it one counts.
+MEMORY_S = 1.0
+
+
+def _variances(placement: Placement, together: Overlap) -> FloatArray:
+    """Variances (6,) of a part's turn and shift, by its own scatter."""
+    w = weights(residuals(placement, together), together.both)
+    placed = together.other @ placement.R.T + placement.p - placement.centre_m
+    share = min(together.step_s / MEMORY_S, 1.0)
+    point = placed[together.both]
+    weight = w[together.both] * share
+    turn = (
+        np.sum(point**2, axis=1)[:, None, None] * np.eye(3) - point[:, :, None] * point[:, None, :]
+    ) * weight[:, None, None]
+    information = turn.sum(axis=0) + 1e-6 * np.eye(3)
+    return np.concatenate(
+        [np.diag(np.linalg.inv(information)), np.full(3, 1.0 / max(float(weight.sum()), 1e-9))]
+    )

@@ -1,0 +1,133 @@
+"""What two cameras saw of an arm at the same moments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..array_types import BoolArray, FloatArray, IntArray
+from ..recording import JOINTS, JointTracks
+from .rig import RelativeClock
+
+#: Frames of the other camera that a moment lies between are no farther apart than this, s.
+APART_S = 0.12
+#: Velocities are differences over so many frames on both sides.
+BESIDE = 2
+#: More moments than this say no more of a pose.
+MOST_MOMENTS = 12_000
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Joints that both cameras track, at the first one's frames.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+        On the first camera's clock.
+    first : ndarray, shape (n, 5, 3), m
+        In {K}.
+    other : ndarray, shape (n, 5, 3), m
+        In {C}, between its frames.
+    velocity : ndarray, shape (n, 5, 3), m/s
+        Of the first camera's joints, by frames on both sides of each moment: noise of the moment itself is
+        in neither, and does not draw the clock to where frames lie between each other. Zero where unknown.
+    both : ndarray of bool, shape (n, 5)
+        Tracked by both.
+    step_s : float, s
+        Time that a moment stands for.
+    """
+
+    t: FloatArray
+    first: FloatArray
+    other: FloatArray
+    velocity: FloatArray
+    both: BoolArray
+    step_s: float
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def length_s(self) -> float:
+        """For so long both saw elbow, wrist or another joint of the forearm, s."""
+        return float(self.both[:, 1:].any(axis=1).sum()) * self.step_s
+
+    def rows(self, rows: slice | BoolArray) -> Overlap:
+        """Some of the moments."""
+        return replace(
+            self,
+            t=self.t[rows],
+            first=self.first[rows],
+            other=self.other[rows],
+            velocity=self.velocity[rows],
+            both=self.both[rows],
+        )
+
+    def mirrored(self) -> Overlap:
+        """As if the other camera's x axis pointed the other way."""
+        flip = np.array([-1.0, 1.0, 1.0])
+        return replace(self, other=self.other * flip)
+
+
+def overlap(
+    first: JointTracks, other: JointTracks, clock: RelativeClock, most: int = MOST_MOMENTS
+) -> Overlap:
+    """The moments at which both cameras track a joint.
+
+    Parameters
+    ----------
+    first, other : JointTracks
+        Each on its own clock, in its own frame.
+    clock : RelativeClock
+        Takes the other's times to the first's.
+    most : int
+        Moments of longer recordings are thinned out evenly.
+    """
+    t = np.asarray(first.t_s)
+    other_t = np.asarray(other.t_s)
+    empty = np.zeros((0, len(JOINTS), 3))
+    none = Overlap(np.zeros(0), empty, empty, empty, np.zeros((0, len(JOINTS)), bool), 0.0)
+    if len(t) < 2 or len(other_t) < 2:
+        return none
+    at = clock.from_first(t)
+    rows = np.flatnonzero((at >= other_t[0]) & (at <= other_t[-1]))
+    every = -(-len(rows) // most) if len(rows) else 1
+    rows = rows[::every]
+    after = np.clip(np.searchsorted(other_t, at[rows], side="right"), 1, len(other_t) - 1)
+    before = after - 1
+    dt = other_t[after] - other_t[before]
+    near = (dt > 0.0) & (dt <= APART_S)
+    rows, after, before, dt = rows[near], after[near], before[near], dt[near]
+    tracked, other_tracked = tracked_joints(first), tracked_joints(other)
+    both = tracked[rows] & other_tracked[before] & other_tracked[after]
+    some = both.any(axis=1)
+    rows, after, before, dt, both = rows[some], after[some], before[some], dt[some], both[some]
+    if not len(rows):
+        return none
+    share = ((at[rows] - other_t[before]) / dt)[:, None, None]
+    a, b = np.asarray(other.position[before]), np.asarray(other.position[after])
+    return Overlap(
+        t[rows],
+        np.asarray(first.position[rows]),
+        a + share * (b - a),
+        _velocity(first, t, tracked, rows),
+        both,
+        float(np.median(np.diff(t))) * every,
+    )
+
+
+def _velocity(first: JointTracks, t: FloatArray, tracked: BoolArray, rows: IntArray) -> FloatArray:
+    """Velocities (n, 5, 3) m/s at some frames, by central differences."""
+    before, after = np.maximum(rows - BESIDE, 0), np.minimum(rows + BESIDE, len(t) - 1)
+    dt = t[after] - t[before]
+    known = tracked[before] & tracked[after] & (dt > 0.0)[:, None] & (dt < 2 * BESIDE * APART_S)[:, None]
+    change = np.asarray(first.position[after]) - np.asarray(first.position[before])
+    velocity = change / np.maximum(dt, 1e-6)[:, None, None]
+    return np.where(known[:, :, None], velocity, 0.0)
+
+
+def tracked_joints(arm: JointTracks) -> BoolArray:
+    """(F, 5) joints that are tracked and have a position."""
+    return np.stack([arm.tracked(joint) for joint in JOINTS], axis=1)

@@ -1,0 +1,160 @@
+"""Several cameras of a file: which skeletons are of the first one, and which arm each of the others shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...array_types import FloatArray
+from ...errors import RecordingError
+from ...linalg import unit
+from ...recording import Camera, CameraFrame, JointTracks
+from ...runtime.store import Store
+from ..mcap.messages import seconds
+from .bodies import people
+from .clean import clean_arm
+from .streams import ArmFrames, CameraStream, ImuSamples, RecordingFile
+
+#: Where the skeletons of further cameras are written to, each under its name.
+CAMERA_TOPIC = "/skeleton/"
+
+
+def further_cameras(file: RecordingFile) -> dict[str, CameraStream]:
+    """A file's cameras beyond the first, by the topic of their skeleton.
+
+    Those that the file names; of other files skeletons of several topics that stand in frames of several
+    names: the first camera is then the one that saw the forearm most often.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    """
+    topics = sorted({arm.topic for arm in file.arms if arm.tracked})
+    if file.cameras:
+        return {topic: camera for topic, camera in file.cameras.items() if topic in topics}
+    frames = {arm.topic: arm.frame_id for arm in file.arms}
+    if len(topics) < 2 or len({frames[topic] for topic in topics} - {""}) < len(topics):
+        return {}
+    seen = {topic: max(arm.tracked for arm in file.arms if arm.topic == topic) for topic in topics}
+    first = min(topics, key=lambda topic: (-seen[topic], topic))
+    kinds = {arm.topic: arm.camera_frame for arm in file.arms}
+    return {topic: CameraStream(frames[topic], kinds[topic]) for topic in topics if topic != first}
+
+
+def of_first_camera(file: RecordingFile, skeleton: str | None) -> tuple[RecordingFile, RecordingFile | None]:
+    """A file without the skeletons of its further cameras, and one with these alone.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    skeleton : str or None
+        Whose skeleton the user wants: then no other camera takes part.
+
+    Returns
+    -------
+    first : RecordingFile
+    others : RecordingFile or None
+        None where there is one camera.
+    """
+    cameras = {} if skeleton is not None else further_cameras(file)
+    if not cameras:
+        return file, None
+    first = replace(file, arms=[arm for arm in file.arms if arm.topic not in cameras], cameras={})
+    arms = [arm for arm in file.arms if arm.topic in cameras]
+    return first, replace(file, arms=arms, cameras=cameras)
+
+
+def same_arm(
+    others: RecordingFile | None, arm: ArmFrames, imu: ImuSamples, store: Store | None
+) -> tuple[list[tuple[CameraStream, ArmFrames]], list[str]]:
+    """What each further camera saw of an arm: the skeleton of its side, of several people by the motion.
+
+    Parameters
+    ----------
+    others : RecordingFile or None
+        From `of_first_camera`.
+    arm : ArmFrames
+        As the first camera saw it.
+    imu : ImuSamples
+        On its forearm.
+    store : Store or None
+        Where joined bodies are to lie.
+
+    Returns
+    -------
+    cameras : list of (CameraStream, ArmFrames)
+    notes : list of str
+    """
+    if others is None:
+        return [], []
+    found, notes = [], []
+    for topic, camera in others.cameras.items():
+        own = replace(others, arms=[each for each in others.arms if each.topic == topic], cameras={})
+        arms, said = people(own, store)
+        notes += said
+        candidates = [each for each in arms if each.side == arm.side and each.tracked]
+        if not candidates:
+            notes.append(f"{camera.name} ({topic}) shows no {arm.side or 'such'} arm and was left out.")
+            continue
+        found.append((camera, _by_motion(candidates, imu)))
+        notes.append(f"{camera.name}: skeleton {found[-1][1].label} was taken as a further camera's.")
+    return found, notes
+
+
+def _by_motion(candidates: Sequence[ArmFrames], imu: ImuSamples) -> ArmFrames:
+    from .match_streams import agreement_far_apart  # SciPy: where it is used
+
+    if len(candidates) == 1:
+        return candidates[0]
+    scores = [agreement_far_apart(imu, each)[0] for each in candidates]
+    return candidates[int(np.argmax(scores))]
+
+
+def camera_of(
+    stream: CameraStream, arm: ArmFrames, source: str, origin_ns: int, store: Store
+) -> tuple[Camera | None, list[str]]:
+    """A further camera with cleaned frames; None and a sentence where they cannot be used."""
+    try:
+        clean, notes = clean_arm(arm, source, store)
+    except RecordingError as error:
+        return None, [f"{stream.name} was left out: {error}"]
+    t_s = seconds(clean.stamp_ns, origin_ns, store)
+    tracks = JointTracks(clean.topic, t_s, clean.position, clean.state)
+    frame = stream.camera_frame or clean.camera_frame
+    return Camera(stream.name, tracks, frame, stream.gravity_hint), notes
+
+
+def cameras_plain(cameras: dict[str, CameraStream]) -> dict[str, dict[str, object]]:
+    """As a file's metadata holds them."""
+    return {
+        topic: {
+            "name": camera.name,
+            "camera_frame": None if camera.camera_frame is None else str(camera.camera_frame),
+            "gravity": None if camera.gravity_hint is None else [float(x) for x in camera.gravity_hint],
+        }
+        for topic, camera in cameras.items()
+    }
+
+
+def cameras_from_plain(values: dict[str, dict[str, object]]) -> dict[str, CameraStream]:
+    """From metadata; raises `ValueError`, `TypeError` or `KeyError` where it is none."""
+    return {
+        str(topic): CameraStream(
+            str(each["name"]),
+            CameraFrame(str(each["camera_frame"])) if each.get("camera_frame") else None,
+            _direction(each["gravity"]) if each.get("gravity") is not None else None,
+        )
+        for topic, each in dict(values).items()
+    }
+
+
+def _direction(value: object) -> FloatArray:
+    gravity = np.array(value, float).reshape(3)
+    direction = np.asarray(unit(gravity))
+    if not (np.isfinite(gravity).all() and abs(float(np.linalg.norm(direction)) - 1) < 1e-6):
+        raise ValueError("gravity is no direction")
+    return direction

@@ -1,0 +1,67 @@
+"""A further camera that saw the same arm, and where it stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..array_types import FloatArray
+from .camera_frame import CameraFrame
+from .joint_tracks import JointTracks
+
+#: What the recording's own camera is called beside others.
+FIRST_CAMERA = "camera"
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where a camera {C} stands in the frame {K} of the recording's first one.
+
+    Attributes
+    ----------
+    R_K_C : ndarray, shape (3, 3)
+        Maps a vector from {C} to {K}.
+    p_K_C_m : ndarray, shape (3,), m
+        Its origin in {K}.
+    sigma_rad, sigma_m : float, rad and m
+        One standard deviation, an axis; the second is of the place at which it sees the arm.
+    """
+
+    R_K_C: FloatArray
+    p_K_C_m: FloatArray
+    sigma_rad: float
+    sigma_m: float
+
+    def to_first(self, points_C: FloatArray) -> FloatArray:
+        """Points (..., 3) m of {C} in {K}."""
+        return np.asarray(points_C @ self.R_K_C.T + self.p_K_C_m)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A further camera's joints of the recording's arm, as it saw them.
+
+    Attributes
+    ----------
+    name : str
+        In messages and results.
+    arm : JointTracks
+        On its own clock, in its own frame {C}.
+    camera_frame : CameraFrame, optional
+        The convention of its axes.
+    gravity_hint : ndarray, shape (3,), optional
+        Direction of down in {C}, good to some degrees.
+    pose : CameraPose, optional
+        Where it stands, if that was measured beforehand.
+    """
+
+    name: str
+    arm: JointTracks
+    camera_frame: CameraFrame | None = None
+    gravity_hint: FloatArray | None = None
+    pose: CameraPose | None = None
+
+    def with_arm(self, arm: JointTracks) -> Camera:
+        """The same with other frames."""
+        return replace(self, arm=arm)

@@ -1,0 +1,139 @@
+"""What is wrong with a camera's samples, in words: what was left out, and what contradicts even then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import BoolArray, IntArray
+from ..linalg import runs
+from ..measurements.visibility import Gap
+from ..recording import JOINTS, JointState, Recording
+from ..result import Recovery, UntrustedInterval
+
+#: Bones that are off by this share of their usual length, and by so much, m, are another body's.
+OTHER_LENGTH, OTHER_LENGTH_M = 0.15, 0.035
+#: Joints that move less than this, m, while the rest says that they move this much more are guessed.
+HELD_M, HELD_SHARE = 0.03, 4.0
+
+_ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("elbow", "wrist"))
+
+
+@dataclass(frozen=True)
+class CameraFaults:
+    """What is wrong with the camera's samples, in words.
+
+    Attributes
+    ----------
+    cautions : tuple of str
+        Blocks that were left out, with their times and what they look like.
+    untrusted : tuple of UntrustedInterval
+        Times at which nothing decides.
+    """
+
+    cautions: tuple[str, ...] = ()
+    untrusted: tuple[UntrustedInterval, ...] = ()
+
+
+def camera_faults(
+    excluded: BoolArray,
+    contradicting: Sequence[tuple[float, float, int]],
+    recovery: Recovery,
+    recording: Recording,
+    names: Sequence[str],
+) -> CameraFaults:
+    """What was left out, and what contradicts even then.
+
+    Parameters
+    ----------
+    excluded : ndarray of bool, shape (F,)
+        Frames that the recovery was made without.
+    contradicting : sequence of (start, end, camera), s and number
+        What the answer contradicts all the same.
+    recovery : Recovery
+    recording : Recording
+        As the camera saw it.
+    names : sequence of str
+        Of the cameras, in sentences.
+    """
+    frame_t = np.asarray(recovery.arm.t_s)
+    cautions, untrusted = [], []
+    for name, own in zip(names, recording.arm.rows_by_camera, strict=True):
+        for run in _joined(excluded, recording, own):
+            rows = own[run]
+            start_s, end_s = float(frame_t[rows[0]]), float(frame_t[rows[-1]])
+            looks = _looks_like(run, own, recovery, recording)
+            what = f"from {start_s:.1f} to {end_s:.1f} s {name}'s joints contradict the IMU and the rest"
+            cautions.append(f"{what}: {looks}; they were left out")
+            for gap in recovery.gaps:
+                beside = gap.start_s < end_s + 0.2 and gap.end_s > start_s - 0.2
+                if beside and (gap.open_start or gap.open_end):
+                    untrusted.append(
+                        UntrustedInterval(
+                            min(gap.start_s, start_s),
+                            max(gap.end_s, end_s),
+                            (f"{what} ({looks}), and nothing on that side confirms the answer",),
+                        )
+                    )
+    for start_s, end_s, camera in contradicting:
+        reason = (
+            f"from {start_s:.1f} to {end_s:.1f} s {names[camera]}'s joints and the IMU contradict each other,"
+            " and nothing shows which is right"
+        )
+        untrusted.append(UntrustedInterval(*_with_gaps(recovery.gaps, start_s, end_s), (reason,)))
+    return CameraFaults(tuple(cautions), tuple(_unique(untrusted)))
+
+
+def _unique(intervals: Sequence[UntrustedInterval]) -> Iterator[UntrustedInterval]:
+    """Intervals in the order of time; the same one once."""
+    yield from sorted(dict.fromkeys(intervals), key=lambda each: (each.start_s, each.end_s))
+
+
+def _with_gaps(gaps: Sequence[Gap], start_s: float, end_s: float) -> tuple[float, float]:
+    """Times widened to the gaps beside them, which rest on what the camera saw then."""
+    for gap in gaps:
+        if gap.start_s <= end_s + 0.2 and gap.end_s >= start_s - 0.2:
+            start_s, end_s = min(start_s, gap.start_s), max(end_s, gap.end_s)
+    return start_s, end_s
+
+
+def _joined(frames: BoolArray, recording: Recording, own: IntArray) -> list[slice]:
+    """Runs of a camera's frames that are left out; runs with nothing visible between them are one."""
+    frames = frames[own]
+    visible = (recording.arm.state[own][:, [_ELBOW, _WRIST]] == JointState.TRACKED).all(axis=1) & ~frames
+    joined: list[slice] = []
+    for run in runs(frames):
+        if joined and not visible[joined[-1].stop : run.start].any():
+            joined[-1] = slice(joined[-1].start, run.stop)
+        else:
+            joined.append(run)
+    return joined
+
+
+def _looks_like(rows: slice, own: IntArray, recovery: Recovery, recording: Recording) -> str:
+    """What a block of a camera's frames that is wrong looks like."""
+    arm = recording.arm.select(own)
+    both = (arm.state[:, [_ELBOW, _WRIST]] == JointState.TRACKED).all(axis=1)
+    length = np.linalg.norm(arm.joint("wrist") - arm.joint("elbow"), axis=1)
+    inside = np.zeros(len(arm), bool)
+    inside[rows] = True
+    here, rest = length[both & inside], length[both & ~inside]
+    if len(here) and len(rest):
+        usual_m, here_m = float(np.median(rest)), float(np.median(here))
+        if abs(here_m - usual_m) > max(OTHER_LENGTH * usual_m, OTHER_LENGTH_M):
+            return (
+                f"the forearm is {100 * here_m:.0f} cm long there, where it is {100 * usual_m:.0f} cm"
+                " otherwise: another person's body, or joints that the tracker guessed"
+            )
+    t = np.asarray(recovery.arm.t_s)[own][rows]
+    seen = both[rows]
+    if seen.sum() > 5 and "wrist" in recovery.joints:
+        seen_m = np.ptp(arm.joint("wrist")[rows][seen], axis=0)
+        span = slice(*np.searchsorted(recovery.t_s, [t[0], t[-1]]).tolist())
+        answer_m = np.ptp(recovery.joints["wrist"][span], axis=0)
+        moved, should = float(np.linalg.norm(seen_m)), float(np.linalg.norm(answer_m))
+        if moved < HELD_M and should > HELD_SHARE * max(moved, 0.01):
+            return "the joints hardly move while the IMU does: guessed by the tracker"
+    return "another person's body, the other arm, or joints that the tracker guessed"
