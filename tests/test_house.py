@@ -52,6 +52,7 @@ MIDDLE = (
     "report",
     "manuscript",
     "streams",
+    "app",
 )
 #: Subpackages of `smoother` (and `calib`) that each part may import, besides the core and itself.
 MAY: dict[str, set[str]] = {
@@ -67,6 +68,7 @@ MAY: dict[str, set[str]] = {
     "report": {"calib", "io", "evaluation", "measures", "strap_search"},
     "manuscript": {"evaluation"},
     "streams": {"calib", "io"},
+    "app": {"io"},
     "cli": {"calib", *MIDDLE},
     "unocclude": {"io", "measures", "simulation"},
 }

@@ -117,6 +117,7 @@ def _spec(module: str, example: str, cls: str = "", has_settings: bool = False) 
 
 
 _COMMANDS = {
+    "app": _spec("local_page", "app --folder recordings"),
     "demo": _spec("demo", "demo"),
     "info": _spec("recordings", "info session.mcap"),
     "check": _spec("recordings", "check session.mcap --json check.json"),

@@ -27,7 +27,17 @@ from .options import (
     Processes,
     Strict,
 )
-from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
+from .output import (
+    PROGRESS_FILE,
+    centimetres,
+    check_outputs,
+    print_notes,
+    print_table,
+    progress_file,
+    say,
+    say_written,
+    write_json,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -43,6 +53,10 @@ SHOWN = 12
 @contextmanager
 def study_progress() -> Iterator[Callable[[Tally, Row | None], None]]:
     """Yield a function (tally, row of the recording that has just ended or None) that renews the table."""
+    if file := os.environ.get(PROGRESS_FILE):
+        write = progress_file(Path(file))
+        yield lambda tally, row: write(tally.ended / max(tally.total, 1), headline(tally))
+        return
     if not sys.stderr.isatty():
         yield lambda tally, row: None
         return

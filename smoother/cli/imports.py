@@ -23,6 +23,7 @@ from .output import check_mcap, check_outputs, print_notes, print_table, say, sa
 
 if TYPE_CHECKING:
     from ..io import RecordingFile
+    from ..io.devices.described import DescribedFile
     from ..io.devices.files import ImuFiles
     from ..io.media.strap import StrapFound
     from ..recording import Recording
@@ -122,6 +123,16 @@ def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path 
     print_notes(recording.notes, imported=True)
 
 
+Templates = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--template",
+        metavar="FILE.toml",
+        help="How tables of a layout of your own are read; asked before all formats.",
+    ),
+]
+
+
 def files(
     output: Output,
     paths: Annotated[
@@ -167,6 +178,14 @@ def files(
             help="When the first IMU sample was taken, seconds after the camera's first frame.",
         ),
     ] = None,
+    template: Templates = None,
+    one_session: Annotated[
+        bool,
+        typer.Option(
+            "--one-session",
+            help="Refuse files whose dates lie a day apart or more, as those of a FOLDER always are.",
+        ),
+    ] = False,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -175,8 +194,9 @@ def files(
     from ..io.devices.files import import_files
     from ..io.devices.folder import add_truth, sort_files
     from ..io.devices.registry import FileReader
+    from ..io.plain.template import read_templates
 
-    reader = FileReader(imu_format, skeleton_format)
+    reader = FileReader(imu_format, skeleton_format, read_templates(template or []))
     skeletons, imus = list(skeleton or []), [imu_files(text) for text in imu or []]
     check_mcap(output)
     named = [*skeletons, *(p for files in imus for p in files.paths), truth, *(paths or [])]
@@ -190,7 +210,7 @@ def files(
         imus + more_imus,
         imu_starts_at_s=imu_starts_at,
         reader=reader,
-        one_session=bool(paths),
+        one_session=one_session or bool(paths),
     )
     if truth is not None:
         reports.append(add_truth(file, truth))
@@ -237,39 +257,47 @@ def formats(json_file: Json = None, force: Force = False) -> None:
 
 
 def describe(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="Any table of text.", show_default=False)],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE",
+            help="Any table of text; or several files or a folder, to list what each of them holds.",
+            show_default=False,
+        ),
+    ],
     name: Annotated[
         str, typer.Option("--name", metavar="NAME", help="Of the IMU in recording.toml.")
     ] = "forearm_right",
+    template: Templates = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Look at a table and print a recording.toml for `import csv`: a guess, its reasons, what is unsure."""
-    from ..errors import RecordingError
-    from ..io.devices.describe_table import guess_of, toml_of
-    from ..io.devices.registry import recognise
-    from ..io.tables.protocol import first_rows, read_head
-    from ..io.tables.text_table import read_sheet
+    """Look at a table and print a recording.toml for `import csv`: a guess, its reasons, what is unsure.
 
-    check_outputs(force, [json_file], [path])
-    head = read_head(path)
-    importer = recognise(head)
+    Of several files, or those of a folder, list the streams that they hold: rates, units, axes. --json has a
+    small plot of each, and the guess about tables of an unknown layout.
+    """
+    from ..io.devices.describe_table import toml_of
+    from ..io.devices.described import describe_files, guessed_table
+    from ..io.devices.registry import FileReader
+    from ..io.plain.template import read_templates
+
+    check_outputs(force, [json_file], [path for path in paths if not path.is_dir()])
+    reader = FileReader(templates=read_templates(template or []))
+    if len(paths) > 1 or paths[0].is_dir():
+        found = describe_files(paths, reader, json_file)
+        _print_streams(found)
+        write_json(json_file, {"files": [each.to_dict() for each in found]}, force)
+        return
+    (path,) = paths
+    importer, sheet, guess = guessed_table(path, reader)
     if importer is not None:
         option = "--skeleton" if importer.kind == "skeleton" else "--imu"
         say(f"# {path.name} is recognised as {importer.title}: unocclude import files {option} {path} ..")
-    try:
-        sheet = read_sheet(path)
-    except RecordingError:
-        if importer is None:
-            raise
+    if sheet is None or guess is None:
+        assert importer is not None
         write_json(json_file, {"format": importer.key, "recording_toml": None, "unsure": []}, force)
         return
-    guess = guess_of(sheet)
-    if not guess.kind:
-        raise RecordingError(
-            f"{path} holds {sheet.layout.width} columns and {len(sheet)} rows, and none of them look like an"
-            f" accelerometer's, a gyroscope's or a joint's; it begins: {first_rows(head)}."
-        )
     text = toml_of(path, guess, name)
     say(f"# {len(sheet):,} rows, {sheet.layout.width} columns, parted by {sheet.layout.separator!r}")
     for sentence in guess.unsure:
@@ -285,6 +313,32 @@ def describe(
         "unsure": guess.unsure,
     }
     write_json(json_file, figures, force)
+
+
+def _print_streams(found: list[DescribedFile]) -> None:
+    """Print a row a stream, then what is wrong with files and what was decided of them."""
+    rows: list[tuple[object, ...]] = [
+        (
+            Path(each.file).name,
+            each.title or "-",
+            ", ".join(stream.holds) + (f" ({stream.name})" if stream.name else ""),
+            stream.rate_hz,
+            stream.count,
+            f"{stream.duration_s:.1f}",
+            stream.units,
+        )
+        for each in found
+        for stream in each.streams
+    ]
+    rows += [
+        (Path(each.file).name, each.title or "-", "-", None, "-", "-", "-")
+        for each in found
+        if not each.streams
+    ]
+    columns = ("file", "what it is", "holds", "rate, Hz", "samples", "length, s", "units")
+    print_table(f"{len(found)} files", columns, rows)
+    print_notes(f"{Path(each.file).name}: {note}" for each in found for note in each.notes)
+    print_notes(each.error for each in found if each.error)
 
 
 #: A length by ruler, m.

@@ -9,8 +9,9 @@ import shlex
 import shutil
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -145,7 +146,13 @@ Progress = Callable[[float, str], None]
 
 @contextmanager
 def progress_bar(text: str) -> Iterator[Progress]:
-    """Yield a function (part done 0 to 1, what is being done) that moves the bar."""
+    """Yield a function (part done 0 to 1, what is being done) that moves the bar.
+
+    Where the environment names a file in `UNOCCLUDE_PROGRESS`, it is written there instead.
+    """
+    if file := os.environ.get(PROGRESS_FILE):
+        yield progress_file(Path(file))
+        return
     if not sys.stderr.isatty():
         yield lambda fraction, text: None
         return
@@ -166,6 +173,32 @@ def progress_bar(text: str) -> Iterator[Progress]:
         yield lambda fraction, text: bar.update(
             task, completed=fraction, description=printable(text), refresh=True
         )
+
+
+#: Variable of the environment that names a file for how far a command is.
+PROGRESS_FILE = "UNOCCLUDE_PROGRESS"
+#: It is written at most once in so long, s.
+_PROGRESS_STEP_S = 0.1
+
+
+def progress_file(path: Path) -> Progress:
+    """A function (part done 0 to 1, what is being done) that writes both into a file, as JSON.
+
+    A file that cannot be written is no reason to end the command.
+    """
+    written_s = -math.inf
+
+    def show(share: float, text: str) -> None:
+        nonlocal written_s
+        if time.monotonic() - written_s < _PROGRESS_STEP_S and share < 1.0:
+            return
+        written_s = time.monotonic()
+        beside = path.with_name(path.name + ".new")
+        with suppress(OSError):
+            beside.write_text(json.dumps({"share": round(share, 4), "text": text}), encoding="utf-8")
+            os.replace(beside, path)
+
+    return show
 
 
 _TRUTH = "Simulated: what the calibration of these files should find."
@@ -213,8 +246,8 @@ def _identity(path: Path) -> set[object]:
 
 
 #: Endings that say that a file is something else than MCAP; those of `unocclude export` first.
-_OTHER_ENDINGS = ("csv", "trc", "mot", "c3d", "parquet", "sto")
-_NO_RESULT = ("html", "json", "toml", "txt", "xlsx", "mat", "bag", "rrd", "osim", "npz")
+_OTHER_ENDINGS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "sto")
+_NO_RESULT = ("html", "json", "toml", "txt", "mat", "bag", "rrd", "osim", "npz")
 
 
 def check_mcap(path: Path, exports: bool = False) -> None:

@@ -46,7 +46,7 @@ def sort_files(
     halves: dict[str, list[Path]] = {"acc": [], "gyro": []}
     passed_over: list[str] = []
     refused: list[RecordingError] = []
-    files = _files(paths, output)
+    files = files_meant(paths, output)
     for path in files:
         importer = reader.recognised(path)
         if importer is None:
@@ -93,7 +93,7 @@ def _joined(halves: dict[str, list[Path]]) -> list[ImuFiles]:
     )
 
 
-def _files(paths: list[Path], output: Path | None) -> list[Path]:
+def files_meant(paths: list[Path], output: Path | None) -> list[Path]:
     """The files that are meant; hidden ones, results and empty ones in folders are not."""
     listed: list[Path] = []
     for path in paths:

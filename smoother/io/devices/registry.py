@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -116,10 +117,18 @@ class FileReader:
     ----------
     imu_format, skeleton_format : str, optional
         Keys of importers that overrule what is recognised.
+    templates : sequence of DeviceFormat
+        Further importers, asked before all others.
     """
 
-    def __init__(self, imu_format: str | None = None, skeleton_format: str | None = None) -> None:
+    def __init__(
+        self,
+        imu_format: str | None = None,
+        skeleton_format: str | None = None,
+        templates: Sequence[DeviceFormat] = (),
+    ) -> None:
         self._named = {"imu": imu_format, "skeleton": skeleton_format}
+        self._templates = templates
         self._tables: dict[tuple[Path, str], Tables] = {}
         self._formats: dict[Path, DeviceFormat | None] = {}
 
@@ -145,7 +154,9 @@ class FileReader:
         """The importer of a file, looked for once; those of the kinds first."""
         known = self._formats.get(path)
         if known is None or (kinds and known.kind not in kinds):
-            known = self._formats[path] = recognise(read_head(path), kinds)
+            head = read_head(path)
+            own = (each for each in self._templates if each.recognises(head))
+            known = self._formats[path] = next(own, None) or recognise(head, kinds)
         return known
 
     def read(self, path: Path, importer: DeviceFormat) -> Tables:
@@ -171,7 +182,8 @@ class FileReader:
                 ) from error
             if not self._tables[key]:
                 raise RecordingError(f"{path} ({importer.title}) holds no rows; export it again.")
-            _check_axes(path, importer, self._tables[key])
+            if importer not in self._templates:  # those name their columns themselves
+                _check_axes(path, importer, self._tables[key])
         return self._tables[key]
 
 

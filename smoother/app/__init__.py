@@ -1,0 +1,1 @@
+"""The local page: `unocclude app` serves it to this computer's browser alone."""

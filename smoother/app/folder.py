@@ -1,0 +1,354 @@
+"""The app's folder on disk: recordings, their files, and what the page was told of them.
+
+    FOLDER/ID/app.json          name, person, date, choices
+    FOLDER/ID/files/            files as they were dropped
+    FOLDER/ID/recording.mcap .. what the commands wrote, under the commands' own names
+    FOLDER/ID/jobs/0001/        a command that ran: its words, what it printed, how it ended
+    FOLDER/comparisons/ID/      the sessions of a person: a study of `batch`, the page of `progress`
+    FOLDER/.unocclude/          the address and its token, templates, what was removed
+
+Everything is a file that is written whole, so that a program that is killed loses nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+import time
+import unicodedata
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from ..errors import UnoccludeError
+from ..runtime.outputs import writing
+
+#: Names of recordings and comparisons on disk.
+_ID = re.compile(r"[a-z0-9][a-z0-9-]{0,63}")
+#: Folders of the app's own.
+HIDDEN, COMPARISONS = ".unocclude", "comparisons"
+#: Names that some systems take for devices.
+_DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(1, 10))}
+#: Bytes of a file's name.
+_LONGEST_NAME = 180
+#: Marks that the command line reads as something else than a name.
+_MARKS = str.maketrans(dict.fromkeys(",=#", "_"))
+
+
+class AppError(UnoccludeError):
+    """A request that cannot be met.
+
+    Parameters
+    ----------
+    sentence : str
+        What is wrong, and what to do.
+    status : int
+        Of the answer.
+    """
+
+    def __init__(self, sentence: str, status: int = 400) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
+@dataclass
+class Choices:
+    """What the user chose for a recording.
+
+    Attributes
+    ----------
+    places : dict of str to str
+        Where an IMU is worn (`forearm_right`, ..; "" leaves it to the motion, "-" leaves it out), by
+        `FILE` or `FILE#SENSOR`.
+    left_out : list of str
+        Files that take no part.
+    imu_starts_at_s : float, s, optional
+        When the first IMU sample was taken, after the camera's first frame.
+    side : str
+        "left", "right", or "" for all arms that have an IMU.
+    body : int, optional
+        The person.
+    remedy : str
+        Options that undo a wrong set-up, as `check` proposes them ("--mirror x").
+    video_offset_s : float, s
+        From the recording's first sample to the video's first picture.
+    """
+
+    places: dict[str, str] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+    imu_starts_at_s: float | None = None
+    side: str = ""
+    body: int | None = None
+    remedy: str = ""
+    video_offset_s: float = 0.0
+
+
+@dataclass
+class KeptRecording:
+    """What is kept of a recording besides its files.
+
+    Attributes
+    ----------
+    name, person, date, task : str
+        As the user wrote them; the date as YYYY-MM-DD, or "" where the recording says it.
+    created_s : float, s
+        Since 1970.
+    revision : int
+        Rises with every change, so that two pages do not overwrite each other's.
+    choices : Choices
+    """
+
+    name: str = ""
+    person: str = ""
+    date: str = ""
+    task: str = ""
+    created_s: float = 0.0
+    revision: int = 0
+    choices: Choices = field(default_factory=Choices)
+
+
+#: Where an IMU may be worn, besides "" and "-".
+PLACES = (
+    *("forearm_right", "forearm_left", "upper_arm_right", "upper_arm_left"),
+    *("hand_right", "hand_left", "base"),
+)
+_REMEDY = re.compile(r"--(mirror [xyz]|swap [a-z]+,[a-z]+|negate [a-z]+(,[a-z]+)?|camera-frame [a-z]+)")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d")
+
+
+class AppFolder:
+    """A folder of recordings.
+
+    Parameters
+    ----------
+    path : Path
+        Made where it is not there.
+
+    Raises
+    ------
+    UnoccludeError
+        It cannot be written to.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.resolve()
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            for each in (self.hidden, self.templates):
+                each.mkdir(mode=0o700, exist_ok=True)
+        except OSError as error:
+            raise UnoccludeError(f"{path}: {error.strerror or error}; name another folder") from error
+
+    @property
+    def hidden(self) -> Path:
+        """What is not for the user's eyes."""
+        return self.path / HIDDEN
+
+    @property
+    def templates(self) -> Path:
+        """Templates of tables, a file each."""
+        return self.hidden / "templates"
+
+    def template_files(self) -> list[Path]:
+        """All templates, by name."""
+        return sorted(self.templates.glob("*.toml"))
+
+    def recordings(self) -> Iterator[str]:
+        """Names on disk of all recordings."""
+        for each in sorted(self.path.iterdir()):
+            if _ID.fullmatch(each.name) and (each / "app.json").is_file():
+                yield each.name
+
+    def comparisons(self) -> Iterator[str]:
+        """Names on disk of all comparisons."""
+        folder = self.path / COMPARISONS
+        for each in sorted(folder.iterdir()) if folder.is_dir() else ():
+            if _ID.fullmatch(each.name) and (each / "comparison.json").is_file():
+                yield each.name
+
+    def of(self, name: str) -> Path:
+        """The folder of a recording.
+
+        Raises
+        ------
+        AppError
+            There is none of that name.
+        """
+        if not _ID.fullmatch(name) or not (self.path / name / "app.json").is_file():
+            raise AppError("There is no such recording in this folder; it may have been removed.", 404)
+        return self.path / name
+
+    def comparison(self, name: str) -> Path:
+        """The folder of a comparison; raises as `of`."""
+        path = self.path / COMPARISONS / name
+        if not _ID.fullmatch(name) or not (path / "comparison.json").is_file():
+            raise AppError("There is no such comparison in this folder.", 404)
+        return path
+
+    def add(self, kept: KeptRecording) -> str:
+        """Make the folder of a new recording; its name on disk."""
+        name = f"{slug(kept.name) or 'recording'}-{secrets.token_hex(3)}"
+        folder = self.path / name
+        (folder / "files").mkdir(parents=True)
+        kept.created_s = time.time()
+        write_kept(folder, kept)
+        return name
+
+    def add_comparison(self, person: str) -> tuple[str, Path]:
+        """The folder in which a person's sessions are compared, the same at each time."""
+        import hashlib
+
+        mark = hashlib.sha256(person.encode("utf-8", "replace")).hexdigest()[:8]
+        name = f"{slug(person) or 'person'}-{mark}"
+        folder = self.path / COMPARISONS / name
+        folder.mkdir(parents=True, exist_ok=True)
+        return name, folder
+
+    def remove(self, name: str) -> Path:
+        """Move a recording out of the way; where to."""
+        folder = self.of(name)
+        removed = self.hidden / "removed"
+        removed.mkdir(exist_ok=True)
+        place = removed / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
+        os.replace(folder, place)
+        return place
+
+
+def slug(text: str) -> str:
+    """A text as small letters, digits and dashes; "" where it has none of them."""
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
+    return re.sub(r"[^a-z0-9]+", "-", plain).strip("-")[:40].strip("-")
+
+
+def file_name(name: str) -> str:
+    """The name under which a dropped file is kept.
+
+    Raises
+    ------
+    AppError
+        It is none, leads elsewhere, or some system could not write it.
+    """
+    plain = unicodedata.normalize("NFC", name)
+    hostile = (
+        not plain.strip(" .")
+        or any(mark in plain for mark in '/\\:*?"<>|')
+        or plain.startswith((".", "-", "~"))
+        or plain.endswith((" ", "."))
+        or not plain.isprintable()
+        or len(plain.encode("utf-8", "surrogatepass")) > _LONGEST_NAME
+        or any("\ud800" <= character <= "\udfff" for character in plain)
+        or plain.split(".")[0].strip().lower() in _DEVICES
+    )
+    if hostile:
+        raise AppError("A file of this name cannot be kept; give it a plain name and drop it again.")
+    return plain.translate(_MARKS)
+
+
+def read_kept(folder: Path) -> KeptRecording:
+    """What is kept of a recording; what a newer version wrote besides is passed over."""
+    values = read_json(folder / "app.json")
+    known = {each.name for each in fields(KeptRecording)}
+    kept = KeptRecording(**{key: value for key, value in values.items() if key in known - {"choices"}})
+    chosen = {each.name for each in fields(Choices)}
+    kept.choices = Choices(**{k: v for k, v in (values.get("choices") or {}).items() if k in chosen})
+    return kept
+
+
+def write_kept(folder: Path, kept: KeptRecording) -> None:
+    """Keep it, whole or not at all."""
+    write_json(folder / "app.json", asdict(kept))
+
+
+def changed(kept: KeptRecording, wish: dict[str, Any]) -> KeptRecording:
+    """What is kept, with a page's changes.
+
+    Parameters
+    ----------
+    kept : KeptRecording
+    wish : dict
+        The `revision` that the page saw, and the fields to change.
+
+    Raises
+    ------
+    AppError
+        Another page changed it meanwhile, or a value cannot be.
+    """
+    if wish.get("revision") != kept.revision:
+        raise AppError("Another page changed this recording meanwhile; its choices are shown now.", 409)
+    for key in ("name", "person", "date", "task"):
+        if key in wish:
+            setattr(kept, key, one_line(wish[key]))
+    if kept.date and not _is_date(kept.date):
+        raise AppError("The date is written as YYYY-MM-DD.")
+    for key, value in (wish.get("choices") or {}).items():
+        if key not in {each.name for each in fields(Choices)}:
+            raise AppError(f"There is no choice {str(key)[:40]!r}.")
+        setattr(kept.choices, key, value)
+    _check(kept.choices)
+    kept.revision += 1
+    return kept
+
+
+def _is_date(text: str) -> bool:
+    with suppress(ValueError):
+        time.strptime(text, "%Y-%m-%d")
+        return _DATE.fullmatch(text) is not None
+    return False
+
+
+def one_line(value: object) -> str:
+    """A short text on one line.
+
+    Raises
+    ------
+    AppError
+        It is none.
+    """
+    if not isinstance(value, str) or len(value) > 200:
+        raise AppError("A name is a text of at most 200 characters.")
+    return " ".join("".join(c for c in value if c.isprintable()).split())
+
+
+def _check(choices: Choices) -> None:
+    """Refuse values that no command could be given."""
+    places = choices.places
+    good = isinstance(places, dict) and all(
+        isinstance(key, str) and value in ("", "-", *PLACES) for key, value in places.items()
+    )
+    good &= isinstance(choices.left_out, list) and all(isinstance(each, str) for each in choices.left_out)
+    good &= choices.side in ("", "left", "right")
+    good &= choices.body is None or (isinstance(choices.body, int) and 0 <= choices.body < 10**9)
+    good &= all(_is_time(each) for each in (choices.imu_starts_at_s or 0.0, choices.video_offset_s))
+    good &= isinstance(choices.remedy, str) and (
+        not choices.remedy or all(_REMEDY.fullmatch(each) for each in remedy_options(choices.remedy))
+    )
+    if not good:
+        raise AppError("A choice has a value that cannot be.")
+
+
+def _is_time(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e7
+
+
+def remedy_options(remedy: str) -> list[str]:
+    """The options of a remedy, each with its value."""
+    return [f"--{each.strip()}" for each in remedy.split("--") if each.strip()]
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A file's object; {} where it is not there or is being written."""
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+def write_json(path: Path, values: dict[str, Any]) -> None:
+    """Write an object, whole or not at all."""
+    with writing(path, True) as temporary:
+        temporary.write_text(json.dumps(values, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

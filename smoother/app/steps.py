@@ -1,0 +1,277 @@
+"""The commands of each job: the words that a user would type in the recording's folder."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from .folder import AppError, AppFolder, Choices, KeptRecording, read_json, read_kept, remedy_options
+
+Step = dict[str, Any]
+
+#: What commands write in a recording's folder.
+RESULT, REPORT = "recovered.mcap", "report.html"
+STREAMS, CHECK, FIGURES, MATCHES = "streams.json", "check.json", "smooth.json", "matches.json"
+#: Exports by format: the file that is written.
+EXPORTS = {
+    "csv": "recovered.csv",
+    "xlsx": "recovered.xlsx",
+    "trc": "recovered.trc",
+    "mot": "recovered.mot",
+    "c3d": "recovered.c3d",
+    "sto": "recovered.sto",
+    "parquet": "recovered.parquet",
+    "measures": "measures.csv",
+}
+#: A recovery draws so many motions, for the intervals of measures.
+DRAWS = 64
+
+
+def recording_of(place: Path) -> str:
+    """Name of the recording's file: what it was called when it was dropped, for the titles of reports."""
+    name = place.name.rpartition("-")[0]
+    return f"{name}.mcap" if name and f"{name}.mcap" != RESULT else "recording.mcap"
+
+
+def files_of(place: Path) -> list[Path]:
+    """The dropped files of a recording, whole ones, by name."""
+    folder = place / "files"
+    listed = folder.iterdir() if folder.is_dir() else ()
+    return sorted(each for each in listed if each.is_file() and not each.name.startswith("."))
+
+
+def described(place: Path) -> list[dict[str, Any]]:
+    """What `import describe` found in the files that are there."""
+    there = {each.name for each in files_of(place)}
+    try:
+        about = (place / STREAMS).stat()
+    except OSError:
+        return []
+    found = _found(place / STREAMS, about.st_mtime_ns, about.st_size)
+    return [dict(each) for each in found if Path(each["file"]).name in there]
+
+
+@lru_cache(maxsize=256)
+def _found(path: Path, mtime_ns: int, size: int) -> list[dict[str, Any]]:
+    """The files of `streams.json`, read once: a page asks for it several times a second."""
+    found: list[dict[str, Any]] = read_json(path).get("files", [])
+    return found
+
+
+def describe_steps(folder: AppFolder, place: Path) -> list[Step]:
+    """Look at all files."""
+    if not files_of(place):
+        raise AppError("There is no file yet; drop those of the camera and of the IMU.")
+    words = ["import", "describe", "files", *_templates(folder), "--json", STREAMS, "--force"]
+    return [{"name": "describe", "argv": words}]
+
+
+def import_steps(folder: AppFolder, place: Path) -> list[Step]:
+    """Make the recording of the files; several IMUs are matched with the limbs by their motion."""
+    kept, target = read_kept(place), recording_of(place)
+    files = _used(place, kept.choices)
+    streams = [each for each in files if each["kind"] not in ("video", "calibration", "description")]
+    if not streams and not _is_described(files):
+        raise AppError("There is no file of a camera or an IMU yet; drop them.")
+    steps: list[Step] = []
+    if _is_described(files):
+        words = ["import", "csv", "files", "-o", target, "--force"]
+        steps.append({"name": "import", "argv": words})
+    elif len(streams) == 1 and streams[0]["format"] == "mcap":
+        steps.append({"name": "import", "link": [_local(streams[0]), target]})
+    else:
+        steps.append({"name": "import", "argv": _import_words(folder, streams, kept.choices, target)})
+    imus = [stream for each in streams for stream in each["streams"] if stream["kind"] == "imu"]
+    named = [place for place in kept.choices.places.values() if place not in ("", "-")]
+    if len(imus) > 1 and len(named) < len(imus):
+        words = ["match", target, "--json", MATCHES, "--force"]
+        steps.append({"name": "match", "argv": words, "ok": [0, 1]})  # a proposal, no condition
+    return steps
+
+
+def _used(place: Path, choices: Choices) -> list[dict[str, Any]]:
+    return [each for each in described(place) if Path(each["file"]).name not in choices.left_out]
+
+
+def _is_described(files: Sequence[dict[str, Any]]) -> bool:
+    return any(each["kind"] == "description" for each in files)
+
+
+def _local(about: dict[str, Any]) -> str:
+    return f"files/{Path(about['file']).name}"
+
+
+def _import_words(
+    folder: AppFolder, files: Sequence[dict[str, Any]], choices: Choices, target: str
+) -> list[str]:
+    """`import files` with what was chosen; a file that nobody knows is named too, so that it is said why."""
+    skeletons = [each for each in files if any(s["kind"] == "skeleton" for s in each["streams"])]
+    words = [word for each in skeletons for word in ("--skeleton", _local(each))]
+    halves: dict[str, list[tuple[str, str]]] = {}
+    unnamed: list[str] = []
+    for each in files:
+        sensors = [stream for stream in each["streams"] if stream["kind"] == "imu"]
+        for sensor in sensors:
+            file = _local(each)
+            key = sensor_key(file, sensor, len(sensors))
+            worn = choices.places.get(key, "")
+            if worn == "-":
+                continue
+            source = f"{file}#{sensor['name']}" if len(sensors) > 1 and sensor["name"] else file
+            if {"accelerometer", "gyroscope"} <= set(sensor["holds"]):
+                words += ["--imu", f"{worn}={source}" if worn else source]
+            else:
+                halves.setdefault(worn, []).append((sensor["holds"][0], file))
+        if not each["streams"]:
+            unnamed.append(_local(each))
+    for worn, parts in halves.items():
+        sources = ",".join(file for _, file in sorted(parts))  # the accelerometer's first
+        words += ["--imu", f"{worn}={sources}" if worn else sources]
+    if choices.imu_starts_at_s is not None:
+        words += ["--imu-starts-at", repr(float(choices.imu_starts_at_s))]
+    words += _templates(folder)
+    return ["import", "files", *unnamed, *words, "--one-session", "-o", target, "--force"]
+
+
+def sensor_key(file: str, sensor: dict[str, Any], count: int) -> str:
+    """By what a choice names an IMU: its file, and the sensor in it where there are several."""
+    name = Path(file).name
+    return f"{name}#{sensor['name']}" if count > 1 else name
+
+
+def _templates(folder: AppFolder) -> list[str]:
+    return [word for path in folder.template_files() for word in ("--template", str(path))]
+
+
+def _arm_words(place: Path, kept: KeptRecording) -> list[str]:
+    """Options of `check` and `smooth` by what was chosen."""
+    words = [word for option in remedy_options(kept.choices.remedy) for word in option.split(" ", 1)]
+    if kept.choices.side:
+        words += ["--side", kept.choices.side]
+    if kept.choices.body is not None:
+        words += ["--body", str(kept.choices.body)]
+    given = [each for each in _used(place, kept.choices) if each["kind"] == "calibration"]
+    return words + (["--calibration", _local(given[0])] if given else [])
+
+
+def check_steps(folder: AppFolder, place: Path, strict: bool = False) -> list[Step]:
+    """Import and check; with `strict`, a set-up that seems wrong holds the job there."""
+    words = ["check", recording_of(place), *_arm_words(place, read_kept(place)), "--json", CHECK, "--force"]
+    verdict: Step = {"ok": [0], "held": [3]} if strict else {"ok": [0, 3]}
+    return [*import_steps(folder, place), {"name": "check", "argv": words, **verdict}]
+
+
+def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[Step]:
+    """Import, check, recover, and write the report.
+
+    Parameters
+    ----------
+    folder : AppFolder
+    place : Path
+        The recording's.
+    anyway : bool
+        Also where the check says that the result is not to be trusted.
+    """
+    kept = read_kept(place)
+    words = ["smooth", recording_of(place), "-o", RESULT, "--report", REPORT, "--json", FIGURES, "--force"]
+    words += ["--draws", str(DRAWS), *_arm_words(place, kept)]
+    videos = [each for each in _used(place, kept.choices) if each["kind"] == "video"]
+    if videos:
+        words += ["--video", _local(videos[0]), "--video-offset", repr(float(kept.choices.video_offset_s))]
+    return [*check_steps(folder, place, strict=not anyway), {"name": "recover", "argv": words}]
+
+
+def export_steps(place: Path, formats: Sequence[str]) -> list[Step]:
+    """The result in other formats, into `exports/`.
+
+    Raises
+    ------
+    AppError
+        A format is not known, or there is no result.
+    """
+    if not (place / RESULT).is_file():
+        raise AppError("There is no result yet; recover the recording first.")
+    wrong = [each for each in formats if each not in EXPORTS]
+    if wrong or not formats:
+        raise AppError(f"Formats are {', '.join(EXPORTS)}.")
+    (place / "exports").mkdir(exist_ok=True)
+    steps = []
+    for each in formats:
+        target = f"exports/{EXPORTS[each]}"
+        words = ["export", RESULT, "--format", each, "-o", target, "--force"]
+        if each == "measures":
+            words = ["measures", RESULT, "--csv", target, "--force"]
+        steps.append({"name": f"export {each}", "argv": words})
+    return steps
+
+
+def compare_steps(folder: AppFolder, place: Path, person: str) -> list[Step]:
+    """Measure all of a person's recordings and compare the sessions.
+
+    The study is one of `batch --measures`, which computes only what is new; the page is that of `progress`.
+
+    Parameters
+    ----------
+    folder : AppFolder
+    place : Path
+        The comparison's folder, where the list and the table of sessions are written.
+    person : str
+        Whose.
+
+    Raises
+    ------
+    AppError
+        There are no two recordings of the person that have been recovered.
+    """
+    mine = []
+    for name in folder.recordings():
+        kept = read_kept(folder.of(name))
+        if kept.person == person and (folder.of(name) / RESULT).is_file():
+            mine.append(
+                (folder.of(name) / recording_of(folder.of(name)), kept, recorded_date(folder.of(name), kept))
+            )
+    if len(mine) < 2:
+        raise AppError(
+            "Comparing takes two recovered recordings of this person at least; recover them first."
+        )
+    base = Path(os.path.commonpath([path.parent for path, _, _ in mine]))
+    lines = [os.path.relpath(path, place) for path, _, _ in mine]
+    (place / "list.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    with open(place / "sessions.csv", "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("file", "person", "session", "date", "task"))
+        for path, kept, date in mine:
+            session = date or kept.name
+            writer.writerow((path.relative_to(base).as_posix(), person, session, date, kept.task))
+    measured = ["batch", "list.txt", "-o", "study", "--measures"]
+    shown = ["progress", "study", "--sessions", "sessions.csv", "--person", person]
+    shown += ["--report", "progress.html", "--json", "progress.json", "--csv", "progress.csv", "--force"]
+    return [{"name": "measure", "argv": measured, "ok": [0, 1]}, {"name": "compare", "argv": shown}]
+
+
+def recorded_date(place: Path, kept: KeptRecording) -> str:
+    """The day of a recording: as written, else by the stamps of its files; "" where they count from zero."""
+    from datetime import UTC, datetime
+
+    if kept.date:
+        return kept.date
+    starts = [stream["start_s"] for each in described(place) for stream in each["streams"]]
+    dated = [start for start in starts if 631_152_000 < start < 4_102_444_800]  # 1990 to 2100
+    return f"{datetime.fromtimestamp(min(dated), UTC):%Y-%m-%d}" if dated else ""
+
+
+def stamp(folder: AppFolder, place: Path) -> str:
+    """A mark of all that goes into a recovery: files, choices and templates; another where one changed."""
+    parts: list[Any] = []
+    for path in (*files_of(place), *folder.template_files()):
+        about = path.stat()
+        parts.append((path.name, about.st_size, about.st_mtime_ns))
+    parts.append(asdict(read_kept(place).choices))
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]

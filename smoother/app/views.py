@@ -1,0 +1,146 @@
+"""What the page is told: recordings in a list, one recording with all that is known of it, comparisons."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from .folder import AppFolder, read_json, read_kept
+from .jobs import OPEN, latest, state_of
+from .steps import (
+    CHECK,
+    EXPORTS,
+    FIGURES,
+    MATCHES,
+    REPORT,
+    RESULT,
+    described,
+    files_of,
+    recorded_date,
+    recording_of,
+    sensor_key,
+    stamp,
+)
+
+#: Files that may be taken away, besides the recording and exports.
+DOWNLOADS = (RESULT, REPORT, CHECK, FIGURES)
+#: What the page shows of a check's and a recovery's figures.
+_SHOWN = ("trusted", "verdict", "reasons", "cautions", "cause", "remedies", "signs", "self_check", "pairing")
+
+
+def overview(folder: AppFolder, version: str) -> dict[str, Any]:
+    """The first page.
+
+    Parameters
+    ----------
+    folder : AppFolder
+    version : str
+        The program's.
+    """
+    return {
+        "folder": str(folder.path),
+        "version": version,
+        "free_bytes": shutil.disk_usage(folder.path).free,
+        "recordings": [summary(folder, name) for name in folder.recordings()],
+        "comparisons": [comparison(folder, name) for name in folder.comparisons()],
+        "templates": [path.stem for path in folder.template_files()],
+    }
+
+
+def summary(folder: AppFolder, name: str, printed: bool = False) -> dict[str, Any]:
+    """A recording in the list; `printed`: with what its last job printed."""
+    place = folder.of(name)
+    kept = read_kept(place)
+    job = _job(place, printed)
+    figures = _verdict(place / FIGURES) or _verdict(place / CHECK)
+    return {
+        "id": name,
+        "name": kept.name,
+        "person": kept.person,
+        "date": recorded_date(place, kept),
+        "task": kept.task,
+        "created_s": kept.created_s,
+        "files": len(files_of(place)),
+        "recovered": (place / RESULT).is_file(),
+        "trusted": None if figures is None else figures["trusted"],
+        "verdict": "" if figures is None else figures["verdict"],
+        "job": job,
+    }
+
+
+def recording(folder: AppFolder, name: str) -> dict[str, Any]:
+    """One recording: files, streams without their plots, choices, results, and its job."""
+    place = folder.of(name)
+    kept = read_kept(place)
+    mine = stamp(folder, place)
+    known = described(place)
+    seen = {Path(each["file"]).name for each in known}
+    files = files_of(place)
+    return {
+        **summary(folder, name, printed=True),
+        "own_date": kept.date,
+        "revision": kept.revision,
+        "choices": asdict(kept.choices),
+        "stamp": mine,
+        "dropped": [{"name": path.name, "bytes": path.stat().st_size} for path in files],
+        "looked_at": [each["file"] for each in known] if seen >= {path.name for path in files} else [],
+        "imported": (place / recording_of(place)).is_file(),
+        "matches": read_json(place / MATCHES).get("matches", []),
+        "check": _verdict(place / CHECK),
+        "result": _verdict(place / FIGURES) if (place / RESULT).is_file() else None,
+        "report": (place / REPORT).is_file(),
+        "report_at": (place / REPORT).stat().st_mtime_ns if (place / REPORT).is_file() else 0,
+        "outdated": bool((place / RESULT).is_file() and _result_stamp(place) not in ("", mine)),
+        "exports": [each for each, file in EXPORTS.items() if (place / "exports" / file).is_file()],
+        "downloads": [file for file in (recording_of(place), *DOWNLOADS) if (place / file).is_file()],
+    }
+
+
+def streams(folder: AppFolder, name: str) -> dict[str, Any]:
+    """What the files hold, with plots; every IMU has the `key` by which a choice names it."""
+    place = folder.of(name)
+    files = described(place)
+    for each in files:
+        count = sum(stream["kind"] == "imu" for stream in each["streams"])
+        each["streams"] = [
+            {**stream, "key": sensor_key(each["file"], stream, count)} for stream in each["streams"]
+        ]
+        each["name"] = Path(each["file"]).name
+    return {"files": files}
+
+
+def comparison(folder: AppFolder, name: str) -> dict[str, Any]:
+    """A person's sessions compared."""
+    place = folder.comparison(name)
+    about = read_json(place / "comparison.json")
+    return {
+        "id": name,
+        "person": about.get("person", ""),
+        "ready": (place / "progress.html").is_file(),
+        "job": _job(place),
+    }
+
+
+def _job(place: Path, printed: bool = True) -> dict[str, Any] | None:
+    job = latest(place)
+    if job is None:
+        return None
+    state = asdict(state_of(job, printed))
+    return {**state, "open": state["state"] in OPEN}
+
+
+def _result_stamp(place: Path) -> str:
+    """The stamp of the job that made the result."""
+    jobs = place / "jobs"
+    for job in sorted(jobs.iterdir(), reverse=True) if jobs.is_dir() else ():
+        state = state_of(job)
+        if state.kind == "recover" and state.state == "done":
+            return state.stamp
+    return ""
+
+
+def _verdict(path: Path) -> dict[str, Any] | None:
+    figures = read_json(path)
+    return {key: figures.get(key) for key in (*_SHOWN, "allows")} if "trusted" in figures else None

@@ -1,0 +1,52 @@
+"""`unocclude app`: the whole way on one page in this computer's browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..runtime.packages import extra_module
+
+#: Where recordings lie unless the user says otherwise.
+FOLDER = Path("unocclude")
+
+
+def app(
+    port: Annotated[
+        int | None,
+        typer.Option("--port", metavar="N", min=0, max=65535, help="Of the address; without it a free one."),
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--folder",
+            metavar="DIR",
+            help="Holds recordings and results; made if it is not there.  [default: unocclude, in your home"
+            " folder]",
+            show_default=False,
+        ),
+    ] = None,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the address, and open no browser.")
+    ] = False,
+) -> None:
+    """Open the whole way, from files to report, as a page in the browser; no file leaves this computer.
+
+    The address that is printed holds a token; without it nobody is let in, and no other computer at all.
+    Ctrl-C ends it: what is running then is stopped and can be repeated, all else is kept in the folder.
+    """
+    for name, package in (("uvicorn", "uvicorn"), ("starlette", "starlette")):
+        extra_module(name, package, "app")
+    from ..app.folder import AppFolder
+    from ..app.serving import serve
+
+    def ready(address: str) -> None:
+        print(address, flush=True)
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(AppFolder(Path.home() / FOLDER if folder is None else folder), port, ready)

@@ -1,0 +1,330 @@
+"""What device files hold, stream by stream: names, rates, units, axes, and a small plot of each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...array_types import FloatArray
+from ...errors import RecordingError
+from ...linalg import median_rate_hz
+from ...recording import JointState
+from ..tables.protocol import DeviceFormat, FileHead, ImuTable, SkeletonTable, first_rows, read_head, shown
+from ..tables.text_table import Sheet, read_sheet
+from .describe_table import Guess, guess_of
+from .files import times_of
+from .folder import files_meant
+from .registry import FileReader, Tables, unknown_file
+from .repair import repaired_imu, repaired_skeleton
+
+#: Columns of a plot: of the samples that fall into one, the least and the largest are kept.
+BINS = 200
+#: Rows of an unknown table that are shown.
+SHOWN_ROWS = 6
+#: Bytes at the beginning of videos: where they stand, and what they are called.
+_VIDEOS = ((4, b"ftyp"), (0, b"\x1aE\xdf\xa3"), (8, b"AVI "))
+#: Joints that are plotted, the first that a side has.
+_PLOTTED = ("wrist", "strap", "hand", "elbow")
+
+
+@dataclass(frozen=True)
+class StreamPlot:
+    """A small plot of a stream.
+
+    Attributes
+    ----------
+    title, unit : str
+        What is plotted ("accelerometer", "m/s^2").
+    t_s : list of float, s
+        Middle of each column, from the stream's first sample.
+    lines : list of dict
+        `name` ("x"), `low` and `high`: least and largest value in each column, None where there is none.
+    """
+
+    title: str
+    unit: str
+    t_s: list[float]
+    lines: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class DescribedStream:
+    """One IMU or one person's skeleton of a file.
+
+    Attributes
+    ----------
+    kind : str
+        "imu" or "skeleton".
+    name : str
+        What the file calls the sensor; "" where it does not say.
+    holds : list of str
+        Sensors of the device, or joints.
+    count : int
+        Samples or frames.
+    rate_hz : float, Hz, optional
+        Median rate.
+    start_s, duration_s : float, s
+        First time on the file's own clock, and from there to the last.
+    units : str
+        As the file has them.
+    axes : str
+        Of a skeleton: "kinect", "optical", "zup", or "" where the file does not settle them.
+    body : int, optional
+        The file's number of the person.
+    plots : list of StreamPlot
+    """
+
+    kind: str
+    name: str
+    holds: list[str]
+    count: int
+    rate_hz: float | None
+    start_s: float
+    duration_s: float
+    units: str
+    axes: str = ""
+    body: int | None = None
+    plots: list[StreamPlot] = field(default_factory=list)
+
+
+@dataclass
+class DescribedFile:
+    """A file among others.
+
+    Attributes
+    ----------
+    file : str
+        Its path as given.
+    format, title : str
+        Key and name of its importer; "" where it is of none.
+    kind : str
+        "imu", "skeleton", "recording", "video", "calibration", "description" (a recording.toml), or "" where
+        the file is not recognised or cannot be read.
+    streams : list of DescribedStream
+    notes : list of str
+        What was decided or mended.
+    error : str
+        Why it cannot be used; "" where it can.
+    guess : dict, optional
+        Of a table that no importer knows: `kind`, `columns`, `keys`, `reasons`, `unsure` as of `Guess`,
+        `names` of the columns and the first `rows`.
+    """
+
+    file: str
+    format: str = ""
+    title: str = ""
+    kind: str = ""
+    streams: list[DescribedStream] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    error: str = ""
+    guess: dict[str, Any] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain values."""
+        return asdict(self)
+
+
+def describe_files(
+    paths: list[Path], reader: FileReader | None = None, output: Path | None = None
+) -> list[DescribedFile]:
+    """Look at files, one after the other; none is refused.
+
+    Parameters
+    ----------
+    paths : list of Path
+        Files, and folders whose files are meant.
+    reader : FileReader, optional
+        One that knows templates, or has read some of the files.
+    output : Path, optional
+        No input where it lies in a folder.
+
+    Returns
+    -------
+    files : list of DescribedFile
+        In the order of the paths, those of a folder by name.
+    """
+    reader = reader or FileReader()
+    return [describe_file(path, reader) for path in files_meant(paths, output)]
+
+
+def describe_file(path: Path, reader: FileReader) -> DescribedFile:
+    """What one file holds; what is wrong with it stands in `error`."""
+    about = DescribedFile(str(path))
+    try:
+        head = read_head(path)
+        if what := _no_stream(path, head):
+            about.kind, about.title = what
+            return about
+        importer = reader.recognised(path)
+        if importer is None:
+            about.guess = _guess(path)
+            about.error = str(unknown_file(head))
+            return about
+        about.format, about.title, about.kind = importer.key, importer.title, importer.kind
+        tables = reader.read(path, importer)
+        about.streams, about.notes = _streams(path, tables)
+    except RecordingError as error:
+        about.error = str(error)
+    return about
+
+
+def _no_stream(path: Path, head: FileHead) -> tuple[str, str] | None:
+    """Kind and title of what is no stream of a device, and is used all the same."""
+    if any(head.raw[at : at + len(mark)] == mark for at, mark in _VIDEOS):
+        return "video", "Video"
+    if path.name == "recording.toml":
+        return "description", "recording.toml"
+    if path.suffix.lower() == ".toml" and "unocclude calibration" in head.text[:4000]:
+        return "calibration", "Calibration"
+    return None
+
+
+def _streams(path: Path, tables: Tables) -> tuple[list[DescribedStream], list[str]]:
+    streams: list[DescribedStream] = []
+    notes: list[str] = []
+    for table in tables:
+        if isinstance(table, SkeletonTable):
+            skeleton = repaired_skeleton(table, str(path))
+            streams.append(_skeleton(skeleton))
+            notes += skeleton.notes
+        else:
+            imu = repaired_imu(table, str(path))
+            streams.append(_imu(imu))
+            notes += imu.notes
+    return streams, list(dict.fromkeys(notes))
+
+
+def _imu(table: ImuTable) -> DescribedStream:
+    sensors = {
+        "accelerometer": (table.acc, "m/s^2"),
+        "gyroscope": (table.gyro, "rad/s"),
+        "magnetometer": (table.mag, "as in the file"),
+    }
+    t_s = times_of(table)
+    there = {name: (values, unit) for name, (values, unit) in sensors.items() if values is not None}
+    plots = [
+        _plot(name, unit, t_s, {axis: values[:, k] for k, axis in enumerate("xyz")})
+        for name, (values, unit) in there.items()
+        if name != "magnetometer"
+    ]
+    return DescribedStream("imu", table.name, list(there), *_timing(t_s), table.units, plots=plots)
+
+
+def _skeleton(table: SkeletonTable) -> DescribedStream:
+    t_s = times_of(table)
+    frame = "" if table.frame is None else str(table.frame.value)
+    tracked = {
+        joint: np.where((table.state[joint] == JointState.TRACKED)[:, None], table.position[joint], np.nan)
+        for joint in table.position
+    }
+    seen = [joint for joint, values in tracked.items() if np.isfinite(values).any()]
+    plots = []
+    for side in ("left", "right", ""):
+        names = [f"{joint}_{side}" if side else joint for joint in _PLOTTED]
+        if name := next((name for name in names if name in seen), None):
+            axes = {axis: tracked[name][:, k] for k, axis in enumerate("xyz")}
+            plots.append(_plot(name.replace("_", " "), "m", t_s, axes))
+    return DescribedStream("skeleton", "", sorted(seen), *_timing(t_s), table.units, frame, table.body, plots)
+
+
+def _timing(t_s: FloatArray) -> tuple[int, float | None, float, float]:
+    """Count, rate, first time and duration of mended times."""
+    if not len(t_s):
+        return 0, None, 0.0, 0.0
+    rate = median_rate_hz(t_s)
+    return (
+        len(t_s),
+        round(rate, 3) if math.isfinite(rate) else None,
+        float(t_s[0]),
+        round(float(t_s[-1] - t_s[0]), 3),
+    )
+
+
+def _plot(title: str, unit: str, t_s: FloatArray, lines: dict[str, FloatArray]) -> StreamPlot:
+    """Least and largest value of each line in `BINS` columns of even length."""
+    if not len(t_s):
+        return StreamPlot(title, unit, [], [])
+    since = t_s - t_s[0]
+    length = max(float(since[-1]), 1e-9)
+    bins = min(BINS, max(len(t_s), 1))
+    column = np.minimum((since / length * bins).astype(np.int64), bins - 1)
+    middles = (np.arange(bins) + 0.5) * length / bins
+    drawn = []
+    for name, values in lines.items():
+        low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
+        good = np.isfinite(values)
+        np.minimum.at(low, column[good], values[good])
+        np.maximum.at(high, column[good], values[good])
+        drawn.append({"name": name, "low": _rounded(low), "high": _rounded(high)})
+    return StreamPlot(title, unit, [round(float(t), 4) for t in middles], drawn)
+
+
+def _rounded(values: FloatArray) -> list[float | None]:
+    return [float(f"{value:.4g}") if math.isfinite(value) else None for value in values]
+
+
+def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, Sheet | None, Guess | None]:
+    """The importer of a file, and what it would be taken for as a plain table.
+
+    Returns
+    -------
+    importer : DeviceFormat or None
+        None where it is of no known format.
+    sheet, guess : Sheet and Guess, or None
+        None where a recognised file is no table of text.
+
+    Raises
+    ------
+    RecordingError
+        It is neither of a known format nor a table that could be an IMU's or a skeleton's.
+    """
+    head = read_head(path)
+    importer = reader.recognised(path)
+    try:
+        sheet = read_sheet(path)
+    except RecordingError:
+        if importer is None:
+            raise
+        return importer, None, None
+    guess = guess_of(sheet)
+    if not guess.kind:
+        raise RecordingError(
+            f"{path} holds {sheet.layout.width} columns and {len(sheet)} rows, and none of them look like an"
+            f" accelerometer's, a gyroscope's or a joint's; it begins: {first_rows(head)}."
+        )
+    return importer, sheet, guess
+
+
+def _guess(path: Path) -> dict[str, Any] | None:
+    """What a table of an unknown layout seems to hold; None where it is no table."""
+    try:
+        sheet = read_sheet(path)
+        guess = guess_of(sheet)
+    except RecordingError:
+        return None
+    return {**_plain(guess), "names": column_names(sheet), "rows": _first_rows(sheet)}
+
+
+def _plain(guess: Guess) -> dict[str, Any]:
+    return {
+        "kind": guess.kind,
+        "columns": guess.columns,
+        "keys": guess.keys,
+        "reasons": guess.reasons,
+        "unsure": guess.unsure,
+    }
+
+
+def column_names(sheet: Sheet) -> list[str]:
+    """Names of a table's columns as written; () where it has no header."""
+    return list(sheet.layout.names)
+
+
+def _first_rows(sheet: Sheet) -> list[list[str]]:
+    width = sheet.layout.width
+    columns = [[shown(cell, 24) for cell in sheet.texts(k)[:SHOWN_ROWS]] for k in range(width)]
+    return [list(row) for row in zip(*columns, strict=True)]

@@ -1,0 +1,244 @@
+"""The whole way in a real browser: from files that are dropped to a report that plays, and the wrong ways."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from browser import Browser, chromium
+
+ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.skipif(chromium() is None, reason="Chromium is not installed (apt install chromium)")
+
+
+class Program:
+    """`unocclude app` as a user starts it; `close` ends it and what it runs."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.start()
+
+    def start(self) -> None:
+        code = "from smoother.cli import main; main()"
+        words = ["app", "--folder", str(self.folder), "--no-browser"]
+        path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", code, *words],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": path},
+        )
+        assert self._process.stdout is not None
+        self.address = self._process.stdout.readline().strip()
+        assert self.address.startswith("http://127.0.0.1:"), self.address
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait(20)
+
+    def close(self) -> int:
+        self._process.send_signal(signal.SIGINT)
+        try:
+            return self._process.wait(30)
+        finally:
+            self._process.kill()
+            for job in self.folder.glob("*/jobs/*/state.json"):
+                state = json.loads(job.read_text())
+                if state["state"] == "running":  # of a server that was killed
+                    (job.parent / "stopped").touch()
+
+    def only(self) -> Path:
+        (place,) = (path.parent for path in self.folder.glob("*/app.json"))
+        return place
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = chromium()
+    assert program is not None
+    browser = Browser(program)
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[Program]:
+    program = Program(tmp_path / "recordings")
+    yield program
+    program.close()
+
+
+def opened(browser: Browser, program: Program, width: int = 1280) -> None:
+    """The first page, as by a click on the address."""
+    browser.size(width, 900, phone=width < 500)
+    browser.events.clear()
+    browser.call("Page.navigate", url="about:blank")
+    browser.call("Page.navigate", url=program.address)
+    browser.wait("document.documentElement?.dataset.drawn === 'yes' && !!document.querySelector('.drop')")
+    assert "token" not in browser.run("location.href")
+
+
+def choose(browser: Browser, *files: Path) -> None:
+    """Choose files, as by the button."""
+    root = browser.call("DOM.getDocument")["root"]["nodeId"]
+    node = browser.call("DOM.querySelector", nodeId=root, selector="[data-input=files]")["nodeId"]
+    browser.call("DOM.setFileInputFiles", files=[str(path) for path in files], nodeId=node)
+
+
+def drop(browser: Browser, *files: Path) -> None:
+    """Drop files on the page."""
+    box = browser.run(
+        "(({x, y, width}) => [x + width / 2, y + 20])"
+        "(document.querySelector('.drop').getBoundingClientRect())"
+    )
+    data: dict[str, Any] = {"items": [], "files": [str(path) for path in files], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "drop"):
+        browser.call("Input.dispatchDragEvent", type=kind, x=box[0], y=box[1], data=data)
+
+
+def press(browser: Browser, selector: str) -> None:
+    browser.wait(f"!!document.querySelector('{selector}:not(:disabled)')")
+    browser.run(f"document.querySelector('{selector}').click()")
+
+
+def elsewhere(browser: Browser, program: Program) -> list[str]:
+    """Addresses other than the program's that the browser asked for."""
+    urls = [
+        event["params"]["request"]["url"]
+        for event in browser.events
+        if event.get("method") == "Network.requestWillBeSent"
+    ]
+    asked, home = [urlsplit(url) for url in urls], urlsplit(program.address).netloc
+    assert any(url.netloc == home for url in asked)
+    own = ("data", "blob", "about")
+    return [url.geturl() for url in asked if url.scheme not in own and url.netloc != home]
+
+
+def test_from_files_to_a_playing_report(browser: Browser, program: Program, session_files: dict[str, Path]):
+    """On a phone's width; files as devices export them; within a minute; nothing goes elsewhere."""
+    opened(browser, program, width=390)
+    begin = time.monotonic()
+    drop(browser, session_files["skeleton"], session_files["imu"])
+    browser.wait("document.querySelectorAll('.plots svg').length === 3")
+    plots = "[...document.querySelectorAll('.plots svg')]"
+    labels = browser.run(f"{plots}.map(each => each.getAttribute('aria-label'))")
+    assert any("wrist right, m, over 33." in label for label in labels)
+    press(browser, "#recover")
+    browser.wait("!!document.querySelector('#bar')")
+    seen = set()
+    while not browser.run("!!document.querySelector('#report, #ended')"):
+        seen.add(browser.run("document.querySelector('#bar')?.value ?? 0"))
+        assert time.monotonic() - begin < 120
+        time.sleep(0.2)
+    spent = time.monotonic() - begin
+    assert browser.run("document.querySelector('#ended')?.textContent ?? ''") == ""
+    assert len(seen) > 3, "the bar moved"
+    assert spent < 60 or os.getloadavg()[0] > 4, f"{spent:.0f} s"
+    assert browser.run("document.documentElement.scrollWidth") <= 390, "nothing is wider than the phone"
+    report = browser.run("document.querySelector('#report').src")
+    assert not elsewhere(browser, program) and not browser.complaints()
+    press(browser, "#export")
+    link = "document.querySelector('a[download=\"recovered.csv\"]')"
+    browser.wait(f"!!{link}")
+    table = browser.run(f"fetch({link}.href).then(each => each.text())")
+    assert table.startswith("t_s,occluded,imu_x") and table.count("\n") == 2659
+    browser.call("Page.navigate", url=report)
+    browser.wait("document.documentElement?.dataset.drawn === 'yes'")
+    slider = "document.querySelector('.player input[type=range]')"
+    before = float(browser.run(f"{slider}.value"))
+    browser.run("document.querySelector('.player [data-do=play]').click()")
+    browser.wait(f"Number({slider}.value) !== {before}")
+    assert not elsewhere(browser, program) and not browser.complaints()
+
+
+def test_a_killed_server_a_closed_tab_and_a_cancel(
+    browser: Browser, program: Program, session_files: dict[str, Path]
+):
+    """Files one after the other; the job outlives tab and server; the page goes on by itself."""
+    opened(browser, program)
+    choose(browser, session_files["imu"])
+    browser.wait("!!document.querySelector('.said.care')")
+    assert "no skeleton yet" in browser.run("document.querySelector('.said.care').textContent")
+    choose(browser, session_files["skeleton"])
+    browser.wait("document.querySelectorAll('.plots svg').length === 3")
+    press(browser, "#check")
+    browser.wait("!!document.querySelector('#bar')")
+    place = browser.run("location.hash")
+    program.kill()
+    browser.wait("!document.querySelector('#trouble').hidden")
+    assert "unocclude app" in browser.run("document.querySelector('#trouble').textContent")
+    browser.call("Page.navigate", url="about:blank")  # the tab is closed
+    before = program.address
+    program.start()
+    assert program.address == before, "an open page goes on"
+    browser.call("Page.navigate", url=f"{before}{place}")
+    browser.wait("!!document.querySelector('#bar, #check-step .chip')")
+    if browser.run("!!document.querySelector('#cancel')"):
+        press(browser, "#cancel")
+        browser.wait("!!document.querySelector('#ended, #check-step .chip')")
+    job = sorted((program.only() / "jobs").iterdir())[-1]
+    state = json.loads((job / "state.json").read_text())
+    assert state["state"] in ("cancelled", "done") and len(list((program.only() / "files").iterdir())) == 2
+    assert not elsewhere(browser, program)
+
+
+def test_by_keyboard_and_in_german(browser: Browser, program: Program, session_files: dict[str, Path]):
+    """Every control has a name, focus goes with the view, contrast holds in the light and the dark scheme."""
+    opened(browser, program)
+    choose(browser, session_files["imu"])
+    browser.wait("!!document.querySelector('.plots svg')")
+    assert browser.run("document.activeElement.tagName") == "H1"
+    controls = "'button, select, input:not([type=file]), a, progress, iframe'"
+    nameless = browser.run(
+        f"[...document.querySelectorAll({controls})].filter(each => !(each.getAttribute('aria-label')"
+        " || each.title || each.labels?.length || each.tagName !== 'SELECT' && each.textContent.trim()))"
+        ".map(each => each.outerHTML)"
+    )
+    assert nameless == []
+    for dark in (False, True):
+        browser.dark(dark)
+        assert browser.run(CONTRAST) == []
+    browser.dark(False)
+    for _ in range(3):
+        browser.key("Tab")
+    assert browser.run("document.activeElement !== document.body")
+    change = "each.value = 'de'; each.dispatchEvent(new Event('change'));"
+    browser.run(f"(each => {{ {change} }})(document.querySelector('#language'))")
+    browser.wait("document.querySelector('#check')?.textContent === 'Prüfen'")
+    assert browser.run("document.documentElement.lang") == "de"
+    browser.run("localStorage.clear()")
+    assert not browser.complaints()
+
+
+#: Texts whose contrast to what lies behind them is below AA's 4.5.
+CONTRAST = """(() => {
+  const parts = (text) => text.match(/[\\d.]+/g).map(Number);
+  const linear = (v) => (v <= .03928 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4);
+  const weight = [.2126, .7152, .0722];
+  const light = (c) => c.slice(0, 3).reduce((sum, v, k) => sum + linear(v / 255) * weight[k], 0);
+  const behind = (node) => {
+    for (; node; node = node.parentElement) {
+      const c = parts(getComputedStyle(node).backgroundColor);
+      if (c.length < 4 || c[3] > 0) return c;
+    }
+    return [255, 255, 255];
+  };
+  const low = [];
+  for (const node of document.querySelectorAll('body *')) {
+    const hasText = [...node.childNodes].some((each) => each.nodeType === 3 && each.textContent.trim());
+    if (!hasText || !node.offsetParent || node.disabled || node.closest('svg, .unseen, option')) continue;
+    const [a, b] = [light(parts(getComputedStyle(node).color)), light(behind(node))];
+    const ratio = (Math.max(a, b) + .05) / (Math.min(a, b) + .05);
+    if (ratio < 4.5) low.push([node.textContent.trim().slice(0, 30), ratio]);
+  }
+  return low;
+})()"""

@@ -1,0 +1,310 @@
+"""The local page's server: files come, are looked at and imported; what goes wrong is said, and repeated."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import shutil
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from conftest import HOST, PORT, TOKEN, Page
+from local_page import write_session
+from starlette.testclient import TestClient
+
+from smoother.app import server
+from smoother.app.folder import PLACES, AppFolder, KeptRecording, write_json
+from smoother.app.jobs import JobDesk
+from smoother.app.server import make_app
+from smoother.app.steps import describe_steps, import_steps, recover_steps
+
+
+def test_two_files_become_a_recording(page: Page, session_files: dict[str, Path]):
+    name = page.add([session_files["skeleton"], session_files["imu"]], job=True)
+    files = {each["name"]: each for each in page.ask("GET", f"/api/recordings/{name}/streams")["files"]}
+    (imu,) = files["shimmer.csv"]["streams"]
+    assert imu["holds"] == ["accelerometer", "gyroscope"] and imu["units"] == "g, deg/s"
+    assert imu["rate_hz"] == pytest.approx(77, abs=4) and imu["key"] == "shimmer.csv"
+    assert {plot["title"]: plot["unit"] for plot in imu["plots"]} == {
+        "accelerometer": "m/s^2",
+        "gyroscope": "rad/s",
+    }
+    (body,) = files["kinect.csv"]["streams"]
+    (wrist,) = body["plots"]
+    assert wrist["title"] == "wrist right" and None in wrist["lines"][0]["low"], "gaps are holes"
+    highest = max(v for line in imu["plots"][0]["lines"] for v in line["high"])
+    assert 9.81 < highest < 80, "in m/s^2, whatever the file's unit"
+    about = page.change(name, choices={"places": {"shimmer.csv": "forearm_right"}}, person="p1")
+    assert about["date"] == "2026-03-12", "the files say when"
+    page.begin(name, "check")
+    about = page.wait(name, until=("running",))
+    while page.ask("GET", f"/api/recordings/{name}")["imported"] is False:
+        time.sleep(0.05)
+    page.ask("POST", f"/api/recordings/{name}/cancel")
+    about = page.wait(name)
+    assert about["job"]["state"] == "cancelled" and about["imported"] and about["check"] is None
+    assert not list(page.folder.of(name).glob(".*")), "nothing half written is left"
+
+
+def test_a_missing_file_is_named_by_the_command(page: Page, session_files: dict[str, Path]):
+    name = page.add([session_files["imu"]])
+    page.begin(name, "recover")
+    about = page.wait(name)
+    assert about["job"]["state"] == "failed" and "skeleton" in about["job"]["sentence"]
+    path = f"/api/recordings/{name}/files/kinect.csv"
+    page.ask("PUT", path, content=session_files["skeleton"].read_bytes())
+    page.begin(name, "describe")
+    about = page.wait(name)
+    assert about["job"]["state"] == "done" and len(about["looked_at"]) == 2, "the step is repeatable"
+
+
+def test_two_sessions_are_not_mixed(page: Page, session_files: dict[str, Path]):
+    name = page.add([session_files["imu"], session_files["other_skeleton"]])
+    page.begin(name, "check")
+    job = page.wait(name)["job"]
+    assert job["state"] == "failed" and "mixes sessions" in job["sentence"]
+    assert "files/shimmer.csv (2026-03-12)" in job["sentence"] and "2026-03-21" in job["sentence"]
+
+
+def test_what_is_no_recording_keeps_its_sentence(page: Page, tmp_path: Path):
+    (tmp_path / "words.csv").write_text("these,are,words\n" + "a,b,c\n" * 20)
+    name = page.add([tmp_path / "words.csv"])
+    (file,) = page.ask("GET", f"/api/recordings/{name}/streams")["files"]
+    assert "is of no known format" in file["error"] and file["streams"] == []
+    page.begin(name, "recover")
+    assert "no known format" in page.wait(name)["job"]["sentence"]
+    assert page.ask("DELETE", f"/api/recordings/{name}/files/words.csv")["dropped"] == []
+    assert "drop" in page.ask("POST", f"/api/recordings/{name}/jobs", 400, json={"kind": "recover"})["error"]
+
+
+def own_table(path: Path, imu: Path) -> Path:
+    """The same IMU in a laboratory's own layout."""
+    lines = imu.read_text().splitlines()[3:]
+    path.write_text("\n".join(["Zeit;F1;F2;F3;D1;D2;D3", *(line.replace(",", ";") for line in lines)]) + "\n")
+    return path
+
+
+def test_an_unknown_table_is_described_once(page: Page, session_files: dict[str, Path], tmp_path: Path):
+    table = own_table(tmp_path / "eigen.csv", session_files["imu"])
+    name = page.add([table, session_files["skeleton"]])
+    files = {each["name"]: each for each in page.ask("GET", f"/api/recordings/{name}/streams")["files"]}
+    guess = files["eigen.csv"]["guess"]
+    assert guess["names"] == ["Zeit", "F1", "F2", "F3", "D1", "D2", "D3"] and len(guess["rows"]) > 3
+    columns = {"t": "Zeit"} | {f"a{axis}": f"F{k}" for k, axis in enumerate("xyz", 1)}
+    columns |= {f"g{axis}": f"D{k}" for k, axis in enumerate("xyz", 1)}
+    keys = {"time_unit": "ms", "accelerometer_unit": "g", "gyroscope_unit": "deg/s"}
+    wish = {"file": "eigen.csv", "kind": "imu", "title": "Ours", "columns": columns, "keys": keys}
+    wrong = {**wish, "columns": {**columns, "ax": "Zait"}}
+    error = page.ask("POST", f"/api/recordings/{name}/template", 400, json=wrong)["error"]
+    assert "Zait" in error and "eigen.csv" in error
+    page.ask("POST", f"/api/recordings/{name}/template", json=wish)
+    page.wait(name)
+    assert page.ask("GET", "/api/state")["templates"][0].startswith("ours-")
+    again = page.add([own_table(tmp_path / "next.csv", session_files["imu"])])
+    (file,) = page.ask("GET", f"/api/recordings/{again}/streams")["files"]
+    assert file["title"] == "Ours" and file["streams"][0]["rate_hz"] > 70
+    (step,) = import_steps(page.folder, page.folder.of(again))
+    assert step["argv"][2:4] == ["--imu", "files/next.csv"] and "--template" in step["argv"]
+
+
+def test_two_pages_do_not_overwrite_each_other(page: Page):
+    name = page.ask("POST", "/api/recordings", json={"name": "x"})["id"]
+    seen = page.ask("GET", f"/api/recordings/{name}")["revision"]
+    path = f"/api/recordings/{name}"
+    page.ask("PATCH", path, json={"revision": seen, "person": "p1"})
+    late = page.ask("PATCH", path, 409, json={"revision": seen, "person": "p2"})
+    assert "Another page" in late["error"]
+    assert page.ask("GET", path)["person"] == "p1"
+
+
+@pytest.mark.parametrize(
+    "wish",
+    [
+        {"date": "12.3.2026"},
+        {"date": "2026-02-31"},
+        {"name": "x" * 500},
+        {"name": 5},
+        {"choices": {"remedy": "--output /etc/passwd"}},
+        {"choices": {"remedy": "--mirror x --force"}},
+        {"choices": {"places": {"a": "wrist; rm"}}},
+        {"choices": {"side": "both"}},
+        {"choices": {"body": -1}},
+        {"choices": {"imu_starts_at_s": 1e12}},
+        {"choices": {"nothing": 1}},
+    ],
+)
+def test_a_value_that_cannot_be_is_refused(page: Page, wish: dict[str, object]):
+    name = page.ask("POST", "/api/recordings", json={"name": "x"})["id"]
+    answer = page.ask("PATCH", f"/api/recordings/{name}", 400, json={"revision": 0, **wish})
+    assert answer["error"].endswith(".")
+
+
+def test_a_removed_recording_is_moved(page: Page, session_files: dict[str, Path]):
+    name = page.add([session_files["imu"]])
+    moved = Path(page.ask("DELETE", f"/api/recordings/{name}")["moved_to"])
+    assert (moved / "files" / "shimmer.csv").is_file()
+    assert page.ask("GET", "/api/state")["recordings"] == []
+
+
+def test_a_full_disk_is_said_before_anything_is_written(
+    page: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    name = page.ask("POST", "/api/recordings", json={"name": "x"})["id"]
+    monkeypatch.setattr(server.shutil, "disk_usage", lambda _: SimpleNamespace(free=10))
+    answer = page.ask("PUT", f"/api/recordings/{name}/files/a.csv", 507, content=b"x" * 100)
+    assert "no space left on the disk" in answer["error"] and "a.csv" in answer["error"]
+    assert not any((page.folder.of(name) / "files").iterdir())
+
+
+def upload(page: Page, name: str, chunks: list[bytes], cut: bool) -> int:
+    """Send a file in chunks, as a browser does; with `cut` the tab closes before its end."""
+    app, sent = page.client.app, []
+    parts = iter(chunks)
+
+    async def receive() -> dict[str, object]:
+        chunk = next(parts, None)
+        if chunk is None:
+            return {"type": "http.disconnect"} if cut else {"type": "http.request", "body": b""}
+        return {"type": "http.request", "body": chunk, "more_body": True}
+
+    async def send(message: dict[str, object]) -> None:
+        sent.append(message)
+
+    headers = {"host": HOST.removeprefix("http://"), "origin": HOST, "cookie": f"unocclude-{PORT}={TOKEN}"}
+    scope = {
+        "type": "http",
+        "method": "PUT",
+        "path": f"/api/recordings/{name}/files/big.bin",
+        "raw_path": b"",
+        "query_string": b"",
+        "headers": [(key.encode(), value.encode()) for key, value in headers.items()],
+        "http_version": "1.1",
+        "scheme": "http",
+        "server": ("127.0.0.1", PORT),
+        "client": ("127.0.0.1", 1),
+        "root_path": "",
+    }
+    asyncio.run(app(scope, receive, send))
+    return int(sent[0]["status"])
+
+
+def test_a_closed_tab_leaves_no_half_file(page: Page):
+    name = page.ask("POST", "/api/recordings", json={"name": "x"})["id"]
+    assert upload(page, name, [b"x" * 3_000_000] * 3, cut=True) == 400
+    assert list((page.folder.of(name) / "files").iterdir()) == []
+    assert upload(page, name, [b"x" * 100_000] * 3, cut=False) == 200
+    assert (page.folder.of(name) / "files" / "big.bin").stat().st_size == 300_000
+
+
+def test_an_upload_is_limited_by_the_disk_and_not_by_memory(page: Page):
+    """So much more memory at most while 60 MB come as while one comes."""
+    import tracemalloc
+
+    name = page.ask("POST", "/api/recordings", json={"name": "x"})["id"]
+    block = b"x" * 65_536
+    tracemalloc.start()
+    upload(page, name, [block] * 960, cut=False)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 8_000_000
+    assert (page.folder.of(name) / "files" / "big.bin").stat().st_size == 960 * 65_536
+
+
+def test_only_one_job_of_a_recording_at_a_time(page: Page, session_files: dict[str, Path]):
+    name = page.add([session_files["imu"], session_files["skeleton"]])
+    page.begin(name, "check")
+    for method, path, more in (
+        ("POST", "jobs", {"json": {"kind": "check"}}),
+        ("PUT", "files/a.csv", {"content": b"x"}),
+        ("DELETE", "files/shimmer.csv", {}),
+    ):
+        answer = page.ask(method, f"/api/recordings/{name}/{path}", 409, **more)
+        assert "wait for it, or cancel it" in answer["error"]
+    page.ask("POST", f"/api/recordings/{name}/cancel")
+    assert page.wait(name)["job"]["state"] == "cancelled"
+
+
+def test_two_recordings_at_once_and_a_third_waits(page: Page, session_files: dict[str, Path]):
+    names = [page.add([session_files["imu"], session_files["skeleton"]], f"s{k}") for k in range(3)]
+    assert page.ask("POST", "/api/batch", json={"ids": names, "like": names[0]})["begun"] == 3
+    states = [page.ask("GET", f"/api/recordings/{each}")["job"]["state"] for each in names]
+    assert states == ["running", "running", "waiting"]
+    for each in reversed(names):
+        page.ask("POST", f"/api/recordings/{each}/cancel")
+    assert [page.wait(each)["job"]["state"] for each in names] == ["cancelled"] * 3
+
+
+def test_what_waits_and_what_was_lost_after_a_kill(tmp_path: Path, session_files: dict[str, Path]):
+    """A server that finds jobs of one before: one without a process was stopped, one that waits is begun."""
+    folder = AppFolder(tmp_path / "recordings")
+    names = []
+    for state in ({"state": "running", "step": 0}, {}):
+        names.append(folder.add(KeptRecording(name="s")))
+        place = folder.of(names[-1])
+        shutil.copy(session_files["imu"], place / "files")
+        job = place / "jobs" / "0001"
+        job.mkdir(parents=True)
+        write_json(job / "job.json", {"kind": "describe", "steps": describe_steps(folder, place)})
+        if state:
+            write_json(job / "state.json", state)
+    with TestClient(make_app(folder, JobDesk(folder), TOKEN, PORT), base_url=HOST) as client:
+        client.get(f"/?token={TOKEN}")
+        page = Page(client, folder)
+        assert page.ask("GET", f"/api/recordings/{names[0]}")["job"]["state"] == "stopped"
+        assert page.wait(names[1])["job"]["state"] == "done"
+        page.begin(names[0], "describe")
+        assert page.wait(names[0])["job"]["state"] == "done"
+
+
+def test_sessions_of_a_person_need_two_results(page: Page, session_files: dict[str, Path]):
+    name = page.add([session_files["imu"]])
+    page.change(name, person="p1")
+    answer = page.ask("POST", "/api/comparisons", 400, json={"person": "p1"})
+    assert "two recovered recordings" in answer["error"]
+
+
+def test_the_first_page_is_quick(page: Page, session_files: dict[str, Path]):
+    """Under 300 ms with a hundred recordings in the folder."""
+    name = page.add([session_files["imu"], session_files["skeleton"]])
+    for k in range(100):
+        shutil.copytree(page.folder.of(name), page.folder.path / f"copy-{k:03d}")
+    spent = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        page.client.get("/")
+        assert len(page.ask("GET", "/api/state")["recordings"]) == 101
+        spent.append(time.perf_counter() - begin)
+    assert min(spent) < 0.3
+
+
+def test_texts_have_the_same_keys_and_all_are_used():
+    texts = [json.loads((server.WEB / f"texts.{each}.json").read_text("utf-8")) for each in server.LANGUAGES]
+    assert texts[0].keys() == texts[1].keys()
+    page = "".join((server.WEB / name).read_text("utf-8") for name in ("app.js", "app.html"))
+    made = set(re.findall(r"`([a-z]+_)\$\{", page))  # keys that are put together, as `step_${name}`
+    for key in texts[0]:
+        assert f'"{key}"' in page or key in PLACES or any(key.startswith(head) for head in made), key
+    asked = set(re.findall(r'\bt\("(\w+)"', page)) | set(re.findall(r'data-text="(\w+)"', page))
+    assert asked <= texts[0].keys()
+
+
+def test_the_page_names_no_other_host():
+    for path in server.WEB.iterdir():
+        text = path.read_text("utf-8").replace("http://www.w3.org/2000/svg", "")
+        assert "http://" not in text and "https://" not in text and "//cdn" not in text
+
+
+def test_the_same_session_mirrored(page: Page, tmp_path: Path):
+    """The check holds the recovery, and proposes what undoes it."""
+    files = write_session(tmp_path / "mirrored", mirror=True)
+    name = page.add(list(files.values()))
+    page.begin(name, "recover")
+    about = page.wait(name)
+    assert about["job"]["state"] == "held" and about["result"] is None
+    assert about["check"]["trusted"] is False and "--mirror x" in about["check"]["remedies"]
+    page.change(name, choices={"remedy": "--mirror x"})
+    *_, check, recover = recover_steps(page.folder, page.folder.of(name))
+    assert "--mirror x" in " ".join(check["argv"]) and "--mirror x" in " ".join(recover["argv"])
