@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
 from ...array_types import IntArray
 from ...errors import RecordingError
-from ...matching import ImuMatch
 from ...recording import ImuStream, JointTracks, Recording, TrunkSensors, Truth, arm_words
 from ...runtime.store import Store
 from ..mcap.messages import SECOND_NS, seconds
@@ -21,9 +20,11 @@ from .assign import choose, choose_arms, left_out_words
 from .bodies import join_bodies, people
 from .camera_streams import camera_of
 from .clean import clean_arm, clean_imu, clean_poses
-from .match_streams import REACH_S, match_streams
 from .selection import Selection, StreamChoice, is_named, named_side, role, role_among
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+
+if TYPE_CHECKING:
+    from ...matching import ImuMatch
 
 
 def trunk_of(
@@ -270,7 +271,7 @@ def _truth(poses: PoseSamples, origin: int, store: Store) -> Truth:
 def match_file(
     file: RecordingFile,
     method: str = "motion",
-    reach_s: float = REACH_S,
+    reach_s: float | None = None,
     store: Store | None = None,
     skeleton: str | None = None,
 ) -> tuple[list[ImuMatch], list[str]]:
@@ -282,7 +283,7 @@ def match_file(
         All streams.
     method : str
         A name in `matching.METHODS`.
-    reach_s : float, s
+    reach_s : float, s, optional
         Clocks may be this far apart.
     store : Store, optional
         Where joined and cleaned columns are to lie; None = in memory.
@@ -313,6 +314,9 @@ def match_file(
             "record again with the arms in view of the camera for some seconds."
         )
     arms, notes = people(replace(file, arms=arms), store)
+    from .match_streams import REACH_S, match_streams  # SciPy: where it is used
+
+    reach_s = REACH_S if reach_s is None else reach_s
     matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s, store=store)
     return matches, notes + more + _contradicted(file.imus, matches)
 
