@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from ..recording import Truth
     from ..result import Recovery
 
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
+FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
 ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 #: Endings of files that are none of these.
-NO_FORMATS = ("mcap", "html", "json", "toml", "xlsx", "mat")
+NO_FORMATS = ("mcap", "html", "json", "toml", "mat")
 
 
 def export(

@@ -12,7 +12,7 @@ from ...recording import Truth
 from ...result import Recovery
 
 #: The formats, and for which of them axes and rate may be chosen.
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
+FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
 WITH_FRAME = ("trc", "c3d")
 WITH_RATE = ("trc", "mot", "c3d")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
@@ -98,6 +98,11 @@ def prepare_export(
         return _sto(recovery, level_down)
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
+    if format_name == "xlsx":
+        from .xlsx import check_xlsx, export_xlsx
+
+        check_xlsx(recovery)
+        return Export(len(recovery), lambda path, force: export_xlsx(recovery, path, force), frame="camera")
     if format_name == "parquet" and draws:
         from .parquet import drawn_rows, export_draws
 

@@ -15,7 +15,7 @@ from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.io import read_recovery, write_recovery
 
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
+FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet")
 
 
 def done(*arguments: object) -> None:
@@ -153,7 +153,7 @@ def test_no_gravity_but_a_camera_that_says_its_axes(tmp_path, capsys):
         (("--format", "trc", "--frame", "lab"), "--frame is camera or opensim, not 'lab'"),
         (("--format", "parquet", "--rate", "50"), "--rate is for trc, mot, c3d"),
         (("--format", "trc", "--rate", "0"), "--rate is between 1 and 10000 Hz"),
-        (("--format", "xls"), "'xls' is not available; formats: csv, trc, mot, c3d, parquet"),
+        (("--format", "xls"), "'xls' is not available; formats: csv, xlsx, trc, mot, c3d, parquet"),
     ],
 )
 def test_wrong_use(results, tmp_path, capsys, options, sentence):
@@ -257,3 +257,22 @@ def test_the_example_of_the_help(tmp_path, monkeypatch):
     write_recovery(made(), "recovered.mcap")
     done("export", "recovered.mcap", "--format", "trc", "-o", "recovered.trc")
     assert len(read_recovery("recovered.mcap")[0]) == len(read_trc(Path("recovered.trc"))[2])
+
+
+def test_a_workbook_holds_what_the_table_does(results, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    for ending in ("csv", "xlsx"):
+        done("export", results / "right.mcap", "--format", ending, "-o", tmp_path / f"a.{ending}")
+    book = openpyxl.load_workbook(tmp_path / "a.xlsx", read_only=True)
+    assert book.sheetnames == ["motion", "columns", "about"]
+    heads, *rows = book["motion"].iter_rows(values_only=True)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert list(heads) == lines[0].split(",") and len(rows) == len(lines) - 1
+    for row, line in zip(rows[::97], lines[1::97], strict=True):
+        for mine, theirs in zip(row, line.split(","), strict=True):
+            assert (mine is None) == (theirs == "")
+            assert mine is None or mine == pytest.approx(float(theirs), abs=1e-6)
+    columns = {row[0]: row[1] for row in book["columns"].iter_rows(min_row=2, values_only=True)}
+    assert list(columns) == list(heads) and columns["vx"] == "m/s" and columns["sigma_deg"] == "deg"
+    about = dict(book["about"].iter_rows(min_row=2, values_only=True))
+    assert about["arm"] == "right arm"
