@@ -51,6 +51,7 @@ MIDDLE = (
     "strap_search",
     "report",
     "manuscript",
+    "benchmark",
     "streams",
     "app",
 )
@@ -65,8 +66,9 @@ MAY: dict[str, set[str]] = {
     "strap_search": {"calib", "io"},
     "evaluation": {"calib", "io", "baselines", "measures"},
     "study": {"calib", "io", "evaluation", "measures"},
-    "report": {"calib", "io", "evaluation", "measures", "strap_search"},
+    "report": {"calib", "io", "evaluation", "measures", "strap_search", "benchmark"},
     "manuscript": {"evaluation"},
+    "benchmark": {"calib", "io", "evaluation"},
     "streams": {"calib", "io"},
     "app": {"io"},
     "cli": {"calib", *MIDDLE},

@@ -131,6 +131,7 @@ _COMMANDS = {
     "compare": _spec("compare", "compare session.mcap --truth trial.c3d --markers map.toml --report c.html"),
     "measures": _spec("measures", "measures out.mcap --csv measures.csv --json measures.json"),
     "gaps": _spec("gaps", "gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json"),
+    "benchmark": _spec("benchmark", "benchmark --data datasets -o benchmark"),
     "export": _spec("export", "export recovered.mcap --format trc -o recovered.trc"),
     "methods": _spec("manuscript", "methods recovered.mcap -o methods.tex"),
     "view": _spec("view", "view recovered.mcap"),

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import UnoccludeError
+from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
 from .arm_output import arms_figures, each_arm, say_arm, warn
 from .load import AS_RECORDED, SetUp, load_arms
-from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods, with_strap
+from .methods import baseline_settings, choose, with_strap
 from .options import (
     ANY_ARM,
     NO_FILES,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..evaluation.methods import METHODS
 from .arm_output import (
     arms_figures,
     end_strictly,
@@ -22,7 +23,6 @@ from .arm_output import (
 )
 from .load import AS_RECORDED, SetUp, damage, load_arms
 from .methods import (
-    METHODS,
     baseline_settings,
     choose,
     drawn_motions,

@@ -23,21 +23,29 @@ Progress = Callable[[float, str], None]
 
 
 @dataclass
-class _Collected:
-    """Rows and their samples while the runs go on."""
+class Collected:
+    """Rows and their samples while the runs go on.
+
+    Attributes
+    ----------
+    rows : list of GapRow
+    hidden : list of GapErrors
+        Of each row, sample by sample.
+    notes : list of str
+    """
 
     rows: list[GapRow] = field(default_factory=list)
     hidden: list[GapErrors] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def add(self, other: _Collected) -> None:
+    def add(self, other: Collected) -> None:
         """What came later."""
         self.rows += other.rows
         self.hidden += other.hidden
         self.notes += other.notes
 
 
-class _Trial(NamedTuple):
+class GapCopy(NamedTuple):
     """A copy of the recording with these gaps; `run` counts the copies of one length."""
 
     length_s: float
@@ -92,10 +100,10 @@ def evaluate_gaps(
     RecordingError
         At none of the lengths can a gap be hidden.
     """
-    collected = _Collected()
+    collected = Collected()
     report = progress or (lambda part, text: None)
     trials = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
-    job = partial(_trial, recording=recording, methods=methods)
+    job = partial(try_methods, recording=recording, methods=methods)
     with Pool(min(processes, len(trials)), len(trials) * len(recording.arm)) as workers:
         answers = workers.map(job, trials)
         for number, trial in enumerate(trials):
@@ -120,8 +128,8 @@ def _place_all(
     repetitions: int,
     gaps_per_run: int,
     margin_s: float,
-    collected: _Collected,
-) -> list[_Trial]:
+    collected: Collected,
+) -> list[GapCopy]:
     """The gaps of every copy."""
     trials = []
     for length in lengths_s:
@@ -130,7 +138,7 @@ def _place_all(
             rng = np.random.default_rng([seed, round(1000 * length), run])
             gaps = place_gaps(recording, length, rng, count=gaps_per_run, margin_s=margin_s)
             if gaps:
-                trials.append(_Trial(length, run, gaps))
+                trials.append(GapCopy(length, run, gaps))
         if not any(trial.length_s == length for trial in trials):
             collected.notes.append(
                 f"The camera never sees the forearm for long enough to hide a gap of {length:g} s."
@@ -144,10 +152,28 @@ def _place_all(
     return trials
 
 
-def _trial(trial: _Trial, recording: Recording, methods: Mapping[str, Method]) -> _Collected:
-    """All methods on one copy; what one of them cannot do becomes rows without figures."""
-    collected = _Collected()
+def try_methods(
+    trial: GapCopy, recording: Recording, methods: Mapping[str, Method], one_noise: bool = False
+) -> Collected:
+    """All methods on one copy; what one of them cannot do becomes rows without figures.
+
+    Parameters
+    ----------
+    trial : GapCopy
+    recording : Recording
+        The recording, whole.
+    methods : mapping of str to Method
+    one_noise : bool
+        Against hidden camera samples, whose noise counts beside sigma: the first method's residuals give it
+        for all, instead of each method's own.
+
+    Returns
+    -------
+    collected : Collected
+    """
+    collected = Collected()
     copy = hide(recording, trial.gaps)
+    noise_of: Recovery | None = None
     for name, method in methods.items():
         try:
             recovery = method(copy)
@@ -156,19 +182,21 @@ def _trial(trial: _Trial, recording: Recording, methods: Mapping[str, Method]) -
             hidden = [GapErrors.empty()] * len(trial.gaps)
             failures = [str(error)] * len(trial.gaps)
         else:
-            hidden = [score_gap(recording, recovery, gap) for gap in trial.gaps]
+            noise_of = (noise_of or recovery) if one_noise else None
+            hidden = [score_gap(recording, recovery, gap, noise_of) for gap in trial.gaps]
             failures = [
                 "" if np.isfinite(each.distance_m).any() else "no answer inside the gap" for each in hidden
             ]
         for gap, errors, failure in zip(trial.gaps, hidden, failures, strict=True):
-            collected.rows.append(_row(trial, name, gap, errors, failure, recording.name))
+            collected.rows.append(row_of(trial, name, gap, errors, failure, recording.name))
         collected.hidden += hidden
     return collected
 
 
-def _row(
-    trial: _Trial, method: str, gap: HiddenGap, errors: GapErrors, failure: str, recording: str
+def row_of(
+    trial: GapCopy, method: str, gap: HiddenGap, errors: GapErrors, failure: str, recording: str
 ) -> GapRow:
+    """What a method made of one gap, as a row."""
     return GapRow(
         trial.length_s,
         method,

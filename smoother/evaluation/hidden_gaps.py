@@ -235,12 +235,29 @@ class GapErrors:
         )
 
 
-def score_gap(recording: Recording, recovery: Recovery, gap: HiddenGap) -> GapErrors:
-    """Errors of a recovery inside a gap of the recording, which still holds what was hidden."""
+def score_gap(
+    recording: Recording, recovery: Recovery, gap: HiddenGap, noise_of: Recovery | None = None
+) -> GapErrors:
+    """Errors of a recovery inside a gap of the recording, which still holds what was hidden.
+
+    Parameters
+    ----------
+    recording : Recording
+        With its truth, or with the camera samples that were hidden.
+    recovery : Recovery
+        The answer.
+    gap : HiddenGap
+    noise_of : Recovery, optional
+        Whose residuals give the noise of hidden camera samples; the answer's own where None.
+
+    Returns
+    -------
+    errors : GapErrors
+    """
     if recording.truth is not None and len(recording.truth):
         errors, t_s = _against_truth(recording, recovery, gap)
     else:
-        errors, t_s = _against_camera(recording, recovery, gap)
+        errors, t_s = _against_camera(recording, recovery, gap, noise_of or recovery)
     return replace(errors, since_s=t_s - gap.start_s)
 
 
@@ -276,7 +293,9 @@ def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap) -> 
     return errors, t_s[inside]
 
 
-def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap) -> tuple[GapErrors, FloatArray]:
+def _against_camera(
+    recording: Recording, recovery: Recovery, gap: HiddenGap, noise_of: Recovery
+) -> tuple[GapErrors, FloatArray]:
     """Errors at the hidden frames, and their times on the camera's clock."""
     joint = _reference_joint(recording, recovery, gap)
     if joint is None:
@@ -292,7 +311,7 @@ def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap) ->
     answer = position_at(recovery.t_s, known, t_s)
     stated = linear_at(recovery.t_s, covariance.reshape(-1, 9), t_s).reshape(-1, 3, 3)
     # a hidden sample has the camera's own noise, which the answer's covariance knows nothing of
-    noise = camera_noise(recovery, joint)
+    noise = camera_noise(noise_of, joint)
     scored = np.ones(len(t_s), dtype=bool)
     errors = _errors(joint, answer, reference, stated, noise, np.full(len(t_s), np.nan), scored)
     return errors, recording.arm.t_s[frames]
@@ -308,6 +327,54 @@ def strap_position(recovery: Recovery) -> FloatArray:
     turned = Rotation.from_quat(recovery.quaternion[known], scalar_first=True)
     strap[known] = recovery.position[known] + turned.apply(levers["strap"].position_m)
     return strap
+
+
+def score_points(
+    recording: Recording,
+    t_s: FloatArray,
+    position: FloatArray,
+    covariance: FloatArray,
+    gap: HiddenGap,
+    noise_of: Recovery | None,
+) -> GapErrors:
+    """Errors of points that another program answered, as `score_gap` has them of a recovery.
+
+    Parameters
+    ----------
+    recording : Recording
+        With its truth, or with the camera samples that were hidden.
+    t_s : ndarray, shape (n,), s
+        Times of the answers, on the camera's clock; of a recording with truth both clocks are one.
+    position : ndarray, shape (n, 3), m
+        Of the IMU where there is a truth, else of the wrist (the strap where that is all there is), in {K}.
+    covariance : ndarray, shape (n, 3, 3), m^2
+        nan where none is stated.
+    gap : HiddenGap
+    noise_of : Recovery or None
+        Whose residuals give the noise of hidden camera samples; None for none.
+
+    Returns
+    -------
+    errors : GapErrors
+    """
+    if recording.truth is not None and len(recording.truth):
+        name, times = "truth", recording.imu.t_s[gap.contains(recording.imu.t_s)]
+        truth = truth_at(recording.truth, times)
+        reference, noise = truth.position, np.zeros((3, 3))
+        scored = truth.score & np.isfinite(reference).all(axis=1)
+    else:
+        inside = gap.contains(recording.arm.t_s)
+        seen = [joint for joint in REFERENCES if (recording.arm.tracked(joint) & inside).any()]
+        if not seen:
+            return GapErrors.empty()
+        name, frames = seen[0], inside & recording.arm.tracked(seen[0])
+        times, reference = recording.arm.t_s[frames], recording.arm.joint(name)[frames]
+        noise = np.zeros((3, 3)) if noise_of is None else camera_noise(noise_of, name)
+        scored = np.ones(len(times), dtype=bool)
+    answer = np.where(scored[:, None], position_at(t_s, position, times), np.nan)
+    stated = linear_at(t_s, covariance.reshape(-1, 9), times).reshape(-1, 3, 3)
+    errors = _errors(name, answer, reference, stated, noise, np.full(len(times), np.nan), scored)
+    return replace(errors, since_s=times - gap.start_s)
 
 
 def _reference_joint(recording: Recording, recovery: Recovery, gap: HiddenGap) -> str | None:

@@ -11,8 +11,8 @@ from solved_arms import ALONE
 
 from smoother import Recovery
 from smoother.baselines.registry import ORIENTATIONS, recover
-from smoother.cli.methods import SharedGraph, make_methods
 from smoother.evaluation.gaps import GapTable, evaluate_gaps
+from smoother.evaluation.methods import SharedGraph, make_methods
 from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from smoother.cli.methods import GRAPH, LIVE_METHODS, METHODS
 from smoother.cli.run import run
+from smoother.evaluation.methods import GRAPH, LIVE_METHODS, METHODS
 
 
 def done(*arguments: object) -> None:

@@ -12,18 +12,12 @@ import pytest
 
 from smoother import Config, smoothing
 from smoother.baselines.registry import BASELINES
-from smoother.cli.methods import (
-    METHODS,
-    BaselineSettings,
-    SharedGraph,
-    baseline_settings,
-    choose,
-    make_methods,
-)
+from smoother.cli.methods import baseline_settings, choose
 from smoother.cli.run import run
 from smoother.errors import SolveError
 from smoother.evaluation.compare import compare
 from smoother.evaluation.gaps import evaluate_gaps
+from smoother.evaluation.methods import METHODS, BaselineSettings, SharedGraph, make_methods
 from smoother.io import read_recovery
 from smoother.recording import Recording
 from smoother.runtime import pool

@@ -23,12 +23,13 @@ from scipy.stats import chi2
 
 from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
 from calib.motion.motion_calibration import calibrate_motion
+from smoother.benchmark.datasets import open_utd, utd_files
 from smoother.calibration import ArmCalibration
 from smoother.cli.config import read_config
 from smoother.evaluation.gaps import evaluate_gaps
 from smoother.evaluation.metrics import Figures
 from smoother.evaluation.validate import sample_errors, validate
-from smoother.io import import_broad, import_utd_mhad
+from smoother.io import import_broad
 from smoother.linalg import interpolate
 from smoother.recording import Recording
 from smoother.result import Recovery
@@ -262,12 +263,9 @@ def utd(options: argparse.Namespace) -> Iterator[str]:
     rows: list[tuple[float, int, bool, np.ndarray, np.ndarray, float]] = []
     for subject in options.subjects:
         trials = {
-            (a, t): import_utd_mhad(
-                inertial, folder / "Skeleton" / inertial.name.replace("inertial", "skeleton")
-            )
-            for a in range(1, 22)
-            for t in range(1, 5)
-            if (inertial := folder / "Inertial" / f"a{a}_s{subject}_t{t}_inertial.mat").exists()
+            (action, number): open_utd(trial)
+            for (whose, action, number), trial in utd_files(folder).items()
+            if whose == subject
         }
         first = [recording for (_, t), recording in trials.items() if t == 1]
         found = calibrate_motion(first, None, config)

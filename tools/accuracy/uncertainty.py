@@ -28,11 +28,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, chisquare, norm
 
 from calib.motion.motion_calibration import calibrate_motion
+from smoother.benchmark.datasets import open_utd, utd_files
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.hidden_gaps import place_gaps
 from smoother.evaluation.metrics import squared_sigmas, truth_at
 from smoother.evaluation.validate import sample_errors
-from smoother.io import import_broad, import_utd_mhad
+from smoother.io import import_broad
 from smoother.joint_angles import arm_angles, elbow_flexion_sigma, recovery_angles
 from smoother.linalg import interpolate
 from smoother.recording import Recording
@@ -108,14 +109,10 @@ def _utd(recording: Recording, calibration: ArmCalibration, subject: int) -> lis
 
 
 def _trials(subject: int) -> dict[tuple[int, int], Recording]:
-    folder = datasets("utd_mhad")
     return {
-        (action, trial): import_utd_mhad(
-            inertial, folder / "Skeleton" / inertial.name.replace("inertial", "skeleton")
-        )
-        for action in range(1, 22)
-        for trial in range(1, 5)
-        if (inertial := folder / "Inertial" / f"a{action}_s{subject}_t{trial}_inertial.mat").exists()
+        (action, number): open_utd(trial)
+        for (whose, action, number), trial in utd_files(datasets("utd_mhad")).items()
+        if whose == subject
     }
 
 

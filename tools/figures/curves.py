@@ -24,10 +24,10 @@ from scipy.spatial.transform import Rotation
 from calib.motion.motion_calibration import calibrate_motion
 from smoother import smooth
 from smoother.calibration import ArmCalibration
-from smoother.cli.methods import METHODS, make_methods
 from smoother.config import Config
 from smoother.evaluation.gap_table import spread_of
 from smoother.evaluation.gaps import evaluate_gaps
+from smoother.evaluation.methods import METHODS, make_methods
 from smoother.io import import_broad, import_utd_mhad
 from smoother.measurements.clock import constant_clock
 from smoother.recording import Recording

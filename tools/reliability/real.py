@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,9 +25,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.motion.motion_calibration import calibrate_motion
 from smoother.array_types import BoolArray, FloatArray
+from smoother.benchmark.datasets import imported, open_utd, smartfallmm_trials, utd_files
+from smoother.benchmark.trials import BenchmarkTrial
 from smoother.calibration import ArmCalibration
 from smoother.errors import UnoccludeError
-from smoother.io import ImuFiles, import_files, import_utd_mhad, read_recording, write_recording
 from smoother.linalg import interpolate, unit
 from smoother.measurements.visibility import accepted_samples, visible_frames
 from smoother.recording import Recording
@@ -73,27 +73,13 @@ class RealTrial:
 
 def smartfallmm_names() -> list[str]:
     """Trials that have a skeleton and both sensors of the MetaMotion."""
-    folder = datasets("smartfallmm")
-    return sorted(
-        path.stem
-        for path in (folder / "skeleton").glob("*.csv")
-        if all(p.exists() for p in _imu_paths(path.stem))
-    )
-
-
-def _imu_paths(name: str) -> tuple[Path, ...]:
-    folder = datasets("smartfallmm")
-    return tuple(folder / sensor / "meta_wrist" / f"{name}.csv" for sensor in ("accelerometer", "gyroscope"))
+    return [trial.name for trial in smartfallmm_trials(datasets("smartfallmm"))]
 
 
 def smartfallmm_trial(skeleton: str, imu: str = "") -> RealTrial:
     """A trial as `unocclude import files` makes it, with its own IMU or another trial's."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{skeleton}.mcap"
-        body = datasets("smartfallmm") / "skeleton" / f"{skeleton}.csv"
-        file, _ = import_files([body], [ImuFiles(_imu_paths(imu or skeleton), "forearm_right")])
-        write_recording(file, path)
-        recording = read_recording(path, side="right")
+    trials = {trial.name: trial for trial in smartfallmm_trials(datasets("smartfallmm"))}
+    recording = imported(skeleton, trials[skeleton].files[0], trials[imu or skeleton].files[1:])
     return RealTrial(f"{skeleton} with {imu}" if imu else skeleton, recording)
 
 
@@ -104,11 +90,13 @@ def _utd_calibration(subject: int) -> ArmCalibration:
 
 
 def _utd_recording(action: int, subject: int, trial: int) -> Recording | None:
-    name, folder = f"a{action}_s{subject}_t{trial}", datasets("utd_mhad")
-    inertial = folder / "Inertial" / f"{name}_inertial.mat"
-    if not inertial.exists():
-        return None
-    return import_utd_mhad(inertial, folder / "Skeleton" / f"{name}_skeleton.mat")
+    found = _utd_files().get((subject, action, trial))
+    return None if found is None else open_utd(found)
+
+
+@cache
+def _utd_files() -> dict[tuple[int, int, int], BenchmarkTrial]:
+    return utd_files(datasets("utd_mhad"))
 
 
 def utd_trials(count: int, rng: np.random.Generator) -> list[RealTrial]:

@@ -1,0 +1,1 @@
+"""The benchmark of the field: public data sets, frozen gaps, every method, one table."""

@@ -1,0 +1,223 @@
+"""The public data sets, a loader each; whoever runs the benchmark brings the files.
+
+The `development` split is what this project was developed on; nobody here has seen the rest.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from ..recording import Recording
+from .trials import BenchmarkData, BenchmarkTrial
+
+#: BROAD's trials by number, UTD-MHAD's and SmartFallMM's subjects of the development split.
+_BROAD = frozenset({3, 5, 7, 11, 14, 16, 24, 33})
+_UTD = frozenset({1, 2, 3, 4})
+_SMARTFALLMM = frozenset({43, 44})
+
+
+def _split(is_development: bool) -> str:
+    return "development" if is_development else "test"
+
+
+# --- BROAD
+
+
+def broad_trials(folder: Path) -> Iterator[BenchmarkTrial]:
+    """The trials of BROAD, in order of their numbers."""
+    for path in sorted(folder.rglob("*.mat")):
+        number = re.match(r"(\d+)_", path.name)
+        if number:
+            yield BenchmarkTrial("broad", path.stem, _split(int(number[1]) in _BROAD), (path,))
+
+
+def _open_broad(trial: BenchmarkTrial) -> Recording:
+    from ..io import import_broad
+
+    return import_broad(trial.files[0], seed=trial.seed(0))
+
+
+# --- UTD-MHAD: trial 1 of each action calibrates the subject's arm, the others are scored
+
+
+def utd_files(folder: Path) -> dict[tuple[int, int, int], BenchmarkTrial]:
+    """The trials of the actions with the IMU on the wrist (1 to 21), by subject, action and trial."""
+    found = {}
+    for inertial in folder.rglob("a*_s*_t*_inertial.mat"):
+        numbers = re.fullmatch(r"a(\d+)_s(\d+)_t(\d+)_inertial\.mat", inertial.name)
+        if not numbers or int(numbers[1]) > 21:
+            continue
+        action, subject, trial = (int(each) for each in numbers.groups())
+        name = f"a{action}_s{subject}_t{trial}"
+        places = (inertial.parent, inertial.parent.parent / "Skeleton")
+        skeleton = next((at for place in places if (at := place / f"{name}_skeleton.mat").exists()), None)
+        if skeleton is not None:
+            found[subject, action, trial] = BenchmarkTrial(
+                "utd_mhad", name, _split(subject in _UTD), (inertial, skeleton), f"subject {subject}"
+            )
+    return dict(sorted(found.items()))
+
+
+def utd_trials(folder: Path) -> Iterator[BenchmarkTrial]:
+    """The trials of UTD-MHAD that are scored."""
+    yield from (trial for (_, _, number), trial in utd_files(folder).items() if number != 1)
+
+
+def utd_calibrations(folder: Path) -> dict[str, list[BenchmarkTrial]]:
+    """The trials that calibrate, by subject."""
+    groups: dict[str, list[BenchmarkTrial]] = {}
+    for (_, _, number), trial in utd_files(folder).items():
+        if number == 1:
+            groups.setdefault(trial.calibrated_on, []).append(trial)
+    return groups
+
+
+def open_utd(trial: BenchmarkTrial) -> Recording:
+    """A trial of UTD-MHAD."""
+    from ..io import import_utd_mhad
+
+    return import_utd_mhad(*trial.files)
+
+
+# --- SmartFallMM: the MetaMotion on the right wrist
+
+
+def smartfallmm_trials(folder: Path) -> Iterator[BenchmarkTrial]:
+    """The trials that have a skeleton and both sensors of the MetaMotion."""
+    for skeleton in sorted((folder / "skeleton").glob("S*A*T*.csv")):
+        sensors = [folder / kind / "meta_wrist" / skeleton.name for kind in ("accelerometer", "gyroscope")]
+        subject = re.match(r"S(\d+)A", skeleton.name)
+        if subject and all(path.exists() for path in sensors):
+            split = _split(int(subject[1]) in _SMARTFALLMM)
+            yield BenchmarkTrial("smartfallmm", skeleton.stem, split, (skeleton, *sensors))
+
+
+def open_smartfallmm(trial: BenchmarkTrial) -> Recording:
+    """A trial as `unocclude import files` makes it, with what the importer knows of its clocks."""
+    return imported(trial.name, trial.files[0], trial.files[1:])
+
+
+def imported(name: str, skeleton: Path, sensors: tuple[Path, ...], side: str = "right") -> Recording:
+    """The recording of files as devices write them.
+
+    Parameters
+    ----------
+    name : str
+        Of the recording.
+    skeleton : Path
+    sensors : tuple of Path
+        Of one IMU on the forearm.
+    side : str
+        "left" or "right".
+
+    Returns
+    -------
+    recording : Recording
+    """
+    from ..io import ImuFiles, import_files, read_recording, write_recording
+
+    with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:
+        path = Path(folder) / f"{name}.mcap"
+        file, _ = import_files([skeleton], [ImuFiles(sensors, f"forearm_{side}")])
+        write_recording(file, path)
+        return read_recording(path, side=side)
+
+
+# --- sevivi: an Azure Kinect by its mkv extractor, Xsens DOTs
+
+#: Its folders in which the sensors are on the forearms, and the side of each file.
+_SEVIVI = ("hand_movement",)
+_SEVIVI_SIDES = {"LF": "left", "RF": "right"}
+
+
+def sevivi_trials(folder: Path) -> Iterator[BenchmarkTrial]:
+    """The sessions in which a hand was moved, an arm each."""
+    for skeleton in sorted((folder / "skeletons").glob("*/positions_3d.csv*")):
+        session = skeleton.parent.name
+        if not any(word in session for word in _SEVIVI):
+            continue
+        for sensor in sorted((folder / "sensors" / session).glob("*.csv*")):
+            letters = sensor.name.split(".")[0]
+            if letters in _SEVIVI_SIDES:
+                yield BenchmarkTrial("sevivi", f"{session}_{letters}", "test", (skeleton, sensor))
+
+
+def _open_sevivi(trial: BenchmarkTrial) -> Recording:
+    side = _SEVIVI_SIDES[trial.name.rsplit("_", 1)[1]]
+    with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:
+        plain = [_unpacked(path, Path(folder)) for path in trial.files]
+        return imported(trial.name, plain[0], (plain[1],), side)
+
+
+def _unpacked(path: Path, folder: Path) -> Path:
+    """The file itself, or what its .gz holds."""
+    if path.suffix != ".gz":
+        return path
+    plain = folder / path.stem
+    with gzip.open(path) as packed, open(plain, "wb") as file:
+        shutil.copyfileobj(packed, file)
+    return plain
+
+
+_CAMERA = "the wrist, against the camera's hidden samples"
+#: Every data set, by the name of its folder.
+DATASETS: Mapping[str, BenchmarkData] = {
+    data.key: data
+    for data in (
+        BenchmarkData(
+            "broad",
+            "BROAD",
+            "Laidig, Caruso, Cereatti, Seel, Data 6(7):72, 2021; CC BY 4.0",
+            "the IMU, against optical motion capture; its positions at 30 Hz with 8 mm of white noise"
+            " stand for the camera",
+            (0.5, 1.0, 2.0, 3.0),
+            4,
+            True,
+            broad_trials,
+            _open_broad,
+            "broad/NN_*.mat",
+        ),
+        BenchmarkData(
+            "utd_mhad",
+            "UTD-MHAD",
+            "Chen, Jafari, Kehtarnavaz, ICIP 2015; research use with citation",
+            _CAMERA,
+            (0.5, 1.0),
+            1,
+            False,
+            utd_trials,
+            open_utd,
+            "utd_mhad/Inertial/aA_sS_tT_inertial.mat and utd_mhad/Skeleton/aA_sS_tT_skeleton.mat",
+            utd_calibrations,
+        ),
+        BenchmarkData(
+            "smartfallmm",
+            "SmartFallMM",
+            "SmartFallMM, Texas State University; no licence stated",
+            _CAMERA,
+            (0.5, 1.0, 2.0),
+            2,
+            False,
+            smartfallmm_trials,
+            open_smartfallmm,
+            "smartfallmm/skeleton/SnnAnnTnn.csv with accelerometer/meta_wrist and gyroscope/meta_wrist",
+        ),
+        BenchmarkData(
+            "sevivi",
+            "sevivi",
+            "HPI-CH/sevivi, test_files; MIT",
+            _CAMERA,
+            (0.5, 1.0, 2.0, 3.0),
+            4,
+            True,
+            sevivi_trials,
+            _open_sevivi,
+            "sevivi/skeletons/NAME/positions_3d.csv[.gz] with sevivi/sensors/NAME/LF.csv[.gz] or RF.csv[.gz]",
+        ),
+    )
+}

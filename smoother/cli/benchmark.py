@@ -1,0 +1,154 @@
+"""`unocclude benchmark`: public data sets, frozen gaps, every method, one table."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import UnoccludeError
+from ..evaluation.methods import METHODS
+from .methods import choose
+from .options import Force, Json, Processes
+from .output import check_outputs, print_notes, print_table, progress_bar, say, say_written, write_json
+
+if TYPE_CHECKING:
+    from ..benchmark.run import BenchmarkRun
+
+#: Where the data sets lie, unless `--data` says.
+VARIABLE = "UNOCCLUDE_DATASETS"
+_FILES = ("benchmark.json", "benchmark.md", "benchmark.html", "gaps.csv")
+#: Notes on the terminal; all stand in the page.
+_MOST_NOTES = 6
+
+
+def benchmark(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="Where results go.")],
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data",
+            metavar="FOLDER",
+            help=f"Holds a folder a data set.  [default: ${VARIABLE}]",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[
+        str, typer.Option("--method", metavar="M,M,..", help=f"Methods, or all: {', '.join(METHODS)}.")
+    ] = "all",
+    datasets: Annotated[
+        str, typer.Option("--datasets", metavar="D,D,..", help="Data sets by their folders' names, or all.")
+    ] = "all",
+    split: Annotated[
+        str, typer.Option("--split", metavar="development|test|all", help="Which trials.")
+    ] = "all",
+    answers: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--answers",
+            metavar="NAME=FOLDER",
+            help="Score the answers of another method too; may be given several times.",
+            show_default=False,
+        ),
+    ] = None,
+    tasks: Annotated[
+        bool, typer.Option("--tasks", help="Write the tasks for other programs, and answer none.")
+    ] = False,
+    trials: Annotated[
+        int | None,
+        typer.Option(
+            "--trials", min=1, help="Most trials of a data set, to try the command.", show_default=False
+        ),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Of the gaps; 0 is the published benchmark.")
+    ] = 0,
+    processes: Processes = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Hide the arm in recordings of public data sets, recover it by every method, and score the answers.
+
+    The folder of --data holds broad/, utd_mhad/, smartfallmm/ and sevivi/ as they are published; those
+    that are not there are left out and named. Splits and gaps are frozen: they hang on a trial's name and the
+    seed alone. Writes benchmark.json, benchmark.md (the table), benchmark.html (the page) and gaps.csv (a
+    row a gap). Other methods take part by files: --tasks writes what they are given, --answers scores what
+    they answer.
+    """
+    from .. import __version__
+    from ..benchmark.answers import parse_answers
+    from ..benchmark.datasets import DATASETS
+    from ..benchmark.run import BenchmarkOptions, find_trials, run_benchmark
+    from ..benchmark.summary import plain
+    from ..benchmark.trials import SPLITS
+
+    folder = data or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
+    if folder is None:
+        raise typer.BadParameter(f"name the folder of the data sets with --data, or in {VARIABLE}")
+    if not folder.is_dir():
+        raise UnoccludeError(f"{folder} is no folder; the data sets are to lie in it, a folder each")
+    keys = _chosen("--datasets", datasets, tuple(DATASETS))
+    splits = _chosen("--split", split, SPLITS)
+    names = tuple(choose(method))
+    entered = tuple(parse_answers(answers or [], METHODS))
+    files = [] if tasks else [output / name for name in _FILES]
+    if output.is_dir() or json_file is not None:
+        check_outputs(force, [*(files if output.is_dir() else []), json_file])
+    if tasks and output.exists() and any(output.iterdir()) and not force:
+        raise UnoccludeError(f"{output} is not empty; give another folder, or --force")
+    found, missing = find_trials(folder, keys, splits, trials)
+    output.mkdir(parents=True, exist_ok=True)
+    options = BenchmarkOptions(names, entered, seed, processes or 0, output if tasks else None)
+    began = time.perf_counter()
+    with progress_bar("benchmark") as progress:
+        run = run_benchmark(folder, found, options, progress)
+    if tasks:
+        print_notes(missing)
+        say(f"written: {output} (tasks of {len(found)} trials)")
+        return
+    figures = plain(run, seed, __version__)
+    _write(run, output, figures, force, f"{len(found)} trials, seed {seed}, unocclude {__version__}")
+    write_json(json_file, figures, force)
+    _show(run)
+    notes = [*missing, *run.notes]
+    held = [note for table in run.tables.values() for note in table.notes]
+    print_notes([*notes, *held[:_MOST_NOTES]])
+    if len(held) > _MOST_NOTES:
+        say(f"{len(held) - _MOST_NOTES} notes more stand in {output / 'benchmark.html'}")
+    say(f"{len(found)} trials in {(time.perf_counter() - began) / 60:.1f} minutes")
+    say_written(*files, json_file)
+
+
+def _chosen(option: str, text: str, known: tuple[str, ...]) -> list[str]:
+    """Names of a comma-separated list; "all" is every one."""
+    wanted = [part.strip() for part in text.split(",") if part.strip()]
+    if wanted == ["all"]:
+        return list(known)
+    unknown = [name for name in wanted if name not in known]
+    if unknown or not wanted:
+        raise typer.BadParameter(f"{option} is of {', '.join(known)}, or all; not '{', '.join(unknown)}'")
+    return list(dict.fromkeys(wanted))
+
+
+def _write(run: BenchmarkRun, output: Path, figures: dict[str, object], force: bool, about: str) -> None:
+    from ..benchmark.summary import gap_lines, markdown
+    from ..report.benchmark import write_benchmark
+    from ..runtime.outputs import writing
+
+    write_json(output / "benchmark.json", figures, force)
+    for name, text in (("benchmark.md", markdown(run)), ("gaps.csv", "\n".join(gap_lines(run)) + "\n")):
+        with writing(output / name, force) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+    write_benchmark(run, output / "benchmark.html", subtitle=about, force=force)
+
+
+def _show(run: BenchmarkRun) -> None:
+    from ..benchmark.summary import cells_of, columns_of, heading, method_rows
+
+    for (dataset, split), table in run.tables.items():
+        rows = [cells_of(row, table.lengths) for row in method_rows(table)]
+        title = f"{heading(dataset, split, run.trials[dataset, split])}; median / rms in gaps, cm"
+        print_table(title, columns_of(table), rows)
