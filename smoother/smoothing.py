@@ -118,7 +118,7 @@ def smooth(
             return _solved(one, given, config, workers, store, report, clock, coarse_clock, (draws, seed))
 
         # 2. to 6. The motion; blocks of the camera's samples that the rest contradicts are left out of it.
-        best = without_wrong_blocks(recording, solved, names_of(rig))
+        best = without_wrong_blocks(recording, solved, names_of(rig, recording.arm))
     #    The thorax by an IMU on the trunk, where there is one.
     recovery = with_cameras(with_trunk(best.recovery, as_recorded, store), rig)
     # 7. Sigma as hidden gaps of this camera asked for: the calibration's, or the self-check's.

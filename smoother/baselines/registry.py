@@ -92,7 +92,7 @@ def recover(
     Parameters
     ----------
     recording : Recording
-        One arm and its forearm IMU; its truth is not looked at.
+        One arm and its forearm IMU; its truth is not looked at. Of several cameras the best one counts.
     graph : Recovery
         The graph's recovery of this very recording, of which a baseline gets calibration, clock, accepted
         samples, gravity and gaps.
@@ -112,6 +112,7 @@ def recover(
     UnoccludeError
         Method, orientation or option is unknown, or nothing can be recovered; in one sentence.
     """
+    from .one_camera import of_best_camera
     from .scene import recovery_of, scenes_of
 
     options = dict(options or {})
@@ -123,6 +124,7 @@ def recover(
     entry = entries[method]
     if unknown := options.keys() - entry.options:
         raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")
+    recording, graph = of_best_camera(recording, graph)
     scenes = scenes_of(recording, graph, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)
     baseline = entry.function(options)
     settings = {"orientation": orientation} if entry.needs_orientation else {}

@@ -93,6 +93,7 @@ def print_arm(about: RecordingInfo) -> None:
                 if (name := getattr(arm, f"{segment.prefix}_imu"))
             ),
             *([(f"{of}on the trunk", arm.trunk_imu)] if arm.trunk_imu else []),
+            *((f"{of}further camera", text) for text in arm.cameras),
             (f"{of}joints", ", ".join(arm.joints) or "none tracked"),
             (f"{of}both recorded, s", arm.duration_s),
             (f"{of}gaps", arm.gaps),

@@ -197,7 +197,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     from ..evaluation.summary import recovery_figures, verdict_figures
     from ..io.result.usable import usable
 
-    found = found_in(recovery, recording)
+    found, cameras = found_in(recovery, recording), recovery.estimates.cameras
     return recovery_figures(recovery) | {
         **verdict_figures(recovery.estimates),
         "usable": int(usable(recovery).sum()),
@@ -205,6 +205,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
         "not_determined": [] if found is None else list(found.not_determined),
         "rejected": [row.to_dict() for row in rejected(recovery)],
         "advice": advice(recovery, found),
+        **({"cameras": [each.plain() for each in cameras]} if cameras else {}),
     }
 
 
@@ -215,7 +216,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     """
     from calib.motion.motion_calibration import found_in
 
-    from ..evaluation.summary import gap_summaries
+    from ..evaluation.summary import camera_sentences, gap_summaries
     from .output import print_table
 
     gaps = list(enumerate(gap_summaries(recovery), start=1))
@@ -225,6 +226,8 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
         f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples, {len(gaps)}"
         f" {'gap' if len(gaps) == 1 else 'gaps'}, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
     )
+    for sentence in camera_sentences(recovery):
+        say(sentence)
     most = MOST_ROWS if verbose else FEW_GAPS
     # of many the doubtful and the least certain; in the order of time
     shown = sorted(gaps, key=lambda gap: _doubt(gap[1]))[:most]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..cameras import join_cameras
 from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..result import Recovery
@@ -101,6 +102,8 @@ def evaluate_gaps(
         At none of the lengths can a gap be hidden.
     """
     collected = Collected()
+    # what is hidden is hidden from all cameras
+    recording, _ = join_cameras(recording)
     report = progress or (lambda part, text: None)
     trials = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
     job = partial(try_methods, recording=recording, methods=methods)

@@ -12,7 +12,7 @@ from calib.sigma_factor import LEVELS, needed_factors
 
 from ..array_types import BoolArray, FloatArray
 from ..linalg import robust_sigma
-from ..measurements.visibility import accepted_samples, visible_frames
+from ..measurements.visibility import accepted_samples, seen_by_any, visible_frames
 from ..recording import JOINTS, Recording
 from ..result import Recovery
 from .metrics import (
@@ -60,7 +60,9 @@ class HiddenGap:
 
 def visible_times(recording: Recording) -> FloatArray:
     """Times (F,) of the frames that see the forearm, on the camera's clock, s."""
-    return recording.arm.t_s[visible_frames(recording.arm, accepted_samples(recording.arm))]
+    arm = recording.arm
+    visible = seen_by_any(arm.t_s, visible_frames(arm, accepted_samples(arm)), arm.camera)
+    return np.asarray(arm.t_s[visible])
 
 
 def visible_runs(recording: Recording) -> list[tuple[float, float]]:

@@ -142,6 +142,31 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
     }
 
 
+def camera_sentences(recovery: Recovery) -> list[str]:
+    """Where each camera of several stands, its clock, and how long it saw the forearm: a sentence each."""
+    cameras, sentences = recovery.estimates.cameras, []
+    length_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
+    for camera in cameras:
+        seen = f"saw the forearm for {sum(b - a for a, b in camera.seen_s):.1f} of {length_s:.1f} s"
+        if camera.reason:
+            continue  # the verdict says why it was left out
+        if camera is cameras[0]:
+            sentences.append(f"{camera.name}: the first, in whose frame results stand; {seen}")
+            continue
+        assert camera.R_K_C is not None
+        assert camera.p_K_C_m is not None
+        cosine = 0.5 * (float(np.trace(np.array(camera.R_K_C))) - 1.0)
+        turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        away = float(np.linalg.norm(camera.p_K_C_m))
+        sentences.append(
+            f"{camera.name}: {away:.2f} m from {cameras[0].name}, turned by {turned:.0f} degrees"
+            f" (sigma {100 * (camera.sigma_m or 0.0):.1f} cm and {camera.sigma_deg or 0.0:.1f} degrees),"
+            f" clock {camera.offset_s or 0.0:+.3f} s (sigma {1000 * (camera.offset_sigma_s or 0.0):.0f} ms);"
+            f" {seen}"
+        )
+    return sentences
+
+
 def sigma_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str, dict[str, float | None]]:
     """Median and largest standard deviation of the position on its worst axis, m, while seen and in gaps.
 

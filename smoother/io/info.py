@@ -14,7 +14,7 @@ from ..body import FURTHER
 from ..errors import RecordingError
 from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
-from ..recording import Recording
+from ..recording import Camera, Recording
 from ..result.verdict import intervals_plain
 from .recording.read import METADATA, open_recording
 from .recording.select import select_recordings
@@ -52,6 +52,8 @@ class ArmInfo:
         What the recording allows, in a line.
     ready : bool
         Nothing says that no answer could be trusted.
+    cameras : list of str
+        Further cameras that saw the arm, a line each.
     """
 
     label: str
@@ -71,6 +73,7 @@ class ArmInfo:
     gap_longest_s: float
     allows: str
     ready: bool
+    cameras: list[str] = field(default_factory=list)
 
 
 def describe_arm(recording: Recording) -> ArmInfo:
@@ -97,6 +100,16 @@ def describe_arm(recording: Recording) -> ArmInfo:
         gap_longest_s=round(max((gap.length_s for gap in gaps), default=0.0), 3),
         allows=allowed.sentence,
         ready=allowed.ready,
+        cameras=[camera_words(camera) for camera in recording.cameras],
+    )
+
+
+def camera_words(camera: Camera) -> str:
+    """A further camera, in words."""
+    arm = camera.arm
+    rate = f" at {arm.rate_hz:.1f} Hz" if len(arm) > 1 else ""
+    return (
+        f"{camera.name}: {len(arm)} frames{rate}, forearm tracked in {100 * arm.forearm_tracked.mean():.0f} %"
     )
 
 
@@ -215,7 +228,11 @@ class RecordingInfo:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values, fit for JSON."""
-        return asdict(self)
+        values = asdict(self)
+        for arm in values["arms"]:
+            if not arm["cameras"]:  # of one camera nothing is said
+                del arm["cameras"]
+        return values
 
 
 def describe(

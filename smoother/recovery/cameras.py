@@ -11,13 +11,17 @@ from ..cameras import CameraRig, RigCamera
 from ..linalg import runs
 from ..measurements.outliers import noise_key
 from ..measurements.visibility import MISSING_FRAMES, MISSING_S, enough_joints, joints_needed
-from ..recording import JOINTS
-from ..result import CameraEstimate, Recovery
+from ..recording import JOINTS, JointTracks
+from ..result import CameraEstimate, Estimates, Recovery
 
 
-def names_of(rig: CameraRig | None) -> tuple[str, ...]:
-    """The cameras that take part, in sentences."""
-    return ("the camera",) if rig is None or len(rig.used) < 2 else tuple(row.name for row in rig.used)
+def names_of(rig: CameraRig | None, arm: JointTracks) -> tuple[str, ...]:
+    """The cameras that take part, in sentences; numbers where their frames came joined already."""
+    if arm.camera is None:
+        return ("the camera",)
+    if rig is None:
+        return tuple(f"camera {number}" for number in range(1, len(arm.rows_by_camera) + 1))
+    return tuple(row.name for row in rig.used)
 
 
 def with_cameras(recovery: Recovery, rig: CameraRig | None) -> Recovery:
@@ -29,10 +33,9 @@ def with_cameras(recovery: Recovery, rig: CameraRig | None) -> Recovery:
     rig : CameraRig or None
         None where the recording has one camera: then nothing changes.
     """
-    if rig is None:
-        return recovery
     sigma = recovery.estimates.camera_sigma_m or {}
-    effective = recovery.estimates.camera_effective_sigma_m or {}
+    if rig is None:
+        return recovery if recovery.arm.camera is None else replace(recovery, estimates=_of_first(recovery))
     seen_s = dict(zip((row.name for row in rig.used), _seen(recovery), strict=True))
     numbers = {row.name: number for number, row in enumerate(rig.used)}
     rows = []
@@ -41,13 +44,22 @@ def with_cameras(recovery: Recovery, rig: CameraRig | None) -> Recovery:
         noise = {joint: sigma[key] for joint, key in keys.items() if key in sigma}
         rows.append(_estimate(row, noise, seen_s.get(row.name, ())))
     estimates = replace(
-        recovery.estimates,
+        _of_first(recovery),
         cameras=tuple(rows),
-        camera_sigma_m={key: value for key, value in sigma.items() if key in JOINTS},
-        camera_effective_sigma_m={key: value for key, value in effective.items() if key in JOINTS},
         cautions=(*recovery.estimates.cautions, *rig.cautions),
     )
     return replace(recovery, estimates=estimates)
+
+
+def _of_first(recovery: Recovery) -> Estimates:
+    """What was found, the noise of joints as the first camera sees them."""
+    found = recovery.estimates
+    sigma, effective = found.camera_sigma_m or {}, found.camera_effective_sigma_m or {}
+    return replace(
+        found,
+        camera_sigma_m={key: value for key, value in sigma.items() if key in JOINTS},
+        camera_effective_sigma_m={key: value for key, value in effective.items() if key in JOINTS},
+    )
 
 
 def _estimate(

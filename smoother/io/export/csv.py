@@ -125,6 +125,16 @@ def column_groups(recovery: Recovery) -> list[ColumnGroup]:
         groups += _segment(SEGMENTS[name], motion)
     if recovery.trunk is not None:
         groups += _trunk(recovery.trunk)
+    groups += [
+        (
+            [f"seen_by_{camera.name}"],
+            camera.saw_at(recovery.t_s).astype(float),
+            "1",
+            "that camera saw the forearm",
+        )
+        for camera in recovery.estimates.cameras
+        if camera.takes_part
+    ]
     return [
         ColumnGroup(names, np.where(np.isfinite(values), values, np.nan).reshape(count, -1), *said)
         for names, values, *said in groups
