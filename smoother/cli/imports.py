@@ -143,7 +143,13 @@ def files(
         ),
     ] = None,
     skeleton: Annotated[
-        list[Path] | None, typer.Option("--skeleton", metavar="FILE", help="A file with the skeleton.")
+        list[str] | None,
+        typer.Option(
+            "--skeleton",
+            metavar="[NAME=]FILE",
+            help="A file with the skeleton; of several cameras each with its NAME, in the first one's frame"
+            " stand the results.",
+        ),
     ] = None,
     imu: Annotated[
         list[str] | None,
@@ -197,7 +203,8 @@ def files(
     from ..io.plain.template import read_templates
 
     reader = FileReader(imu_format, skeleton_format, read_templates(template or []))
-    skeletons, imus = list(skeleton or []), [imu_files(text) for text in imu or []]
+    named_skeletons = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
+    skeletons, imus = [path for _, path in named_skeletons], [imu_files(text) for text in imu or []]
     check_mcap(output)
     named = [*skeletons, *(p for files in imus for p in files.paths), truth, *(paths or [])]
     beside = [
@@ -211,6 +218,7 @@ def files(
         imu_starts_at_s=imu_starts_at,
         reader=reader,
         one_session=one_session or bool(paths),
+        cameras=[name for name, _ in named_skeletons],
     )
     if truth is not None:
         reports.append(add_truth(file, truth))
@@ -223,6 +231,17 @@ def files(
 
     print_topics(about)
     print_notes([*file.notes, *passed_over])
+
+
+def skeleton_file(text: str) -> tuple[str, Path]:
+    """The camera's name, "" without one, and the file that `--skeleton [NAME=]FILE` names."""
+    name, mark, rest = text.strip().partition("=")
+    if Path(text.strip()).exists() or not mark:
+        return "", Path(text.strip())
+    name, rest = name.strip(), rest.strip()
+    if not name or not rest or any(mark in name for mark in "/\\, "):
+        raise UnoccludeError(f"--skeleton {text}: give NAME=FILE, as in --skeleton left=left.csv")
+    return name, Path(rest)
 
 
 def imu_files(text: str) -> ImuFiles:

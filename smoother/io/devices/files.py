@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,10 +14,11 @@ from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JOINTS, JointState
 from ..mcap.messages import nanoseconds
+from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.clean import clean_arm, clean_imu
 from ..recording.decode import JointRows, joint_code
 from ..recording.selection import named_side, role
-from ..recording.streams import ImuSamples, RecordingFile
+from ..recording.streams import CameraStream, ImuSamples, RecordingFile
 from ..tables.imu_checks import paired
 from ..tables.protocol import DeviceFormat, ImuTable, SkeletonTable
 from .registry import FileReader
@@ -85,6 +87,7 @@ def import_files(
     imu_starts_at_s: float | None = None,
     reader: FileReader | None = None,
     one_session: bool = False,
+    cameras: Sequence[str] = (),
 ) -> tuple[RecordingFile, list[FileReport]]:
     """Make a recording of device files.
 
@@ -102,6 +105,9 @@ def import_files(
         One that has read some of the files already.
     one_session : bool
         Refuse files whose dates lie a day apart or more, as those that one folder held.
+    cameras : sequence of str
+        Names of the skeletons' cameras, "" where none was given; a named one beyond the first skeleton is a
+        further camera that saw the same person.
 
     Returns
     -------
@@ -136,8 +142,14 @@ def import_files(
     file = RecordingFile(first, notes=sentences)
     file.clocks_unrelated = imu_starts_at_s is None and bool(sentences)
     for number, (tables, report) in enumerate(bodies):
-        report.topics.append("/skeleton" if number == 0 else f"/skeleton_{number + 1}")
-        add_skeleton(file, tables, report.path, report.topics[-1], shift[number])
+        name = cameras[number] if number < len(cameras) else ""
+        if number and name:
+            topic = f"{CAMERA_TOPIC}{name}"
+            file.cameras[topic] = CameraStream(name, tables[0].frame, tables[0].gravity_hint)
+        else:
+            topic, name = "/skeleton" if number == 0 else f"/skeleton_{number + 1}", "camera"
+        report.topics.append(topic)
+        add_skeleton(file, tables, report.path, topic, shift[number], name)
     for (topic, table, report), moved_s in zip(sensors, shift[len(bodies) :], strict=True):
         add_imu(file, topic, table, report.path, moved_s)
         report.topics.append(topic)
@@ -254,7 +266,12 @@ _RATES_HZ = (2.0, 10_000.0)
 
 
 def add_skeleton(
-    file: RecordingFile, tables: list[SkeletonTable], source: str, topic: str, shift_s: float
+    file: RecordingFile,
+    tables: list[SkeletonTable],
+    source: str,
+    topic: str,
+    shift_s: float,
+    camera: str = "camera",
 ) -> None:
     """Put the arms of a file's bodies into a recording; all of them share its frames.
 
@@ -270,6 +287,8 @@ def add_skeleton(
         What to write them to.
     shift_s : float, s
         What to add to the times.
+    camera : str
+        Whose frame the joints are in.
 
     Raises
     ------
@@ -291,7 +310,7 @@ def add_skeleton(
             state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
             rows.add_joints(frame, body, side, joint, state, np.array(position, dtype=float))
     first = tables[0]
-    arms = rows.arms(frames, topic, "camera", first.frame)
+    arms = rows.arms(frames, topic, camera, first.frame)
     for arm in arms:
         if arm.tracked:
             clean_arm(arm, source)
@@ -301,7 +320,7 @@ def add_skeleton(
             " read); record again with the arm in view."
         )
     file.arms += arms
-    if file.camera_frame is None and file.gravity_hint is None:
+    if file.camera_frame is None and file.gravity_hint is None and camera == "camera":
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
 
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Unpack
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
@@ -23,10 +23,11 @@ from ...units import STANDARD_GRAVITY
 from ..devices.files import add_imu, add_skeleton, rate_note, times_of
 from ..devices.repair import Timed, repaired_imu, repaired_skeleton, shifts
 from ..mcap.messages import nanoseconds
+from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.decode import JointRows, frames_of, joint_code
 from ..recording.read import select_recording
 from ..recording.selection import Selection
-from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
+from ..recording.streams import CameraStream, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 from ..tables.imu_checks import paired
 from ..tables.protocol import SkeletonTable, shown
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES
@@ -49,8 +50,24 @@ class _Truth(BaseModel):
 class _Description(BaseModel):
     model_config = ConfigDict(extra="forbid")
     camera: CameraKeys | None = None
+    cameras: dict[str, CameraKeys] = Field(default_factory=dict)
     imu: Annotated[dict[str, ImuKeys], Field(min_length=1)]
     truth: _Truth | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _cameras_apart(cls, values: Any) -> Any:
+        """`[camera.NAME]` are further cameras; without a `[camera]` of its own the first of them is it."""
+        camera = values.get("camera") if isinstance(values, dict) else None
+        if not isinstance(camera, dict):
+            return values
+        own = {key: each for key, each in camera.items() if key in CameraKeys.model_fields}
+        named = {key: each for key, each in camera.items() if key not in own and isinstance(each, dict)}
+        own |= {key: each for key, each in camera.items() if key not in named and key not in own}
+        if not own and named:
+            own = named.pop(next(iter(named)))
+        rest = {key: each for key, each in values.items() if key != "cameras"}
+        return {**rest, "camera": own, "cameras": named}
 
 
 def import_csv(
@@ -88,12 +105,7 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
     camera = description.camera
     file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
     if camera is not None and camera.gravity is not None:
-        file.gravity_hint = unit(np.array(camera.gravity))
-        if not (np.isfinite(camera.gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
-            raise RecordingError(
-                f"{folder / 'recording.toml'}: [camera] gravity is zero or no numbers; give the direction of"
-                " down."
-            )
+        file.gravity_hint = _down(camera.gravity, folder, "camera")
     plain = {name: section for name, section in description.imu.items() if section.is_plain}
     has_skeleton = camera is not None and camera.skeleton is not None  # IMUs alone can still be calibrated
     if camera is not None and camera.skeleton is not None and camera.is_plain:
@@ -104,15 +116,50 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
         file.notes += rate_note(file.imus[-1])
     others = {name: section for name, section in description.imu.items() if not section.is_plain}
     _add_columns(file, folder, camera if has_skeleton else None, others)
+    for name, keys in description.cameras.items():
+        _add_camera(file, folder, name, keys)
     if description.truth is not None:
         file.poses.append(read_pose_table(folder / description.truth.file))
     for topic, schema, stamp in [
         *((i.topic, "unocclude.Imu", i.stamp_ns) for i in file.imus),
-        *((a.topic, "unocclude.Skeleton", a.stamp_ns) for a in file.arms[:1]),
+        *((a.topic, "unocclude.Skeleton", a.stamp_ns) for a in {a.topic: a for a in file.arms}.values()),
         *((p.topic, "foxglove.PoseInFrame", p.stamp_ns) for p in file.poses),
     ]:
         file.topics.append(TopicInfo(topic, schema, "csv", len(stamp), int(stamp.min()), int(stamp.max())))
     return file
+
+
+def _down(gravity: list[float], folder: Path, section: str) -> FloatArray:
+    """The direction of down that a section of recording.toml states."""
+    direction = unit(np.array(gravity))
+    if not (np.isfinite(gravity).all() and abs(np.linalg.norm(direction) - 1) < 1e-6):
+        raise RecordingError(
+            f"{folder / 'recording.toml'}: [{section}] gravity is zero or no numbers; give the direction of"
+            " down."
+        )
+    return np.asarray(direction)
+
+
+def _add_camera(file: RecordingFile, folder: Path, name: str, keys: CameraKeys) -> None:
+    """A further camera's skeleton, on its own clock and in its own frame."""
+    if keys.skeleton is None:
+        raise RecordingError(
+            f"{folder / 'recording.toml'}: [camera.{name}] names no skeleton; give skeleton = a file."
+        )
+    if not name or any(mark in name for mark in "/\\ "):
+        raise RecordingError(
+            f"{folder / 'recording.toml'}: [camera.{shown(name, 40)}] is no camera's name; use letters and"
+            " digits."
+        )
+    path, topic = folder / keys.skeleton, f"{CAMERA_TOPIC}{name}"
+    hint = None if keys.gravity is None else _down(keys.gravity, folder, f"camera.{name}")
+    if keys.is_plain:
+        _skeleton(file, path, METRES[keys.position_unit], topic, name)
+    else:
+        tables = [repaired_skeleton(table, str(path)) for table in read_skeleton_columns(path, keys)]
+        file.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
+        add_skeleton(file, tables, str(folder), topic, 0.0, name)
+    file.cameras[topic] = CameraStream(name, keys.frame, hint)
 
 
 def _describe(folder: Path) -> _Description:
@@ -143,8 +190,9 @@ def _describe(folder: Path) -> _Description:
 
 def _check_places(folder: Path, description: _Description, outside: bool) -> None:
     """Refuse files that lie elsewhere, and what is no file."""
-    camera, truth = description.camera, description.truth
-    names = [camera.skeleton] if camera is not None and camera.skeleton is not None else []
+    truth = description.truth
+    cameras = [each for each in (description.camera, *description.cameras.values()) if each is not None]
+    names = [camera.skeleton for camera in cameras if camera.skeleton is not None]
     for section in description.imu.values():
         names += [section.file] if isinstance(section.file, str) else section.file
     names += [] if truth is None else [truth.file]
@@ -212,7 +260,9 @@ def _imu(file: RecordingFile, path: Path, name: str, section: ImuKeys) -> ImuSam
     return ImuSamples(f"/imu/{name}", name, _stamps(t_s, path), acc, gyro, mag)
 
 
-def _skeleton(file: RecordingFile, path: Path, metres: float) -> None:
+def _skeleton(
+    file: RecordingFile, path: Path, metres: float, topic: str = "/skeleton", camera: str = "camera"
+) -> None:
     numbers, texts = read_table(
         path,
         ("t_s", "joint", "x", "y", "z", "state"),
@@ -237,7 +287,8 @@ def _skeleton(file: RecordingFile, path: Path, metres: float) -> None:
     rows = JointRows()
     frame = np.arange(len(stamp)) if frame is None else frame
     rows.add_joints(frame, body.astype(np.int64), pairs[:, 0], pairs[:, 1], state, position)
-    file.arms = rows.arms(frames, "/skeleton", "camera", file.camera_frame)
+    frame_of_file = file.camera_frame if topic == "/skeleton" else None
+    file.arms += rows.arms(frames, topic, camera, frame_of_file)
     if bare.any():
         file.notes.append(
             f"{path.name}: {int(bare.sum())} rows that are tracked or inferred have no position, the first "
