@@ -208,7 +208,7 @@ class _Geometry:
 
     def angles(self, upper: FloatArray, turn: FloatArray) -> Angles:
         """With another upper arm (N, 3), and a forearm that is turned (3, 3)."""
-        fore = self._fore @ turn.T
+        fore = _turned(self._fore, turn)
         axes = None if self._R_K_F is None else turn @ self._R_K_F
         if self._R_K_T is None:
             joints = {"shoulder": upper, "elbow": np.zeros_like(upper), "wrist": fore}
@@ -222,14 +222,20 @@ class _Geometry:
         slopes = {name: _Slopes(*(np.empty((len(self.upper), 3)) for _ in range(4))) for name in base}
         for axis, step in enumerate(_STEP * np.eye(3)):
             turn = Rotation.from_rotvec(step).as_matrix()
-            by_turn = self._from_imu @ turn.T - self._from_imu
+            by_turn = _turned(self._from_imu, turn) - self._from_imu
             moved = (
                 self.angles(self.upper + step, np.eye(3)),
                 self.angles(self.upper - by_turn, turn),
                 self.angles(self.upper, turn),
-                self.angles(self.upper @ turn.T, turn),
+                self.angles(_turned(self.upper, turn), turn),
             )
             for name, of_angle in slopes.items():
                 for slope, angles in zip(of_angle, moved, strict=True):
                     slope[:, axis] = wrapped_deg(angles[name] - base[name]) / _STEP
         return slopes
+
+
+def _turned(vectors: FloatArray, turn: FloatArray) -> FloatArray:
+    """Vectors (N, 3) turned by (3, 3); a product of matrices would round a single row otherwise than many."""
+    x, y, z = (vectors[:, i, None] for i in range(3))
+    return np.asarray(x * turn[:, 0] + y * turn[:, 1] + z * turn[:, 2])

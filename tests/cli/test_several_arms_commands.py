@@ -23,7 +23,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert (
         run([*simulate, "--calibration-out", str(place / "cal.toml"), "--json", str(place / "sim.json")]) == 0
     )
-    smooth = ["smooth", str(place / "both.mcap"), "-o", str(place / "out.mcap"), "--processes", "1"]
+    smooth = [
+        "smooth",
+        str(place / "both.mcap"),
+        "-o",
+        str(place / "out.mcap"),
+        "--processes",
+        "1",
+        "--draws",
+        "0",
+    ]
     assert run([*smooth, "--json", str(place / "s.json"), "--report", str(place / "r.html")]) == 0
     return place
 

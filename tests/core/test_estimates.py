@@ -42,6 +42,8 @@ PLAIN = {
         "sigma_factor": 1.0,
         "note": "",
         "failed": 0,
+        "error_95_m": 0.031,
+        "stated_95_m": 0.034,
     },
     "pairing": {
         "proved": True,
@@ -51,6 +53,24 @@ PLAIN = {
         "reason": "",
         "caution": "",
     },
+    "clock_given_s": [0.12, 0.001],
+    "cameras": [
+        {
+            "name": "side",
+            "R_K_C": [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]],
+            "p_K_C_m": [1.5, 0.0, 1.4],
+            "sigma_m": 0.004,
+            "sigma_deg": 0.2,
+            "offset_s": 0.02,
+            "offset_sigma_s": 0.001,
+            "skew": 1e-5,
+            "misfit_m": 0.01,
+            "together_s": 20.0,
+            "joint_sigma_m": {"wrist": 0.005},
+            "reason": "",
+            "seen_s": [[0.0, 12.5]],
+        }
+    ],
     "orientation": "vqf",
 }
 
