@@ -57,6 +57,18 @@ def bias_of_intervals(window: Window) -> IntArray:
     return np.minimum((middle / duration * count).astype(int), count - 1)
 
 
+def node_of_variables(window: Window) -> dict[int, int]:
+    """The node whose time each of a window's variables in time has, by key."""
+    nodes: dict[int, int] = {}
+    if window.shoulder is not None:
+        nodes |= {S(k): int(node) for k, node in enumerate(window.shoulder.node)}
+    for run in window.bodies:
+        keys = keys_of(run.segment)
+        kinds = (keys.pose, keys.velocity, *([keys.point] if SEGMENTS[run.segment].shared_joint else []))
+        nodes |= {first + i: i for i in range(run.first, run.nodes.stop) for first in kinds}
+    return nodes
+
+
 @dataclass(frozen=True)
 class FactorGroup:
     """Factors of one kind that follow each other in a graph.

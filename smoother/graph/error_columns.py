@@ -15,7 +15,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, G, S
 
 from ..array_types import FloatArray, IntArray
-from ..body import FOREARM, SEGMENTS
+from ..body import FOREARM
 from ..linalg import skew
 from ..measurements.outliers import noise_key
 from ..recording import JOINTS
@@ -26,18 +26,6 @@ from .factors import IMU_ROWS, POINT_ROWS
 from .linear_system import Jacobian, LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
 from .variables import keys_of
-
-
-def node_of_variables(window: Window) -> dict[int, int]:
-    """The node whose time each of a window's variables in time has, by key."""
-    nodes: dict[int, int] = {}
-    if window.shoulder is not None:
-        nodes |= {S(k): int(node) for k, node in enumerate(window.shoulder.node)}
-    for run in window.bodies:
-        keys = keys_of(run.segment)
-        kinds = (keys.pose, keys.velocity, *([keys.point] if SEGMENTS[run.segment].shared_joint else []))
-        nodes |= {first + i: i for i in range(run.first, run.nodes.stop) for first in kinds}
-    return nodes
 
 
 def constant_error_columns(

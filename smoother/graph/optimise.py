@@ -19,7 +19,7 @@ import numpy as np
 from ..array_types import FloatArray, IntArray
 from ..linalg import runs
 from ..window.problem import Window
-from .build import FactorGroup, upper_arm_factors
+from .build import FactorGroup, node_of_variables, upper_arm_factors
 from .shared_prior import gravity_axes, have_turned, turned_with_axes
 
 MAX_ITERATIONS = 12
@@ -94,11 +94,27 @@ def optimise(
     -------
     optimum : Optimum
     """
-    optimum = _in_stages(graph, values, groups, window, tolerance)
-    return _in_axes_of_gravity(optimum, gravity_axes(values), tolerance)
+    order = elimination_order(window, values)
+    optimum = _in_stages(graph, values, groups, window, tolerance, order)
+    return _in_axes_of_gravity(optimum, gravity_axes(values), tolerance, order)
 
 
-def _in_axes_of_gravity(optimum: Optimum, before: FloatArray, tolerance: float) -> Optimum:
+def elimination_order(window: Window, values: gtsam.Values) -> gtsam.Ordering:
+    """Variables in the order of their nodes' times, what the whole window shares last.
+
+    A chain with a border fills in least this way; finding an order anew (COLAMD) takes a fifth longer.
+    """
+    nodes = node_of_variables(window)
+    border = len(window.t)
+    order = gtsam.Ordering()
+    for key in sorted(values.keys(), key=lambda key: (nodes.get(key, border), key)):
+        order.push_back(key)
+    return order
+
+
+def _in_axes_of_gravity(
+    optimum: Optimum, before: FloatArray, tolerance: float, order: gtsam.Ordering
+) -> Optimum:
     """The optimum where the prior on gravity is written in the axes that GTSAM uses there.
 
     Until then it was written in those `before`, (3, 2) in {K}: of where the optimiser started.
@@ -111,7 +127,7 @@ def _in_axes_of_gravity(optimum: Optimum, before: FloatArray, tolerance: float) 
         for i in range(graph.size()):
             if isinstance(factor := graph.at(i), gtsam.LinearContainerFactor):
                 graph.replace(i, turned_with_axes([factor], optimum.values, before)[0])
-        again = _descend(graph, optimum.values, MAX_ITERATIONS, tolerance)
+        again = _descend(graph, optimum.values, MAX_ITERATIONS, tolerance, order)
         iterations = optimum.iterations + again.iterations
         optimum, before = replace(again, iterations=iterations, accepted=optimum.accepted), now
     return optimum
@@ -123,15 +139,16 @@ def _in_stages(
     groups: Sequence[FactorGroup],
     window: Window,
     tolerance: float,
+    order: gtsam.Ordering,
 ) -> Optimum:
     """The optimum, whatever the axes of gravity."""
     gap = _long_gap(window)
     if gap is None:
-        return _descend(graph, values, MAX_ITERATIONS, tolerance)
+        return _descend(graph, values, MAX_ITERATIONS, tolerance, order)
     if (
         window.reaches_shoulder
     ):  # its start values lie in the right minimum: the upper arm's direction is measured
-        return _descend(graph, values, LAST_ITERATIONS, min(tolerance, LAST_TOLERANCE))
+        return _descend(graph, values, LAST_ITERATIONS, min(tolerance, LAST_TOLERANCE), order)
     (lengths,) = (group.factors for group in groups if group.kind == "length")
 
     def with_sigma(sigma_m: FloatArray) -> gtsam.NonlinearFactorGraph:
@@ -142,14 +159,15 @@ def _in_stages(
         return changed
 
     last_tolerance = min(tolerance, LAST_TOLERANCE)
-    loose = _descend(with_sigma(np.full(len(gap.knots), LOOSE_M)), values, LAST_ITERATIONS, last_tolerance)
+    all_loose = with_sigma(np.full(len(gap.knots), LOOSE_M))
+    loose = _descend(all_loose, values, LAST_ITERATIONS, last_tolerance, order)
     tries, iterations = [], loose.iterations
     for stages in gap.strategies(window.noise.upper_arm_sigma_m):
         values = loose.values
         for sigma_m in stages:
-            stage = _descend(with_sigma(sigma_m), values, STAGE_ITERATIONS, STAGE_TOLERANCE)
+            stage = _descend(with_sigma(sigma_m), values, STAGE_ITERATIONS, STAGE_TOLERANCE, order)
             values, iterations = stage.values, iterations + stage.iterations
-        tries.append(_descend(graph, values, LAST_ITERATIONS, last_tolerance))
+        tries.append(_descend(graph, values, LAST_ITERATIONS, last_tolerance, order))
         tries.sort(key=lambda each: each.error)
         iterations += tries[0].iterations
         excess = tries[0].error - loose.error
@@ -190,11 +208,16 @@ def _tail(half: float, freedom: int) -> float:
 
 
 def _descend(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int, tolerance: float
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    iterations: int,
+    tolerance: float,
+    order: gtsam.Ordering,
 ) -> Optimum:
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(iterations)
     params.setRelativeErrorTol(tolerance)
+    params.setOrdering(order)
     params.setlambdaInitial(1e-9)  # a good start: close to Gauss-Newton from the first step
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
     values = optimizer.optimize()

@@ -20,7 +20,8 @@ from ..window.draw_plan import DrawPlan, root_of
 from ..window.problem import Window
 from ..window.shared import STRAP_PLACE
 from ..window.solution import WindowDraws
-from .error_columns import is_place, node_of_variables
+from .build import node_of_variables
+from .error_columns import is_place
 from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
 from .variables import DIMENSION, keys_of

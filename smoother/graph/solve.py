@@ -19,12 +19,11 @@ from ..window.problem import States, Window
 from ..window.shared import STRAP_PLACE, Gaussian
 from ..window.solution import BlockShift, Message, SegmentSolution, Solution
 from .block_shifts import CameraBlocks
-from .build import FactorGroup, bias_of_intervals, build
+from .build import FactorGroup, bias_of_intervals, build, node_of_variables
 from .error_columns import (
     constant_error_columns,
     evidence,
     is_place,
-    node_of_variables,
     offset_column,
     offset_information,
     stamp_columns,

@@ -26,11 +26,10 @@ import smoother.graph.solve
 from smoother.array_types import FloatArray
 from smoother.body import FOREARM
 from smoother.errors import SolveError
-from smoother.graph.build import WindowGraph, bias_of_intervals, build
+from smoother.graph.build import WindowGraph, bias_of_intervals, build, node_of_variables
 from smoother.graph.error_columns import (
     constant_error_columns,
     evidence,
-    node_of_variables,
     offset_column,
     offset_information,
     stamp_columns,

@@ -10,8 +10,8 @@ import pytest
 from scenes import arm, first_window
 
 from smoother.graph.block_shifts import SLOW_M, CameraBlocks, Cells, cells_of
-from smoother.graph.build import build
-from smoother.graph.error_columns import camera_rows, node_of_variables
+from smoother.graph.build import build, node_of_variables
+from smoother.graph.error_columns import camera_rows
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.solve import optimise_window, solution_of
 from smoother.window.problem import Window

@@ -11,8 +11,7 @@ from gtsam.symbol_shorthand import C, E, L, M, S, W, X, Y
 from scenes import arm, last_pass
 
 from smoother.body import UPPER_ARM
-from smoother.graph.build import bias_of_intervals, build
-from smoother.graph.error_columns import node_of_variables
+from smoother.graph.build import bias_of_intervals, build, node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.shared_prior import shared_keys
 from smoother.graph.solve import solve

@@ -19,8 +19,8 @@ from scenes import arm, last_pass, plain, point
 import smoother.window.nodes
 from smoother.array_types import FloatArray
 from smoother.body import FOREARM
-from smoother.graph.build import build
-from smoother.graph.error_columns import node_of_variables, offset_column, offset_information
+from smoother.graph.build import build, node_of_variables
+from smoother.graph.error_columns import offset_column, offset_information
 from smoother.graph.linear_system import LinearSystem
 from smoother.simulation import SimulatedArm
 from smoother.window.problem import States, Window

@@ -8,8 +8,8 @@ import pytest
 from gtsam.symbol_shorthand import B, G, L, S, V, X
 from scenes import arm, first_window
 
-from smoother.graph.build import bias_of_intervals, build
-from smoother.graph.error_columns import constant_error_columns, node_of_variables
+from smoother.graph.build import bias_of_intervals, build, node_of_variables
+from smoother.graph.error_columns import constant_error_columns
 from smoother.graph.linear_system import LinearSystem
 from smoother.recording import JOINTS
 from smoother.window.problem import Window

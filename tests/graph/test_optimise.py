@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import Any
 from unittest.mock import patch
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import G, X
 from scenes import Job, arm, blind, jobs
 
 import smoother.graph.optimise
 from smoother import Recovery
 from smoother.array_types import FloatArray
 from smoother.graph.build import build
-from smoother.graph.optimise import LONG_S, explained, optimise
+from smoother.graph.optimise import LONG_S, elimination_order, explained, optimise
 from smoother.recording import Recording
 from smoother.simulation import SimulatedArm
 from smoother.window.problem import Window
@@ -85,9 +87,25 @@ def test_stages_end_in_the_right_minimum(hidden: SimulatedArm, first_window: Job
 
 
 def gtsam_key(node: int) -> int:
-    from gtsam.symbol_shorthand import X
-
     return int(X(node))
+
+
+def test_variables_are_eliminated_in_time_and_what_is_shared_last(first_window: Job) -> None:
+    window = first_window.window
+    graph, values, _ = build(window)
+    order = elimination_order(window, values)
+    keys = [order.at(i) for i in range(order.size())]
+    assert sorted(keys) == sorted(values.keys())
+    times = [gtsam.symbolIndex(key) for key in keys if chr(gtsam.symbolChr(key)) == "x"]
+    assert times == list(range(len(window.t)))
+    assert set(keys[-8:]).isdisjoint({X(i) for i in range(len(window.t))}) and keys.index(G(0)) > keys.index(
+        X(len(window.t) - 1)
+    )
+    # the same linear system, whatever the order of its solution
+    linear = graph.linearize(values)
+    found, colamd = linear.optimize(order), linear.optimize()
+    for key in keys:
+        np.testing.assert_allclose(found.at(key), colamd.at(key), rtol=1e-6, atol=1e-8)
 
 
 def test_a_wrong_minimum_is_refused(first_window: Job) -> None:
@@ -95,10 +113,10 @@ def test_a_wrong_minimum_is_refused(first_window: Job) -> None:
     window, straight = first_window.window, straight_down(first_window.window)
     descend = smoother.graph.optimise._descend
 
-    def misled(graph: Any, values: Any, iterations: int, tolerance: float) -> Any:
+    def misled(graph: Any, *rest: Any) -> Any:
         if graph is whole:
             return straight
-        return descend(graph, values, iterations, tolerance)
+        return descend(graph, *rest)
 
     whole, values, groups = build(window)
     with patch.object(smoother.graph.optimise, "_descend", misled):

@@ -16,8 +16,7 @@ import smoother.graph.build
 import smoother.graph.sampling
 import smoother.graph.solve
 from smoother.array_types import FloatArray
-from smoother.graph.build import bias_of_intervals, build
-from smoother.graph.error_columns import node_of_variables
+from smoother.graph.build import bias_of_intervals, build, node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.sampling import sample_window
 from smoother.graph.solve import solve

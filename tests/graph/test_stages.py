@@ -42,12 +42,16 @@ class Descents:
         original = module._descend
 
         def descend(
-            graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int, tolerance: float
+            graph: gtsam.NonlinearFactorGraph,
+            values: gtsam.Values,
+            iterations: int,
+            tolerance: float,
+            order: gtsam.Ordering,
         ) -> Optimum:
             factors = (graph.at(i) for i in range(graph.size()))
             lengths = [each for each in factors if isinstance(each, gtsam.RangeFactorWithTransformBias3D)]
             sigmas = [float(each.noiseModel().sigmas()[0]) for each in lengths]
-            found = original(graph, values, iterations, tolerance)
+            found = original(graph, values, iterations, tolerance, order)
             if self.calls and sigmas == [SIGMA_M] * 6:  # as if the upper arm did not fit
                 found = replace(found, error=found.error + raised)
             self.calls.append((sigmas, iterations, tolerance))
@@ -141,9 +145,13 @@ def test_all_strategies_where_none_agrees(window: Window, monkeypatch: pytest.Mo
     original, whole = module._descend, []
 
     def descend(
-        graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int, tolerance: float
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        iterations: int,
+        tolerance: float,
+        order: gtsam.Ordering,
     ) -> Optimum:
-        found = original(graph, values, iterations, tolerance)
+        found = original(graph, values, iterations, tolerance, order)
         whole.append(found)
         if len(whole) > 1 and iterations == module.LAST_ITERATIONS:
             found = replace(found, error=whole[0].error + next(errors))
@@ -169,9 +177,13 @@ def test_two_that_agree_are_enough(
     original, count = module._descend, [0]
 
     def descend(
-        graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int, tolerance: float
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        iterations: int,
+        tolerance: float,
+        order: gtsam.Ordering,
     ) -> Optimum:
-        found = original(graph, values, iterations, tolerance)
+        found = original(graph, values, iterations, tolerance, order)
         if iterations == module.LAST_ITERATIONS:
             count[0] += 1
             found = replace(found, error=50.0 + apart * (count[0] - 2) if count[0] > 1 else 0.0)
