@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..recording import Truth
     from ..result import Recovery
 
-FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
+FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd", "bids")
 ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 #: Endings of files that are none of these.
@@ -66,10 +66,29 @@ def export(
         bool,
         typer.Option("--draws", help="For parquet: the motions that `smooth` drew, row after row."),
     ] = False,
+    subject: Annotated[
+        str | None,
+        typer.Option(
+            "--subject",
+            metavar="LABEL",
+            help="For bids: who it is.  [default: the result's name]",
+            show_default=False,
+        ),
+    ] = None,
+    session: Annotated[
+        str | None,
+        typer.Option("--session", metavar="LABEL", help="For bids: which session.", show_default=False),
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(
+            "--task", metavar="LABEL", help="For bids: what was done.  [default: arm]", show_default=False
+        ),
+    ] = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write a result in a format that other programs open; one file an arm (rrd: one for all).
+    """Write a result in a format that other programs open; one file an arm (rrd and bids: one for all).
 
     csv and parquet: one row a sample of the forearm IMU with poses, joints and sigmas, in metres and the
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
@@ -77,8 +96,9 @@ def export(
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
     straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
     and the markers of trc, for its Inverse Kinematics. sto: orientations of all IMUs for its OpenSense,
-    rows without one left out. rrd: a recording of Rerun with its views, all
-    arms in one file; `unocclude view` opens it (needs `pip install '.[view]'`).
+    rows without one left out. bids: a session of a Motion-BIDS data set, the folder OUTPUT, which is begun
+    or added to: camera and IMUs as they were recorded, the recovered arm as a derivative. rrd: a recording of
+    Rerun with its views, all arms in one file; `unocclude view` opens it (needs `pip install '.[view]'`).
 
     What is not to be trusted is named on stderr, and marked in the file: column or channel `trusted`, dark
     red in rrd.
@@ -88,8 +108,13 @@ def export(
     _check(format_name, frame, rate, origin)
     if draws and format_name != "parquet":
         raise typer.BadParameter(f"--draws is for parquet, not for {format_name}")
+    if format_name != "bids" and (subject or session or task):
+        raise typer.BadParameter(f"--subject, --session and --task are for bids, not for {format_name}")
     _check_ending(output, format_name)
     recoveries = load_recoveries(result, one_side(side), body)
+    if format_name == "bids":
+        _bids(result, recoveries, output, (subject, session, task), json_file, force)
+        return
     together = format_name == "rrd"
     files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
@@ -124,6 +149,37 @@ def export(
     print_notes(note for recovery in recoveries for note in damage(recovery.notes))
     print_notes(note for ready in exports for note in ready.notes)
     write_json(json_file, {"files": figures}, force)
+
+
+def _bids(
+    result: Path,
+    recoveries: list[Recovery],
+    output: Path,
+    labels: tuple[str | None, str | None, str | None],
+    json_file: Path | None,
+    force: bool,
+) -> None:
+    """A session of a data set: what the result's file carries of its recording, and the answer."""
+    from .. import __version__
+    from ..io import read_recordings
+    from ..io.export.bids import BidsNames, label_of, write_bids
+
+    subject, session, task = labels
+    names = BidsNames(subject or label_of(recoveries[0].name), session or "", task or "arm")
+    check_outputs(force, [json_file], [result])
+    wanted = {(recovery.side, recovery.body) for recovery in recoveries}
+    notes = []
+    try:
+        recordings = [each for each in read_recordings(result) if (each.side, each.body) in wanted]
+    except RecordingError as error:
+        recordings = []
+        notes.append(f"the result carries no recording, so that the data set has the answer alone: {error}")
+    count = write_bids(output, names, recordings, recoveries, __version__, force)
+    say(f"written: {output} ({count} motion files of sub-{names.subject})")
+    warn(recoveries)
+    print_notes([*(note for recovery in recoveries for note in damage(recovery.notes)), *notes])
+    figures = {"folder": str(output), "subject": names.subject, "session": names.session, "task": names.task}
+    write_json(json_file, figures | {"motion_files": count, "notes": notes}, force)
 
 
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:

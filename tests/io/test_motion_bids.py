@@ -1,0 +1,176 @@
+"""Motion-BIDS out and in: BIDS's rules, the official validator where it is installed, and the way back."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import make_recording
+from results import made
+
+from smoother.cli.run import run
+from smoother.errors import RecordingError, UnoccludeError
+from smoother.io import read_recording, read_recovery, write_recording, write_recovery
+from smoother.io.export.bids import BidsNames, write_bids
+from smoother.io.plain.bids import open_bids
+from smoother.recording import JointState
+
+VALIDATOR = shutil.which("bids-validator-deno")
+#: Of a motion file's name, in this order.
+NAME = re.compile(
+    r"sub-[A-Za-z0-9]+(_ses-[A-Za-z0-9]+)?_task-[A-Za-z0-9]+_tracksys-[A-Za-z0-9]+_(motion|channels)\.(tsv|json)"
+)
+COMPONENTS = {"x", "y", "z", "quat_x", "quat_y", "quat_z", "quat_w", "n/a"}
+TYPES = {"ACCEL", "ANGACCEL", "GYRO", "JNTANG", "LATENCY", "MAGN", "MISC", "ORNT", "POS", "VEL"}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("result")
+    write_recording(make_recording(noise_m=0.004), folder / "rec.mcap")
+    write_recovery(made(), folder / "out.mcap", source=folder / "rec.mcap")
+    return folder / "out.mcap"
+
+
+@pytest.fixture(scope="module")
+def dataset(result: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bids") / "dataset"
+    for subject, session in (("p1", "1"), ("p1", "2"), ("p2", "1")):
+        command = ["export", str(result), "--format", "bids", "-o", str(folder)]
+        assert run([*command, "--subject", subject, "--session", session, "--task", "reach"]) == 0
+    return folder
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file, delimiter="\t"))
+
+
+def test_the_rules_of_motion_bids(dataset: Path):
+    for root in (dataset, dataset / "derivatives" / "unocclude"):
+        about = json.loads((root / "dataset_description.json").read_text())
+        assert {"Name", "BIDSVersion", "DatasetType"} <= set(about)
+        assert [row["participant_id"] for row in table(root / "participants.tsv")] == ["sub-p1", "sub-p2"]
+        files = [path for path in root.glob("sub-*/ses-*/motion/*") if path.is_file()]
+        assert files and all(NAME.fullmatch(path.name) for path in files)
+        motions = [path for path in files if path.name.endswith("_motion.tsv")]
+        assert len(motions) == (6 if root == dataset else 3)
+        for motion in motions:
+            channels = table(Path(str(motion).replace("_motion.tsv", "_channels.tsv")))
+            assert list(channels[0])[:5] == ["name", "component", "type", "tracked_point", "units"]
+            assert {row["component"] for row in channels} <= COMPONENTS
+            assert {row["type"] for row in channels} <= TYPES
+            assert len({row["name"] for row in channels}) == len(channels)
+            lines = motion.read_text().splitlines()
+            assert all(line.count("\t") == len(channels) - 1 for line in lines)  # and no header
+            assert all(cell == "n/a" or np.isfinite(float(cell)) for cell in lines[0].split("\t"))
+            sidecar = json.loads(motion.with_suffix(".json").read_text())
+            assert {"TaskName", "SamplingFrequency", "TrackingSystemName"} <= set(sidecar)
+            assert sidecar["MotionChannelCount"] == len(channels) and sidecar["TaskName"] == "reach"
+            for kind in TYPES & {key.removesuffix("ChannelCount") for key in sidecar}:
+                count = sum(row["type"] == kind for row in channels)
+                assert sidecar[f"{kind}ChannelCount"] == count
+    for scans in dataset.glob("sub-*/ses-*/*_scans.tsv"):
+        rows = table(scans)
+        assert len(rows) == 2 and all((scans.parent / row["filename"]).exists() for row in rows)
+        assert all(row["acq_time"].startswith("1900-01-01T") for row in rows)
+
+
+@pytest.mark.skipif(VALIDATOR is None, reason="bids-validator-deno is not installed (a tool)")
+def test_the_official_validator_finds_no_error(dataset: Path):
+    for root in (dataset, dataset / "derivatives" / "unocclude"):
+        command = [str(VALIDATOR), "--format", "json", str(root)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        issues = json.loads(done.stdout)["issues"]["issues"]
+        assert [issue for issue in issues if issue["severity"] == "error"] == []
+
+
+def test_there_and_back(result: Path, dataset: Path, tmp_path: Path):
+    command = ["import", "bids", str(dataset), "--subject", "p1", "--session", "2"]
+    assert run([*command, "-o", str(tmp_path / "back.mcap")]) == 0
+    before, after = read_recording(result), read_recording(tmp_path / "back.mcap")
+    assert after.side == before.side and after.camera_frame == before.camera_frame
+    np.testing.assert_allclose(after.imu.acc, before.imu.acc, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(after.imu.gyro, before.imu.gyro, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.diff(after.imu.t_s), np.diff(before.imu.t_s), atol=2e-9)
+    # the streams' distance is kept: to the microsecond that acq_time has
+    apart = [float(each.arm.t_s[0] - each.imu.t_s[0]) for each in (before, after)]
+    assert abs(apart[0] - apart[1]) < 2e-6
+    for joint in before.arm.present:
+        seen = before.arm.tracked(joint)
+        assert np.array_equal(after.arm.tracked(joint), seen)
+        np.testing.assert_allclose(after.arm.joint(joint)[seen], before.arm.joint(joint)[seen], atol=1e-9)
+
+
+def test_the_answer_has_every_column_of_the_csv(result: Path, dataset: Path, tmp_path: Path):
+    assert run(["export", str(result), "--format", "csv", "-o", str(tmp_path / "a.csv")]) == 0
+    with open(tmp_path / "a.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    motion = next((dataset / "derivatives" / "unocclude").glob("sub-p1/ses-1/motion/*_motion.tsv"))
+    channels = table(Path(str(motion).replace("_motion.tsv", "_channels.tsv")))
+    names = [channel["name"] for channel in channels]
+    assert set(rows[0]) - {"t_s", "trusted"} <= set(names)
+    values = np.genfromtxt(motion, delimiter="\t", missing_values="n/a")
+    for name in ("wrist_x", "imu_qw", "elbow_flexion_deg", "sigma_y", "occluded", "usable"):
+        ours = np.array([float(row[name]) if row[name] else np.nan for row in rows])
+        np.testing.assert_allclose(values[:, names.index(name)], ours, atol=1e-8)
+    kinds = {channel["name"]: (channel["type"], channel["component"]) for channel in channels}
+    assert kinds["wrist_x"] == ("POS", "x") and kinds["imu_qw"] == ("ORNT", "quat_w")
+    assert kinds["elbow_flexion_deg"] == ("JNTANG", "n/a") and kinds["sigma_y"] == ("MISC", "y")
+    assert kinds["vx"] == ("VEL", "x")
+
+
+def test_millimetres_degrees_and_no_states(dataset: Path, tmp_path: Path):
+    """A data set of others: other units, no column of states, latency absent."""
+    shutil.copytree(dataset, tmp_path / "theirs")
+    folder = tmp_path / "theirs" / "sub-p2" / "ses-1" / "motion"
+    plain = open_bids(dataset, "p2")
+    for motion in folder.glob("*_motion.tsv"):
+        beside = Path(str(motion).replace("_motion.tsv", "_channels.tsv"))
+        channels, values = table(beside), np.genfromtxt(motion, delimiter="\t", missing_values="n/a")
+        kept = [k for k, row in enumerate(channels) if row["type"] not in ("LATENCY", "MISC")]
+        for k in kept:
+            units = {"POS": ("mm", 1000.0), "GYRO": ("deg/s", 180 / np.pi), "ACCEL": ("g", 1 / 9.80665)}
+            channels[k]["units"], scale = units[channels[k]["type"]]
+            values[:, k] *= scale
+        np.savetxt(motion, values[:, kept], delimiter="\t", fmt="%.12g")
+        motion.write_text(motion.read_text().replace("nan", "n/a"))
+        with open(beside, "w", newline="") as file:
+            out = csv.DictWriter(file, list(channels[0]), delimiter="\t", lineterminator="\n")
+            out.writeheader()
+            out.writerows(channels[k] for k in kept)
+    theirs = open_bids(tmp_path / "theirs", "p2")
+    np.testing.assert_allclose(theirs.imus[0].acc, plain.imus[0].acc, rtol=1e-6)
+    np.testing.assert_allclose(theirs.imus[0].gyro, plain.imus[0].gyro, rtol=1e-6, atol=1e-9)
+    [ours], [other] = plain.arms, theirs.arms
+    seen = ours.state == JointState.TRACKED
+    np.testing.assert_allclose(other.position[seen], ours.position[seen], atol=1e-6)
+
+
+def test_what_is_refused(dataset: Path, result: Path, tmp_path: Path, capsys):
+    with pytest.raises(RecordingError, match="choose one with --subject: p1, p2"):
+        open_bids(dataset)
+    with pytest.raises(RecordingError, match="there is no ses-9; there are 1, 2"):
+        open_bids(dataset, "p1", "9")
+    with pytest.raises(RecordingError, match="holds no sub-"):
+        open_bids(tmp_path)
+    with pytest.raises(UnoccludeError, match="letters and digits alone, not 'p 1'"):
+        BidsNames("p 1")
+    recoveries = list(read_recovery(result))
+    names = BidsNames("p1", "1", "reach")
+    with pytest.raises(UnoccludeError, match="exists already"):
+        write_bids(dataset, names, [make_recording()], recoveries, "1")
+    (tmp_path / "letter.txt").write_text("mine")
+    with pytest.raises(UnoccludeError, match="holds other files"):
+        write_bids(tmp_path, names, [], recoveries, "1")
+    assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
+    assert (
+        run(["export", str(result), "--format", "csv", "--subject", "a", "-o", str(tmp_path / "x.csv")]) == 2
+    )
+    assert "are for bids, not for csv" in capsys.readouterr().err
