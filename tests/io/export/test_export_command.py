@@ -244,9 +244,8 @@ def test_the_formats_are_known_by_one_list():
     from smoother.io.export import prepare as exports
     from smoother.io.export.markers import FRAMES
 
-    assert (
-        export.FORMATS == exports.FORMATS == (*FORMATS, "osim", "sto", "rrd")
-    )  # which have tests of their own
+    ours = (*FORMATS, "osim", "sto", "rrd")  # which have tests of their own, as bids, a folder, has
+    assert export.FORMATS == (*exports.FORMATS, "bids") == (*ours, "bids")
     assert export.FRAMES == FRAMES
     with pytest.raises(UnoccludeError, match="'xls' is not available"):
         exports.prepare_export(made(), "xls")
