@@ -10,12 +10,13 @@ import argparse
 import json
 import re
 import sys
-import tomllib
 import uuid
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+from smoother import __version__
 
 ROOT = Path(__file__).parents[1]
 _PINNED = re.compile(r"^([A-Za-z0-9._-]+)(?:\[[^\]]*\])?==([^\s;\\]+)\s*(?:;\s*([^\\]*?))?\s*\\?$")
@@ -138,9 +139,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     packages = locked((ROOT / "requirements.lock").read_text(encoding="utf-8"))
-    text = json.dumps(sbom(packages, project["version"]), indent=1) + "\n"
+    text = json.dumps(sbom(packages, __version__), indent=1) + "\n"
     if options.output is None:
         sys.stdout.write(text)
         return
