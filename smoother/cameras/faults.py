@@ -10,6 +10,7 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..linalg import nearest_rotation
+from ..recording import CameraPose
 from ..rotation import Rotation
 from .overlap import Overlap
 from .placing import Placement, residuals, start, weights
@@ -163,4 +164,30 @@ def _variances(placement: Placement, together: Overlap) -> FloatArray:
     information = turn.sum(axis=0) + 1e-6 * np.eye(3)
     return np.concatenate(
         [np.diag(np.linalg.inv(information)), np.full(3, 1.0 / max(float(weight.sum()), 1e-9))]
+    )
+
+
+def moved_from(found: CameraPose, known: CameraPose, points: FloatArray) -> str:
+    """What is said of a camera that does not stand where a calibration says; "" where it does.
+
+    Parameters
+    ----------
+    found : CameraPose
+        By the joints alone.
+    known : CameraPose
+        The calibration's.
+    points : ndarray, shape (F, 5, 3), m
+        Where the arm is, in {K}.
+    """
+    centre = np.nanmedian(points.reshape(-1, 3), axis=0)
+    in_C = found.R_K_C.T @ (centre - found.p_K_C_m)
+    shifted_m = float(np.linalg.norm(known.to_first(in_C) - centre))
+    turned = float(np.linalg.norm(Rotation.from_matrix(found.R_K_C @ known.R_K_C.T).as_rotvec()))
+    turned_most = max(MOVED_RAD, MOVED_SIGMAS * float(np.hypot(found.sigma_rad, known.sigma_rad)))
+    shifted_most = max(MOVED_M, MOVED_SIGMAS * float(np.hypot(found.sigma_m, known.sigma_m)))
+    if turned < turned_most and shifted_m < shifted_most:
+        return ""
+    return (
+        f"stands {100 * shifted_m:.0f} cm and {np.degrees(turned):.0f} degrees from where the calibration"
+        " says: it was moved since, and the calibration's place was not used; run `calibrate cameras` again"
     )

@@ -9,7 +9,7 @@ import numpy as np
 from ..recording import FIRST_CAMERA, JOINTS, Camera, JointTracks, Recording
 from ..runtime.store import Store, batches
 from .clocks import candidate_offsets
-from .faults import LEAST_S, fault_of
+from .faults import LEAST_S, fault_of, moved_from
 from .overlap import Overlap
 from .placing import Placement, place
 from .rig import CameraRig, RelativeClock, RigCamera, first_camera, joint_centre
@@ -60,7 +60,23 @@ def placed_camera(camera: Camera, first: JointTracks, name: str = FIRST_CAMERA) 
         The first camera's.
     name : str
         Of the first camera.
+
+    Returns
+    -------
+    row : RigCamera
+        With its pose as a prior where it was measured beforehand, unless the joints contradict that.
     """
+    row = _placed(camera, first, name)
+    if camera.pose is None:
+        return row
+    free = _placed(replace(camera, pose=None), first, name)
+    if free.reason or free.pose is None:
+        return row
+    apart = moved_from(free.pose, camera.pose, np.asarray(first.position))
+    return replace(free, note=apart) if apart else row
+
+
+def _placed(camera: Camera, first: JointTracks, name: str) -> RigCamera:
     found: list[tuple[Placement, Overlap]] = []
     for offset_s in candidate_offsets(first, camera.arm):
         answer = place(first, camera.arm, RelativeClock(offset_s), camera.pose)

@@ -60,6 +60,8 @@ class RigCamera:
         For so long both saw something of the arm.
     reason : str
         Why it was left out; "" where it takes part.
+    note : str
+        What is to be known of one that takes part, after its name.
     """
 
     name: str
@@ -69,6 +71,7 @@ class RigCamera:
     misfit_m: float = float("nan")
     together_s: float = float("nan")
     reason: str = ""
+    note: str = ""
 
     @property
     def takes_part(self) -> bool:
@@ -103,9 +106,13 @@ class CameraRig:
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """A sentence for each camera that was left out."""
+        """A sentence for each camera that was left out, or of which something is to be known."""
         return tuple(
-            f"{camera.name} was left out: {camera.reason}" for camera in self.cameras if camera.reason
+            f"{camera.name} was left out: {camera.reason}"
+            if camera.reason
+            else f"{camera.name} {camera.note}"
+            for camera in self.cameras
+            if camera.reason or camera.note
         )
 
 

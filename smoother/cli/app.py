@@ -171,6 +171,7 @@ _CALIBRATIONS = {
         " --panel panel.toml -o cal.toml",
     ),
     "world": _spec("calibrate_panel", "calibrate world session.mcap --panel panel.toml -o cal.toml"),
+    "cameras": _spec("calibrate_cameras", "calibrate cameras session.mcap -o cal.toml"),
     "forearm": _spec("calibrate", "calibrate forearm session.mcap -o arm.toml --report forearm.html"),
 }
 _SIMULATIONS = {

@@ -181,6 +181,8 @@ def details(
         yield from _figures(recovery, truth, frame)
         yield from _trust(recovery, truth)
     yield _mounting(recovery, estimates)
+    if recovery.estimates.cameras:
+        yield headed("Cameras", _CAMERAS) + tables.cameras(recovery)
     yield headed("Figures") + tables.overview(recovery)
     notes = dict.fromkeys([*(recording.notes if recording is not None else ()), *recovery.notes])
     yield listing("Notes", notes, "There is nothing to note.")
@@ -328,6 +330,10 @@ def _mounting(recovery: Recovery, estimates: ArmEstimates | None) -> str:
     return (_figure(heading, f"{_CALIBRATION} {_DRAWN}", plot) or headed(heading, _CALIBRATION)) + about
 
 
+_CAMERAS = (
+    "Each camera was placed by the joints that it and the first one saw. A gap is a time in which none of"
+    " them saw the forearm."
+)
 _GAPS = (
     "Times in which the camera did not see the forearm. 95 of 100 errors lie below what is stated, at"
     " the least certain moment of a gap. A gap seen on both sides is held by the camera before and after it;"

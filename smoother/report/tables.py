@@ -27,7 +27,7 @@ from .summary import WIDE_M
 ELSEWHERE = (
     *("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m"),
     *("accelerometer_bias", "gyroscope_bias", "given", "max_sigma_m"),
-    *("untrusted", "self_check", "pairing"),
+    *("untrusted", "self_check", "pairing", "cameras"),
 )
 WITHDRAWN = "withdrawn: the result is not to be trusted"
 
@@ -130,6 +130,28 @@ def camera(estimates: ArmEstimates) -> str:
         for joint, error in estimates.camera.items()
     ]
     columns = ("camera's joint", "noise of a sample, cm an axis", "constant error against the others, cm")
+    return table(columns, rows)
+
+
+def cameras(recovery: Recovery) -> str:
+    """Where each camera of several stands, and what it saw, one a row."""
+    length_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) > 1 else float("nan")
+    rows = [
+        (
+            each.name,
+            None if each.p_K_C_m is None else ", ".join(f"{100 * x:.0f}" for x in each.p_K_C_m),
+            None if each.sigma_m is None else in_cm(each.sigma_m),
+            None if each.sigma_deg is None else f"{each.sigma_deg:.2f}",
+            None if each.offset_s is None else f"{1000 * each.offset_s:.1f}",
+            f"{100 * sum(b - a for a, b in each.seen_s) / length_s:.0f} %" if each.takes_part else None,
+            f"left out: {each.reason}" if each.reason else "takes part",
+        )
+        for each in recovery.estimates.cameras
+    ]
+    columns = (
+        *("camera", "place in the first one's frame, cm", "sigma, cm an axis", "sigma, degrees an axis"),
+        *("first clock less its own, ms", "saw the forearm", "remark"),
+    )
     return table(columns, rows)
 
 

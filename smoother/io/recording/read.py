@@ -480,18 +480,20 @@ def _read(
     """Recordings, corrected, each with its calibration; `read` takes the side to prefer."""
     if calibration_file is None:
         return [(remedy.applied(recording, store), None) for recording in read(None)]
+    from calib.cameras.camera_poses import camera_poses, with_camera_poses
     from calib.file import read_calibration, sigma_factors_of
     from calib.imu.sensor import corrected
     from calib.world.world_table import with_gravity
 
     calibration = read_calibration(calibration_file)
     sides = [name for name in calibration.arms if name != "any"]
-    factors = sigma_factors_of(calibration)
+    factors, poses = sigma_factors_of(calibration), camera_poses(calibration)
     arms: list[tuple[Recording, ArmCalibration | None]] = []
     recordings = read(sides[0] if len(sides) == 1 else None)
     for recording in recordings:
         recording = remedy.applied(recording, store)
         recording = with_gravity(corrected(recording, calibration, store), calibration)
+        recording = with_camera_poses(recording, poses)
         other_arm = len(recordings) > 1 and not {recording.side, "any"} & set(calibration.arms)
         if calibration.arms and other_arm:
             note = f"{calibration_file} holds no {recording.side} arm: this one is found from the motion."

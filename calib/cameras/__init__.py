@@ -1,0 +1,1 @@
+"""Where the further cameras of a set-up stand, found once and kept as a prior."""
