@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from browser import Browser, chromium
+from local_page import own_table
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(chromium() is None, reason="Chromium is not installed (apt install chromium)")
@@ -189,6 +190,33 @@ def test_a_killed_server_a_closed_tab_and_a_cancel(
     state = json.loads((job / "state.json").read_text())
     assert state["state"] in ("cancelled", "done") and len(list((program.only() / "files").iterdir())) == 2
     assert not elsewhere(browser, program)
+
+
+def test_a_table_that_nobody_knows_is_described_in_place(
+    browser: Browser, program: Program, session_files: dict[str, Path], tmp_path: Path
+):
+    """Its columns are chosen from lists; what is wrong is said; then it is read, and kept as a template."""
+    opened(browser, program)
+    choose(browser, own_table(tmp_path / "eigen.csv", session_files["imu"]))
+    browser.wait("!!document.querySelector('form.template')")
+    assert "[object" not in browser.run("document.body.textContent")
+    columns = {"t": "Zeit", "time_unit": "ms", "accelerometer_unit": "g", "gyroscope_unit": "deg/s"}
+    columns |= {
+        f"{letter}{axis}": f"{letter.upper().replace('A', 'F').replace('G', 'D')}{k}"
+        for letter in "ag"
+        for k, axis in enumerate("xyz", 1)
+    }
+    for name, value in columns.items():
+        if name != "gz":
+            browser.run(f"document.querySelector('.template [name=\"{name}\"]').value = {value!r}")
+    press(browser, ".keep")
+    browser.wait("!document.querySelector('#trouble').hidden")
+    assert "lack gz" in browser.run("document.querySelector('#trouble').textContent")
+    browser.run(f"document.querySelector('.template [name=gz]').value = {columns['gz']!r}")
+    press(browser, ".keep")
+    browser.wait("document.querySelectorAll('.plots svg').length === 2")
+    (template,) = (program.folder / ".unocclude" / "templates").iterdir()
+    assert 'ax = "F1"' in template.read_text()
 
 
 def test_by_keyboard_and_in_german(browser: Browser, program: Program, session_files: dict[str, Path]):

@@ -10,9 +10,10 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from conftest import HOST, PORT, TOKEN, Page
-from local_page import write_session
+from local_page import own_table, write_session
 from starlette.testclient import TestClient
 
 from smoother.app import server
@@ -20,6 +21,10 @@ from smoother.app.folder import PLACES, AppFolder, KeptRecording, write_json
 from smoother.app.jobs import JobDesk
 from smoother.app.server import make_app
 from smoother.app.steps import describe_steps, import_steps, recover_steps
+from smoother.errors import RecordingError
+from smoother.io.devices.registry import FileReader, format_named
+from smoother.io.plain.template import read_templates
+from smoother.io.tables.protocol import read_head
 
 
 def test_two_files_become_a_recording(page: Page, session_files: dict[str, Path]):
@@ -78,13 +83,6 @@ def test_what_is_no_recording_keeps_its_sentence(page: Page, tmp_path: Path):
     assert "no known format" in page.wait(name)["job"]["sentence"]
     assert page.ask("DELETE", f"/api/recordings/{name}/files/words.csv")["dropped"] == []
     assert "drop" in page.ask("POST", f"/api/recordings/{name}/jobs", 400, json={"kind": "recover"})["error"]
-
-
-def own_table(path: Path, imu: Path) -> Path:
-    """The same IMU in a laboratory's own layout."""
-    lines = imu.read_text().splitlines()[3:]
-    path.write_text("\n".join(["Zeit;F1;F2;F3;D1;D2;D3", *(line.replace(",", ";") for line in lines)]) + "\n")
-    return path
 
 
 def test_an_unknown_table_is_described_once(page: Page, session_files: dict[str, Path], tmp_path: Path):
@@ -308,3 +306,34 @@ def test_the_same_session_mirrored(page: Page, tmp_path: Path):
     page.change(name, choices={"remedy": "--mirror x"})
     *_, check, recover = recover_steps(page.folder, page.folder.of(name))
     assert "--mirror x" in " ".join(check["argv"]) and "--mirror x" in " ".join(recover["argv"])
+
+
+def test_the_template_of_the_document(tmp_path: Path, session_files: dict[str, Path]):
+    text = (Path(__file__).parents[2] / "docs" / "app.md").read_text("utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "lab.toml").write_text(block)
+    table = own_table(tmp_path / "sensor.csv", session_files["imu"])
+    (template,) = read_templates([tmp_path / "lab.toml"])
+    assert template.recognises(read_head(table)) and not template.recognises(read_head(session_files["imu"]))
+    (imu,) = template.read(table)
+    (theirs,) = FileReader().read(session_files["imu"], format_named("shimmer"))
+    assert np.allclose(imu.acc, theirs.acc) and np.allclose(imu.gyro, theirs.gyro)
+    assert np.allclose(imu.t_s, theirs.t_s)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("[imu]", "[table]"), "table is not known here"),
+        (('"g"', '"stone"'), "imu.accelerometer_unit is 'stone'"),
+        (("width = 7", "width = 3"), "names lists the table's columns"),
+        (("[imu.columns]", "[camera]\nframe = 'kinect'\n[imu.columns]"), "give [imu] or [camera]"),
+        (("[template]", "[template"), "is not readable TOML"),
+    ],
+)
+def test_a_template_that_cannot_be(tmp_path: Path, change: tuple[str, str], sentence: str):
+    text = (Path(__file__).parents[2] / "docs" / "app.md").read_text("utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "lab.toml").write_text(block.replace(*change))
+    with pytest.raises(RecordingError, match=re.escape(sentence)):
+        read_templates([tmp_path / "lab.toml"])

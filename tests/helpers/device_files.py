@@ -69,6 +69,11 @@ phyphox = _table(
     columns=(TIME, ACC, GYRO),
     form="{:.9E}",
 )
+named = _table(
+    ";".join(["Zeit [ms]", *_xyz("K1 {} [g]"), *_xyz("D1 {} [deg/s]")]),
+    columns=(MICROS / 1e3, ACC / GRAVITY, DEG),
+    separator=";",
+)
 android = _table("timestamp,ax,ay,az,gx,gy,gz", columns=(NANOS, ACC, GYRO))
 
 
@@ -241,6 +246,7 @@ IMUS: dict[str, Callable[[Path], None]] = {
     "android": android,
     "mvnx": mvnx,
     "axivity": axivity,
+    "imu-table": named,
 }
 SKELETONS: dict[str, Callable[[Path], None]] = {
     "azure-kinect": lambda path: made.azure_csv(path, FRAMES),

@@ -57,3 +57,10 @@ def write_session(folder: Path, start_s: float = 0.0, mirror: bool = False) -> d
         lines.append(",".join(cells))
     kinect.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return {"imu": sensor, "skeleton": kinect}
+
+
+def own_table(path: Path, imu: Path) -> Path:
+    """The same IMU in a laboratory's own layout."""
+    lines = imu.read_text().splitlines()[3:]
+    path.write_text("\n".join(["Zeit;F1;F2;F3;D1;D2;D3", *(line.replace(",", ";") for line in lines)]) + "\n")
+    return path

@@ -24,7 +24,7 @@ function h(tag, attributes = {}, ...children) {
     else if (value === true) node.setAttribute(key, "");
     else if (value !== false && value !== null && value !== undefined) node.setAttribute(key, value);
   }
-  node.append(...children.flat().filter((each) => each !== null && each !== undefined && each !== ""));
+  node.append(...children.flat(Infinity).filter((each) => each !== null && each !== undefined && each !== ""));
   if (attributes.value !== undefined && tag === "select") node.value = attributes.value;
   return node;
 }
@@ -289,7 +289,7 @@ function recordingTable(view, state) {
     h("td", { "data-head": t("col_name") }, h("a", { href: `#/r/${each.id}` }, each.name)),
     h("td", { "data-head": t("col_person") }, each.person),
     h("td", { "data-head": t("col_date") }, each.date),
-    h("td", { "data-head": t("col_verdict") }, verdictChip(each), each.verdict ? h("div", { class: "small soft" }, each.verdict) : null)));
+    h("td", { "data-head": t("col_verdict") }, verdictChip(each), each.verdict && each.verdict !== "Usable." ? h("div", { class: "small soft", lang: "en" }, each.verdict) : null)));
   return h("div", { class: "wide" }, h("table", { class: "list" },
     h("thead", {}, h("tr", {}, heads.map((each) => h("th", { scope: "col" }, t(each))))), h("tbody", {}, rows)));
 }
@@ -331,7 +331,7 @@ function manyForm(view, state, people) {
 const one = {
   async load(view) {
     const about = await ask("GET", `/api/recordings/${view.id}`);
-    const seen = JSON.stringify([about.stamp, about.looked_at]);
+    const seen = JSON.stringify([about.looked_ns, about.looked_at]);
     if (about.looked_at.length && view.seen !== seen) {
       view.streams = (await ask("GET", `/api/recordings/${view.id}/streams`)).files;
       view.seen = seen;
@@ -349,12 +349,16 @@ const one = {
       h("p", {}, h("a", { href: "#/" }, t("back"))), h("h1", { tabindex: -1 }, about.name)]);
     part(view, "job", jobSeen(about.job), () => jobBox(about.job, `/api/recordings/${view.id}`, () => repeat(view, about)));
     if (about.job?.open) moveBar(view, about.job);
+    const ready = !open && !about.result && about.looked_at.length > 0 && about.job?.state !== "held";
+    part(view, "next", [ready, Boolean(view.streams?.length)], () => (ready && isComplete(view.streams)
+      ? h("p", {}, h("button", { type: "button", id: "next", class: "first", onclick: () => document.getElementById("recover").click() }, t("recover"))) : null));
     part(view, "about", [about.name, about.person, about.date, about.task, about.own_date, about.revision, open], () => aboutForm(view, about, open));
     part(view, "files", [about.dropped, open], () => filesSection(view, about, open));
     part(view, "streams", [view.seen, about.choices, about.matches, about.looked_at.length, open], () => streamsSection(view, about, open));
     part(view, "check", [about.check, about.choices.remedy, about.revision, open, about.dropped.length], () => checkSection(view, about, open));
     part(view, "recover", [about.result, about.outdated, about.job?.state === "held", open, about.dropped.length], () => recoverSection(view, about, open));
     part(view, "report", [about.report && about.result, about.name, about.report_at], () => reportSection(view, about));
+    if (view.working === "recover" && about.job?.state === "held") document.getElementById("check-step")?.scrollIntoView();
     if (view.working === "recover" && about.job?.state === "done") document.getElementById("report-step")?.scrollIntoView();
     view.working = open ? about.job.kind : "";
     part(view, "export", [Boolean(about.result), about.exports, about.downloads, open], () => exportSection(view, about, open));
@@ -432,6 +436,11 @@ function filesSection(view, about, open) {
     dropPlace(true, (files) => upload(view.id, files.filter(({ path }) => !path.split("/").some((s) => s.startsWith("."))))));
 }
 
+function isComplete(files) {
+  const kinds = files.flatMap((each) => each.streams.map((stream) => stream.kind));
+  return files.some((each) => each.kind === "description") || (kinds.includes("skeleton") && kinds.includes("imu"));
+}
+
 function streamsSection(view, about, open) {
   const look = h("button", { type: "button", disabled: open || !about.dropped.length, onclick: act(() => ask("POST", `/api/recordings/${view.id}/jobs`, { kind: "describe" })) }, t("look"));
   const files = view.streams || [];
@@ -454,7 +463,7 @@ function fileBox(view, about, file, open) {
   return h("div", { class: "file" },
     h("h3", {}, file.name, " ", h("span", { class: "soft" }, file.title || t("unknown_file"))),
     ["video", "calibration", "description"].includes(file.kind) ? h("p", {}, t(`kind_${file.kind}`)) : null,
-    file.error ? h("p", { class: "said" }, file.error) : null,
+    file.error && !file.guess ? h("p", { class: "said", lang: "en" }, file.error) : null,
     out ? null : file.streams.map((stream) => streamBox(view, about, stream, open)),
     file.notes.map((note) => h("p", { class: "soft small" }, note)),
     file.guess && !out ? templateForm(view, file, open) : null, tick);
@@ -536,7 +545,7 @@ function checkSection(view, about, open) {
   const check = about.check, remedy = about.choices.remedy;
   return h("section", { class: "step", id: "check-step" }, h("h2", {}, t("s_check")), h("p", { class: "soft" }, t("check_hint")),
     check ? verdictBox(view, about, check, open) : null,
-    remedy ? h("p", { class: "said good" }, t("remedy_used", { remedy }), " ",
+    remedy ? h("p", { class: "said good" }, t("remedy_used", { remedy: remedyWords(remedy) }), " ",
       h("button", { type: "button", class: "quiet", disabled: open, onclick: act(() => change(view, about, { choices: { remedy: "" } })) }, t("remedy_drop"))) : null,
     h("button", { type: "button", id: "check", disabled: open || !about.dropped.length, onclick: act(() => ask("POST", `/api/recordings/${view.id}/jobs`, { kind: "check" })) }, t("check")));
 }
@@ -544,14 +553,22 @@ function checkSection(view, about, open) {
 function verdictBox(view, about, verdict, open) {
   const kind = verdict.trusted === false ? "said" : /with care/i.test(verdict.verdict) ? "said care" : "said good";
   const rest = [...new Set([...(verdict.reasons || []), ...(verdict.cautions || [])])].filter((each) => each !== verdict.cause && !verdict.verdict.includes(each));
-  return h("div", {}, h("p", {}, trustChip(verdict.trusted, verdict.verdict)), h("p", { class: kind, lang: "en" }, verdict.verdict),
+  return h("div", {}, h("p", {}, trustChip(verdict.trusted, verdict.verdict)),
+    verdict.verdict === "Usable." ? null : h("p", { class: kind, lang: "en" }, verdict.verdict),
     rest.length ? h("ul", { lang: "en" }, rest.map((each) => h("li", {}, each))) : null,
     verdict.allows?.sentence ? h("p", { lang: "en" }, t("allows", { what: verdict.allows.sentence })) : null,
     (verdict.remedies || []).filter((each) => each !== about.choices.remedy).map((each) => h("p", {}, h("button", { type: "button", class: "remedy", disabled: open,
       onclick: act(async () => {
         await change(view, about, { choices: { remedy: each } });
         await ask("POST", `/api/recordings/${view.id}/jobs`, { kind: "recover" });
-      }) }, t("remedy_use", { remedy: each })))));
+      }) }, t("remedy_use", { remedy: remedyWords(each) }), " ", h("code", {}, each)))));
+}
+
+function remedyWords(remedy) {
+  return remedy.split("--").filter(Boolean).map((each) => {
+    const [what, ...rest] = each.trim().split(" ");
+    return t(`undo_${what}`, { what: rest.join(" ").replace(",", ", ") });
+  }).join(", ");
 }
 
 function recoverSection(view, about, open) {
@@ -622,13 +639,14 @@ function templateForm(view, file, open) {
   const kind = select([["imu", t("kind_imu")], ["skeleton", t("kind_skeleton")], ["rows", `${t("kind_skeleton")}, ${t("t_long")}`]],
     guess.kind === "skeleton" ? (isLong ? "rows" : "skeleton") : "imu", () => body.replaceChildren(...parts[kind.value]()), { name: "kind", disabled: open });
   body.append(...parts[kind.value]());
-  form.append(h("p", {}, h("strong", {}, t("t_title")), " ", h("span", { class: "soft" }, t("t_hint"))),
+  form.append(h("div", {}, h("p", {}, h("strong", {}, t("t_title")), " ", h("span", { class: "soft" }, t("t_hint"))),
     guess.unsure.map((each) => h("p", { class: "said care", lang: "en" }, each)),
+    file.error ? h("details", { class: "small" }, h("summary", {}, t("why")), h("p", { lang: "en" }, file.error)) : null,
     h("div", { class: "wide", tabindex: 0 }, h("table", { class: "sample" },
       guess.names.length ? h("thead", {}, h("tr", {}, guess.names.map((each) => h("th", { scope: "col" }, each)))) : "",
       h("tbody", {}, guess.rows.map((row) => h("tr", {}, row.map((cell) => h("td", {}, cell))))))),
     h("div", { class: "row" }, labelled(t("t_name"), h("input", { name: "title", value: stem(file.name), maxlength: 100, disabled: open })), labelled(t("t_kind"), kind)),
-    body, h("p", {}, h("button", { class: "first keep", disabled: open }, t("t_keep"))));
+    body, h("p", {}, h("button", { class: "first keep", disabled: open }, t("t_keep")))));
   form.addEventListener("submit", act(async () => {
     const value = (name) => form.querySelector(`[name="${CSS.escape(name)}"]`)?.value ?? "";
     const out = { columns: {}, keys: {} };

@@ -292,11 +292,13 @@ def _axes_of(sheet: Sheet) -> list[tuple[str, tuple[int, int, int]]]:
 def _by_magnitude(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | None, ...]:
     """Accelerometer and gyroscope of a table without names: three columns whose length stays near one g."""
     columns = [column for column in range(sheet.layout.width) if is_numeric(sheet, column)]
+    if sheet.layout.width == 4 and described_time_unit(sheet, 0)[0] and set(columns) >= {1, 2, 3}:
+        return _of_dates(sheet, guess)
     best, near, least = None, 0.0, np.inf
     for at in range(len(columns) - 2):
         three = (columns[at], columns[at + 1], columns[at + 2])
         length = np.linalg.norm(sheet.vectors(three), axis=1)
-        share = max(float(np.mean(np.abs(length / one - 1) < 0.2)) for one in (1.0, STANDARD_GRAVITY, 1000.0))
+        share = _near_gravity(sheet.vectors(three))
         spread = float(np.nanstd(length) / np.nanmedian(length))
         # a part of a quaternion stays near 1 as well, and far more evenly than any force
         if share > 0.5 and 1e-3 < spread < least:
@@ -311,6 +313,24 @@ def _by_magnitude(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | No
             guess.reasons["g"] = "the three columns beside the accelerometer"
             return best, three
     return best, None
+
+
+def _near_gravity(vectors: FloatArray) -> float:
+    """Share of the rows whose length is near one g, in the unit in which most are."""
+    length = np.linalg.norm(vectors, axis=1)
+    return max(float(np.mean(np.abs(length / one - 1) < 0.2)) for one in (1.0, STANDARD_GRAVITY, 1000.0))
+
+
+def _of_dates(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | None, ...]:
+    """Sensor of a table of times and one vector without names: an accelerometer where it stays near one g."""
+    three = (1, 2, 3)
+    near = _near_gravity(sheet.vectors(three))
+    if near > 0.5:
+        guess.reasons["a"] = f"the length of these three stays near one g in {100 * near:.0f} % of the rows"
+        return three, None
+    guess.reasons["g"] = "the three columns behind the times, which show no gravity"
+    guess.unsure.append(f"{sheet.path.name} names no columns: without gravity it counts as a gyroscope's.")
+    return None, three
 
 
 def _time(sheet: Sheet, guess: Guess, used: set[int]) -> FloatArray | None:

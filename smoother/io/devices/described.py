@@ -23,6 +23,8 @@ from .repair import repaired_imu, repaired_skeleton
 
 #: Columns of a plot: of the samples that fall into one, the least and the largest are kept.
 BINS = 200
+#: A longer unknown file is not read for a guess, bytes.
+_LONGEST_GUESS = 300_000_000
 #: Rows of an unknown table that are shown.
 SHOWN_ROWS = 6
 #: Bytes at the beginning of videos: where they stand, and what they are called.
@@ -161,7 +163,7 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
             return about
         importer = reader.recognised(path)
         if importer is None:
-            about.guess = _guess(path)
+            about.guess = _guess(path, head)
             about.error = str(unknown_file(head))
             return about
         about.format, about.title, about.kind = importer.key, importer.title, importer.kind
@@ -299,8 +301,10 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
     return importer, sheet, guess
 
 
-def _guess(path: Path) -> dict[str, Any] | None:
-    """What a table of an unknown layout seems to hold; None where it is no table."""
+def _guess(path: Path, head: FileHead) -> dict[str, Any] | None:
+    """What a table of an unknown layout seems to hold; None where it is no table, or too long to look at."""
+    if not head.text or path.stat().st_size > _LONGEST_GUESS:
+        return None
     try:
         sheet = read_sheet(path)
         guess = guess_of(sheet)

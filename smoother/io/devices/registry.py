@@ -19,7 +19,7 @@ from ..tables.table_layout import layout_of
 @cache
 def formats() -> tuple[DeviceFormat, ...]:
     """All importers; where two recognise a file, the earlier one has it."""
-    from . import marker_skeletons, message_files, sensor_files, skeleton_json, skeleton_tables
+    from . import marker_skeletons, message_files, named_table, sensor_files, skeleton_json, skeleton_tables
 
     importers: list[DeviceFormat] = [
         *(message_files.XdfFile(), message_files.RosBag1(), message_files.McapFile()),
@@ -37,6 +37,7 @@ def formats() -> tuple[DeviceFormat, ...]:
         importers.append(row)
         if row.key in behind:
             importers.append(behind[row.key])
+    importers.append(named_table.NamedImu())  # of no device; only what no other importer knows
     return tuple(importers)
 
 
@@ -174,7 +175,11 @@ class FileReader:
             except RecordingError as error:
                 if missing := _missing(path, importer.kind):
                     raise _lacks(path, importer, missing) from error
-                raise
+                recognised = self._formats.get(path) is importer  # what the user names is not overruled
+                tables = self._by_names(path, importer, error) if recognised else []
+                if not tables:
+                    raise
+                self._tables[key] = tables
             except Exception as error:  # a damaged file fails anywhere, in libraries too
                 raise RecordingError(
                     f"{path} was recognised as {importer.title}, but is damaged ({type(error).__name__});"
@@ -185,6 +190,25 @@ class FileReader:
             if importer not in self._templates:  # those name their columns themselves
                 _check_axes(path, importer, self._tables[key])
         return self._tables[key]
+
+    def _by_names(self, path: Path, importer: DeviceFormat, error: RecordingError) -> list[ImuTable]:
+        """A table that its importer refuses and whose columns say all; [] where they do not.
+
+        Other programs write columns that look like a device's.
+        """
+        from .named_table import NamedImu
+
+        reader = NamedImu()
+        if importer.kind != "imu" or importer.key == reader.key or not reader.recognises(read_head(path)):
+            return []
+        try:
+            tables = reader.read(path)
+        except RecordingError:
+            return []
+        whole = [table for table in tables if table.acc is not None and table.gyro is not None]
+        for table in whole:
+            table.notes.append(f"It was read by its columns: as {importer.title} it cannot be ({error})")
+        return whole
 
 
 def _check_axes(path: Path, importer: DeviceFormat, tables: Tables) -> None:

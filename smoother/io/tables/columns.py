@@ -33,7 +33,7 @@ TURNING_WORDS = (
 _ACC = {"acc", "accel", "accelerations", "acce", *(w for w in ACCELERATION_WORDS if " " not in w)}
 _GYRO = {
     *("gyr", "gyro", "gyroscope", "gyroscopes", "angvel", "angular", "omega", "rotationrate", "gyration"),
-    *("turn", "gyros", "ang"),
+    *("turn", "gyros", "ang", "angulaire"),
     *(word for word in TURNING_WORDS if " " not in word),
 }
 _MAG = {"mag", "magn", "magnetometer", "magnetic", "magfield"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -74,7 +75,28 @@ _NOISE = {
     *("mm", "cm", "m", "meter", "meters", "metre", "metres"),
     *("unfiltered", "3d", "3", "d", "rigid", "tracked", "coords", "coordinate", "coordinates"),
 }
-_SIDES = {"l": "left", "left": "left", "lt": "left", "r": "right", "right": "right", "rt": "right"}
+_SIDES = {
+    **dict.fromkeys(("l", "left", "lt"), "left"),
+    **dict.fromkeys(("r", "right", "rt"), "right"),
+    **dict.fromkeys(
+        ("links", "linke", "linker", "linkes", "gauche", "izquierda", "izquierdo", "izq"), "left"
+    ),
+    **dict.fromkeys(("rechts", "rechte", "rechter", "rechtes", "droit", "droite"), "right"),
+    **dict.fromkeys(("derecha", "derecho"), "right"),
+}
+#: German, French and Spanish words of joints, without accents.
+_TRANSLATED = {
+    **dict.fromkeys(("schulter", "schultergelenk", "epaule", "hombro"), "shoulder"),
+    **dict.fromkeys(("ellbogen", "ellenbogen", "ellbogengelenk", "coude", "codo"), "elbow"),
+    **dict.fromkeys(("handgelenk", "poignet", "muneca"), "wrist"),
+    **dict.fromkeys(("main", "mano"), "hand"),
+    **dict.fromkeys(("kopf", "tete", "cabeza"), "head"),
+    **dict.fromkeys(("nacken", "hals", "cou", "cuello"), "neck"),
+    **dict.fromkeys(("huefte", "hufte", "becken", "hanche", "bassin", "cadera"), "hip"),
+    **dict.fromkeys(("knoechel", "knochel", "sprunggelenk", "cheville", "tobillo"), "ankle"),
+    **dict.fromkeys(("fuss", "pied", "pie"), "foot"),
+    **dict.fromkeys(("knie", "genou", "rodilla"), "knee"),
+}
 _CENTRE_WORDS = {"center", "centre", "jc", "cj", "jcs", "cor"}
 #: Short names of joint centres (Visual3D, OpenSim; Vicon's Plug-in Gait calls origins of its segments so).
 _CENTRES = {
@@ -132,8 +154,16 @@ class JointName:
 
 
 def words_of(name: str) -> list[str]:
-    """Words of a name in small letters: parted by signs and by capitals (`K4ABT_JOINT_WristLeft`)."""
-    return [word.lower() for word in _WORD.findall(name.rsplit(":", 1)[-1])]
+    """Words of a name in small letters without accents: parted by signs and capitals (`JOINT_WristLeft`)."""
+    return [word.lower() for word in _WORD.findall(without_accents(name.rsplit(":", 1)[-1]))]
+
+
+def without_accents(text: str) -> str:
+    """A text in plain letters (`épaule` as `epaule`, `Fuß` as `Fuss`)."""
+    if text.isascii():
+        return text
+    parts = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
+    return "".join(each for each in parts if not unicodedata.combining(each))
 
 
 @lru_cache(maxsize=4096)  # tables are recognised by the same names many times
@@ -151,8 +181,8 @@ def joint_name(name: str) -> JointName | None:
     JointName or None
         None where it is nothing of an arm, and nothing that shows how the body stands.
     """
-    words = [word for word in words_of(name) if word not in _NOISE]
-    return _meaning(tuple(words))
+    words = [_TRANSLATED.get(word, word) for word in words_of(name)]
+    return _meaning(tuple(word for word in words if word not in _NOISE))
 
 
 def _meaning(words: tuple[str, ...]) -> JointName | None:
@@ -223,6 +253,17 @@ _TIME = (
         "device",
         "device timestamp",
         "relative time",
+    ),
+    *(
+        "zeit",
+        "zeitstempel",
+        "zeitpunkt",
+        "temps",
+        "horodatage",
+        "tiempo",
+        "marca de tiempo",
+        "fecha",
+        "datum",
     ),
     *("elapsed", "elapsed time", "datetime", "date time", "clock", "ticks", "system timestamp", "frame time"),
 )
