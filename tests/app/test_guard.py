@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import HOST, PORT, TOKEN, Page
+from local_page import HOST, PORT, TOKEN, Page
 from starlette.testclient import TestClient
 
 from smoother.app.folder import AppError, AppFolder, file_name

@@ -198,7 +198,7 @@ def test_a_table_that_nobody_knows_is_described_in_place(
     """Its columns are chosen from lists; what is wrong is said; then it is read, and kept as a template."""
     opened(browser, program)
     choose(browser, own_table(tmp_path / "eigen.csv", session_files["imu"]))
-    browser.wait("!!document.querySelector('form.template')")
+    browser.wait("!!document.querySelector('form.template .keep:not(:disabled)')")
     assert "[object" not in browser.run("document.body.textContent")
     columns = {"t": "Zeit", "time_unit": "ms", "accelerometer_unit": "g", "gyroscope_unit": "deg/s"}
     columns |= {

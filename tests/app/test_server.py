@@ -12,8 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import HOST, PORT, TOKEN, Page
-from local_page import own_table, write_session
+from local_page import HOST, PORT, TOKEN, Page, own_table, write_session
 from starlette.testclient import TestClient
 
 from smoother.app import server
