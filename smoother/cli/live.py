@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from .live_dashboard import Dashboard, Lines, Table
+from .live_dashboard import Aside, Dashboard, Lines, Table
 from .options import Calibration, ConfigFile, Force, Json, Side, one_side
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
 
 if TYPE_CHECKING:
     from ..config import Config
     from ..streams.arrivals import Source, SourceInfo
-    from ..streams.session import LiveSession, Receiver, SessionCalibration, SessionRecording
+    from ..streams.session import LiveSession, Receiver, SessionCalibration
+    from ..streams.session_recording import Recorder
 
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -114,15 +115,22 @@ def lsl_source(
 
     source = LslSource(imu, skeleton, side, prefer_side)
     stack.callback(source.close)
-    say(f"waiting for the streams, at most {wait_s:g} s")
+    say(f"looking for the streams, at most {wait_s:g} s")
     return source if source.open(wait_s, stop_request, say) else None
 
 
 def receivers_of(
-    info: SourceInfo, foxglove: int | None, lsl_out: str | None, stack: ExitStack
+    info: SourceInfo, page: int | None, foxglove: int | None, lsl_out: str | None, stack: ExitStack
 ) -> list[Receiver]:
     """Who is sent the answers, and where they are found."""
     receivers: list[Receiver] = []
+    if page is not None:
+        from ..streams.page_server import LivePage
+
+        live_page = LivePage(info, page)
+        stack.callback(live_page.close)
+        say(f"page: {live_page.address}")
+        receivers.append(live_page)
     if foxglove is not None:
         from ..streams.foxglove import FoxgloveServer
 
@@ -146,7 +154,7 @@ def engine_session(
     calibration: SessionCalibration,
     config: Config,
     lag_s: float,
-    recording: SessionRecording | None,
+    recording: Recorder | None,
     receivers: Sequence[Receiver],
 ) -> Iterator[LiveSession]:
     """A session; whatever ends it, its recording is whole."""
@@ -179,7 +187,10 @@ def run_session(session: LiveSession, stop_request: StopRequest) -> dict[str, An
     else:
         dashboard = Lines()
     with dashboard:
-        return session.run(stop_request, dashboard.show).figures()
+        if not session.source.speed:
+            return session.run(stop_request, dashboard.show).figures()
+        with Aside(dashboard) as aside:
+            return session.run(stop_request, aside.show).figures()
 
 
 def print_source(source: Source, calibration: SessionCalibration) -> None:
@@ -220,20 +231,21 @@ def smooth_recording(arguments: Sequence[str]) -> None:
     app(list(arguments), prog_name="unocclude", standalone_mode=False)
 
 
-_FOXGLOVE, _PORT = "--foxglove", 8765
+_FOXGLOVE, _PAGE = "--foxglove", "--page"
+_PORTS = {_FOXGLOVE: 8765, _PAGE: 8766}
 
 
 class LiveCommand(TyperCommand):
-    """Lets `--foxglove` stand alone: the port is then the one that Foxglove proposes."""
+    """Lets `--foxglove` and `--page` stand alone: the port is then the usual one."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Give a `--foxglove` that no number follows its port."""
+        """Give one that no number follows its port."""
         complete: list[str] = []
         for place, arg in enumerate(args):
             complete.append(arg)
             follows = args[place + 1] if place + 1 < len(args) else "-"
-            if arg == _FOXGLOVE and follows.startswith("-"):
-                complete.append(str(_PORT))
+            if arg in _PORTS and follows.startswith("-"):
+                complete.append(str(_PORTS[arg]))
         return list(super().parse_args(ctx, complete))
 
 
@@ -289,7 +301,17 @@ def live(
             metavar="[PORT]",
             min=0,
             max=65535,
-            help=f"Show it in Foxglove, on this computer's port {_PORT} or another (0: a free one).",
+            help=f"Show it in Foxglove, on this computer's port {_PORTS[_FOXGLOVE]} (0: a free one).",
+        ),
+    ] = None,
+    page: Annotated[
+        int | None,
+        typer.Option(
+            _PAGE,
+            metavar="[PORT]",
+            min=0,
+            max=65535,
+            help=f"Show it to the patient in a browser, on this computer's port {_PORTS[_PAGE]} or another.",
         ),
     ] = None,
     lsl_out: Annotated[
@@ -315,13 +337,8 @@ def live(
     from ..streams.foxglove import foxglove_module
     from ..streams.lsl import lsl_module
     from ..streams.replay import Replay
-    from ..streams.session import (
-        SessionCalibration,
-        SessionRecording,
-        check_recording,
-        prefer_side,
-        read_calibration_file,
-    )
+    from ..streams.session import SessionCalibration, prefer_side, read_calibration_file
+    from ..streams.session_recording import Recorder, SessionRecording, check_recording
     from .config import read_config
 
     if record is not None:
@@ -342,8 +359,10 @@ def live(
             return
         calibration = SessionCalibration.of(calibrations, source.info)
         print_source(source, calibration)
-        receivers = receivers_of(source.info, foxglove, lsl_out, stack)
-        recording = None if record is None else SessionRecording(record, source.info, force)
+        receivers = receivers_of(source.info, page, foxglove, lsl_out, stack)
+        recording = None
+        if record is not None:
+            recording = Recorder(SessionRecording(record, source.info, force), patient=not source.speed)
         session = stack.enter_context(
             engine_session(source, calibration, config, lag_s, recording, receivers)
         )

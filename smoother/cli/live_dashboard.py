@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 #: How often the table is drawn, and a line printed, s.
 _DRAWN_S, _LINE_S = 0.25, 2.0
+#: How often there may be something new to show, and how long a terminal is waited for in the end, s.
+_LOOKED_S, _PATIENCE_S = 0.05, 2.0
 
 
 class Dashboard(Protocol):
@@ -86,6 +89,42 @@ class Table:
             self._live.update(drawn(self._title, view), refresh=True)
 
 
+class Aside:
+    """Shows a session from a thread of its own: a slow terminal delays no answer.
+
+    Parameters
+    ----------
+    dashboard : Dashboard
+    """
+
+    def __init__(self, dashboard: Dashboard) -> None:
+        self._dashboard = dashboard
+        self._view: SessionView | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="dashboard", daemon=True)
+
+    def __enter__(self) -> Aside:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.set()
+        self._thread.join(_PATIENCE_S)
+
+    def show(self, view: SessionView) -> None:
+        """Show the session as it is now; only the newest is looked at."""
+        self._view = view
+
+    def _work(self) -> None:
+        while not self._closing.wait(_LOOKED_S):
+            if self._view is not None:
+                self._dashboard.show(self._view)
+        if self._view is not None:
+            self._dashboard.show(self._view)
+
+
 def drawn(title: str, view: SessionView) -> Any:
     """The table: a row a stream, then the answer, then what happened."""
     from rich.console import Group
@@ -114,7 +153,7 @@ def words(view: SessionView) -> list[str]:
     streams = [_stream_words(view, stream) for stream in (view.imu, view.skeleton)]
     output = view.output
     if output is None:
-        return ["waiting for samples", *streams, f"load {100 * view.load:.0f} %"]
+        return ["nothing has come yet", *streams, f"load {100 * view.load:.0f} %"]
     rest = []
     if output.now is not None:
         rest.append(f"sigma {100 * output.now.sigma_m:.1f} cm, {output.now.sigma_deg:.1f} degrees")

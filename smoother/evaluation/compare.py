@@ -17,7 +17,8 @@ from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import RecordingError, UnoccludeError
 from ..linalg import interpolate
-from ..live.buffers import ImuBatch, LiveEstimate, SkeletonFrame
+from ..live.answers import LiveEstimate
+from ..live.buffers import ImuBatch, SkeletonFrame
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, Recording, Truth
 from ..result import Recovery

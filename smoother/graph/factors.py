@@ -125,6 +125,8 @@ def noise_levels(
         impacts / noise.accelerometer_density,
     )
     gyro = np.hypot(1.0, noise.gyroscope_share / noise.gyroscope_density * turning)
+    if increments.turn_error is not None:
+        gyro = np.hypot(gyro, increments.turn_error / np.sqrt(dt) / noise.gyroscope_density)
     level = np.round(np.log(np.stack([acc, gyro], axis=1)) / np.log(DENSITY_STEP)).astype(int)
     return [(int(a), int(g)) for a, g in level]
 

@@ -58,6 +58,8 @@ class LagNode:
         Number of its bias variable.
     imu : gtsam.NonlinearFactor or None
         The IMU's from the node before it.
+    camera : list of gtsam.NonlinearFactor
+        What the camera saw at it.
     others : list of gtsam.NonlinearFactor
         All others at it.
     """
@@ -66,12 +68,13 @@ class LagNode:
     t: float
     epoch: int
     imu: gtsam.NonlinearFactor | None = None
+    camera: list[gtsam.NonlinearFactor] = field(default_factory=list)
     others: list[gtsam.NonlinearFactor] = field(default_factory=list)
 
     @property
     def factors(self) -> list[gtsam.NonlinearFactor]:
         """The IMU's first."""
-        return ([] if self.imu is None else [self.imu]) + self.others
+        return ([] if self.imu is None else [self.imu]) + self.camera + self.others
 
 
 class LagFactors:
@@ -386,14 +389,20 @@ class LagWindow:
         """Add a joint's position (3,) m in {K} at a node; the shoulder counts at the knot before it."""
         node = self._nodes[index]
         if joint != "shoulder":
-            node.others.append(self._factors.joint(node.number, joint, position))
+            node.camera.append(self._factors.joint(node.number, joint, position))
             return
         if self._knot is None or self._knot_s > node.t + KNOT_S:
             if index not in (-1, len(self._nodes) - 1):
                 return
             self._add_knot(node, position)
         assert self._knot is not None
-        node.others.append(self._factors.shoulder(self._knot, position))
+        node.camera.append(self._factors.shoulder(self._knot, position))
+
+    def retract(self, after_s: float) -> None:
+        """Take back what the camera saw at nodes after a time."""
+        for node in self._nodes:
+            if node.t > after_s:
+                node.camera.clear()
 
     def solve(self, settled_s: float) -> LagSolution:
         """Optimise (Gauss-Newton), read the newest node and one a lag ago, let old nodes leave.
@@ -455,7 +464,8 @@ class LagWindow:
         first.imu = None
         for node in self._nodes:
             ties, node.others = split(node.others, set(keys))
-            factors += ties
+            seen, node.camera = split(node.camera, set(keys))
+            factors += ties + seen
         self._lasting = marginalise(factors, self._values, keys)
         self._first_epoch = first.epoch
 

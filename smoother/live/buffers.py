@@ -1,21 +1,17 @@
-"""Samples and frames as they arrive, the last minutes of them in order, and the camera's clock.
-
-What the live smoother answers: its state, the arm at a moment, and the output of a step.
-"""
+"""Samples and frames as they arrive, and the last minutes of them in order."""
 
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from collections import deque
-from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import FloatArray
+from ..array_types import BoolArray, FloatArray
+from ..linalg import runs
 from ..recording import JOINTS, ImuStream, JointTracks
+from .imu_check import AGAIN_S, CONTEXT_S, TURN_DENSITY, VELOCITY_DENSITY, ImuCheck
 
 
 @dataclass(frozen=True)
@@ -86,9 +82,11 @@ class ImuBuffer:
 
     def __init__(self, capacity_s: float) -> None:
         self._capacity_s = capacity_s
-        self._rows = np.zeros((1024, 7))
+        self._rows = np.zeros((1024, 9))  # t, acc, gyro as they came; doubt of the two
         self._count = self.version = 0
         self.late = self.duplicate = self.invalid = 0
+        self._check, self._reasons = ImuCheck(), dict[str, float]()
+        self._doubted_s = -np.inf, -np.inf
 
     def __len__(self) -> int:
         return self._count
@@ -115,7 +113,7 @@ class ImuBuffer:
         changed_s : float or None
             The earliest sample that came after later ones; None where all are new.
         """
-        rows = np.column_stack([batch.t_s, batch.acc, batch.gyro]).astype(float)
+        rows = np.column_stack([batch.t_s, batch.acc, batch.gyro, np.zeros((len(batch), 2))]).astype(float)
         finite = np.isfinite(rows).all(axis=1)
         self.invalid += int((~finite).sum())
         rows = rows[finite]
@@ -154,10 +152,89 @@ class ImuBuffer:
         pauses = np.flatnonzero(np.diff(t) > longest_s)
         return float(t[pauses[-1] + 1]) if len(pauses) else float(t[0])
 
+    def check(self) -> float | None:
+        """Look for samples that cannot be right.
+
+        Returns
+        -------
+        changed_s : float or None
+            The earliest sample of which it is now judged otherwise; None where there is none.
+        """
+        end_s = self.end_s
+        first, again = np.searchsorted(self.t, [end_s - AGAIN_S - CONTEXT_S, end_s - AGAIN_S]).tolist()
+        rows = self._rows[first : self._count]
+        doubt = self._check.doubt(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
+        found = np.column_stack([doubt.velocity, doubt.turn])
+        found = np.maximum(found, self._contradicted(rows[:, 0]))
+        for why, where in doubt.reason.items():
+            if where[-3:].any() and where.sum() >= 5:
+                self._reasons[why] = end_s
+        self._reasons = {why: at for why, at in self._reasons.items() if end_s - at < AGAIN_S}
+        sound = ~found.any(axis=1) & (np.arange(first, self._count) >= again)
+        self._check.learn(rows[sound, 1:4], rows[sound, 4:7])
+        before = rows[:, 7:].copy()
+        late = np.arange(first, self._count) >= again
+        rows[late, 7:] = found[late]
+        changed = late & ((found > 0) != (before > 0)).any(axis=1)
+        if not changed.any():
+            return None
+        self.version += 1
+        return float(rows[int(np.argmax(changed)), 0])
+
+    def contradicted(self, since_s: float, until_s: float) -> float | None:
+        """Doubt all samples from one time to another, because the camera contradicts them.
+
+        Returns
+        -------
+        changed_s : float or None
+            As `check`.
+        """
+        since_s = min(since_s, self._doubted_s[0]) if since_s <= self._doubted_s[1] else since_s
+        self._doubted_s = since_s, until_s
+        first = int(np.searchsorted(self.t, since_s))
+        rows = self._rows[first : self._count]
+        if not len(rows):
+            return None
+        rows[:, 7:] = np.maximum(rows[:, 7:], self._contradicted(rows[:, 0]))
+        self.version += 1
+        return float(rows[0, 0])
+
+    def _contradicted(self, t: FloatArray) -> FloatArray:
+        """What the camera's contradiction makes of samples at some times (n,): (n, 2) variances."""
+        inside = (t >= self._doubted_s[0]) & (t <= self._doubted_s[1])
+        each_s = float(np.median(np.diff(t))) if len(t) > 1 else 0.01
+        return np.outer(inside, np.square([VELOCITY_DENSITY, TURN_DENSITY]) * each_s)
+
+    @property
+    def is_doubted(self) -> bool:
+        """The newest samples are doubtful, for more than a moment."""
+        newest = self._rows[max(self._count - 5, 0) : self._count, 7:]
+        return bool(len(newest)) and bool((newest > 0).any(axis=1).all())
+
+    @property
+    def doubtful_because(self) -> tuple[str, ...]:
+        """What is wrong with the samples of the last moments, in words."""
+        return tuple(self._reasons)
+
+    def doubt(self, start_s: float) -> FloatArray:
+        """What replaced samples may cost velocity and turn, (n, 2) variances, from a time on."""
+        return self._rows[int(np.searchsorted(self.t, start_s)) : self._count, 7:].copy()
+
     def stream(self, start_s: float, end_s: float = np.inf) -> ImuStream:
-        """A copy of the samples from one time to another."""
+        """The samples from one time to another; doubtful ones are replaced."""
         rows = self._rows[slice(*np.searchsorted(self.t, [start_s, end_s]).tolist())].copy()
-        return ImuStream("live", rows[:, 0], rows[:, 1:4], rows[:, 4:])
+        if rows[:, 7:].any():
+            for column, values, fades in ((7, slice(1, 4), False), (8, slice(4, 7), True)):
+                _replace(rows[:, 0], rows[:, values], rows[:, column] > 0, fades)
+        return ImuStream("live", rows[:, 0], rows[:, 1:4], rows[:, 4:7])
+
+    def sound_stream(self) -> ImuStream:
+        """All samples without stretches that are doubtful: there is a pause."""
+        stream = self.stream(-np.inf)
+        wrong = np.asarray((self._rows[: self._count, 7:] > 0).any(axis=1))
+        for run in runs(wrong):
+            wrong[run] = run.stop - run.start >= 4  # a single one was replaced well
+        return stream.select(~wrong) if wrong.any() else stream
 
     def _reserve(self, more: int) -> None:
         """Make place for more samples: the oldest go, or the array grows."""
@@ -166,9 +243,21 @@ class ImuBuffer:
         keep = int(np.searchsorted(self.t, self.end_s - self._capacity_s))
         held = self._rows[keep : self._count]
         size = max(int((1.0 + SLACK) * (len(held) + more)), 1024)
-        rows = np.zeros((size, 7))
+        rows = np.zeros((size, 9))
         rows[: len(held)] = held
         self._rows, self._count = rows, len(held)
+
+
+def _replace(t: FloatArray, values: FloatArray, wrong: BoolArray, fades: bool) -> None:
+    """Doubtful samples (n, 3) by their sound neighbours, in place; a long stretch of rates by none."""
+    if not wrong.any() or wrong.all():
+        return
+    for axis in range(3):
+        values[wrong, axis] = np.interp(t[wrong], t[~wrong], values[~wrong, axis])
+    for run in runs(wrong):
+        if run.stop - run.start >= 4:
+            near = ~wrong & (np.abs(t - t[run.start]) < 0.3)
+            values[run] = 0.0 if fades else values[near if near.any() else ~wrong].mean(axis=0)
 
 
 class FrameBuffer:
@@ -188,6 +277,7 @@ class FrameBuffer:
     def __init__(self, capacity_s: float) -> None:
         self._capacity_s = capacity_s
         self._frames: list[SkeletonFrame] = []
+        self._left_out: list[SkeletonFrame] = []
         self.late = self.duplicate = 0
 
     def __len__(self) -> int:
@@ -212,6 +302,26 @@ class FrameBuffer:
             del self._frames[: bisect_left(self._frames, frame.t_s - self._capacity_s, key=_stamp)]
         return True
 
+    def leave_out(self, since_s: float, until_s: float) -> None:
+        """Take the joints of frames out, as long as they are not restored."""
+        for index in range(*(bisect_left(self._frames, t, key=_stamp) for t in (since_s, until_s))):
+            frame = self._frames[index]
+            if frame.state.any():
+                self._left_out.append(frame)
+                self._frames[index] = replace(frame, state=np.zeros_like(frame.state))
+
+    def restore(self) -> None:
+        """Put those back that were left out: it was not the camera that was wrong."""
+        for frame in self._left_out:
+            index = bisect_left(self._frames, frame.t_s, key=_stamp)
+            if index < len(self._frames) and self._frames[index].t_s == frame.t_s:
+                self._frames[index] = frame
+        self._left_out = []
+
+    def confirm(self) -> None:
+        """Those that were left out stay out."""
+        self._left_out = []
+
     def since(self, t_s: float) -> list[SkeletonFrame]:
         """Frames from a stamp on, s on the camera's clock."""
         return self._frames[bisect_left(self._frames, t_s, key=_stamp) :]
@@ -229,208 +339,3 @@ class FrameBuffer:
 
 def _stamp(frame: SkeletonFrame) -> float:
     return frame.t_s
-
-
-#: A camera's latency before anything is known of it, s.
-USUAL_LATENCY_S = 0.1
-#: Frames behind the median of what is usual, and frames in a row that make a jump.
-USUAL_FRAMES, JUMP_FRAMES = 60, 10
-#: A jump is larger than this, s, and the frames after it agree to this share of it.
-JUMP_S, AGREE = 0.08, 0.25
-
-
-class CameraClock:
-    """Makes one continuous clock of the camera's stamps.
-
-    The time from a frame's stamp to its arrival is latency plus the clocks' difference. Where it changes at
-    once and stays, the clock was set (or the latency has changed; the next calibration tells).
-
-    Attributes
-    ----------
-    correction_s : float, s
-        What is added to the camera's stamps since the jumps so far.
-    """
-
-    def __init__(self) -> None:
-        self.correction_s = 0.0
-        self._usual: deque[float] = deque(maxlen=USUAL_FRAMES)
-        self._doubtful: list[SkeletonFrame] = []
-
-    def __len__(self) -> int:
-        return len(self._usual)
-
-    @property
-    def delay_s(self) -> float:
-        """Median time from a corrected stamp to the arrival, s: latency plus offset; nan without a frame."""
-        return float(np.median(self._usual)) if self._usual else float("nan")
-
-    def take(self, frame: SkeletonFrame) -> tuple[list[SkeletonFrame], float]:
-        """Frames that can be used now, with continuous stamps, and by how much the clock has jumped.
-
-        A frame that does not fit the others waits until some more show whether it was late or the clock set.
-        """
-        delay_s = frame.arrival_s - frame.t_s - self.correction_s
-        usual_s = self.delay_s
-        if len(self._usual) < JUMP_FRAMES or abs(delay_s - usual_s) < JUMP_S:
-            self._usual.append(delay_s)
-            ready, self._doubtful = [*self._doubtful, frame], []
-            return [self._corrected(each) for each in ready], 0.0
-        self._doubtful.append(frame)
-        if len(self._doubtful) < JUMP_FRAMES:
-            return [], 0.0
-        delays = [each.arrival_s - each.t_s - self.correction_s for each in self._doubtful]
-        jump_s = float(np.median(delays)) - usual_s
-        ready, self._doubtful = self._doubtful, []
-        if np.ptp(delays) > AGREE * abs(jump_s):  # late by different times: no clock does that
-            return [self._corrected(each) for each in ready], 0.0
-        self.correction_s += jump_s
-        return [self._corrected(each) for each in ready], jump_s
-
-    def _corrected(self, frame: SkeletonFrame) -> SkeletonFrame:
-        return SkeletonFrame(frame.t_s + self.correction_s, frame.arrival_s, frame.position, frame.state)
-
-
-class LiveState(StrEnum):
-    """Whether there is an answer, and what it rests on."""
-
-    CALIBRATING = "calibrating"  # no answer yet, never a guess; until the first calibration has caught up
-    VISIBLE = "visible"
-    GAP = "gap"  # the camera does not see the forearm: the IMU and the upper arm's length go on
-    LOST = "lost"  # the IMU stopped, or there is too much to catch up with: no answer until then
-
-
-@dataclass(frozen=True)
-class LiveEstimate:
-    """The arm at one moment.
-
-    Attributes
-    ----------
-    t_s : float, s
-        The moment, on the IMU's clock.
-    kind : {"now", "settled"}
-        Predicted to the present, or a lag ago.
-    state : LiveState
-        `VISIBLE` or `GAP`, at that moment.
-    since_s : float or None, s
-        When the gap began, on the IMU's clock; None where the forearm is visible.
-    position : ndarray, shape (3,), m
-        The IMU's in {K}.
-    quaternion : ndarray, shape (4,)
-        qw, qx, qy, qz of `R_K_A`.
-    velocity : ndarray, shape (3,), m/s
-        The IMU's in {K}.
-    pose_covariance : ndarray, shape (6, 6), m^2, m rad, rad^2
-        Of (position, rotation vector) in {K}.
-    joints : dict of str to ndarray, shape (3,), m
-        By joint in {K}: those with a lever arm, and the shoulder where the camera sees one.
-    joint_covariance : dict of str to ndarray, shape (3, 3), m^2
-        Of each joint, in {K}.
-    offset : ndarray, shape (3,), m
-        What of a jump is still to be spread: contained in the positions, and in their covariance.
-    """
-
-    t_s: float
-    kind: Literal["now", "settled"]
-    state: LiveState
-    since_s: float | None
-    position: FloatArray
-    quaternion: FloatArray
-    velocity: FloatArray
-    pose_covariance: FloatArray
-    joints: dict[str, FloatArray]
-    joint_covariance: dict[str, FloatArray]
-    offset: FloatArray
-
-    @property
-    def sigma_m(self) -> float:
-        """Square root of the trace of the position's covariance, m."""
-        return float(np.sqrt(np.trace(self.pose_covariance[:3, :3])))
-
-    @property
-    def sigma_deg(self) -> float:
-        """Square root of the trace of the rotation's covariance, degrees."""
-        return float(np.degrees(np.sqrt(np.trace(self.pose_covariance[3:, 3:]))))
-
-
-@dataclass(frozen=True)
-class Dropped:
-    """What never took part, counted since the beginning.
-
-    Attributes
-    ----------
-    late_samples, late_frames : int
-        Older than the smoother sorts in.
-    duplicate_samples, duplicate_frames : int
-        A stamp that had been there before.
-    invalid_samples : int
-        Not finite.
-    backlog_frames : int
-        Skipped to catch up with the present.
-    """
-
-    late_samples: int = 0
-    late_frames: int = 0
-    duplicate_samples: int = 0
-    duplicate_frames: int = 0
-    invalid_samples: int = 0
-    backlog_frames: int = 0
-
-    @property
-    def total(self) -> int:
-        """All of them."""
-        return (
-            self.late_samples
-            + self.late_frames
-            + self.duplicate_samples
-            + self.duplicate_frames
-            + self.invalid_samples
-            + self.backlog_frames
-        )
-
-
-@dataclass(frozen=True)
-class LiveOutput:
-    """What is known after a step.
-
-    Attributes
-    ----------
-    now_s : float, s
-        The present as the step was told it, on the IMU's clock.
-    state : LiveState
-        At the present.
-    now : LiveEstimate or None
-        Predicted to the present; None while calibrating, or with the IMU lost.
-    settled : LiveEstimate or None
-        `lag_s` before the present; None as above, and until there is so much of an answer.
-    clock_offset_s, clock_sigma_s : float, s
-        t_imu = t_camera + offset, and its standard deviation; nan before it is known.
-    camera_latency_s : float, s
-        From a frame's moment to its arrival, median of the last frames; nan before it is known.
-    imu_rate_hz, frame_rate_hz : float, Hz
-        Of the last seconds; nan without samples.
-    dropped : Dropped
-        Since the beginning.
-    load : float
-        Processor time of the steps as a share of one core, over the last seconds.
-    step_ms : float, ms
-        Processor time of this step.
-    notes : tuple of str
-        What happened in this step and should be said, one sentence each ("the camera's clock jumped ..").
-    calibration : str
-        How the self-calibration stands, in words.
-    """
-
-    now_s: float
-    state: LiveState
-    now: LiveEstimate | None = None
-    settled: LiveEstimate | None = None
-    clock_offset_s: float = float("nan")
-    clock_sigma_s: float = float("nan")
-    camera_latency_s: float = float("nan")
-    imu_rate_hz: float = float("nan")
-    frame_rate_hz: float = float("nan")
-    dropped: Dropped = field(default_factory=Dropped)
-    load: float = float("nan")
-    step_ms: float = float("nan")
-    notes: tuple[str, ...] = ()
-    calibration: str = ""

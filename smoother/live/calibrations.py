@@ -28,7 +28,8 @@ from ..selfcal.pairing import coarse_clock
 from ..selfcal.rounds import self_calibrate
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.priors import with_measured_noise
-from .buffers import USUAL_LATENCY_S, CameraClock, FrameBuffer, ImuBuffer
+from .buffers import FrameBuffer, ImuBuffer
+from .camera_clock import USUAL_LATENCY_S, CameraClock
 
 #: Joints that fit no better than this to any mounting and clock are not calibrated, m an axis.
 LARGEST_SIGMA_M = 0.10
@@ -237,8 +238,12 @@ def _prepare() -> None:
 #: as often as the last says, s.
 FIRST_S, RETRY_S = 8.0, 2.0
 AGAIN_S = (15.0, 30.0, 60.0, 120.0)
-#: What a jump of the camera's clock leaves open, s.
+#: Squared errors are up to 2.5 times what the first of them says.
+FIRST_FACTOR = 1.25
+#: What a jump of the camera's clock leaves open where the motion shows it, s.
 JUMP_SIGMA_S = 0.02
+#: .. and a contradiction that lasts, s.
+DOUBTED_SIGMA_S = 0.05
 
 
 class Calibrations:
@@ -284,7 +289,7 @@ class Calibrations:
         self.last: LiveCalibration | None = None
         self.offset_s = self.clock_sigma_s = float("nan")
         self.needed = 1
-        self.reason = "waiting for the first seconds of both streams"
+        self.reason = "the first 8 s of both streams are collected"
 
     def fetch(self) -> bool:
         """Fetch an answer; True where there is a new calibration."""
@@ -312,7 +317,7 @@ class Calibrations:
         arm = frames.tracks(-np.inf)
         self.needed = joints_needed(arm)
         recording = Recording(
-            imu=imu.stream(-np.inf),
+            imu=imu.sound_stream(),
             arm=arm,
             side=self._side,
             camera_frame=self._camera_frame,
@@ -322,10 +327,19 @@ class Calibrations:
         offset_s = arrival_offset_s if np.isnan(self.offset_s) else self.offset_s
         self._calibrator.submit(CalibrationJob(recording, self._given, self._config, offset_s))
 
-    def clock_jumped(self) -> None:
-        """The camera's clock jumped: it is less certain, and the next calibration is due."""
-        self.clock_sigma_s = float(np.hypot(self.clock_sigma_s, JUMP_SIGMA_S))
+    def clock_jumped(self, sigma_s: float) -> None:
+        """The camera's clock jumped: it is less certain by so much, and the next calibration is due."""
+        self.clock_sigma_s = float(np.hypot(self.clock_sigma_s, sigma_s))
         self._asked_s = None if self.last is None else -np.inf
+
+    def clock_doubted(self) -> None:
+        """The clocks may be apart by more than is known, as long as no new calibration says otherwise."""
+        self.clock_sigma_s = max(self.clock_sigma_s, DOUBTED_SIGMA_S)
+
+    @property
+    def sigma_factor(self) -> float:
+        """What sigma is multiplied by: the first calibration, of some seconds, knows less than it says."""
+        return FIRST_FACTOR if self._count == 1 else 1.0
 
     def close(self) -> None:
         """End the background's work."""

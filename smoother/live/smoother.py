@@ -1,12 +1,10 @@
-"""The live smoother: samples in, the arm now and a lag ago out.
-
-Who follows the arm: the tracker at work, and its successor with a newer calibration.
-"""
+"""The live smoother: samples in, the arm now and a lag ago out."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
@@ -16,151 +14,14 @@ from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
 from ..recording import CameraFrame
-from .buffers import (
-    USUAL_LATENCY_S,
-    CameraClock,
-    Dropped,
-    FrameBuffer,
-    ImuBatch,
-    ImuBuffer,
-    LiveEstimate,
-    LiveOutput,
-    LiveState,
-    SkeletonFrame,
-)
-from .calibrations import BackgroundCalibrator, Calibrations, Calibrator, LiveCalibration
+from .answers import Dropped, LiveEstimate, LiveOutput, LiveState
+from .buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
+from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, Calibrator, LiveCalibration
+from .camera_clock import USUAL_LATENCY_S, CameraClock
 from .display import Display, predicted
-from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
-
-#: A first tracker begins so long before the present, s, and catches up by so many frames a step: ten take
-#: 13 to 17 ms of processor time, so that a step stays within 20 ms.
-CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 10
-#: A successor catches up beside the one at work by so many frames a step.
-SUCCESSOR_FRAMES = 4
-#: After a pause of the IMU it takes so much to begin anew, s.
-FRESH_S = 1.0
-
-
-class TrackerHandover:
-    """Holds the tracker at work; a successor catches up beside it and takes its place.
-
-    Parameters
-    ----------
-    calibrations : Calibrations
-        The last of them is a new tracker's.
-    config : Config
-    imu : ImuBuffer
-    frames : FrameBuffer
-        Both of the live smoother, read only.
-    lag_s : float, s
-        How long before the present `settled` is.
-
-    Attributes
-    ----------
-    tracker : Tracker or None
-        The one at work.
-    has_followed : bool
-        There was one at work at some time.
-    """
-
-    def __init__(
-        self, calibrations: Calibrations, config: Config, imu: ImuBuffer, frames: FrameBuffer, lag_s: float
-    ) -> None:
-        self._calibrations, self._config, self._imu, self._frames = calibrations, config, imu, frames
-        self._lag_s = lag_s
-        self.tracker: Tracker | None = None
-        self.has_followed = False
-        self._successor: Tracker | None = None
-        self._is_waiting = False
-
-    def calibrated(self) -> None:
-        """There is a new calibration: a successor begins with it, at once or where the arm is visible."""
-        if self.tracker is None:
-            self._successor = self._fresh()
-        else:
-            self._is_waiting, self._successor = True, None
-
-    def begin_anew(self) -> None:
-        """What is at work is lost: begin anew with the calibration that is there."""
-        self.tracker, self._is_waiting = None, False
-        self._successor = self._fresh()
-
-    def advance(self, now_s: float) -> Tracker | None:
-        """Let the successor catch up, and take the place of the one at work; that one, where it did."""
-        self._begin_where_visible()
-        successor = self._successor
-        if successor is None:
-            return None
-        if not successor.started:
-            self._start(successor, now_s)  # work enough for a step
-            return None
-        if successor.pause_s() > LONGEST_PAUSE_S or not self._catch_up(successor, now_s):
-            self._successor = None if self.tracker is not None else self._fresh()
-            return None
-        if successor.solution is None or self.ready(successor):
-            return None
-        before, self.tracker, self._successor = self.tracker, successor, None
-        self.has_followed = True
-        return before
-
-    def ready(self, tracker: Tracker) -> list[SkeletonFrame]:
-        """Frames that a tracker has not seen and the IMU reaches."""
-        frames = self._frames.since(np.nextafter(tracker.cursor_s, np.inf))
-        reach_s = self._imu.end_s - tracker.offset_s
-        return [frame for frame in frames if frame.t_s <= reach_s]
-
-    def _begin_where_visible(self) -> None:
-        """In a gap there is nothing that a successor could begin with."""
-        active = self.tracker
-        if self._is_waiting and active is not None and active.history.sees_all(active.window.t):
-            self._is_waiting, self._successor = False, self._fresh()
-            if self._successor is not None:
-                self._successor.start(active.window.state(0))
-
-    def _start(self, successor: Tracker, now_s: float) -> None:
-        """Begin some seconds ago, where the streams suffice."""
-        since_s = self._imu.since_pause_s(LONGEST_PAUSE_S, CATCH_UP_S + AROUND_S)
-        if self._imu.end_s - since_s < FRESH_S:
-            return
-        offset_s = self._calibrations.offset_s
-        state = first_state(
-            self._imu.stream(since_s),
-            self._frames.tracks(since_s - offset_s),
-            successor.model,
-            offset_s,
-            self._calibrations.needed,
-            max(now_s - CATCH_UP_S, since_s + 0.5 * FRESH_S),
-        )
-        if state is not None:
-            successor.start(state)
-
-    def _catch_up(self, successor: Tracker, now_s: float) -> bool:
-        """Feed some frames; False where these did not determine the motion."""
-        limit = CATCH_UP_FRAMES if self.tracker is None else SUCCESSOR_FRAMES
-        ready = self.ready(successor)[:limit]
-        try:
-            if ready:
-                successor.feed(ready)
-                successor.solve(now_s - self._lag_s)
-        except (np.linalg.LinAlgError, RuntimeError):
-            return False
-        return True
-
-    def _fresh(self) -> Tracker | None:
-        """A tracker with the last calibration, not yet begun; what the active one has learnt counts."""
-        calibration = self._calibrations.last
-        if calibration is None or calibration.model is None:
-            return None
-        return Tracker(
-            calibration.model,
-            self._calibrations.offset_s,
-            self._calibrations.needed,
-            self._config,
-            self._imu,
-            max(LENGTH_S, self._lag_s + 0.3),
-            self.tracker,
-        )
-
+from .monitor import Suspect
+from .tracker import LONGEST_PAUSE_S, Tracker
+from .tracker_handover import TrackerHandover
 
 #: Samples are held for so long: what a self-calibration may read, s.
 BUFFER_S = 120.0
@@ -226,6 +87,7 @@ class LiveSmoother:
         self._changed_s: float | None = None
         self._late: list[SkeletonFrame] = []
         self._backlog = 0
+        self._because: tuple[str, ...] = ()
         self._state = LiveState.CALIBRATING
         self._notes: list[str] = []
         self._work: deque[tuple[float, float]] = deque()
@@ -240,20 +102,44 @@ class LiveSmoother:
 
     def add_imu(self, batch: ImuBatch) -> None:
         """Take samples in, in any order; those older than half a second before the newest are dropped."""
-        changed_s = self._imu.add(batch)
-        if changed_s is not None:
-            self._changed_s = changed_s if self._changed_s is None else min(self._changed_s, changed_s)
+        self._imu_changed(self._imu.add(batch))
+
+    def _imu_changed(self, since_s: float | None) -> None:
+        """Samples from some time on are others now."""
+        if since_s is not None:
+            self._changed_s = since_s if self._changed_s is None else min(self._changed_s, since_s)
 
     def add_frame(self, frame: SkeletonFrame) -> None:
         """Take a frame in, in any order; one older than half a second before the newest is dropped."""
         frames, jump_s = self._camera.take(frame)
+        if jump_s:
+            frames = self._jumped(frames, jump_s)
         for each in frames:
             is_new, tracker = self._frames.add(each), self._handover.tracker
             if is_new and tracker is not None and each.t_s <= tracker.cursor_s:
                 self._late.append(each)
-        if jump_s:
-            self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
-            self._calibrations.clock_jumped()
+
+    def _jumped(self, frames: list[SkeletonFrame], jump_s: float) -> list[SkeletonFrame]:
+        """Frames that come at other times after their stamps: was the clock set, or is the camera later?"""
+        tracker = self._handover.tracker
+        clock, latency = np.nan, np.nan
+        if tracker is not None:
+            clock, latency = tracker.misfit(frames, 0.0), tracker.misfit(frames, -jump_s)
+        if (
+            np.isfinite(clock)
+            and np.isfinite(latency)
+            and max(clock, latency) > 2.0 * min(clock, latency) + 1.0
+        ):
+            sigma_s = JUMP_SIGMA_S
+        else:
+            sigma_s = abs(jump_s)  # a still arm looks the same at both times
+        self._calibrations.clock_jumped(sigma_s)
+        if latency < clock:
+            self._notes.append(f"the camera's frames come {jump_s:+.3f} s later than before")
+            self._camera.later(jump_s)
+            return [replace(each, t_s=each.t_s - jump_s) for each in frames]
+        self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
+        return frames
 
     def step(self, now_s: float) -> LiveOutput:
         """Work in what has arrived, and answer for the present.
@@ -265,12 +151,14 @@ class LiveSmoother:
         """
         began = time.thread_time()
         self._notes, notes = [], self._notes
+        self._check_imu()
         # 1. The calibration, in the background; who follows with it catches up, and takes over.
         self._calibrate(now_s)
         # 2. What has arrived, into the window; the past is mended.
         self._follow(now_s)
         # 3. The answers.
         now, settled = self._answers(now_s)
+        self._notes, notes = [], [*notes, *self._notes]
         step_s = time.thread_time() - began
         self._work.append((now_s, step_s))
         while self._work[0][0] < now_s - RATE_S:
@@ -290,8 +178,9 @@ class LiveSmoother:
             dropped=self._dropped,
             load=sum(s for _, s in self._work) / max(now_s - self._work[0][0], 1e-3),
             step_ms=1e3 * step_s,
-            notes=(*notes, *self._notes),
+            notes=tuple(notes),
             calibration=self._reason,
+            doubt=self._doubt,
         )
 
     @property
@@ -307,6 +196,15 @@ class LiveSmoother:
     def finish(self) -> None:
         """End the background's work."""
         self._calibrations.close()
+
+    def _check_imu(self) -> None:
+        """Look at what came of the IMU; say once what is wrong with it, and when it is sound again."""
+        self._imu_changed(self._imu.check() if len(self._imu) else None)
+        because = self._imu.doubtful_because
+        self._notes += [f"{why}; the camera leads meanwhile" for why in because if why not in self._because]
+        if self._because and not because:
+            self._notes.append("the IMU is sound again")
+        self._because = because
 
     # 1. The calibration
 
@@ -334,6 +232,8 @@ class LiveSmoother:
         solved, changed = tracker.solution, self._mend(tracker)
         ready = self._ready(tracker)
         ended_s = tracker.feed(ready) if ready else None
+        if not self._heed(tracker, now_s):
+            return
         empty_s = self._imu.end_s - self._usual_delay_s - EMPTY_S
         if not ready and empty_s - tracker.t_s > EMPTY_S:
             tracker.go_on(empty_s)
@@ -347,6 +247,29 @@ class LiveSmoother:
             return
         if ended_s is not None and solved is not None:
             self._display.spread(predicted(tracker, solved, now_s), tracker, now_s)
+
+    def _heed(self, tracker: Tracker, now_s: float) -> bool:
+        """Act on what the monitor of the camera found; False where the tracker is lost by it."""
+        for stamp_s in tracker.left_out:
+            self._frames.leave_out(stamp_s, np.nextafter(stamp_s, np.inf))
+        tracker.left_out.clear()
+        findings, tracker.findings = tracker.findings, []
+        for finding in findings:
+            if finding.cause is Suspect.TRACKER:
+                self._frames.restore()
+                self._lose(finding.sentence, now_s)
+                return False
+            self._notes += [finding.sentence] if finding.sentence else []
+            if finding.cause is Suspect.IMU:
+                self._imu_changed(self._imu.contradicted(*finding.doubt_s))
+                if finding.again:
+                    self._calibrations.clock_doubted()
+            elif finding.cause is Suspect.CAMERA:
+                since_s = finding.retract_s - tracker.offset_s
+                self._frames.leave_out(since_s, np.inf)
+            else:
+                self._frames.confirm()
+        return True
 
     def _mend(self, tracker: Tracker) -> bool:
         """Work in what came late; whether anything did."""
@@ -370,18 +293,30 @@ class LiveSmoother:
             self._notes.append(f"behind by {len(ready)} frames: dropped all but the newest {MOST_FRAMES}")
         return ready[-MOST_FRAMES:]
 
-    def _lose(self, why: str) -> None:
-        """Begin anew with the calibration that is there."""
+    def _lose(self, why: str, not_before_s: float = -np.inf) -> None:
+        """Begin anew with the calibration that is there, with nothing from before a time."""
         self._notes.append(why)
         self._late = []
         self._display.forget()
-        self._handover.begin_anew()
+        self._handover.begin_anew(not_before_s)
 
     @property
     def _reason(self) -> str:
         """How the calibration stands, in words."""
         is_catching_up = self._calibrations.last is not None and self._handover.tracker is None
         return self._calibrations.reason + ("; catching up with the present" if is_catching_up else "")
+
+    @property
+    def _doubt(self) -> str:
+        """Why the answer is to be taken with care."""
+        tracker = self._handover.tracker
+        if tracker is None:
+            return ""
+        if tracker.monitor.since_s is not None:
+            return "the camera is left out: it contradicts the IMU"
+        if self._imu.is_doubted:
+            return "; ".join(self._because) or "the IMU contradicts the camera"
+        return "the first calibration, of some seconds" if self._calibrations.sigma_factor != 1.0 else ""
 
     @property
     def _latency_s(self) -> float:
@@ -405,7 +340,11 @@ class LiveSmoother:
         clock_sigma_s = self._calibrations.clock_sigma_s
         now = self._display.now(tracker, tracker.solution, now_s, clock_sigma_s, self._usual_delay_s)
         self._state = now.state
-        return now, self._display.settled(tracker, tracker.solution, now_s, clock_sigma_s)
+        settled = self._display.settled(tracker, tracker.solution, now_s, clock_sigma_s)
+        factor = self._calibrations.sigma_factor
+        if factor != 1.0:
+            return now.widened(factor), None if settled is None else settled.widened(factor)
+        return now, settled
 
     @property
     def _dropped(self) -> Dropped:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -13,191 +12,20 @@ from ..config import Config
 from ..graph.lag_window import LagWindow
 from ..linalg import interpolate
 from ..measurements.clock import constant_clock
-from ..measurements.inertial import (
-    InertialSignal,
-    equivalent_samples,
-    integrate,
-    integrate_between,
-    split_steps,
-)
-from ..measurements.segment import SegmentTraits, make_segment, without_spikes
-from ..measurements.visibility import MISSING_S
+from ..measurements.segment import SegmentTraits, make_segment
 from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks
 from ..selfcal.self_calibration import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import CHANGE_TIME_S, STILL_ACCELERATION
 from ..window.prepare import prepare
 from ..window.priors import first_priors, noise_of
-from ..window.problem import ImuIncrements, Priors
+from ..window.problem import Priors
 from ..window.shared import Gaussian
 from ..window.solution import LagSolution, NodeState
-from .buffers import ImuBuffer, LiveState, SkeletonFrame
-
-#: So many frames are remembered.
-FRAMES = 400
-
-
-class FrameHistory:
-    """The last frames, and whether each showed the forearm.
-
-    Attributes
-    ----------
-    visible_s : float, s
-        Time of the last visible frame, on the IMU's clock.
-    """
-
-    def __init__(self) -> None:
-        self._frames: deque[tuple[float, bool]] = deque(maxlen=FRAMES)
-        self.visible_s = -np.inf
-
-    def add(self, t_s: float, is_visible: bool) -> None:
-        """Add a frame, in any order."""
-        self._frames.append((t_s, is_visible))
-        if is_visible:
-            self.visible_s = max(self.visible_s, t_s)
-
-    def sees_all(self, t: FloatArray) -> bool:
-        """Whether the forearm was visible all the time that nodes at these times (n,) cover."""
-        return len(t) > 5 and all(is_visible for t_s, is_visible in self._frames if t_s >= t[0])
-
-    def state_now(self, now_s: float, usual_delay_s: float) -> tuple[LiveState, float | None]:
-        """Visible or gap at the present, as far as the frames that have arrived say.
-
-        Parameters
-        ----------
-        now_s : float, s
-        usual_delay_s : float, s
-            How late frames are.
-
-        Returns
-        -------
-        state : LiveState
-        since_s : float or None
-            When the gap began.
-        """
-        if now_s - self.visible_s > usual_delay_s + MISSING_S:
-            return LiveState.GAP, self.visible_s
-        newest_s, is_visible = max(self._frames, default=(0.0, True))
-        if not is_visible and newest_s > self.visible_s:
-            return LiveState.GAP, self.visible_s
-        return LiveState.VISIBLE, None
-
-    def state_at(self, t_s: float) -> tuple[LiveState, float | None]:
-        """Visible or gap at a moment a little ago, and when the gap began."""
-        visible = sorted(t for t, is_visible in self._frames if is_visible)
-        before = [t for t in visible if t <= t_s]
-        after = [t for t in visible if t > t_s]
-        first = before[-1] if before else self.visible_s
-        last = after[0] if after else np.inf
-        if last - first > MISSING_S and t_s - first > 1e-6:
-            return LiveState.GAP, first
-        return LiveState.VISIBLE, None
-
-
-#: The signal begins so long before what is integrated, s: the spline's end has no effect there.
-BEFORE_S = 0.1
-#: ... and is read so far back at least, so that one serves a whole step, s.
-CACHED_S = 0.4
-#: An arm's acceleration where samples are missing, m/s^2.
-MISSED_ACCELERATION = 4.0
-
-
-class LiveSignal:
-    """The IMU's samples as a signal with one calibration; made anew when samples have come.
-
-    Parameters
-    ----------
-    imu : ImuBuffer
-        Read only.
-    model : SelfCalibration
-        Its scale errors are taken off.
-    """
-
-    def __init__(self, imu: ImuBuffer, model: SelfCalibration) -> None:
-        self._imu = imu
-        self._scale = tuple(np.eye(3) - matrix for matrix in model.errors.imu)
-        self._cached: tuple[int, float, InertialSignal] | None = None
-
-    def since(self, start_s: float) -> InertialSignal:
-        """The signal from some time on."""
-        cached = self._cached
-        if cached is None or cached[0] != self._imu.version or cached[1] > start_s:
-            first_s = min(start_s, self._imu.end_s - CACHED_S)
-            imu = without_spikes(self._imu.stream(first_s - BEFORE_S))
-            acc, gyro = imu.acc @ self._scale[0].T, imu.gyro @ self._scale[1].T
-            cached = self._imu.version, first_s, InertialSignal(replace(imu, acc=acc, gyro=gyro))
-            self._cached = cached
-        return cached[2]
-
-    def pause_s(self, since_s: float) -> float:
-        """Longest time without samples since some time, s."""
-        t = self._imu.t
-        t = t[np.searchsorted(t, since_s) - 1 :] if len(t) else t
-        return float(np.diff(t).max(initial=0.0))
-
-
-def increments_between(
-    signal: InertialSignal, start_s: float, end_s: float, bias: FloatArray
-) -> ImuIncrements:
-    """One interval for the window; where samples are missing, the velocity is uncertain.
-
-    Parameters
-    ----------
-    signal : InertialSignal
-    start_s, end_s : float, s
-    bias : ndarray, shape (6,), m/s^2 and rad/s
-        Subtracted.
-    """
-    t = np.array([start_s, end_s])
-    step_t, first = split_steps(t)
-    acc, gyro, h = equivalent_samples(integrate(signal, step_t, bias))
-    error = signal.velocity_error(t)
-    length_s = np.diff(signal.edges)
-    inside = (signal.edges[1:] > start_s) & (signal.edges[:-1] < end_s)
-    missing_s = float(np.maximum(length_s[inside] - 2.0 * np.median(length_s), 0.0).sum())
-    if missing_s > 0:
-        error = np.hypot(error, MISSED_ACCELERATION * missing_s)
-    return ImuIncrements(acc, gyro, h, first, bias, error)
-
-
-def propagated(
-    node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
-) -> NodeState:
-    """Where the IMU leads from a node to a time after it.
-
-    Parameters
-    ----------
-    node : NodeState
-    t_s : float, s
-    signal : InertialSignal
-    bias : ndarray, shape (6,), m/s^2 and rad/s
-    gravity : ndarray, shape (3,), m/s^2
-        In {K}.
-    """
-    delta = integrate_between(signal, np.array([node.t]), np.array([t_s]), bias)
-    dt = t_s - node.t
-    p = node.p + node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
-    v = node.v + gravity * dt + node.R @ delta.delta_v[0]
-    return NodeState(t_s, node.R @ delta.delta_R[0], p, v)
-
-
-def displacement(
-    node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Orientation (3, 3) at a time near a node, also before it, and how far the IMU moves until then, (3,) m.
-
-    Parameters as of `propagated`.
-    """
-    first_s, last_s = min(node.t, t_s), max(node.t, t_s)
-    delta = integrate_between(signal, np.array([first_s]), np.array([last_s]), bias)
-    dt = last_s - first_s
-    if t_s > node.t:
-        moved = node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
-        return node.R @ delta.delta_R[0], moved
-    R = node.R @ delta.delta_R[0].T
-    v = node.v - gravity * dt - R @ delta.delta_v[0]
-    return R, -(v * dt + 0.5 * gravity * dt**2 + R @ delta.delta_p[0])
-
+from .buffers import ImuBuffer, SkeletonFrame
+from .frame_history import FrameHistory
+from .monitor import CameraMonitor, Finding, Suspect, residuals_of
+from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, displacement, increments_between, propagated
 
 #: A first state is read from so much around it, s.
 AROUND_S = 3.0
@@ -294,6 +122,12 @@ class Tracker:
         Stamp of the last frame that has a node, on the camera's clock.
     history : FrameHistory
         When the camera saw the forearm.
+    monitor : CameraMonitor
+        Whether the camera contradicts the answer.
+    findings : list of Finding
+        What it found since they were read.
+    left_out : list of float, s
+        Stamps of frames that took no part, since they were read; on the camera's clock.
     signal : LiveSignal
         The corrected IMU.
     solution : LagSolution or None
@@ -316,6 +150,9 @@ class Tracker:
             priors = _with_learnt(priors, before.solution)
         self.window = LagWindow(priors, self.noise, model.joint_sigma_m, GRAVITY, length_s)
         self.signal, self.history = LiveSignal(imu, model), FrameHistory()
+        self.monitor = CameraMonitor(model, self.noise)
+        self.findings: list[Finding] = []
+        self.left_out: list[float] = []
         self._forces: deque[tuple[float, FloatArray]] = deque()
         self.solution: LagSolution | None = None
         self.cursor_s = -np.inf
@@ -352,7 +189,8 @@ class Tracker:
         signal = self.signal.since(self.t_s)
         for frame in frames:
             t_s = frame.t_s + self.offset_s
-            accepted = self.accepted(frame)
+            position = frame.position - self.model.joint_bias.error_m
+            accepted = self._judged(frame.t_s, t_s, position, self.accepted(frame))
             is_visible = self.is_visible(accepted)
             again = is_visible and t_s - self.history.visible_s > AGAIN_S
             if again and ended is None:
@@ -362,10 +200,48 @@ class Tracker:
                 if again:
                     state = self._by_camera(state, frame, accepted)
                 self._add(state, is_visible, signal)
-            self._measure(-1, frame.position - self.model.joint_bias.error_m, accepted)
+            if t_s > self.t_s - 2.0 * SAME_S:
+                self._measure(-1, position, accepted)
             self.cursor_s = max(self.cursor_s, frame.t_s)
             self.history.add(t_s, is_visible)
         return ended
+
+    def _judged(self, stamp_s: float, t_s: float, position: FloatArray, accepted: BoolArray) -> BoolArray:
+        """Which of a frame's accepted joints take part; what the monitor finds is noted, and taken back."""
+        finding = self.monitor.judge(t_s, position, accepted, self.solution, self.signal.since)
+        if finding.cause is not Suspect.NOBODY or finding.sentence:
+            self.findings.append(finding)
+        if np.isfinite(finding.retract_s):
+            self.window.retract(finding.retract_s)
+        if accepted.any() and not finding.accepted.any():
+            self.left_out.append(stamp_s)
+        return finding.accepted
+
+    def misfit(self, frames: Sequence[SkeletonFrame], shift_s: float) -> float:
+        """How badly frames fit to the last solution if their stamps were later by some time.
+
+        Parameters
+        ----------
+        frames : sequence of SkeletonFrame
+        shift_s : float, s
+
+        Returns
+        -------
+        misfit : float
+            Mean squared error in sigmas; nan where too few can be compared.
+        """
+        if self.solution is None:
+            return float("nan")
+        signal, values = self.signal.since(self.solution.newest.t), []
+        for frame in frames:
+            t_s = frame.t_s + self.offset_s + shift_s
+            position, accepted = frame.position - self.model.joint_bias.error_m, self.accepted(frame)
+            if not self.solution.newest.t < t_s <= signal.end_s:
+                continue
+            residuals = residuals_of(self.solution, signal, t_s, position, accepted, self.model, self.noise)
+            if residuals is not None:
+                values.append(float(np.mean(residuals.squared)))
+        return float(np.mean(values)) if len(values) >= 4 else float("nan")
 
     def go_on(self, t_s: float) -> None:
         """Add a node without a frame."""
@@ -400,6 +276,7 @@ class Tracker:
     def solve(self, settled_s: float) -> LagSolution:
         """Solve the window."""
         self.solution = self.window.solve(settled_s)
+        self.monitor.solved(self.solution)
         return self.solution
 
     def pause_s(self) -> float:
@@ -414,7 +291,7 @@ class Tracker:
         """Whether the accepted joints (5,) show the forearm."""
         return int(accepted[[JOINTS.index(joint) for joint in FOREARM_JOINTS]].sum()) >= self._needed
 
-    def _propagated(self, t_s: float, signal: InertialSignal) -> NodeState:
+    def _propagated(self, t_s: float, signal: DoubtfulSignal) -> NodeState:
         """Where the IMU leads from the newest node."""
         return propagated(self.window.state(-1), t_s, signal, self.window.bias, self.window.gravity)
 
@@ -428,7 +305,7 @@ class Tracker:
         ]
         return NodeState(state.t, state.R, np.mean(places, axis=0), state.v) if places else state
 
-    def _add(self, state: NodeState, is_visible: bool, signal: InertialSignal) -> None:
+    def _add(self, state: NodeState, is_visible: bool, signal: DoubtfulSignal) -> None:
         increments = increments_between(signal, self.t_s, state.t, self.window.bias)
         dt = state.t - self.t_s
         force = state.R @ increments.acc.mean(axis=(0, 1))

@@ -175,6 +175,13 @@ class SourceInfo:
     lsl_start_s: float | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def down(self) -> FloatArray | None:
+        """Direction of gravity in {K} as far as it is known beforehand."""
+        if self.gravity_hint is not None:
+            return self.gravity_hint
+        return None if self.camera_frame is None else self.camera_frame.down
+
 
 class Source(Protocol):
     """Where a session's samples and frames come from: streams of the network, or a recording."""
@@ -210,6 +217,10 @@ Rows = TypeVar("Rows", ImuRows, FrameRows)
 LATE_S = 0.6
 #: A sample that comes so much sooner after its stamp than any before it is from another clock, s.
 EARLY_S = 0.25
+#: An IMU's samples come without a pause: a step of its clock shows from this on, s.
+STEP_OF_IMU_S = 0.06
+#: So many samples in a row that lie behind, all by the same time but for this, s, are of a clock set back.
+BACK_IN_A_ROW, SAME_DELAY_S = 3, 0.04
 #: Where the first samples came later than this after their stamps, s, the stamps are of another clock.
 OTHER_CLOCK_S = 5.0
 #: So long must samples be odd, with no usual one between them, to count as a step of the clock, s.
@@ -227,6 +238,14 @@ class StampSteps(Generic[Rows]):
     the clock has stepped, and from them on the step is taken out, so that the least delay is what it was.
     Bursts after a pause of the network are not odd: their stamps go on where they left off.
 
+    Parameters
+    ----------
+    name : str
+        Of the stream.
+    early_s, back_s : float, s
+        What counts as ahead, and as behind; a sample that is behind by less than `LATE_S` and is followed
+        by a usual one was only late, and is used.
+
     Attributes
     ----------
     moved_s : float, s
@@ -237,7 +256,8 @@ class StampSteps(Generic[Rows]):
         Samples whose stamps were wrong by themselves.
     """
 
-    def __init__(self, name: str):
+    def __init__(self, name: str, early_s: float = EARLY_S, back_s: float = LATE_S):
+        self._early_s, self._back_s = early_s, back_s
         self.moved_s = self.stepped_s = 0.0
         self.dropped = 0
         self._name = name
@@ -270,8 +290,13 @@ class StampSteps(Generic[Rows]):
             row = rows.select(slice(at, at + 1))
             moved = row.stamped(row.t_s + self.moved_s)
             if not self._is_odd(moved.t_s, moved.arrival_s).any():
-                self.dropped += sum(map(len, self._odd))
-                self._odd.clear()
+                if self._ran_back(moved):
+                    self._odd.append(row)
+                    stepped, sentence = self._step()
+                    usable.append(stepped)
+                    events.append(sentence)
+                    continue
+                usable += self._only_late()
                 self._learn(moved)
                 usable.append(moved)
                 continue
@@ -300,8 +325,31 @@ class StampSteps(Generic[Rows]):
         newest = np.maximum.accumulate(np.append(self._newest, t_s))[:-1]
         passed_s = arrival_s - np.append(self._arrival, arrival_s)[:-1]
         # a queue that empties after a pause has ever shorter delays, and stamps that go on one by one
-        early = arrival_s - t_s < self._least_delay() - EARLY_S
-        return np.asarray((t_s < newest - LATE_S) | (early & (t_s - newest > passed_s + EARLY_S)))
+        early = arrival_s - t_s < self._least_delay() - self._early_s
+        return np.asarray((t_s < newest - self._back_s) | (early & (t_s - newest > passed_s + self._early_s)))
+
+    def _ran_back(self, row: Rows) -> bool:
+        """Whether those that wait and the row after them go on as one, later than ever by the same time."""
+        if len(self._odd) < BACK_IN_A_ROW or self._back_s >= LATE_S:
+            return False
+        all_rows: list[Rows] = [*self._odd, row]
+        t = np.array([each.t_s[0] for each in all_rows])
+        t[:-1] += self.moved_s  # those that wait are as they came
+        delays = np.array([each.arrival_s[0] for each in all_rows]) - t
+        is_even = bool((np.diff(t) > 0).all()) and float(np.ptp(delays)) < SAME_DELAY_S
+        return is_even and float(delays.min()) > self._least_delay() + 0.5 * self._back_s
+
+    def _only_late(self) -> list[Rows]:
+        """Of those that waited, those that were only late; the others were wrong by themselves."""
+        late = []
+        for row in self._odd:
+            moved = row.stamped(row.t_s + self.moved_s)
+            if self._newest - LATE_S <= moved.t_s[0] <= self._newest:
+                late.append(moved)
+            else:
+                self.dropped += 1
+        self._odd.clear()
+        return late
 
     def _least_delay(self) -> float:
         return min(delay for _, delay in self._least)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import secrets
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -18,12 +19,13 @@ from ..io.result.messages import gap_messages
 from ..io.result.streams import RecoveryStreams
 from ..io.wire.protobuf_encode import HEAD_BYTES
 from ..io.wire.schemas import message_class, schema_data
-from ..live.buffers import LiveEstimate, LiveOutput, LiveState
+from ..live.answers import LiveEstimate, LiveOutput, LiveState
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointTracks
 from ..result import Recovery
 from ..runtime.packages import extra_module
 from .arrivals import FrameRows, SourceInfo
+from .origin_gate import LOOPBACK, OriginGate
 
 #: Topics of the present, of the settled answer (only those with numbers), of the camera's frames, of gaps.
 _NOW = {
@@ -83,9 +85,7 @@ class LiveMessages:
 
     def __init__(self, info: SourceInfo):
         self._info = info
-        self._down = info.gravity_hint
-        if self._down is None and info.camera_frame is not None:
-            self._down = info.camera_frame.down
+        self._down = info.down
 
     def estimate(self, estimate: LiveEstimate, wanted: Collection[str] = TOPICS) -> Iterator[LiveMessage]:
         """The arm at a moment, on those of its topics that are wanted."""
@@ -191,9 +191,8 @@ def _no_frame(name: str, t_s: float) -> JointTracks:
     return JointTracks(name, np.array([t_s]), position, np.zeros((1, len(JOINTS)), np.int8))
 
 
-#: The port that Foxglove proposes, and the address that nobody but this computer reaches.
+#: The port that Foxglove proposes.
 FOXGLOVE_PORT = 8765
-LOOPBACK = "127.0.0.1"
 #: The arm is drawn at most so often, s.
 _DRAWN_EACH_S = 0.03
 
@@ -234,11 +233,11 @@ class FoxgloveServer:
         self._channels: dict[str, Any] = {
             topic: self._channel(topic, schema) for topic, schema in TOPICS.items()
         }
+        self._host, self._server = self._hidden_server()
         try:
-            self._server = self._foxglove.start_server(
-                name="unocclude live", host=LOOPBACK, port=port, context=self._context
-            )
-        except (OSError, RuntimeError) as error:
+            self._gate = OriginGate(port, (self._host, self._server.port))
+        except OSError as error:
+            self._server.stop()
             raise UnoccludeError(
                 f"port {port} of {LOOPBACK} cannot be used for Foxglove ({error}); give another with"
                 " --foxglove"
@@ -247,7 +246,7 @@ class FoxgloveServer:
     @property
     def address(self) -> str:
         """What is entered in Foxglove under Open connection."""
-        return f"ws://{LOOPBACK}:{self._server.port}"
+        return f"ws://{LOOPBACK}:{self._gate.port}"
 
     def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
         """Send what a step answered, the arm at most some 30 times a second."""
@@ -272,7 +271,23 @@ class FoxgloveServer:
 
     def close(self) -> None:
         """Let all connections go."""
+        self._gate.close()
         self._server.stop()
+
+    def _hidden_server(self) -> tuple[str, Any]:
+        """The server behind the gate, on a loopback address that no page guesses, where there are several.
+
+        The library does not check the Origin.
+        """
+        unguessed = f"127.{secrets.randbelow(256)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+        for host in (unguessed, LOOPBACK):
+            try:
+                return host, self._foxglove.start_server(
+                    name="unocclude live", host=host, port=0, context=self._context
+                )
+            except (OSError, RuntimeError) as error:
+                failure = error
+        raise UnoccludeError(f"Foxglove's server cannot be started: {failure}") from failure
 
     def _channel(self, topic: str, schema: str) -> Any:
         described = self._foxglove.Schema(name=schema, encoding="protobuf", data=schema_data(schema))

@@ -10,19 +10,23 @@ from functools import cache
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
-from ..live.buffers import LiveEstimate, LiveOutput, LiveState
+from ..live.answers import LiveEstimate, LiveOutput, LiveState
+from ..live.arm_angles import TITLES, live_angles
 from ..measurements.visibility import Gap
 from ..recording import JOINTS
 from ..runtime.packages import extra_module
 from ..runtime.printable import printable
 from .arrivals import FrameRows, SourceInfo
+from .channels import StreamLabels
+
+Item = TypeVar("Item")
 
 #: Where liblsl looks for settings of the user's own.
 _SETTINGS = (
@@ -99,8 +103,8 @@ class LslSamples(NamedTuple):
 class LslInlet:
     """Receives a stream, also after it was lost.
 
-    The library itself reconnects to a stream whose source_id comes back; one without is looked for again by
-    its name.
+    A stream that is lost is looked for again by its source_id, and by its name and type where that is another
+    one now. What its channels are is compared with what they were.
 
     Parameters
     ----------
@@ -129,6 +133,8 @@ class LslInlet:
         self.correction_s = float("nan")
         self.wanted, self._types, self._wake = wanted, types, wake
         self._samples: SimpleQueue[LslSamples] = SimpleQueue()
+        self._events: SimpleQueue[str] = SimpleQueue()
+        self._labels: StreamLabels | None = None
         self._failure: UnoccludeError | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="lsl-inlet", daemon=True)
@@ -146,12 +152,11 @@ class LslInlet:
             Several streams are meant.
         """
         self.check()
-        batches: list[LslSamples] = []
-        try:
-            while True:
-                batches.append(self._samples.get_nowait())
-        except Empty:
-            return batches
+        return _emptied(self._samples)
+
+    def events(self) -> list[str]:
+        """What happened to the stream since the last call, a sentence each."""
+        return _emptied(self._events)
 
     def check(self) -> None:
         """Raise what the thread failed by.
@@ -191,13 +196,13 @@ class LslInlet:
             found = self._matching()
             if found is None:
                 continue
-            inlet = lsl.StreamInlet(found, max_buflen=_BUFFER_S, recover=bool(found.source_id()))
+            # the library itself would wait for the same source_id for ever
+            inlet = lsl.StreamInlet(found, max_buflen=_BUFFER_S, recover=False)
             stream = inlet.info(_CLOCK_S)
-            if self.stream is not None and stream.channel_count() != self.stream.channel_count():
-                raise UnoccludeError(
-                    f"the stream {printable(stream.name())} came back with {stream.channel_count()} channels"
-                    f" instead of {self.stream.channel_count()}; begin a new session"
-                )
+            labels = StreamLabels.of(stream)
+            if self._labels is not None:
+                self._compare(self._labels, labels, stream)
+            self._labels = labels
             self.correction_s = inlet.time_correction(_CLOCK_S)
             inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
             self.stream = stream
@@ -205,8 +210,24 @@ class LslInlet:
             return inlet
         return None
 
+    def _compare(self, before: StreamLabels, now: StreamLabels, stream: Any) -> None:
+        """Refuse a stream that came back as another one; say what else is new."""
+        difference = before.difference(now)
+        if difference:
+            raise UnoccludeError(
+                f"the stream {printable(now.name)} came back with {printable(difference)};"
+                " begin a new session"
+            )
+        if stream.source_id() != self.stream.source_id():
+            self._events.put(f"{printable(now.name)}: found again by its name, its source_id is another")
+        rates = [float(each.nominal_srate()) for each in (self.stream, stream)]
+        if rates[0] != rates[1]:
+            self._events.put(f"{printable(now.name)}: states {rates[1]:g} /s instead of {rates[0]:g} /s")
+
     def _matching(self) -> Any:
         """The stream that is meant among those that answered; None where it is not there."""
+        if self.stream is not None:
+            return self._again()
         if self.wanted is not None:
             exact = [s for s in self.others if self.wanted in (s.name(), s.source_id())]
             fitting = exact or [stream for stream in self.others if is_wanted(stream, self.wanted)]
@@ -219,6 +240,16 @@ class LslInlet:
             f"several streams are meant by {option}: {listed(fitting)}; give the whole name or the source_id"
         )
 
+    def _again(self) -> Any:
+        """The stream that was received before: the same source_id, or the only one of its name and type."""
+        meant = (self.stream.name(), self.stream.type())
+        named = [stream for stream in self.others if (stream.name(), stream.type()) == meant]
+        same = [stream for stream in named if stream.source_id() == self.stream.source_id()]
+        for fitting in (same, named):
+            if len({stream.uid() for stream in fitting}) == 1:
+                return fitting[0]
+        return None
+
     def _receive(self, inlet: Any) -> None:
         values, stamps = inlet.pull_chunk(timeout=_PULL_S, max_samples=_MOST, min_samples=1, as_numpy=True)
         if not len(stamps):
@@ -229,6 +260,16 @@ class LslInlet:
         t_s = np.asarray(stamps, float) + self.correction_s
         self._samples.put(LslSamples(t_s, np.asarray(values), np.full(len(t_s), arrival)))
         self._wake()
+
+
+def _emptied(queue: SimpleQueue[Item]) -> list[Item]:
+    """What is in a queue."""
+    items: list[Item] = []
+    try:
+        while True:
+            items.append(queue.get_nowait())
+    except Empty:
+        return items
 
 
 #: What the channel `state` says.
@@ -255,6 +296,7 @@ class LslOutlet:
     def __init__(self, name: str, info: SourceInfo):
         self._start_s = info.lsl_start_s
         self._side = f"_{info.side}" if info.side else ""
+        self._down = info.down
         self._outlets = {
             "now": self._outlet(name, info),
             "settled": self._outlet(f"{name}_settled", info),
@@ -310,13 +352,19 @@ class LslOutlet:
             ("state", "", "State", "0 calibrating, 1 visible, 2 gap, 3 lost"),
             ("gap", "", "Time", "seconds"),
             ("lag", "", "Time", "seconds"),
+            *(
+                (f"{name}{self._side}{suffix}", "", kind, "degrees")
+                for name in TITLES
+                for suffix, kind in (("", "Angle"), ("_sigma", "Sigma"))
+            ),
+            ("trusted", "", "State", "1 trusted, 0 with care or no answer"),
         ]
 
     def _values(self, estimate: LiveEstimate | None, output: LiveOutput) -> list[float]:
         nothing = [np.nan] * 4
         if estimate is None:
             values = [*nothing * (1 + len(JOINTS)), *nothing, np.nan]
-            return [*values, float(STATES[output.state]), 0.0, 0.0]
+            return [*values, float(STATES[output.state]), 0.0, 0.0, *[np.nan] * (2 * len(TITLES)), 0.0]
         values = [*estimate.position.tolist(), _largest_sigma(estimate.pose_covariance[:3, :3])]
         for joint in JOINTS:
             if joint in estimate.joints:
@@ -326,7 +374,10 @@ class LslOutlet:
                 values += nothing
         values += [*estimate.quaternion.tolist(), estimate.sigma_deg]
         since = 0.0 if estimate.since_s is None else estimate.t_s - estimate.since_s
-        return [*values, float(STATES[estimate.state]), since, output.now_s - estimate.t_s]
+        angles = live_angles(estimate, self._down)
+        degrees = [value for name in TITLES for value in angles.get(name, (np.nan, np.nan))]
+        lag_s = output.now_s - estimate.t_s
+        return [*values, float(STATES[estimate.state]), since, lag_s, *degrees, float(output.trusted)]
 
 
 def _largest_sigma(covariance: FloatArray) -> float:

@@ -1,38 +1,27 @@
-"""A session: what arrives is recorded, recovered, and sent on, until somebody ends it.
-
-A session recorded while it lasts: a file that can be read at any moment.
-"""
+"""A session: what arrives is recorded, recovered, and sent on, until somebody ends it."""
 
 from __future__ import annotations
 
-import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
 from calib.file import CalibrationFile, read_calibration, sigma_factors_of
 from calib.imu.sensor import SensorCalibration, sensor_of
 
 from ..calibration import ArmCalibration
 from ..config import Config
-from ..errors import UnoccludeError
-from ..io.mcap.merge import Output
-from ..io.mcap.messages import nanoseconds
-from ..io.recording.read import METADATA
-from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples
-from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
-from ..live.buffers import ImuBatch, LiveOutput, SkeletonFrame
+from ..io.recording.write import imu_topic
+from ..live.answers import LiveOutput
+from ..live.buffers import ImuBatch, SkeletonFrame
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, ImuStream
-from ..runtime.outputs import check_output, umask
+from ..recording import ImuStream
 from ..window.priors import with_measured_noise
-from .arrivals import Arrivals, FrameRows, ImuRows, Source, SourceInfo, StampSteps
+from .arrivals import STEP_OF_IMU_S, Arrivals, FrameRows, ImuRows, Source, SourceInfo, StampSteps
 from .session_figures import SessionFigures, SessionView, StreamHealth
+from .session_recording import Recorder
 
 
 @dataclass(frozen=True)
@@ -142,7 +131,7 @@ class LiveSession:
         What recovers the arm.
     calibration : SessionCalibration, optional
         Takes the sensor's errors off.
-    recording : SessionRecording, optional
+    recording : Recorder, optional
         Where everything is recorded, as it came but for steps of the clocks.
     receivers : sequence of Receiver
         Who is sent the answers.
@@ -153,14 +142,14 @@ class LiveSession:
         source: Source,
         engine: Engine,
         calibration: SessionCalibration | None = None,
-        recording: SessionRecording | None = None,
+        recording: Recorder | None = None,
         receivers: Sequence[Receiver] = (),
     ):
         self.source, self.engine = source, engine
         self.recording, self.receivers = recording, receivers
         self._calibration = calibration or SessionCalibration()
         info = source.info
-        self._imu_steps: StampSteps[ImuRows] = StampSteps(info.imu)
+        self._imu_steps: StampSteps[ImuRows] = StampSteps(info.imu, STEP_OF_IMU_S, STEP_OF_IMU_S)
         self._frame_steps: StampSteps[FrameRows] = StampSteps(info.skeleton)
         self._healths = StreamHealth(info.imu), StreamHealth(info.skeleton)
         self.figures = SessionFigures(*self._healths)
@@ -184,7 +173,7 @@ class LiveSession:
         Raises
         ------
         UnoccludeError
-            The recording cannot be written any more, or a stream came back as another one.
+            A stream came back as another one.
         """
         while not stopped() and not self.source.ended:
             self._wait()
@@ -193,11 +182,22 @@ class LiveSession:
                 self.recording.take(arrivals)
             self._add(arrivals)
             now_s = self.source.now_s()
-            events = [*arrivals.events, *self._counted(arrivals), *self._look(now_s)]
+            events = [*arrivals.events, *self._counted(arrivals), *self._look(now_s), *self._marked(now_s)]
             output = self.engine.step(now_s)
+            if self.recording is not None:
+                self.recording.shown(output)
+                events += self.recording.events()
             self._answered(output, arrivals.frames, [*events, *output.notes])
             show(self.figures.view(now_s))
         return self.figures
+
+    def _marked(self, now_s: float) -> list[str]:
+        """What somebody marked, who looks at the session."""
+        marks = [text for receiver in self.receivers for text in getattr(receiver, "marks", list)()]
+        if self.recording is not None:
+            for text in marks:
+                self.recording.mark(text, now_s)
+        return [f"marked: {text}" for text in marks]
 
     def _wait(self) -> None:
         self.source.wait(_WAIT_S)
@@ -209,7 +209,7 @@ class LiveSession:
         """What arrived, with steps of the clocks taken out; its events say so."""
         imu, imu_events = self._imu_steps.mended(arrivals.imu)
         frames, frame_events = self._frame_steps.mended(arrivals.frames)
-        return Arrivals(imu, frames, (*imu_events, *frame_events))
+        return Arrivals(imu, frames, (*arrivals.events, *imu_events, *frame_events))
 
     def _counted(self, arrivals: Arrivals) -> list[str]:
         """Count what arrived; sentences on streams that are back."""
@@ -241,140 +241,3 @@ class LiveSession:
             done_s = self.source.now_s()
             for arrival_s in frames.arrival_s.tolist():
                 self.figures.frame_delays.add((done_s - arrival_s) / self.source.speed)
-
-
-#: What came is written after so long, s: more a killed program cannot lose.
-_FLUSH_S = 1.0
-
-
-class SessionRecording:
-    """Writes IMU and skeleton to an MCAP file as they arrive: stamps inside, arrival as log time.
-
-    While the session lasts the file is NAME.recording.mcap beside its place: no command sweeps it away, and
-    what a killed program leaves can be read and repaired. `close` gives it its name.
-
-    Attributes
-    ----------
-    path, growing : Path
-        The file's name in the end, and while the session lasts.
-    has_samples : bool
-        Something was written.
-
-    Parameters
-    ----------
-    path : Path
-        The file's name in the end.
-    info : SourceInfo
-        Of the session.
-    force : bool
-        Overwrite a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists, or one that a killed session left, or it cannot be written.
-    """
-
-    def __init__(self, path: Path, info: SourceInfo, force: bool = False):
-        check_recording(path, force)
-        self.path, self.growing = path, growing_name(path)
-        self._info = info
-        self._notes: list[str] = []
-        self.has_samples = self._is_broken = False
-        try:
-            os.close(os.open(self.growing, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-            self._output = Output(self.growing)
-            self._output.__enter__()
-        except OSError as error:
-            raise UnoccludeError(f"{self.growing} cannot be written: {error.strerror or error}") from error
-        self._imu_topic = imu_topic(info.imu, info.side)
-        self._present = [JOINTS.index(joint) for joint in info.joints]
-        self._flushed_s = -np.inf
-        self._write_metadata()
-
-    def take(self, arrivals: Arrivals) -> None:
-        """Write what arrived; its events become notes of the recording.
-
-        Raises
-        ------
-        UnoccludeError
-            The disk is full.
-        """
-        self._notes += arrivals.events
-        imu, frames, outgoing = arrivals.imu, arrivals.frames, []
-        origin = self._info.origin_ns
-        if len(imu):
-            stamp = nanoseconds(imu.t_s, origin)
-            samples = ImuSamples(
-                self._imu_topic, self._imu_topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag
-            )
-            messages = imu_messages(self._output, samples)
-            outgoing.append(replace(messages, time_ns=nanoseconds(imu.arrival_s, origin)))
-        if len(frames):
-            stamp = nanoseconds(frames.t_s, origin)
-            arm = ArmFrames("/skeleton", CAMERA, 0, self._info.side, stamp, frames.position, frames.state)
-            messages = arm_messages(self._output, arm, self._present)
-            outgoing.append(replace(messages, time_ns=nanoseconds(frames.arrival_s, origin)))
-        if not outgoing:
-            return
-        self.has_samples = True
-        try:
-            self._output.write(outgoing)
-            newest = max(float(rows.arrival_s[-1]) for rows in (imu, frames) if len(rows))
-            if newest - self._flushed_s > _FLUSH_S:
-                self._output.flush()
-                self._flushed_s = newest
-        except OSError as error:
-            self._is_broken = True
-            raise UnoccludeError(
-                f"{self.growing} cannot be written any more ({error.strerror or error}); what is in it can be"
-                f" read: `unocclude repair {self.growing} -o {self.path}`"
-            ) from error
-
-    def close(self) -> None:
-        """Write the file's end, and give it its name; one without any sample goes.
-
-        One that could not be written any more stays as it is, under the name that it has.
-        """
-        if self._is_broken or not self.has_samples:
-            self._output.__exit__(UnoccludeError, None, None)
-            if not self.has_samples:
-                self.growing.unlink()
-            return
-        if self._notes:
-            self._write_metadata()
-        self._output.__exit__(None, None, None)
-        with open(self.growing, "rb+") as file:
-            os.fsync(file.fileno())
-        os.chmod(self.growing, 0o666 & ~umask())
-        os.replace(self.growing, self.path)
-
-    def _write_metadata(self) -> None:
-        values = {"notes": json.dumps(self._notes), "name": self._info.name, ORDER: ARRIVAL}
-        if self._info.camera_frame is not None:
-            values["camera_frame"] = str(self._info.camera_frame)
-        if self._info.gravity_hint is not None:
-            values["gravity"] = json.dumps([float(value) for value in self._info.gravity_hint])
-        self._output.metadata(METADATA, values)
-
-
-def growing_name(path: Path) -> Path:
-    """What a recording is called while the session lasts."""
-    return path.with_name(f"{path.stem}.recording.mcap")
-
-
-def check_recording(path: Path, force: bool = False) -> None:
-    """Refuse a name that could not be given in the end, before the session begins.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or a session that was killed left its own there.
-    """
-    check_output(path, force)
-    growing = growing_name(path)
-    if growing.exists():
-        raise UnoccludeError(
-            f"{growing} was left by a session that was killed, or another session writes to it;"
-            f" `unocclude repair {growing} -o NAME.mcap` saves what is in it, then remove it"
-        )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import FloatArray
-from ..live.buffers import LiveOutput, LiveState
+from ..live.answers import LiveOutput, LiveState
 from ..measurements.visibility import Gap
 
 #: Bins of 0.25 ms up to 2 s; what takes longer is in the last.
@@ -144,7 +144,7 @@ class StreamHealth:
             return ()
         self.is_lost = True
         self.lost_times += 1
-        return (f"{self.name}: nothing since {self._last_arrival:.1f} s",)
+        return (f"{self.name}: nothing for {now_s - self._last_arrival:.1f} s",)
 
     @property
     def delay_s(self) -> float:
@@ -176,7 +176,7 @@ class StreamHealth:
         self.is_lost = False
         away = arrival_s - self._last_arrival
         self.lost_s += away
-        return (f"{self.name}: back at {arrival_s:.1f} s, after {away:.1f} s",)
+        return (f"{self.name}: back, after {away:.1f} s",)
 
 
 #: Events that a summary states at most; more are counted.
@@ -268,9 +268,11 @@ class SessionFigures:
         self._wall, self._processor = time.monotonic(), time.process_time()
 
     def event(self, now_s: float, sentences: Iterable[str]) -> None:
-        """Remember what happened."""
+        """Remember what happened, by the time since the session's beginning."""
+        if np.isnan(self._first_s):
+            self._first_s = self._last_s = now_s
         for sentence in sentences:
-            self.events.append((now_s, sentence))
+            self.events.append((now_s - self._first_s, sentence))
             self.event_count += 1
 
     def step(self, output: LiveOutput) -> Gap | None:

@@ -53,6 +53,8 @@ class ImuIncrements:
         The bias that was subtracted.
     velocity_error : ndarray, shape (n - 1,), m/s
         What impacts may have cost in each interval.
+    turn_error : ndarray, shape (n - 1,), rad, optional
+        What missing samples may have cost the direction in each interval.
     """
 
     acc: FloatArray
@@ -61,6 +63,7 @@ class ImuIncrements:
     first: IntArray
     bias: FloatArray
     velocity_error: FloatArray
+    turn_error: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from smoother.cli.live_dashboard import Lines, drawn, words
 from smoother.cli.output import console
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
-from smoother.live.buffers import Dropped, LiveOutput, LiveState
+from smoother.live.answers import Dropped, LiveOutput, LiveState
 from smoother.streams.lsl import lsl_module
 from smoother.streams.session_figures import SessionView, StreamView
 
@@ -148,7 +148,7 @@ def test_an_extra_that_is_missing_is_asked_for(option, package, recording, monke
 def view(output: LiveOutput | None, **changes) -> SessionView:
     stream = StreamView("wrist", 99.8, 3, 1, 0.004, False)
     values = {"seconds": 12.0, "imu": stream, "skeleton": StreamView("kinect", 29.9, 0, 0, 0.13, False)}
-    values |= {"output": output, "events": ((3.0, "wrist: back at 3.0 s, after 1.2 s"),)}
+    values |= {"output": output, "events": ((3.0, "wrist: back, after 1.2 s"),)}
     values |= {"event_count": 1, "load": 0.31}
     return SessionView(**(values | changes))
 
@@ -185,14 +185,14 @@ def test_the_dashboard_says_what_matters():
     assert words(lost)[0] == "a stream is lost: no answer"
     assert "camera: nothing comes" in words(lost)
     assert words(view(answered(LiveState.LOST)))[0] == "no answer: catching up with the streams"
-    assert words(view(None))[0] == "waiting for samples"
+    assert words(view(None))[0] == "nothing has come yet"
 
 
 def test_the_table_fits_and_holds_the_same(capsys):
     for output in (answered(LiveState.GAP, 4.2), None, LiveOutput(1.0, LiveState.CALIBRATING)):
         console().print(drawn("unocclude live", view(output)))
     said = capsys.readouterr().out
-    for phrase in ("gap since 0.8 s", "wrist", "kinect", "99.8 /s", "back at 3.0 s"):
+    for phrase in ("gap since 0.8 s", "wrist", "kinect", "99.8 /s", "back, after 1.2 s"):
         assert phrase in said
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from smoother.live.buffers import LiveEstimate, LiveOutput, LiveState
+from smoother.live.answers import LiveEstimate, LiveOutput, LiveState
 from smoother.recording import JOINTS, JointState
 
 

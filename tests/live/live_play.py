@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from smoother.live.buffers import ImuBatch, LiveOutput, SkeletonFrame
+from smoother.live.answers import LiveOutput
+from smoother.live.buffers import ImuBatch, SkeletonFrame
 from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm

@@ -12,14 +12,7 @@ from live_play import simulated
 
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
-from smoother.live.buffers import (
-    USUAL_LATENCY_S,
-    CameraClock,
-    FrameBuffer,
-    ImuBatch,
-    ImuBuffer,
-    SkeletonFrame,
-)
+from smoother.live.buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
 from smoother.live.calibrations import (
     AGAIN_S,
     FIRST_S,
@@ -32,6 +25,7 @@ from smoother.live.calibrations import (
     LiveCalibration,
     calibrate_excerpts,
 )
+from smoother.live.camera_clock import USUAL_LATENCY_S, CameraClock
 from smoother.measurements.clock import constant_clock
 
 WORKED: Any = object()  # a model that nobody looks into
@@ -143,7 +137,7 @@ def test_a_clock_that_jumped_is_less_certain_and_asked_for_at_once() -> None:
     live = session(*[worked()] * 3)
     live.until(FIRST_S + 1.0)
     before_s = live.calibrations.clock_sigma_s
-    live.calibrations.clock_jumped()
+    live.calibrations.clock_jumped(JUMP_SIGMA_S)
     assert live.calibrations.clock_sigma_s == pytest.approx(np.hypot(before_s, JUMP_SIGMA_S))
     assert live.until(live.t_s + 0.5) == [live.t_s]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.live.buffers import LiveState
-from smoother.live.tracker import FrameHistory
+from smoother.live.answers import LiveState
+from smoother.live.frame_history import FrameHistory
 
 DELAY_S = 0.1
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.live.buffers import ImuBatch, ImuBuffer
-from smoother.live.tracker import LiveSignal, displacement, increments_between, propagated
+from smoother.live.signal import LiveSignal, displacement, increments_between, propagated
 from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.units import GRAVITY
 from smoother.window.solution import NodeState

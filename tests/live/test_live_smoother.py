@@ -9,7 +9,7 @@ import pytest
 from live_play import errors, events, play, rms, simulated
 
 from smoother.errors import UnoccludeError
-from smoother.live.buffers import LiveState
+from smoother.live.answers import LiveState
 from smoother.live.smoother import LiveSmoother
 
 SIMULATION = simulated(2, 24.0)

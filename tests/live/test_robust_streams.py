@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from live_play import LATENCY_S, OFFSET_S, errors, events, play, rms, simulated
 
-from smoother.live.buffers import CameraClock, FrameBuffer, ImuBatch, ImuBuffer, LiveState, SkeletonFrame
+from smoother.live.answers import LiveState
+from smoother.live.buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
+from smoother.live.camera_clock import CameraClock
 
 SIMULATION = simulated(2, 15.0, ())
 ARRIVALS = events(SIMULATION)

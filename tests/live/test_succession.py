@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from live_play import events, play, simulated
 
-from smoother.live.buffers import LiveOutput, LiveState
+from smoother.live.answers import LiveOutput, LiveState
 from smoother.live.calibrations import InlineCalibrator
-from smoother.live.smoother import CATCH_UP_FRAMES, SUCCESSOR_FRAMES, LiveSmoother
+from smoother.live.smoother import LiveSmoother
 from smoother.live.tracker import Tracker
+from smoother.live.tracker_handover import CATCH_UP_FRAMES, SUCCESSOR_FRAMES
 
 #: Who was fed how many frames, in order.
 Fed = list[tuple[Tracker, int]]

@@ -16,7 +16,7 @@ from made_recordings import make
 from smoother.errors import UnoccludeError
 from smoother.io import write_recording
 from smoother.io.wire.schemas import message_class
-from smoother.live.buffers import LiveOutput
+from smoother.live.answers import LiveOutput
 from smoother.measurements.visibility import Gap
 from smoother.streams.arrivals import FrameRows
 from smoother.streams.foxglove import TOPICS, LiveMessages

@@ -100,7 +100,7 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
     read, errors = reader.communicate(timeout=60)
     assert reader.returncode == 0, errors
     tell(outlets, "imu 2")
-    lines_until(live, "back at")
+    lines_until(live, "back, after")
     time.sleep(0.3)
     live.send_signal(signal.SIGINT)
     said, errors = live.communicate(timeout=20)

@@ -7,7 +7,7 @@ import pytest
 
 from smoother.errors import RecordingError
 from smoother.recording import CameraFrame, JointState
-from smoother.streams.lsl_source import ImuChannels, SkeletonChannels, StreamLabels
+from smoother.streams.channels import ImuChannels, SkeletonChannels, StreamLabels
 
 AXES = "xyz"
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import time
 
 import numpy as np
 import pytest
 from live_engine import CameraEcho
 from made_recordings import make
+from mcap.reader import make_reader
 from scenes import ALONE, arm
 
 from smoother import smooth
@@ -17,7 +19,15 @@ from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.merge import repair_container
 from smoother.streams.arrivals import Arrivals
 from smoother.streams.replay import Replay
-from smoother.streams.session import LiveSession, SessionRecording, check_recording, growing_name
+from smoother.streams.session import LiveSession
+from smoother.streams.session_recording import (
+    MARKS_TOPIC,
+    SHOWN_TOPIC,
+    Recorder,
+    SessionRecording,
+    check_recording,
+    growing_name,
+)
 
 
 @pytest.fixture
@@ -29,9 +39,10 @@ def original(tmp_path):
 def played(path, record, **options) -> tuple[LiveSession, SessionRecording]:
     source = Replay(path, speed=0.0, **options)
     recording = SessionRecording(record, source.info)
-    session = LiveSession(source, CameraEcho(), recording=recording)
+    recorder = Recorder(recording, patient=True)
+    session = LiveSession(source, CameraEcho(), recording=recorder)
     session.run(lambda: False, lambda _: None)
-    recording.close()
+    recorder.close()
     return session, recording
 
 
@@ -128,9 +139,10 @@ def test_recorded_out_of_order_and_smoothed_offline_it_is_the_same_answer(tmp_pa
 
     source._imu, source._frames = disordered(source._imu), disordered(source._frames)
     recording = SessionRecording(tmp_path / "session.mcap", source.info)
-    session = LiveSession(source, CameraEcho(), recording=recording)
+    recorder = Recorder(recording, patient=True)
+    session = LiveSession(source, CameraEcho(), recording=recorder)
     session.run(lambda: False, lambda _: None)
-    recording.close()
+    recorder.close()
     assert session.figures.imu.late > 100
     original, recorded = (read_recording(tmp_path / name) for name in ("original.mcap", "session.mcap"))
     same(original, recorded)
@@ -156,3 +168,85 @@ def test_a_full_disk_ends_the_session_and_leaves_what_was_written(original, tmp_
     recording.close()
     assert not (tmp_path / "session.mcap").exists()
     assert read_recording(growing_name(tmp_path / "session.mcap")).imu.t_s[-1] > 2.5
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_session(original, tmp_path, monkeypatch):
+    source = Replay(original, speed=0.0)
+    recording = SessionRecording(tmp_path / "session.mcap", source.info)
+    recorder = Recorder(recording, patient=True)
+    session = LiveSession(source, CameraEcho(), recording=recorder)
+    write, written = recording._output.write, []
+
+    def filling(*arguments):
+        written.append(1)
+        if len(written) > 200:
+            raise OSError(28, "No space left on device")
+        write(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(recording._output, "write", filling)
+        figures = session.run(lambda: False, lambda _: None)
+        recorder.close()
+    assert source.ended
+    (said,) = [sentence for _, sentence in figures.events if "recording has ended" in sentence]
+    assert "the session goes on" in said and "unocclude repair" in said and "session.recording.mcap" in said
+
+
+def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
+    source = Replay(original, speed=0.0)
+    recording = SessionRecording(tmp_path / "session.mcap", source.info)
+    recorder = Recorder(recording)
+    session = LiveSession(source, CameraEcho(), recording=recorder)
+    write = recording._output.write
+
+    def slow(*arguments):
+        time.sleep(0.002)
+        write(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(recording._output, "write", slow)
+        waited: list[float] = []
+        for name in ("take", "shown"):
+            job = getattr(recorder, name)
+
+            def timed(*arguments, job=job):
+                began = time.perf_counter()
+                job(*arguments)
+                waited.append(time.perf_counter() - began)
+
+            patched.setattr(recorder, name, timed)
+        session.run(lambda: False, lambda _: None)
+        recorder.close()
+    assert np.percentile(waited, 95) < 0.001  # a write takes 2 ms at least
+    same(read_recording(original), read_recording(tmp_path / "session.mcap"))
+
+
+def test_what_was_shown_and_marked_is_kept(original, tmp_path):
+    source = Replay(original, speed=0.0)
+    recorder = Recorder(SessionRecording(tmp_path / "session.mcap", source.info), patient=True)
+
+    class Marking:
+        sent = False
+
+        def send(self, output, frames, gap, events):
+            self.output = output
+
+        def marks(self):
+            is_time = (
+                not self.sent and getattr(self, "output", None) is not None and self.output.now is not None
+            )
+            self.sent |= is_time
+            return ["tired"] if is_time else []
+
+    session = LiveSession(source, CameraEcho(), recording=recorder, receivers=[Marking()])
+    figures = session.run(lambda: False, lambda _: None)
+    recorder.close()
+    assert [sentence for _, sentence in figures.events if "tired" in sentence] == ["marked: tired"]
+    with open(tmp_path / "session.mcap", "rb") as file:
+        messages = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
+    shown = [message for topic, message in messages if topic == SHOWN_TOPIC]
+    marks = [message for topic, message in messages if topic == MARKS_TOPIC]
+    assert len(marks) == 1 and b"tired" in marks[0].data
+    seconds = (shown[-1].log_time - shown[0].log_time) / 1e9
+    assert 20 < len(shown) / seconds < 40
+    same(read_recording(original), read_recording(tmp_path / "session.mcap"))

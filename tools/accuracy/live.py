@@ -18,7 +18,8 @@ import numpy as np
 
 from smoother.evaluation.compare import arrivals
 from smoother.evaluation.metrics import lag_s
-from smoother.live.buffers import ImuBatch, LiveOutput, LiveState
+from smoother.live.answers import LiveOutput, LiveState
+from smoother.live.buffers import ImuBatch
 from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm

@@ -1,0 +1,437 @@
+"""Whether the camera contradicts the answer, and who is wrong then.
+
+Every frame is compared with what the last solution predicts, which finds jumps, and with what a solution half
+a second before it predicts by the IMU alone, which finds a camera that was followed into an error. A jump of
+the camera, joints that rest while the IMU moves, and bones of another length are the camera's fault: its
+frames are left out until they fit again; if they never do, the tracker begins anew. Everything else is the
+IMU's: the camera leads for a while.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from ..array_types import BoolArray, FloatArray
+from ..linalg import skew
+from ..recording import FOREARM_JOINTS, JOINTS
+from ..selfcal.self_calibration import SelfCalibration
+from ..window.problem import NoiseModel
+from ..window.solution import LagSolution
+from .prediction import predict
+from .signal import DoubtfulSignal
+
+#: A joint contradicts where its squared error in sigmas is above this (three axes), and farther off, m.
+CONTRADICTS, CONTRADICTS_M = 30.0, 0.06
+#: The camera's slow error, m an axis, which its noise does not contain.
+SLOW_M = 0.017
+#: A solution so long ago is compared with every second frame, s; so many in a row must contradict it.
+BEFORE_S, EACH, FRAMES_IN_A_ROW = 0.45, 2, 3
+#: .. with a mean squared error in sigmas of an axis above this.
+CONTRADICTS_BEFORE = 9.0
+#: Frames fit again where so many in a row do, with a squared error in sigmas below this.
+FITS_IN_A_ROW, FITS = 3, 12.0
+#: .. and that are nearer than this share of the jump, or than this, m: a wide sigma lets another body fit.
+FITS_SHARE, FITS_M = 0.4, 0.12
+#: A shoulder this far from where it was is another one, m.
+SHOULDER_M = 0.3
+#: The camera is left out for no longer than this, s; after a gap the tracker may have strayed by itself: s.
+LONGEST_S, LONGEST_AFTER_GAP_S = 6.0, 1.0
+#: .. and as long as what the IMU says alone is this good, m an axis.
+PREDICTED_M = 0.25
+#: Frames before a contradiction that decide what it is.
+LOOKED_AT = 16
+#: Joints that move less than this share of what the IMU says, and the least motion that tells, m.
+RESTS_SHARE, MOVED_M = 0.35, 0.06
+#: Bones off by this share, and by so many sigmas, are another body's.
+OTHER_LENGTH, OTHER_SIGMAS = 0.15, 4.0
+#: A joint jumps by itself where it is so far from its own last motion, m, and by this share of what it is
+#: from the prediction.
+JUMPS_M, JUMPS_SHARE = 0.12, 0.5
+#: The IMU is doubted for so long, s, and twice as long where it had just been, up to this.
+DOUBT_S, LONGEST_DOUBT_S = 0.5, 4.0
+#: .. and from so long before a frame that contradicts at once.
+DOUBT_BEFORE_S = 0.2
+#: Values that repeat while the IMU turns or is shaken, rad/s and m/s^2.
+FROZEN_REPEATS, FROZEN_RATE, FROZEN_FORCE = 2, 0.15, 0.5
+
+_COLUMNS = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+_SHOULDER, _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist"))
+
+
+class Suspect(Enum):
+    """Who is wrong."""
+
+    NOBODY = "nobody"
+    CAMERA = "camera"
+    IMU = "imu"
+    TRACKER = "tracker"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a frame says.
+
+    Attributes
+    ----------
+    accepted : ndarray of bool, shape (5,)
+        Joints that take part.
+    cause : Suspect
+        New with this frame; `NOBODY` while nothing changes.
+    sentence : str
+        Of what changed.
+    retract_s : float, s
+        Frames after this are to be taken back; inf for none.
+    doubt_s : tuple of float, s
+        From when to when the IMU is to be doubted; none where the second is not after the first.
+    again : bool
+        It had been doubted a moment before: the clocks may be apart.
+    """
+
+    accepted: BoolArray
+    cause: Suspect = Suspect.NOBODY
+    sentence: str = ""
+    retract_s: float = np.inf
+    doubt_s: tuple[float, float] = (0.0, 0.0)
+    again: bool = False
+
+
+@dataclass(frozen=True)
+class JointResiduals:
+    """The forearm's joints in a frame against a solution.
+
+    Attributes
+    ----------
+    column : list of int
+        Of `JOINTS`.
+    residual : ndarray, shape (k, 3), m
+        Camera less prediction.
+    covariance : ndarray, shape (k, 3, 3), m^2
+        Of the residual.
+    velocity : ndarray, shape (k, 3), m/s
+        Predicted.
+    place : ndarray, shape (k, 3), m
+        Predicted.
+    predicted_m : float, m
+        Standard deviation of the predicted position, worst axis.
+    """
+
+    column: list[int]
+    residual: FloatArray
+    covariance: FloatArray
+    velocity: FloatArray
+    place: FloatArray
+    predicted_m: float
+
+    @property
+    def squared(self) -> FloatArray:
+        """Squared error in sigmas of each joint (k,), of three axes."""
+        whitened = np.linalg.solve(self.covariance, self.residual[:, :, None])[:, :, 0]
+        return np.asarray(np.sum(self.residual * whitened, axis=1))
+
+
+def residuals_of(
+    solution: LagSolution,
+    signal: DoubtfulSignal,
+    t_s: float,
+    position: FloatArray,
+    accepted: BoolArray,
+    model: SelfCalibration,
+    noise: NoiseModel,
+) -> JointResiduals | None:
+    """A frame against a solution before it.
+
+    Parameters
+    ----------
+    solution : LagSolution
+    signal : DoubtfulSignal
+        From the solution's newest node on.
+    t_s : float, s
+        Of the frame on the IMU's clock.
+    position : ndarray, shape (5, 3), m
+        Joints in {K} without their constant errors.
+    accepted : ndarray of bool, shape (5,)
+    model : SelfCalibration
+    noise : NoiseModel
+
+    Returns
+    -------
+    residuals : JointResiduals or None
+        None without a joint of the forearm.
+    """
+    joints = [JOINTS[k] for k in _COLUMNS if accepted[k] and JOINTS[k] in solution.levers]
+    if not joints or t_s < solution.newest.t - 1e-6:
+        return None
+    prediction = predict(solution.newest, solution, signal, t_s, noise)
+    state, names = prediction.state, list(solution.levers)
+    before = solution.block("turn", "position", "velocity", "bias", "gravity", *names)
+    follows = np.zeros((9 + 3 * len(names), len(before)))
+    follows[:9, :18] = prediction.follows
+    follows[9:, 18:] = np.eye(3 * len(names))
+    whole = follows @ before @ follows.T
+    whole[:9, :9] += prediction.noise
+    start_s = min(max(t_s - 0.02, signal.start_s), signal.end_s - 0.01)
+    rate = signal.mean(np.array([start_s]), np.array([start_s + 0.02]))[0, 3:] - solution.bias[3:]
+    column, residual, covariance, velocity, place = [], [], [], [], []
+    for joint in joints:
+        k, lever = JOINTS.index(joint), solution.levers[joint]
+        at = 9 + 3 * names.index(joint)
+        rows = np.r_[0:6, at : at + 3]
+        arm = state.R @ lever
+        jacobian = np.hstack([-skew(arm), np.eye(3), state.R])
+        column.append(k)
+        place.append(state.p + arm)
+        residual.append(position[k] - place[-1])
+        own = model.joint_sigma_m[k] ** 2 + SLOW_M**2
+        covariance.append(jacobian @ whole[rows][:, rows] @ jacobian.T + own * np.eye(3))
+        velocity.append(state.v + state.R @ np.cross(rate, lever))
+    spread = float(np.sqrt(np.linalg.eigvalsh(whole[3:6, 3:6])[-1]))
+    return JointResiduals(
+        column, np.array(residual), np.array(covariance), np.array(velocity), np.array(place), spread
+    )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A frame that was looked at: its time, raw joints, residuals against the solution half a second ago."""
+
+    t_s: float
+    position: FloatArray
+    accepted: BoolArray
+    before: JointResiduals | None
+
+
+class CameraMonitor:
+    """Compares every frame with the answer.
+
+    Parameters
+    ----------
+    model : SelfCalibration
+    noise : NoiseModel
+
+    Attributes
+    ----------
+    since_s : float or None, s
+        Since when the camera is left out; None where it takes part.
+    sound_since_s : float, s
+        Since when nothing contradicts.
+    """
+
+    def __init__(self, model: SelfCalibration, noise: NoiseModel) -> None:
+        self._model, self._noise = model, noise
+        self.since_s: float | None = None
+        self.sound_since_s = np.inf
+        self._limit_s, self._jump_m = LONGEST_S, np.inf
+        self._solutions: deque[LagSolution] = deque()
+        self._seen: deque[_Seen] = deque(maxlen=LOOKED_AT)
+        self._bad = self._fits = self._repeats = 0
+        self._count = 0
+        self._doubt_s, self._doubted_until_s = DOUBT_S, -np.inf
+        self._visible_s = -np.inf
+
+    def solved(self, solution: LagSolution) -> None:
+        """Remember a solution that the camera took part in."""
+        if self.since_s is None and self._bad == 0:
+            self._solutions.append(solution)
+        while len(self._solutions) > 1 and self._solutions[1].newest.t < solution.newest.t - BEFORE_S:
+            self._solutions.popleft()
+
+    def judge(
+        self,
+        t_s: float,
+        position: FloatArray,
+        accepted: BoolArray,
+        solution: LagSolution | None,
+        signal_since: Callable[[float], DoubtfulSignal],
+    ) -> Finding:
+        """Which joints of a frame take part, and whether something is wrong.
+
+        Parameters
+        ----------
+        t_s : float, s
+            Of the frame on the IMU's clock.
+        position : ndarray, shape (5, 3), m
+            Joints in {K} without their constant errors.
+        accepted : ndarray of bool, shape (5,)
+            Joints that call themselves tracked.
+        solution : LagSolution or None
+            The last.
+        signal_since : callable
+            Gives the IMU's signal from a time on.
+        """
+        if solution is None:
+            return Finding(accepted)
+        accepted = self._with_shoulder(accepted, position, solution)
+        if not accepted[_COLUMNS].any():
+            return Finding(accepted)
+        if self._is_frozen(t_s, position, accepted, signal_since):
+            return self._left_out(t_s, "its joints repeat while the IMU moves", np.inf)
+        now = residuals_of(
+            solution, signal_since(solution.newest.t), t_s, position, accepted, self._model, self._noise
+        )
+        if now is None:
+            return Finding(accepted)
+        first = self._solutions[0] if self._solutions else None
+        before, self._count = None, self._count + 1
+        if first is not None and self._count % EACH == 0 and t_s - first.newest.t < 2.0 * BEFORE_S:
+            before = residuals_of(
+                first, signal_since(first.newest.t), t_s, position, accepted, self._model, self._noise
+            )
+        self._seen.append(_Seen(t_s, position, accepted, before))
+        if self.since_s is not None:
+            return self._waiting(t_s, now, accepted)
+        after_gap, self._visible_s = t_s - self._visible_s > 0.3, t_s
+        wrong = (now.squared > CONTRADICTS) & (np.linalg.norm(now.residual, axis=1) > CONTRADICTS_M)
+        if wrong.all():
+            if after_gap or self._jumps(now):
+                self._limit_s = LONGEST_AFTER_GAP_S if after_gap else LONGEST_S
+                self._jump_m = float(np.linalg.norm(now.residual, axis=1).mean())
+                return self._left_out(t_s, "it jumped away from where the IMU leads", np.inf)
+            return self._imu_wrong(t_s, t_s - DOUBT_BEFORE_S, accepted)
+        if before is not None and first is not None:
+            self._bad = self._bad + 1 if _mean_squared(before) > CONTRADICTS_BEFORE else 0
+            if self._bad >= FRAMES_IN_A_ROW:
+                return self._contradicted(t_s, first, accepted)
+        if self._bad == 0 and not np.isfinite(self.sound_since_s):
+            self.sound_since_s = t_s
+        left = accepted.copy()
+        left[np.array(now.column)[wrong]] = False
+        return Finding(left)
+
+    def _with_shoulder(self, accepted: BoolArray, position: FloatArray, solution: LagSolution) -> BoolArray:
+        """Without a shoulder that is not where it was, or of a camera that is left out."""
+        if not accepted[_SHOULDER] or solution.shoulder is None:
+            return accepted
+        is_other = float(np.linalg.norm(position[_SHOULDER] - solution.shoulder)) > SHOULDER_M
+        if not is_other and (self.since_s is None or accepted[_COLUMNS].any()):
+            return accepted
+        left = accepted.copy()
+        left[_SHOULDER] = False
+        return left
+
+    def _is_frozen(
+        self,
+        t_s: float,
+        position: FloatArray,
+        accepted: BoolArray,
+        signal_since: Callable[[float], DoubtfulSignal],
+    ) -> bool:
+        """Whether the joints repeat exactly while the IMU moves."""
+        if not self._seen or not (position == self._seen[-1].position)[accepted].all():
+            self._repeats = 0
+            return False
+        self._repeats += 1
+        if self._repeats < FROZEN_REPEATS:
+            return False
+        edges = np.linspace(t_s - 0.1, t_s, 6)
+        signal = signal_since(edges[0])
+        if signal.end_s < t_s - 0.03:
+            return False
+        rate = signal.mean(edges[:-1], edges[1:])
+        turning = float(np.linalg.norm(rate[:, 3:], axis=1).max())
+        return turning > FROZEN_RATE or float(np.ptp(np.linalg.norm(rate[:, :3], axis=1))) > FROZEN_FORCE
+
+    def _left_out(self, t_s: float, why: str, retract_s: float) -> Finding:
+        """From this frame on the camera takes no part."""
+        since_s, self._fits, self._bad, self.sound_since_s = self.since_s, 0, 0, np.inf
+        nothing = np.zeros(len(JOINTS), bool)
+        if since_s is not None:
+            return (
+                Finding(nothing, Suspect.TRACKER, _ANEW)
+                if t_s - since_s > self._limit_s
+                else Finding(nothing)
+            )
+        self.since_s = t_s
+        return Finding(nothing, Suspect.CAMERA, f"the camera is left out: {why}", retract_s)
+
+    def _waiting(self, t_s: float, now: JointResiduals, accepted: BoolArray) -> Finding:
+        """The camera takes no part: does it fit again, or is it time to begin anew?"""
+        near_m = max(FITS_M, FITS_SHARE * self._jump_m)
+        fits = (now.squared < FITS) & (np.linalg.norm(now.residual, axis=1) < near_m)
+        self._fits = self._fits + 1 if fits.all() else 0
+        assert self.since_s is not None
+        if self._fits >= FITS_IN_A_ROW:
+            away_s, self.since_s = t_s - self.since_s, None
+            self._solutions.clear()
+            self._visible_s = t_s
+            return Finding(accepted, Suspect.NOBODY, f"the camera fits again, after {away_s:.1f} s")
+        nothing = np.zeros(len(JOINTS), bool)
+        if t_s - self.since_s > self._limit_s or now.predicted_m > PREDICTED_M:
+            return Finding(nothing, Suspect.TRACKER, _ANEW)
+        return Finding(nothing)
+
+    def _jumps(self, now: JointResiduals) -> bool:
+        """Whether the camera's newest frame leaves its own motion, as no arm does."""
+        if len(self._seen) < 3:
+            return True
+        two, one, new = (self._seen[k] for k in (-3, -2, -1))
+        if new.t_s - two.t_s > 0.25:
+            return True
+        off = []
+        for row, k in enumerate(now.column):
+            if one.accepted[k] and two.accepted[k]:
+                rate = (one.position[k] - two.position[k]) / (one.t_s - two.t_s)
+                left = new.position[k] - one.position[k] - rate * (new.t_s - one.t_s)
+                limit = max(JUMPS_M, JUMPS_SHARE * float(np.linalg.norm(now.residual[row])))
+                off.append(float(np.linalg.norm(left)) > limit)
+        return not off or sum(off) > 0.5 * len(off)
+
+    def _imu_wrong(self, t_s: float, since_s: float, accepted: BoolArray) -> Finding:
+        """The camera's motion is smooth and not what the IMU says: the camera leads."""
+        again = since_s < self._doubted_until_s + 2.0
+        self._doubt_s = min(2.0 * self._doubt_s, LONGEST_DOUBT_S) if again else DOUBT_S
+        self._doubted_until_s = t_s + self._doubt_s
+        self._solutions.clear()
+        self._bad, self.sound_since_s = 0, np.inf
+        sentence = "" if again else "the IMU does not fit the camera's motion; the camera leads meanwhile"
+        return Finding(accepted, Suspect.IMU, sentence, doubt_s=(since_s, self._doubted_until_s), again=again)
+
+    def _contradicted(self, t_s: float, first: LagSolution, accepted: BoolArray) -> Finding:
+        """The last half second does not fit to the IMU: say who is wrong."""
+        frames = [each for each in self._seen if each.before is not None and each.t_s > first.newest.t + 1e-6]
+        why = self._camera_fault(frames)
+        if why:
+            self._limit_s, self._jump_m = LONGEST_S, np.inf
+            return self._left_out(t_s, why, first.newest.t)
+        return self._imu_wrong(t_s, first.newest.t, accepted)
+
+    def _camera_fault(self, frames: list[_Seen]) -> str:
+        """What shows by itself that the camera is wrong; "" where nothing does."""
+        if len(frames) < FRAMES_IN_A_ROW:
+            return ""
+        first, last = frames[0], frames[-1]
+        both = [each for each in frames if each.accepted[[_ELBOW, _WRIST]].all()]
+        if len(both) >= FRAMES_IN_A_ROW:
+            lengths = [float(np.linalg.norm(each.position[_WRIST] - each.position[_ELBOW])) for each in both]
+            levers = self._model.estimate.lever_arms
+            if "elbow" in levers and "wrist" in levers:
+                usual = float(np.linalg.norm(levers["wrist"].position_m - levers["elbow"].position_m))
+                sigma = float(np.hypot(*self._model.joint_sigma_m[[_ELBOW, _WRIST]]))
+                off = abs(float(np.median(lengths)) - usual)
+                if off > OTHER_LENGTH * usual and off > OTHER_SIGMAS * sigma / np.sqrt(len(both)):
+                    return "its forearm has another length"
+        assert first.before is not None and last.before is not None
+        shared = [k for k in first.before.column if k in last.before.column]
+        moved, seen = [], []
+        for k in shared:
+            a, b = first.before.column.index(k), last.before.column.index(k)
+            moved.append(float(np.linalg.norm(last.before.place[b] - first.before.place[a])))
+            seen.append(float(np.linalg.norm(last.position[k] - first.position[k])))
+        if moved and max(moved) > MOVED_M and max(seen) < max(RESTS_SHARE * max(moved), 0.02):
+            return "its joints rest while the IMU moves"
+        return ""
+
+
+_ANEW = "camera and answer contradict each other, and which is wrong does not show: the smoother begins anew"
+
+
+def _mean_squared(residuals: JointResiduals) -> float:
+    """Squared error in sigmas of the joints' mean, an axis: what they share is not noise."""
+    mean = residuals.residual.mean(axis=0)
+    # their errors are nearly the prediction's, which they share
+    covariance = residuals.covariance.mean(axis=0)
+    return float(mean @ np.linalg.solve(covariance, mean)) / 3.0

@@ -1,0 +1,136 @@
+"""A solved moment propagated by the IMU, with its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..linalg import skew
+from ..measurements.inertial import integrate_between
+from ..rotation import Rotation
+from ..window.problem import NoiseModel
+from ..window.solution import LagSolution, NodeState
+from .signal import DoubtfulSignal
+
+#: The IMU's last rate holds for no longer than this beyond its last sample, s.
+BEYOND_S = 0.05
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A state, and how it follows what the window has solved.
+
+    Attributes
+    ----------
+    state : NodeState
+    follows : ndarray, shape (9, 18)
+        (turn, position, velocity) by (turn, position, velocity, bias, gravity) of the node that it began
+        at; rotations as vectors in {K}.
+    noise : ndarray, shape (9, 9)
+        What the IMU's white noise adds to the covariance.
+    """
+
+    state: NodeState
+    follows: FloatArray
+    noise: FloatArray
+
+
+def predict(
+    start: NodeState,
+    solution: LagSolution,
+    signal: DoubtfulSignal,
+    t_s: float,
+    noise: NoiseModel,
+) -> Prediction:
+    """Propagate a node's state to a time (Forster et al., TRO 2017, eq 32; first-order covariance).
+
+    Parameters
+    ----------
+    start : NodeState
+    solution : LagSolution
+        Its bias and gravity.
+    signal : DoubtfulSignal
+        Covers the node; beyond its end the last rate holds for `BEYOND_S`.
+    t_s : float, s
+        At the node or later.
+    noise : NoiseModel
+
+    Returns
+    -------
+    prediction : Prediction
+        At `t_s`, or as far as the IMU reaches.
+    """
+    inside_s = min(t_s, signal.end_s)
+    R, p, v = start.R, start.p, start.v
+    follows, white = np.eye(9, 18), np.zeros((9, 9))
+    t = start.t
+    if inside_s > start.t + 1e-9:
+        delta = integrate_between(signal, np.array([start.t]), np.array([inside_s]), solution.bias)
+        step = delta.delta_R[0], delta.delta_v[0], delta.delta_p[0], float(delta.dt[0])
+        R, p, v, follows, white = _advance(R, p, v, solution.gravity, *step, noise)
+        t = inside_s
+    beyond_s = min(t_s - t, BEYOND_S)
+    if beyond_s > 1e-4:
+        last = signal.mean(np.array([signal.end_s - 0.02]), np.array([signal.end_s]))[0] - solution.bias
+        turn = Rotation.from_rotvec(last[3:] * beyond_s).as_matrix()
+        dv, dp = last[:3] * beyond_s, 0.5 * last[:3] * beyond_s**2
+        R, p, v, more, added = _advance(R, p, v, solution.gravity, turn, dv, dp, beyond_s, noise)
+        whole = np.eye(18)
+        whole[:9] = follows
+        follows, white = more @ whole, more[:, :9] @ white @ more[:, :9].T + added
+        t += beyond_s
+    if t > start.t:
+        white = white + _lost(signal, start.t, t)
+    return Prediction(NodeState(t, R, p, v), follows, white)
+
+
+def _advance(
+    R: FloatArray,
+    p: FloatArray,
+    v: FloatArray,
+    gravity: FloatArray,
+    delta_R: FloatArray,
+    delta_v: FloatArray,
+    delta_p: FloatArray,
+    dt: float,
+    noise: NoiseModel,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """One interval: state, how it follows the state before, and the noise."""
+    dv, dp = R @ delta_v, R @ delta_p
+    after_R, after_v = R @ delta_R, v + gravity * dt + dv
+    after_p = p + v * dt + 0.5 * gravity * dt**2 + dp
+    middle = R @ Rotation.from_rotvec(0.5 * Rotation.from_matrix(delta_R).as_rotvec()).as_matrix()
+    follows = np.eye(9, 18)
+    turn, place, speed, acc, gyro, down = (slice(k, k + 3) for k in (0, 3, 6, 9, 12, 15))
+    follows[turn, gyro] = -middle * dt
+    follows[place, turn], follows[place, speed] = -skew(dp), np.eye(3) * dt
+    follows[place, acc], follows[place, down] = -0.5 * dt**2 * middle, 0.5 * dt**2 * np.eye(3)
+    follows[speed, turn] = -skew(dv)
+    follows[speed, acc], follows[speed, down] = -dt * middle, dt * np.eye(3)
+    force, rate = (
+        float(np.linalg.norm(delta_v)) / dt,
+        float(np.linalg.norm(Rotation.from_matrix(delta_R).as_rotvec())) / dt,
+    )
+    beyond = abs(force - float(np.linalg.norm(gravity)))
+    q_acc = noise.accelerometer_density**2 + (noise.accelerometer_share * beyond) ** 2
+    q_gyro = noise.gyroscope_density**2 + (noise.gyroscope_share * rate) ** 2
+    white = np.zeros((9, 9))
+    white[turn, turn] = np.eye(3) * q_gyro * dt
+    white[speed, speed] = np.eye(3) * q_acc * dt
+    white[place, place] = np.eye(3) * q_acc * dt**3 / 3.0
+    white[place, speed] = white[speed, place] = np.eye(3) * q_acc * dt**2 / 2.0
+    return after_R, after_p, after_v, follows, white
+
+
+def _lost(signal: DoubtfulSignal, start_s: float, end_s: float) -> FloatArray:
+    """What impacts and replaced samples add to the covariance (9, 9) of turn, position and velocity."""
+    t, length_s = np.array([start_s, end_s]), end_s - start_s
+    speed, turn = float(signal.velocity_error(t)[0]) ** 2, float(signal.turn_error(t)[0]) ** 2
+    added = np.zeros((9, 9))
+    added[:3, :3] = turn * np.eye(3)
+    added[3:6, 3:6] = speed * length_s**2 / 3.0 * np.eye(3)
+    added[3:6, 6:] = added[6:, 3:6] = 0.5 * speed * length_s * np.eye(3)
+    added[6:, 6:] = speed * np.eye(3)
+    return added

@@ -1,0 +1,163 @@
+"""The IMU's last samples as a signal with one calibration, and its integrals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..measurements.inertial import (
+    InertialSignal,
+    equivalent_samples,
+    integrate,
+    integrate_between,
+    split_steps,
+)
+from ..measurements.segment import without_spikes
+from ..recording import ImuStream
+from ..selfcal.self_calibration import SelfCalibration
+from ..window.problem import ImuIncrements
+from ..window.solution import NodeState
+from .buffers import ImuBuffer
+
+#: The signal begins so long before what is integrated, s: the spline's end has no effect there.
+BEFORE_S = 0.1
+#: ... and is read so far back at least, so that one serves a whole step, s.
+CACHED_S = 0.8
+#: An arm's acceleration where samples are missing, m/s^2.
+MISSED_ACCELERATION = 4.0
+#: .. and its angular acceleration, rad/s^2: between two samples the rate is interpolated.
+MISSED_TURNING = 10.0
+
+
+class DoubtfulSignal(InertialSignal):
+    """A signal of which some samples were replaced.
+
+    Parameters
+    ----------
+    imu : ImuStream
+    doubt : ndarray, shape (N, 2), (m/s)^2 and rad^2
+        What each sample's replacement may cost velocity and turn, as variances; 0 for those that were kept.
+    """
+
+    def __init__(self, imu: ImuStream, doubt: FloatArray) -> None:
+        super().__init__(imu)
+        self._doubt = np.zeros((len(self.edges), 2))
+        self.is_doubtful = bool(doubt.any())
+        np.cumsum(doubt, axis=0, out=self._doubt[1:])
+
+    def velocity_error(self, t: FloatArray) -> FloatArray:
+        """As of a sound signal, and what replaced samples may have cost."""
+        impacts = super().velocity_error(t)
+        return np.hypot(impacts, self._lost(t, 0)) if self.is_doubtful else impacts
+
+    def turn_error(self, t: FloatArray) -> FloatArray:
+        """Turn that each interval of consecutive times (n + 1,) may have lost, rad, one sigma an axis."""
+        return self._lost(t, 1)
+
+    def _lost(self, t: FloatArray, column: int) -> FloatArray:
+        variance = np.diff(np.interp(t, self.edges, self._doubt[:, column]))
+        # what is beyond the last sample goes on as that did
+        beyond = np.maximum(t[1:] - np.maximum(t[:-1], self.end_s), 0.0)
+        last = (self._doubt[-1, column] - self._doubt[-2, column]) / (self.edges[-1] - self.edges[-2])
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + last * beyond))
+
+
+class LiveSignal:
+    """The IMU's samples as a signal with one calibration; made anew when samples have come.
+
+    Parameters
+    ----------
+    imu : ImuBuffer
+        Read only.
+    model : SelfCalibration
+        Its scale errors are taken off.
+    """
+
+    def __init__(self, imu: ImuBuffer, model: SelfCalibration) -> None:
+        self._imu = imu
+        self._scale = tuple(np.eye(3) - matrix for matrix in model.errors.imu)
+        self._cached: tuple[int, float, DoubtfulSignal] | None = None
+
+    def since(self, start_s: float) -> DoubtfulSignal:
+        """The signal from some time on."""
+        cached = self._cached
+        if cached is None or cached[0] != self._imu.version or cached[1] > start_s:
+            first_s = min(start_s, self._imu.end_s - CACHED_S)
+            imu = without_spikes(self._imu.stream(first_s - BEFORE_S))
+            acc, gyro = imu.acc @ self._scale[0].T, imu.gyro @ self._scale[1].T
+            doubt = self._imu.doubt(first_s - BEFORE_S)
+            cached = self._imu.version, first_s, DoubtfulSignal(replace(imu, acc=acc, gyro=gyro), doubt)
+            self._cached = cached
+        return cached[2]
+
+    def pause_s(self, since_s: float) -> float:
+        """Longest time without samples since some time, s."""
+        t = self._imu.t
+        t = t[np.searchsorted(t, since_s) - 1 :] if len(t) else t
+        return float(np.diff(t).max(initial=0.0))
+
+
+def increments_between(
+    signal: DoubtfulSignal, start_s: float, end_s: float, bias: FloatArray
+) -> ImuIncrements:
+    """One interval for the window; where samples are missing, velocity and direction are uncertain.
+
+    Parameters
+    ----------
+    signal : DoubtfulSignal
+    start_s, end_s : float, s
+    bias : ndarray, shape (6,), m/s^2 and rad/s
+        Subtracted.
+    """
+    t = np.array([start_s, end_s])
+    step_t, first = split_steps(t)
+    acc, gyro, h = equivalent_samples(integrate(signal, step_t, bias))
+    error, turn = signal.velocity_error(t), signal.turn_error(t)
+    length_s = np.diff(signal.edges)
+    inside = (signal.edges[1:] > start_s) & (signal.edges[:-1] < end_s)
+    missing_s = float(np.maximum(length_s[inside] - 2.0 * np.median(length_s), 0.0).sum())
+    if missing_s > 0:
+        error = np.hypot(error, MISSED_ACCELERATION * missing_s)
+        turn = np.hypot(turn, 0.5 * MISSED_TURNING * missing_s**2)
+    return ImuIncrements(acc, gyro, h, first, bias, error, turn if turn.any() else None)
+
+
+def propagated(
+    node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
+) -> NodeState:
+    """Where the IMU leads from a node to a time after it.
+
+    Parameters
+    ----------
+    node : NodeState
+    t_s : float, s
+    signal : InertialSignal
+    bias : ndarray, shape (6,), m/s^2 and rad/s
+    gravity : ndarray, shape (3,), m/s^2
+        In {K}.
+    """
+    delta = integrate_between(signal, np.array([node.t]), np.array([t_s]), bias)
+    dt = t_s - node.t
+    p = node.p + node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
+    v = node.v + gravity * dt + node.R @ delta.delta_v[0]
+    return NodeState(t_s, node.R @ delta.delta_R[0], p, v)
+
+
+def displacement(
+    node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Orientation (3, 3) at a time near a node, also before it, and how far the IMU moves until then, (3,) m.
+
+    Parameters as of `propagated`.
+    """
+    first_s, last_s = min(node.t, t_s), max(node.t, t_s)
+    delta = integrate_between(signal, np.array([first_s]), np.array([last_s]), bias)
+    dt = last_s - first_s
+    if t_s > node.t:
+        moved = node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
+        return node.R @ delta.delta_R[0], moved
+    R = node.R @ delta.delta_R[0].T
+    v = node.v - gravity * dt - R @ delta.delta_v[0]
+    return R, -(v * dt + 0.5 * gravity * dt**2 + R @ delta.delta_p[0])

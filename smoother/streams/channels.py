@@ -1,0 +1,319 @@
+"""What the channels of a stream are: its labels, types and units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import FloatArray
+from ..errors import RecordingError
+from ..io.markers import without_origin
+from ..io.tables.columns import SensorChannels, find_sensors, joint_label
+from ..io.tables.joint_columns import find_joint_columns, words_of
+from ..io.tables.skeleton_formats import kinect_states, share_states
+from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
+from ..recording import JOINTS, CameraFrame, JointState
+from ..runtime.printable import printable
+
+#: The channel format of strings (`pylsl.cf_string`).
+_STRINGS = 3
+Axes = tuple[int, int, int]
+#: Words of a label beside a joint's that say that its numbers are a Kinect's states, not shares of one.
+_STATES = {"state", "trackingstate", "status", "level"}
+
+
+@dataclass(frozen=True)
+class StreamLabels:
+    """A stream's description of itself.
+
+    Attributes
+    ----------
+    name, kind : str
+        Its name and type.
+    labels, types, units : list of str
+        Of its channels; "" where there is none.
+    is_text : bool
+        It sends strings instead of numbers.
+    """
+
+    name: str
+    kind: str
+    labels: list[str]
+    types: list[str]
+    units: list[str]
+    is_text: bool = False
+
+    @classmethod
+    def of(cls, info: Any) -> StreamLabels:
+        """From a full `pylsl.StreamInfo`."""
+        labels, types, units = [], [], []
+        channel = info.desc().child("channels").child("channel")
+        for _ in range(info.channel_count()):
+            kind = channel.child_value("type")
+            marker = channel.child_value("marker") or channel.child_value("object")
+            label = channel.child_value("label") or channel.child_value("name")
+            labels.append(joint_label(marker, kind) or label)
+            types.append(kind)
+            units.append(channel.child_value("unit"))
+            channel = channel.next_sibling("channel")
+        return cls(info.name(), info.type(), labels, types, units, info.channel_format() == _STRINGS)
+
+    def difference(self, other: StreamLabels) -> str:
+        """What another description says otherwise; "" where both mean the same."""
+        if other.is_text != self.is_text:
+            return "text instead of numbers" if other.is_text else "numbers instead of text"
+        if len(other.labels) != len(self.labels):
+            return f"{len(other.labels)} channels instead of {len(self.labels)}"
+        if sorted(other.labels) == sorted(self.labels) and other.labels != self.labels:
+            return f"its channels in another order ({', '.join(other.labels[:6])} ..)"
+        for what in ("labels", "types", "units"):
+            for at, (before, now) in enumerate(zip(getattr(self, what), getattr(other, what), strict=True)):
+                if before != now:
+                    name = self.labels[at] or f"channel {at + 1}"
+                    return f"the {what[:-1]} {now or 'nothing'} instead of {before or 'nothing'} for {name}"
+        return ""
+
+    def check_numbers(self) -> None:
+        """Refuse a stream of text.
+
+        Raises
+        ------
+        RecordingError
+            It sends strings.
+        """
+        if self.is_text:
+            raise RecordingError(
+                f"The stream {printable(self.name)} sends text, not numbers; name the one with the samples"
+                " (markers and notes of a session usually are of this kind)."
+            )
+
+    @property
+    def shown(self) -> str:
+        """Its labels, for a sentence."""
+        labels = [label for label in self.labels if label]
+        if not labels:
+            return "its channels have no labels"
+        more = f", and {len(labels) - 8} more" if len(labels) > 8 else ""
+        return f"its channels are {printable(', '.join(labels[:8])[:150])}{more}"
+
+
+@dataclass(frozen=True)
+class ImuChannels:
+    """Channels of an IMU, and what their units are in SI.
+
+    Attributes
+    ----------
+    acc, gyro : tuple of int
+        Columns of x, y, z.
+    acc_unit, gyro_unit : float
+        m/s^2 and rad/s in one of theirs.
+    mag : tuple of int, optional
+        Columns of the magnetometer.
+    """
+
+    acc: Axes
+    gyro: Axes
+    acc_unit: float
+    gyro_unit: float
+    mag: Axes | None = None
+
+    @classmethod
+    def of(cls, stream: StreamLabels) -> ImuChannels:
+        """What an IMU's stream holds.
+
+        Raises
+        ------
+        RecordingError
+            A label or a unit is missing; the sentence says which.
+        """
+        stream.check_numbers()
+        name = printable(stream.name)
+        sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
+        _one_of_each(stream, sensors)
+        whole = [sensor for sensor in sensors if {"acc", "gyro"} <= sensor.axes.keys()]
+        if not whole:
+            kinds = {kind for sensor in sensors for kind in sensor.axes}
+            lacks = [f"{kind}_x, {kind}_y, {kind}_z" for kind in ("acc", "gyro") if kind not in kinds]
+            raise RecordingError(
+                f"The stream {name} cannot be used as IMU: {stream.shown}; {' and '.join(lacks)} are missing:"
+                " send accelerometer and gyroscope in one stream, with these labels and their units."
+            )
+        if len(whole) > 1:
+            names = printable(", ".join(sensor.name for sensor in whole))
+            raise RecordingError(
+                f"The stream {name} holds several IMUs ({names}); send that of the forearm in a stream of its"
+                " own."
+            )
+        acc, gyro = whole[0].axes["acc"], whole[0].axes["gyro"]
+        acc_unit = _unit(stream, acc, ACCELERATION, "accelerometer", "m/s^2 or g")
+        gyro_unit = _unit(stream, gyro, ANGULAR_VELOCITY, "gyroscope", "rad/s or deg/s")
+        return cls(acc, gyro, acc_unit, gyro_unit, whole[0].axes.get("mag"))
+
+    def values(self, samples: NDArray) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Specific force, angular velocity in SI, magnetic field as sent (n, 3) of samples (n, channels)."""
+        samples = samples.astype(float)
+        mag = None if self.mag is None else samples[:, self.mag]
+        return samples[:, self.acc] * self.acc_unit, samples[:, self.gyro] * self.gyro_unit, mag
+
+
+def _one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -> None:
+    """Refuse a stream with two sensors of a kind of which it does not show which belong together."""
+    words = {"acc": "accelerometers", "gyro": "gyroscopes"}
+    for kind, several in words.items():
+        names = [sensor.name or kind for sensor in sensors if kind in sensor.axes]
+        labels = [stream.labels[at] for sensor in sensors for at in sensor.axes.get(kind, ())]
+        again = sorted({label for label in labels if label and stream.labels.count(label) > 1})
+        if again:
+            raise RecordingError(
+                f"The stream {printable(stream.name)} has several channels called"
+                f" {printable(', '.join(again))}; send that of one sensor, or give them names of their own."
+            )
+        if len(names) > 1 and not all({"acc", "gyro"} <= sensor.axes.keys() for sensor in sensors):
+            raise RecordingError(
+                f"The stream {printable(stream.name)} has {len(names)} {several}"
+                f" ({printable(', '.join(names))}); send one, with the larger range."
+            )
+
+
+@dataclass(frozen=True)
+class SkeletonChannels:
+    """Channels of one arm's joints.
+
+    Attributes
+    ----------
+    side : str
+        "left", "right" or "".
+    axes : dict of str to tuple of int
+        Columns of x, y, z by joint.
+    confidence : dict of str to int
+        Column of the confidence (a share of one) by joint.
+    states : dict of str to int
+        Column of a Kinect's tracking state by joint.
+    metres : float
+        In one of their units.
+    camera_frame : CameraFrame, optional
+        Where the joints' names say which camera it is.
+    """
+
+    side: str
+    axes: dict[str, Axes]
+    confidence: dict[str, int]
+    states: dict[str, int]
+    metres: float
+    camera_frame: CameraFrame | None
+
+    @classmethod
+    def of(cls, stream: StreamLabels, side: str | None, prefer_side: str | None = None) -> SkeletonChannels:
+        """What a skeleton's stream holds of one arm.
+
+        Parameters
+        ----------
+        stream : StreamLabels
+        side : str, optional
+            Asked for.
+        prefer_side : str, optional
+            Taken where both arms are there and none is asked for.
+
+        Raises
+        ------
+        RecordingError
+            Labels or units are missing, or both arms are there and nothing says which is meant.
+        """
+        stream.check_numbers()
+        name = printable(stream.name)
+        columns = find_joint_columns(stream.labels)
+        by_side: dict[str, dict[str, Axes]] = {}
+        for joint, triple in columns.axes.items():
+            by_side.setdefault(joint.rpartition("_")[2], {})[joint.rpartition("_")[0]] = triple
+        for of_side, triple in _straps(stream.labels).items():
+            by_side.setdefault(of_side, {})["strap"] = triple
+        by_side = {of: axes for of, axes in by_side.items() if _usable(axes)}
+        if not by_side:
+            raise RecordingError(
+                f"The stream {name} cannot be used as skeleton: {stream.shown}; shoulder, elbow and wrist of"
+                " an arm are missing: send their x, y, z with labels such as wrist_right_x, and the unit."
+            )
+        chosen = side or (prefer_side if prefer_side in by_side else None)
+        chosen = chosen or (next(iter(by_side)) if len(by_side) == 1 else None)
+        if chosen is None:
+            raise RecordingError(f"The stream {name} shows both arms; say which wears the IMU with --side.")
+        axes = by_side.get(chosen, by_side.get(""))
+        if axes is None:
+            raise RecordingError(f"The stream {name} shows no {chosen} arm: {stream.shown}.")
+        unit = next(iter(axes.values()))
+        metres = _unit(stream, unit, METRES, "positions", "m or mm", plain=str.lower)
+        beside = {joint: columns.confidence.get(f"{joint}_{chosen}") for joint in axes}
+        known = {joint: at for joint, at in beside.items() if at is not None}
+        states = {joint: at for joint, at in known.items() if _STATES & set(words_of(stream.labels[at]))}
+        confidence = {joint: at for joint, at in known.items() if joint not in states}
+        return cls(chosen, axes, confidence, states, metres, _camera_frame(stream.labels))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints that are there, in the order of `JOINTS`."""
+        return tuple(joint for joint in JOINTS if joint in self.axes)
+
+    def values(self, samples: NDArray) -> tuple[FloatArray, NDArray[np.int8]]:
+        """Positions (n, 5, 3) in m and states (n, 5) of samples (n, channels).
+
+        A joint at (0, 0, 0), as many programs write a lost one, is not tracked.
+        """
+        samples = samples.astype(float)
+        position = np.full((len(samples), len(JOINTS), 3), np.nan)
+        state = np.full((len(samples), len(JOINTS)), JointState.NOT_TRACKED, np.int8)
+        states = {joint: kinect_states(samples[:, at]) for joint, at in self.states.items()}
+        states |= {joint: share_states(samples[:, at]) for joint, at in self.confidence.items()}
+        for joint, columns in self.axes.items():
+            at = JOINTS.index(joint)
+            position[:, at] = without_origin(samples[:, columns]) * self.metres
+            is_there = np.isfinite(position[:, at]).all(axis=1)
+            state[:, at] = np.where(is_there, states.get(joint, JointState.TRACKED), JointState.NOT_TRACKED)
+        return position, state
+
+
+def _unit(
+    stream: StreamLabels,
+    columns: Axes,
+    known: dict[str, float],
+    what: str,
+    such_as: str,
+    plain: Callable[[str], str] = plain_unit,
+) -> float:
+    """What a unit of these channels is in SI."""
+    units = {stream.units[column].strip() for column in columns}
+    factors = {known.get(plain(unit)) for unit in units}
+    if len(factors) == 1 and (factor := factors.pop()) is not None:
+        return factor
+    stated = printable(", ".join(sorted(units))[:60])
+    problem = f"is stated as {stated!r}, which is not known" if any(units) else "is missing"
+    raise RecordingError(
+        f"The stream {printable(stream.name)} cannot be used: the unit of its {what} {problem};"
+        f" send {such_as} as the channels' unit."
+    )
+
+
+def _straps(labels: Sequence[str]) -> dict[str, Axes]:
+    """Columns of the strap's own position by side."""
+    columns: dict[str, dict[str, int]] = {}
+    for at, label in enumerate(labels):
+        words = words_of(label)
+        if "strap" in words and words[-1] in ("x", "y", "z"):
+            side = next((word for word in words if word in ("left", "right")), "")
+            columns.setdefault(side, {})[words[-1]] = at
+    return {side: (c["x"], c["y"], c["z"]) for side, c in columns.items() if len(c) == 3}
+
+
+def _usable(axes: dict[str, Axes]) -> bool:
+    return "strap" in axes or ("elbow" in axes and bool({"wrist", "hand"} & axes.keys()))
+
+
+def _camera_frame(labels: Sequence[str]) -> CameraFrame | None:
+    """The camera's axes where names of joints show which program sent them."""
+    words = {word for label in labels for word in words_of(label)}
+    if words & {"navel", "clavicle"}:
+        return CameraFrame.OPTICAL
+    return CameraFrame.KINECT if "spine" in words and words & {"base", "mid"} else None

@@ -1,0 +1,288 @@
+"""A session recorded while it lasts: a file that can be read at any moment."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from queue import Full, Queue, SimpleQueue
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import UnoccludeError
+from ..io.mcap.merge import Output, OutputStream
+from ..io.mcap.messages import nanoseconds
+from ..io.recording.read import METADATA, RESULT_PREFIX
+from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples
+from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
+from ..io.wire.schemas import message_class
+from ..live.answers import LiveOutput
+from ..recording import JOINTS
+from ..runtime.outputs import check_output, umask
+from .arrivals import Arrivals, SourceInfo
+
+if TYPE_CHECKING:
+    from .foxglove import LiveMessages
+
+#: What came is written after so long, s: more a killed program cannot lose.
+_FLUSH_S = 1.0
+#: What was shown and what was marked; readers of recordings leave both alone.
+SHOWN_TOPIC, MARKS_TOPIC = "/live/forearm", "/live/marks"
+_SHOWN_EACH_S = 0.03
+
+
+class SessionRecording:
+    """Writes IMU and skeleton to an MCAP file as they arrive: stamps inside, arrival as log time.
+
+    While the session lasts the file is NAME.recording.mcap beside its place: no command sweeps it away, and
+    what a killed program leaves can be read and repaired. `close` gives it its name.
+
+    Attributes
+    ----------
+    path, growing : Path
+        The file's name in the end, and while the session lasts.
+    has_samples : bool
+        Something was written.
+
+    Parameters
+    ----------
+    path : Path
+        The file's name in the end.
+    info : SourceInfo
+        Of the session.
+    force : bool
+        Overwrite a file that exists.
+
+    Raises
+    ------
+    UnoccludeError
+        The file exists, or one that a killed session left, or it cannot be written.
+    """
+
+    def __init__(self, path: Path, info: SourceInfo, force: bool = False):
+        check_recording(path, force)
+        self.path, self.growing = path, growing_name(path)
+        self._info = info
+        self._notes: list[str] = []
+        self.has_samples = self._is_broken = False
+        try:
+            os.close(os.open(self.growing, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+            self._output = Output(self.growing)
+            self._output.__enter__()
+        except OSError as error:
+            raise UnoccludeError(f"{self.growing} cannot be written: {error.strerror or error}") from error
+        self._imu_topic = imu_topic(info.imu, info.side)
+        self._present = [JOINTS.index(joint) for joint in info.joints]
+        self._flushed_s = self._shown_s = -np.inf
+        self._messages: LiveMessages | None = None
+        self._write_metadata()
+
+    def take(self, arrivals: Arrivals) -> None:
+        """Write what arrived; its events become notes of the recording.
+
+        Raises
+        ------
+        UnoccludeError
+            The disk is full.
+        """
+        self._notes += arrivals.events
+        imu, frames, outgoing = arrivals.imu, arrivals.frames, []
+        origin = self._info.origin_ns
+        if len(imu):
+            stamp = nanoseconds(imu.t_s, origin)
+            samples = ImuSamples(
+                self._imu_topic, self._imu_topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag
+            )
+            messages = imu_messages(self._output, samples)
+            outgoing.append(replace(messages, time_ns=nanoseconds(imu.arrival_s, origin)))
+        if len(frames):
+            stamp = nanoseconds(frames.t_s, origin)
+            arm = ArmFrames("/skeleton", CAMERA, 0, self._info.side, stamp, frames.position, frames.state)
+            messages = arm_messages(self._output, arm, self._present)
+            outgoing.append(replace(messages, time_ns=nanoseconds(frames.arrival_s, origin)))
+        if not outgoing:
+            return
+        self.has_samples = True
+        newest = max(float(rows.arrival_s[-1]) for rows in (imu, frames) if len(rows))
+        self._write(outgoing, newest)
+
+    def shown(self, output: LiveOutput) -> None:
+        """Write what was shown, some 30 times a second: `/live/forearm`, the pose of the IMU *now*.
+
+        Raises
+        ------
+        UnoccludeError
+            The disk is full.
+        """
+        now = output.now
+        if now is None or abs(output.now_s - self._shown_s) < _SHOWN_EACH_S:
+            return
+        self._shown_s = output.now_s
+        if self._messages is None:
+            from .foxglove import LiveMessages
+
+            self._messages = LiveMessages(self._info)
+        wanted = {f"{RESULT_PREFIX}forearm"}
+        data = [message.data for message in self._messages.estimate(now, wanted)]
+        self._write([self._stream(SHOWN_TOPIC, "foxglove.Odometry", data, output.now_s)], output.now_s)
+
+    def mark(self, text: str, t_s: float) -> None:
+        """Write what somebody marked, on `/live/marks`.
+
+        Raises
+        ------
+        UnoccludeError
+            The disk is full.
+        """
+        line = message_class("foxglove.Log")()
+        line.timestamp.FromNanoseconds(round(t_s * 1e9) + self._info.origin_ns)
+        line.level, line.message, line.name = line.INFO, text, "mark"
+        data = [line.SerializeToString(deterministic=True)]
+        self._write([self._stream(MARKS_TOPIC, "foxglove.Log", data, t_s)], t_s)
+
+    def _stream(self, topic: str, schema: str, data: list[bytes], t_s: float) -> OutputStream:
+        time_ns = np.full(len(data), round(t_s * 1e9) + self._info.origin_ns)
+        return OutputStream(self._output.channel(topic, schema), time_ns, lambda part: data[part])
+
+    def _write(self, outgoing: list[OutputStream], newest: float) -> None:
+        try:
+            self._output.write(outgoing)
+            if newest - self._flushed_s > _FLUSH_S:
+                self._output.flush()
+                self._flushed_s = newest
+        except OSError as error:
+            self._is_broken = True
+            raise UnoccludeError(
+                f"{self.growing} cannot be written any more ({error.strerror or error}); what is in it can be"
+                f" read: `unocclude repair {self.growing} -o {self.path}`"
+            ) from error
+
+    def close(self) -> None:
+        """Write the file's end, and give it its name; one without any sample goes.
+
+        One that could not be written any more stays as it is, under the name that it has.
+        """
+        if self._is_broken or not self.has_samples:
+            self._output.__exit__(UnoccludeError, None, None)
+            if not self.has_samples:
+                self.growing.unlink()
+            return
+        if self._notes:
+            self._write_metadata()
+        self._output.__exit__(None, None, None)
+        with open(self.growing, "rb+") as file:
+            os.fsync(file.fileno())
+        os.chmod(self.growing, 0o666 & ~umask())
+        os.replace(self.growing, self.path)
+
+    def _write_metadata(self) -> None:
+        values = {"notes": json.dumps(self._notes), "name": self._info.name, ORDER: ARRIVAL}
+        if self._info.camera_frame is not None:
+            values["camera_frame"] = str(self._info.camera_frame)
+        if self._info.gravity_hint is not None:
+            values["gravity"] = json.dumps([float(value) for value in self._info.gravity_hint])
+        self._output.metadata(METADATA, values)
+
+
+def growing_name(path: Path) -> Path:
+    """What a recording is called while the session lasts."""
+    return path.with_name(f"{path.stem}.recording.mcap")
+
+
+def check_recording(path: Path, force: bool = False) -> None:
+    """Refuse a name that could not be given in the end, before the session begins.
+
+    Raises
+    ------
+    UnoccludeError
+        The file exists and `force` is not given, or a session that was killed left its own there.
+    """
+    check_output(path, force)
+    growing = growing_name(path)
+    if growing.exists():
+        raise UnoccludeError(
+            f"{growing} was left by a session that was killed, or another session writes to it;"
+            f" `unocclude repair {growing} -o NAME.mcap` saves what is in it, then remove it"
+        )
+
+
+#: So much may wait for a slow disk; what comes then is not recorded.
+_MOST_WAITING = 20_000
+#: The file's end is waited for no longer than this, s.
+_CLOSE_S = 60.0
+
+
+class Recorder:
+    """Writes a recording aside, so that a slow disk delays no answer; a full one ends the recording alone.
+
+    Parameters
+    ----------
+    recording : SessionRecording
+    patient : bool
+        Wait for the disk rather than lose anything: for recordings that are played.
+    """
+
+    def __init__(self, recording: SessionRecording, patient: bool = False):
+        self.recording, self._patient = recording, patient
+        self._jobs: Queue[Callable[[], None] | None] = Queue(_MOST_WAITING)
+        self._events: SimpleQueue[str] = SimpleQueue()
+        self._has_ended = False
+        self._lost = 0
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def has_samples(self) -> bool:
+        """Something was written."""
+        return self.recording.has_samples
+
+    def take(self, arrivals: Arrivals) -> None:
+        """Write what arrived."""
+        self._put(lambda: self.recording.take(arrivals))
+
+    def shown(self, output: LiveOutput) -> None:
+        """Write what was shown."""
+        self._put(lambda: self.recording.shown(output))
+
+    def mark(self, text: str, t_s: float) -> None:
+        """Write a mark."""
+        self._put(lambda: self.recording.mark(text, t_s))
+
+    def events(self) -> list[str]:
+        """What became of the recording since the last call."""
+        events: list[str] = []
+        while not self._events.empty():
+            events.append(self._events.get_nowait())
+        return events
+
+    def close(self) -> None:
+        """Write what waits, and the file's end."""
+        with suppress(Full):
+            self._jobs.put(None, timeout=_CLOSE_S)
+        self._thread.join(_CLOSE_S)
+        self.recording.close()
+
+    def _put(self, job: Callable[[], None]) -> None:
+        if self._has_ended:
+            return
+        try:
+            self._jobs.put(job, block=self._patient, timeout=_CLOSE_S)
+        except Full:
+            self._lost += 1
+            if self._lost == 1:
+                self._events.put("the disk is too slow: the recording has holes from now on")
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            if self._has_ended:
+                continue
+            try:
+                job()
+            except UnoccludeError as error:
+                self._has_ended = True
+                self._events.put(f"the recording has ended, the session goes on: {error}")

@@ -1,0 +1,255 @@
+"""Plays damaged streams into a live session as fast as it goes, and measures where the answer is wrong."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import select
+import signal
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+
+from smoother.array_types import FloatArray
+from smoother.live.answers import LiveOutput, LiveState
+from smoother.live.calibrations import InlineCalibrator
+from smoother.live.smoother import LiveSmoother
+from smoother.measurements.visibility import Gap
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.streams.arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
+from smoother.streams.session import LiveSession
+from tools.live_faults.kinds import KINDS, Streams
+
+LATENCY_S, OFFSET_S, STEP_S = 0.1, -0.02, 1 / 30
+#: Samples that a sensor sends together.
+TOGETHER = 3
+#: The answer counts as wrong where its error exceeds so many of its sigmas.
+SIGMAS = 3.0
+
+
+def simulated(
+    seed: int, duration_s: float, gaps_s: tuple[float, ...] = (1.0,), preset: str = "realistic"
+) -> SimulatedArm:
+    """A realistic arm with a 100 Hz IMU and a 30 Hz camera."""
+    return simulate_arm(
+        ArmSimulation.preset(
+            preset, protocol="random", duration_s=duration_s, imu_rate_hz=100, occlusion_lengths_s=gaps_s
+        ),
+        seed,
+    )
+
+
+def streams_of(simulation: SimulatedArm) -> Streams:
+    """A sound session: samples by threes as they are taken, frames after the camera's latency."""
+    imu, arm = simulation.recording.imu, simulation.recording.arm
+    t = np.asarray(imu.t_s, float)
+    last = np.minimum((np.arange(len(t)) // TOGETHER + 1) * TOGETHER - 1, len(t) - 1)
+    frame_t = np.asarray(arm.t_s, float)
+    return Streams(
+        ImuRows(t, np.array(imu.acc, float), np.array(imu.gyro, float), t[last] + 0.004),
+        FrameRows(
+            frame_t, np.array(arm.position, float), np.array(arm.state), frame_t + OFFSET_S + LATENCY_S
+        ),
+    )
+
+
+class StreamsSource:
+    """Streams as the source of a session whose time is theirs; nobody is waited for.
+
+    Parameters
+    ----------
+    streams : Streams
+    simulation : SimulatedArm
+        That they are of.
+    """
+
+    speed = 0.0
+
+    def __init__(self, streams: Streams, simulation: SimulatedArm):
+        self._streams = streams.sorted()
+        recording = simulation.recording
+        joints = tuple(recording.arm.joints_seen) if hasattr(recording.arm, "joints_seen") else ()
+        self.info = SourceInfo(
+            "imu", "camera", recording.side, joints, 0, recording.camera_frame, recording.gravity_hint
+        )
+        self._now = float(min(self._streams.imu.arrival_s[0], self._streams.frames.arrival_s[0]))
+        self._last = float(max(self._streams.imu.arrival_s[-1], self._streams.frames.arrival_s[-1]))
+        self._next = [0, 0]
+
+    @property
+    def ended(self) -> bool:
+        """Everything was played."""
+        return self._now >= self._last
+
+    def now_s(self) -> float:
+        """The session's time, s."""
+        return self._now
+
+    def wait(self, seconds: float) -> None:
+        """Nobody is waited for."""
+
+    def arrivals(self) -> Arrivals:
+        """What came since the last call."""
+        self._now += STEP_S
+        imu, frames = self._streams.imu, self._streams.frames
+        stop = [int(np.searchsorted(rows.arrival_s, self._now, "right")) for rows in (imu, frames)]
+        first, self._next = self._next, stop
+        return Arrivals(imu.select(slice(first[0], stop[0])), frames.select(slice(first[1], stop[1])))
+
+    def go_on_with(self, streams: Streams) -> None:
+        """What comes from now on is of other streams, which are the same until now."""
+        self._streams = streams.sorted()
+        rows = self._streams.imu, self._streams.frames
+        self._next = [int(np.searchsorted(each.arrival_s, self._now, "right")) for each in rows]
+        self._last = float(max(each.arrival_s[-1] for each in rows))
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+
+@dataclass
+class Answers:
+    """All answers of a session; a receiver.
+
+    Attributes
+    ----------
+    outputs : list of LiveOutput
+    events : list of (float, str)
+        When, and what was said.
+    """
+
+    outputs: list[LiveOutput] = field(default_factory=list)
+    events: list[tuple[float, str]] = field(default_factory=list)
+
+    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
+        """Keep them."""
+        self.outputs.append(output)
+        self.events += [(output.now_s, text) for text in events]
+
+    def close(self) -> None:
+        """Nothing more will come."""
+
+
+class Sound:
+    """A sound session until a moment: faults branch off from it, each in a process of its own (`os.fork`).
+
+    Parameters
+    ----------
+    simulation : SimulatedArm
+    until_s : float, s
+        The session's time at which faults begin.
+    """
+
+    def __init__(self, simulation: SimulatedArm, until_s: float = -np.inf):
+        recording = simulation.recording
+        self.simulation, self.streams, self.until_s = simulation, streams_of(simulation), until_s
+        self.answers = Answers()
+        self._source = StreamsSource(self.streams, simulation)
+        engine = LiveSmoother(
+            recording.side, camera_frame=recording.camera_frame, calibrator=InlineCalibrator(15)
+        )
+        self._session = LiveSession(self._source, engine, receivers=[self.answers])
+        self._session.run(lambda: self._source.now_s() >= until_s - STEP_S, lambda view: None)
+
+    def ended_with(self, streams: Streams) -> Answers:
+        """All answers where the session goes on with other streams; ends the session."""
+        self._source.go_on_with(streams)
+        self._session.run(lambda: False, lambda view: None)
+        return self.answers
+
+
+def forked(job: Callable[[], Verdict], longest_s: float) -> Verdict:
+    """The answer of a job in a copy of this process, which is ended if it takes longer."""
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            with os.fdopen(writer, "wb") as file:
+                pickle.dump(job(), file)
+        finally:
+            os._exit(0)
+    os.close(writer)
+    data, until = b"", time.monotonic() + longest_s
+    try:
+        while select.select([reader], [], [], max(until - time.monotonic(), 0.0))[0]:
+            chunk = os.read(reader, 1 << 16)
+            if not chunk:
+                break
+            data += chunk
+        else:
+            raise TimeoutError(f"no answer within {longest_s:g} s")
+        return cast(Verdict, pickle.loads(data))
+    finally:
+        os.close(reader)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How one kind of fault ended.
+
+    Attributes
+    ----------
+    kind : str
+    seed : int
+    wrong_s : float, s
+        Time with an answer whose error is beyond three of its sigmas.
+    silent_s : float, s
+        Time after the fault began without an answer, or with one that is provisional.
+    worst_m, at_sigma_m : float, m
+        The largest error in sigmas: the error, and the sigma that was stated.
+    sound_cm : float, cm
+        Error (rms) of the last five seconds where the arm was visible; nan without an answer.
+    said : tuple of str
+        What was said after the fault began.
+    """
+
+    kind: str
+    seed: int
+    wrong_s: float
+    silent_s: float
+    worst_m: float
+    at_sigma_m: float
+    sound_cm: float
+    said: tuple[str, ...]
+
+
+def errors_of(answers: Answers, simulation: SimulatedArm) -> FloatArray:
+    """Of every step: time, error of `now` (m), its sigma (m), whether it is shown, whether visible (n, 5)."""
+    rows = []
+    for output in answers.outputs:
+        now = output.now
+        if now is None:
+            rows.append((output.now_s, np.nan, np.nan, 0.0, 0.0))
+            continue
+        true = simulation.motion.imu_pose(np.array([now.t_s]))[1][0]
+        error = float(np.linalg.norm(now.position - true))
+        shown = 0.0 if getattr(now, "provisional", False) else 1.0
+        rows.append((output.now_s, error, now.sigma_m, shown, float(now.state is LiveState.VISIBLE)))
+    return np.array(rows)
+
+
+def verdict_of(kind: str, seed: int, sound: Sound) -> Verdict:
+    """One kind of fault on one arm; ends the sound session."""
+    rng, at_s = np.random.default_rng([seed, sum(kind.encode())]), sound.until_s
+    answers = sound.ended_with(KINDS[kind](sound.streams, at_s, rng))
+    rows = errors_of(answers, sound.simulation)
+    t, error, sigma, shown, visible = rows.T
+    with np.errstate(invalid="ignore"):
+        wrong = (shown > 0) & (error > SIGMAS * sigma)
+    worst = int(np.nanargmax(np.where(shown > 0, error / sigma, np.nan)))
+    last = (shown > 0) & (visible > 0) & (t > t[-1] - 5.0)
+    return Verdict(
+        kind,
+        seed,
+        float(wrong.sum() * STEP_S),
+        float((~(shown > 0) & (t > at_s)).sum() * STEP_S),
+        float(error[worst]),
+        float(sigma[worst]),
+        float(100 * np.sqrt(np.mean(error[last] ** 2))) if last.any() else float("nan"),
+        tuple(f"{when - at_s:+.1f} s: {text}" for when, text in answers.events if when > at_s),
+    )
