@@ -106,6 +106,7 @@ def lsl_source(
     skeleton: str | None,
     side: str | None,
     prefer_side: str | None,
+    body: str | None,
     wait_s: float,
     stop_request: StopRequest,
     stack: ExitStack,
@@ -113,7 +114,7 @@ def lsl_source(
     """Streams of the Lab Streaming Layer, once both are there; None where it was ended before."""
     from ..streams.lsl_source import LslSource
 
-    source = LslSource(imu, skeleton, side, prefer_side)
+    source = LslSource(imu, skeleton, side, prefer_side, body)
     stack.callback(source.close)
     say(f"looking for the streams, at most {wait_s:g} s")
     return source if source.open(wait_s, stop_request, say) else None
@@ -261,6 +262,10 @@ def live(
         ),
     ] = None,
     side: Side = None,
+    body: Annotated[
+        str | None,
+        typer.Option("--body", metavar="N", help="Which of several bodies of the skeleton's LSL stream."),
+    ] = None,
     calibration_file: Calibration = None,
     config_file: ConfigFile = None,
     lag_s: Annotated[
@@ -331,7 +336,9 @@ def live(
     `pip install '.[live]'`.
     """
     side = one_side(side)
-    _check_use(record, then_smooth, replay, {"--speed": speed != 1.0, "--latency": latency_s is not None})
+    _check_use(
+        record, then_smooth, replay, body, {"--speed": speed != 1.0, "--latency": latency_s is not None}
+    )
     recovered = recovered_name(record) if record is not None and then_smooth else None
     check_outputs(force, [record, recovered, json_file], [calibration_file, config_file, replay])
     from ..streams.foxglove import foxglove_module
@@ -353,7 +360,7 @@ def live(
         if replay is not None:
             source: Source | None = Replay(replay, imu, skeleton, side, prefer, speed, latency_s)
         else:
-            source = lsl_source(imu, skeleton, side, prefer, wait_s, stop_request, stack)
+            source = lsl_source(imu, skeleton, side, prefer, body, wait_s, stop_request, stack)
         if source is None:
             say("ended before the streams were there; nothing was recorded")
             return
@@ -382,13 +389,17 @@ def live(
         say_command(*arguments)
 
 
-def _check_use(record: Path | None, then_smooth: bool, replay: Path | None, others: dict[str, bool]) -> None:
+def _check_use(
+    record: Path | None, then_smooth: bool, replay: Path | None, body: str | None, others: dict[str, bool]
+) -> None:
     """Refuse options that do not go together."""
     if then_smooth and record is None:
         raise typer.BadParameter("--then-smooth smooths what was recorded; give --record as well")
     for option, given in others.items():
         if given and replay is None:
             raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
+    if replay is not None and body is not None:
+        raise typer.BadParameter("--body is of a stream; a replay takes --skeleton")
     if record is not None:
         check_mcap(record)
 

@@ -63,7 +63,7 @@ _COLUMNS = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
 _SHOULDER, _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist"))
 
 
-class Suspect(Enum):
+class Culprit(Enum):
     """Who is wrong."""
 
     NOBODY = "nobody"
@@ -80,7 +80,7 @@ class Finding:
     ----------
     accepted : ndarray of bool, shape (5,)
         Joints that take part.
-    cause : Suspect
+    cause : Culprit
         New with this frame; `NOBODY` while nothing changes.
     sentence : str
         Of what changed.
@@ -93,7 +93,7 @@ class Finding:
     """
 
     accepted: BoolArray
-    cause: Suspect = Suspect.NOBODY
+    cause: Culprit = Culprit.NOBODY
     sentence: str = ""
     retract_s: float = np.inf
     doubt_s: tuple[float, float] = (0.0, 0.0)
@@ -228,6 +228,7 @@ class CameraMonitor:
         self._limit_s, self._jump_m = LONGEST_S, np.inf
         self._solutions: deque[LagSolution] = deque()
         self._seen: deque[_Seen] = deque(maxlen=LOOKED_AT)
+        self._waited: deque[tuple[_Seen, JointResiduals]] = deque(maxlen=LOOKED_AT // 2)
         self._bad = self._fits = self._repeats = 0
         self._count = 0
         self._doubt_s, self._doubted_until_s = DOUBT_S, -np.inf
@@ -341,12 +342,13 @@ class CameraMonitor:
         nothing = np.zeros(len(JOINTS), bool)
         if since_s is not None:
             return (
-                Finding(nothing, Suspect.TRACKER, _ANEW)
+                Finding(nothing, Culprit.TRACKER, _ANEW)
                 if t_s - since_s > self._limit_s
                 else Finding(nothing)
             )
         self.since_s = t_s
-        return Finding(nothing, Suspect.CAMERA, f"the camera is left out: {why}", retract_s)
+        self._waited.clear()
+        return Finding(nothing, Culprit.CAMERA, f"the camera is left out: {why}", retract_s)
 
     def _waiting(self, t_s: float, now: JointResiduals, accepted: BoolArray) -> Finding:
         """The camera takes no part: does it fit again, or is it time to begin anew?"""
@@ -354,14 +356,15 @@ class CameraMonitor:
         fits = (now.squared < FITS) & (np.linalg.norm(now.residual, axis=1) < near_m)
         self._fits = self._fits + 1 if fits.all() else 0
         assert self.since_s is not None
-        if self._fits >= FITS_IN_A_ROW:
+        self._waited.append((self._seen[-1], now))
+        if self._fits >= FITS_IN_A_ROW and not _rests(*self._waited[0], *self._waited[-1]):
             away_s, self.since_s = t_s - self.since_s, None
             self._solutions.clear()
             self._visible_s = t_s
-            return Finding(accepted, Suspect.NOBODY, f"the camera fits again, after {away_s:.1f} s")
+            return Finding(accepted, Culprit.NOBODY, f"the camera fits again, after {away_s:.1f} s")
         nothing = np.zeros(len(JOINTS), bool)
         if t_s - self.since_s > self._limit_s or now.predicted_m > PREDICTED_M:
-            return Finding(nothing, Suspect.TRACKER, _ANEW)
+            return Finding(nothing, Culprit.TRACKER, _ANEW)
         return Finding(nothing)
 
     def _jumps(self, now: JointResiduals) -> bool:
@@ -388,7 +391,7 @@ class CameraMonitor:
         self._solutions.clear()
         self._bad, self.sound_since_s = 0, np.inf
         sentence = "" if again else "the IMU does not fit the camera's motion; the camera leads meanwhile"
-        return Finding(accepted, Suspect.IMU, sentence, doubt_s=(since_s, self._doubted_until_s), again=again)
+        return Finding(accepted, Culprit.IMU, sentence, doubt_s=(since_s, self._doubted_until_s), again=again)
 
     def _contradicted(self, t_s: float, first: LagSolution, accepted: BoolArray) -> Finding:
         """The last half second does not fit to the IMU: say who is wrong."""
@@ -415,15 +418,20 @@ class CameraMonitor:
                 if off > OTHER_LENGTH * usual and off > OTHER_SIGMAS * sigma / np.sqrt(len(both)):
                     return "its forearm has another length"
         assert first.before is not None and last.before is not None
-        shared = [k for k in first.before.column if k in last.before.column]
-        moved, seen = [], []
-        for k in shared:
-            a, b = first.before.column.index(k), last.before.column.index(k)
-            moved.append(float(np.linalg.norm(last.before.place[b] - first.before.place[a])))
-            seen.append(float(np.linalg.norm(last.position[k] - first.position[k])))
-        if moved and max(moved) > MOVED_M and max(seen) < max(RESTS_SHARE * max(moved), 0.02):
+        if _rests(first, first.before, last, last.before):
             return "its joints rest while the IMU moves"
         return ""
+
+
+def _rests(first: _Seen, before: JointResiduals, last: _Seen, after: JointResiduals) -> bool:
+    """Whether the joints hardly moved from one frame to another, while the IMU says that they did."""
+    moved, seen = [0.0], [0.0]
+    for a, k in enumerate(before.column):
+        if k in after.column:
+            predicted = after.place[after.column.index(k)] - before.place[a]
+            moved.append(float(np.linalg.norm(predicted)))
+            seen.append(float(np.linalg.norm(last.position[k] - first.position[k])))
+    return max(moved) > MOVED_M and max(seen) < max(RESTS_SHARE * max(moved), 0.02)
 
 
 _ANEW = "camera and answer contradict each other, and which is wrong does not show: the smoother begins anew"

@@ -19,7 +19,7 @@ from .buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, Calibrator, LiveCalibration
 from .camera_clock import USUAL_LATENCY_S, CameraClock
 from .display import Display, predicted
-from .monitor import Suspect
+from .monitor import Culprit
 from .tracker import LONGEST_PAUSE_S, Tracker
 from .tracker_handover import TrackerHandover
 
@@ -255,16 +255,16 @@ class LiveSmoother:
         tracker.left_out.clear()
         findings, tracker.findings = tracker.findings, []
         for finding in findings:
-            if finding.cause is Suspect.TRACKER:
+            if finding.cause is Culprit.TRACKER:
                 self._frames.restore()
                 self._lose(finding.sentence, now_s)
                 return False
             self._notes += [finding.sentence] if finding.sentence else []
-            if finding.cause is Suspect.IMU:
+            if finding.cause is Culprit.IMU:
                 self._imu_changed(self._imu.contradicted(*finding.doubt_s))
                 if finding.again:
                     self._calibrations.clock_doubted()
-            elif finding.cause is Suspect.CAMERA:
+            elif finding.cause is Culprit.CAMERA:
                 since_s = finding.retract_s - tracker.offset_s
                 self._frames.leave_out(since_s, np.inf)
             else:

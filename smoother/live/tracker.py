@@ -24,7 +24,7 @@ from ..window.shared import Gaussian
 from ..window.solution import LagSolution, NodeState
 from .buffers import ImuBuffer, SkeletonFrame
 from .frame_history import FrameHistory
-from .monitor import CameraMonitor, Finding, Suspect, residuals_of
+from .monitor import CameraMonitor, Culprit, Finding, residuals_of
 from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, displacement, increments_between, propagated
 
 #: A first state is read from so much around it, s.
@@ -209,7 +209,7 @@ class Tracker:
     def _judged(self, stamp_s: float, t_s: float, position: FloatArray, accepted: BoolArray) -> BoolArray:
         """Which of a frame's accepted joints take part; what the monitor finds is noted, and taken back."""
         finding = self.monitor.judge(t_s, position, accepted, self.solution, self.signal.since)
-        if finding.cause is not Suspect.NOBODY or finding.sentence:
+        if finding.cause is not Culprit.NOBODY or finding.sentence:
             self.findings.append(finding)
         if np.isfinite(finding.retract_s):
             self.window.retract(finding.retract_s)

@@ -7,7 +7,7 @@ import numpy as np
 from ..config import Config
 from .buffers import FrameBuffer, ImuBuffer, SkeletonFrame
 from .calibrations import Calibrations
-from .monitor import Suspect
+from .monitor import Culprit
 from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
 
 #: A first tracker begins so long before the present, s, and catches up by so many frames a step: ten take
@@ -79,7 +79,7 @@ class TrackerHandover:
         if successor.pause_s() > LONGEST_PAUSE_S or not self._catch_up(successor, now_s):
             self._successor = None if self.tracker is not None else self._fresh()
             return None
-        if any(finding.cause is Suspect.TRACKER for finding in successor.findings):
+        if any(finding.cause is Culprit.TRACKER for finding in successor.findings):
             if self.tracker is None:
                 self._not_before_s = max(self._not_before_s, now_s - FRESH_S)
             self._successor = None if self.tracker is not None else self._fresh()

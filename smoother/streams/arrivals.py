@@ -332,7 +332,8 @@ class StampSteps(Generic[Rows]):
         """Whether those that wait and the row after them go on as one, later than ever by the same time."""
         if len(self._odd) < BACK_IN_A_ROW or self._back_s >= LATE_S:
             return False
-        all_rows: list[Rows] = [*self._odd, row]
+        all_rows = list(self._odd)
+        all_rows.append(row)
         t = np.array([each.t_s[0] for each in all_rows])
         t[:-1] += self.moved_s  # those that wait are as they came
         delays = np.array([each.arrival_s[0] for each in all_rows]) - t

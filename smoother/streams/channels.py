@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,19 @@ from numpy.typing import NDArray
 from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..io.markers import without_origin
-from ..io.tables.columns import SensorChannels, find_sensors, joint_label
+from ..io.tables.columns import SensorChannels, find_sensors, joint_label, kind_of
 from ..io.tables.joint_columns import find_joint_columns, words_of
 from ..io.tables.skeleton_formats import kinect_states, share_states
 from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
 from ..recording import JOINTS, CameraFrame, JointState
 from ..runtime.printable import printable
 
+#: Labels of programs that follow several people: `body1_wrist_right_x`, `Person 2: WristRight_X`.
+_BODY = re.compile(
+    r"(?:body|person|user|skeleton|actor|subject|player)[ _.:-]?"
+    r"(?P<body>\d+|[a-z](?=[ _.:-]))[ _.:/-]+(?P<label>.+)",
+    re.IGNORECASE,
+)
 #: The channel format of strings (`pylsl.cf_string`).
 _STRINGS = 3
 Axes = tuple[int, int, int]
@@ -164,18 +171,17 @@ def _one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -> Non
     """Refuse a stream with two sensors of a kind of which it does not show which belong together."""
     words = {"acc": "accelerometers", "gyro": "gyroscopes"}
     for kind, several in words.items():
-        names = [sensor.name or kind for sensor in sensors if kind in sensor.axes]
-        labels = [stream.labels[at] for sensor in sensors for at in sensor.axes.get(kind, ())]
-        again = sorted({label for label in labels if label and stream.labels.count(label) > 1})
-        if again:
+        used = [at for sensor in sensors for at in sensor.axes.get(kind, ())]
+        spare = [
+            label
+            for at, label in enumerate(stream.labels)
+            if at not in used and used and kind_of(words_of(label)) == kind and label[-1:].lower() in "xyz"
+        ]
+        if spare:
+            shown = printable(", ".join(dict.fromkeys([*(stream.labels[at] for at in used), *spare])))
             raise RecordingError(
-                f"The stream {printable(stream.name)} has several channels called"
-                f" {printable(', '.join(again))}; send that of one sensor, or give them names of their own."
-            )
-        if len(names) > 1 and not all({"acc", "gyro"} <= sensor.axes.keys() for sensor in sensors):
-            raise RecordingError(
-                f"The stream {printable(stream.name)} has {len(names)} {several}"
-                f" ({printable(', '.join(names))}); send one, with the larger range."
+                f"The stream {printable(stream.name)} has several {several} ({shown}); send one of them, that"
+                " with the larger range."
             )
 
 
@@ -207,7 +213,9 @@ class SkeletonChannels:
     camera_frame: CameraFrame | None
 
     @classmethod
-    def of(cls, stream: StreamLabels, side: str | None, prefer_side: str | None = None) -> SkeletonChannels:
+    def of(
+        cls, stream: StreamLabels, side: str | None, prefer_side: str | None = None, body: str | None = None
+    ) -> SkeletonChannels:
         """What a skeleton's stream holds of one arm.
 
         Parameters
@@ -217,6 +225,8 @@ class SkeletonChannels:
             Asked for.
         prefer_side : str, optional
             Taken where both arms are there and none is asked for.
+        body : str, optional
+            Which of several bodies, by the number or letter in their labels.
 
         Raises
         ------
@@ -224,6 +234,7 @@ class SkeletonChannels:
             Labels or units are missing, or both arms are there and nothing says which is meant.
         """
         stream.check_numbers()
+        stream = _of_one_body(stream, body)
         name = printable(stream.name)
         columns = find_joint_columns(stream.labels)
         by_side: dict[str, dict[str, Axes]] = {}
@@ -273,6 +284,25 @@ class SkeletonChannels:
             is_there = np.isfinite(position[:, at]).all(axis=1)
             state[:, at] = np.where(is_there, states.get(joint, JointState.TRACKED), JointState.NOT_TRACKED)
         return position, state
+
+
+def _of_one_body(stream: StreamLabels, body: str | None) -> StreamLabels:
+    """The labels of one body without what says whose they are; those of other bodies are empty."""
+    found = [_BODY.match(label) for label in stream.labels]
+    bodies = sorted({match["body"].lower() for match in found if match})
+    if not bodies:
+        return stream
+    name, there = printable(stream.name), ", ".join(bodies[:8])
+    if body is None and len(bodies) > 1:
+        raise RecordingError(f"The stream {name} shows several bodies ({there}); say which with --body.")
+    wanted = bodies[0] if body is None else body.lower()
+    if wanted not in bodies:
+        raise RecordingError(f"The stream {name} shows no body {printable(wanted)}, but {there}.")
+    labels = [
+        label if match is None else match["label"] if match["body"].lower() == wanted else ""
+        for label, match in zip(stream.labels, found, strict=True)
+    ]
+    return replace(stream, labels=labels)
 
 
 def _unit(

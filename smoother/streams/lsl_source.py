@@ -30,12 +30,19 @@ class LslSource:
         "left" or "right": the arm that wears the IMU.
     prefer_side : str, optional
         A calibration's side: taken where the skeleton has both arms and nothing else says.
+    body : str, optional
+        Which of several bodies of the skeleton's stream.
     """
 
     speed = 1.0
 
     def __init__(
-        self, imu: str | None, skeleton: str | None, side: str | None = None, prefer_side: str | None = None
+        self,
+        imu: str | None,
+        skeleton: str | None,
+        side: str | None = None,
+        prefer_side: str | None = None,
+        body: str | None = None,
     ):
         lsl = lsl_module()
         self._something = threading.Event()
@@ -43,7 +50,7 @@ class LslSource:
             LslInlet(imu, _IMU_TYPES, self._something.set),
             LslInlet(skeleton, _SKELETON_TYPES, self._something.set),
         )
-        self._side, self._prefer_side = side, prefer_side
+        self._side, self._prefer_side, self._body = side, prefer_side, body
         self._start_s = float(np.floor(lsl.local_clock()))
         self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
         self._opened: tuple[ImuChannels, SkeletonChannels, SourceInfo] | None = None
@@ -91,7 +98,7 @@ class LslSource:
             if skeleton is None and skeleton_inlet.stream is not None:
                 side = self._side or named_side("" if imu_inlet.stream is None else imu_inlet.stream.name())
                 labels = StreamLabels.of(skeleton_inlet.stream)
-                skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side)
+                skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
                 say(f"skeleton stream {skeleton_inlet.stream.name()} is there")
             if stopped():
                 return False

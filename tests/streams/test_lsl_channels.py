@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -123,3 +125,43 @@ def test_a_skeleton_that_does_not_say_enough(labels, units, said):
     with pytest.raises(RecordingError) as error:
         SkeletonChannels.of(stream(labels, units), None)
     assert said in str(error.value)
+
+
+def test_one_of_several_bodies():
+    labels = [f"body{n}_{label}" for n in (1, 2) for label in arm_labels("right")]
+    both = stream(labels, "m", name="kinect")
+    with pytest.raises(RecordingError, match=r"kinect shows several bodies \(1, 2\); say which with --body"):
+        SkeletonChannels.of(both, None)
+    assert SkeletonChannels.of(both, None, body="2").axes["wrist"] == (15, 16, 17)
+    with pytest.raises(RecordingError, match="shows no body 3, but 1, 2"):
+        SkeletonChannels.of(both, None, body="3")
+    alone = stream([f"Person 7: {label}" for label in arm_labels("left")], "m")
+    assert SkeletonChannels.of(alone, None).side == "left"
+
+
+def test_text_and_two_sensors_in_one_stream():
+    text = StreamLabels("notes", "Markers", ["acc_x"], [""], [""], is_text=True)
+    for read in (ImuChannels.of, lambda labels: SkeletonChannels.of(labels, None)):
+        with pytest.raises(RecordingError, match="notes sends text, not numbers"):
+            read(text)
+    ranges = [f"{name}_{axis}" for name in ("acc_ln", "acc_wr", "gyro") for axis in AXES]
+    with pytest.raises(RecordingError, match=r"has several accelerometers \(acc_ln_x, acc_ln_y"):
+        ImuChannels.of(stream(ranges, ["m/s^2"] * 6 + ["rad/s"] * 3))
+    with pytest.raises(RecordingError, match=r"has several accelerometers \(acc_x, acc_y, acc_z\)"):
+        ImuChannels.of(stream([*imu_labels()[:3], *imu_labels()], "g"))
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({}, ""),
+        ({"units": ["g"] * 3 + ["rad/s"] * 3}, "the unit g instead of m/s^2 for acc_x"),
+        ({"labels": [*imu_labels()[3:], *imu_labels()[:3]]}, "its channels in another order (gyro_x"),
+        ({"labels": imu_labels("mag")}, "the label mag_x instead of acc_x for acc_x"),
+        ({"is_text": True}, "text instead of numbers"),
+    ],
+)
+def test_a_stream_that_came_back_is_compared(change, said):
+    before = stream(imu_labels(), ["m/s^2"] * 3 + ["rad/s"] * 3)
+    assert before.difference(replace(before, **change)).startswith(said)
+    assert bool(before.difference(replace(before, **change))) == bool(said)
