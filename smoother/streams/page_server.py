@@ -58,7 +58,7 @@ class LivePage:
     """
 
     def __init__(self, info: SourceInfo, port: int = PAGE_PORT):
-        self._down = info.down
+        self._down, self._side = info.down, info.side
         self._axes = _view(self._down)
         self._token = secrets.token_urlsafe(18)
         self._news = threading.Condition()
@@ -120,6 +120,7 @@ class LivePage:
         """What the page draws of an answer."""
         shown: dict[str, Any] = {
             "t": round(output.now_s, 3),
+            "side": self._side,
             "state": str(output.state),
             "light": light_of(output),
             "why": output.doubt or output.calibration,

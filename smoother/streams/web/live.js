@@ -100,7 +100,7 @@ function draw(shown) {
     pen.beginPath(); pen.moveTo(...place(a)); pen.lineTo(...place(b)); pen.stroke();
   };
   if (joints.shoulder && joints.elbow) {  // the body, as far as one shoulder shows it
-    const s = joints.shoulder, inward = joints.elbow[0] > s[0] ? -0.18 : 0.18;
+    const s = joints.shoulder, inward = shown.side === "left" ? -0.18 : 0.18;  // as the camera sees who faces it
     const chest = [s[0] + inward, s[1], s[2]];
     pen.globalAlpha = 0.25;
     line([chest[0], chest[1] - 0.02, 0], [chest[0], chest[1] - 0.5, 0], scale * 0.26, ink);
