@@ -182,3 +182,15 @@ def test_streams_that_cannot_be_used(lab, tmp_path):
     assert "no stream for --imu ankle came within 4 s" in missing
     assert "kinect (type MoCap), wrist (type IMU)" in missing
     assert not list(tmp_path.glob("*.mcap"))
+
+
+def test_an_outlet_that_comes_back_is_known_by_its_name_and_refused_with_another_unit(lab):
+    program = lab.start("lsl_again.py")
+    said, errors = program.communicate(timeout=90)
+    assert program.returncode == 0, errors
+    answers = json.loads(said)
+    assert answers["first"] and answers["second"]
+    assert answers["events"] == ["wrist: found again by its name, its source_id is another"]
+    assert answers["refused"] == (
+        "the stream wrist came back with the unit g instead of m/s^2 for acc_x; begin a new session"
+    )
