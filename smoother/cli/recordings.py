@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -338,11 +339,14 @@ def _checked(
     progress: Callable[[float, str], None],
 ) -> tuple[dict[str, Any], TriedGaps | None]:
     """The figures of an arm, and what its recording allows where a result could be trusted."""
+    from ..cameras import join_cameras
     from ..errors import CalibrationError, SolveError
     from ..measurements.segment import Timeline
+    from ..recovery.cameras import with_cameras
     from ..selfcal.excerpts import informative_recording
     from ..smoothing import smooth
 
+    recording, rig = join_cameras(recording)  # before it is cut: each camera's clock is its own
     excerpt = informative_recording(recording, Timeline.of(recording))
 
     def recover(some: Recording) -> Recovery:
@@ -351,7 +355,7 @@ def _checked(
     allowed = None
     progress(0.0, "calibrating")
     try:
-        recovery = recover(excerpt)
+        recovery = with_cameras(recover(excerpt), rig)
         figures = _figures(recovery)
         if recovery.estimates.trusted:
             allowed = _tried(excerpt, recovery, recover, lambda part, text: progress(0.3 + 0.7 * part, text))
@@ -377,7 +381,8 @@ def _figures(recovery: Recovery) -> dict[str, Any]:
 
     estimates = recovery.estimates
     signs = [reason for reason in estimates.reasons if reason != estimates.cause]
-    return {**verdict_figures(estimates), "trusted": bool(estimates.trusted), "signs": signs}
+    seen = {"cameras": [each.plain() for each in estimates.cameras]} if estimates.cameras else {}
+    return {**verdict_figures(estimates), "trusted": bool(estimates.trusted), "signs": signs, **seen}
 
 
 def _refused(sentence: str) -> dict[str, Any]:
@@ -395,6 +400,14 @@ def _refused(sentence: str) -> dict[str, Any]:
 
 def _print(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
     say(figures["verdict"])
+    for camera in figures.get("cameras", [])[1:]:
+        if not camera["reason"]:
+            away_m = math.dist((0.0, 0.0, 0.0), camera["p_K_C_m"])
+            say(
+                f"{camera['name']} stands {away_m:.2f} m from the first camera (sigma"
+                f" {camera['sigma_deg']:.1f} degrees, {100 * camera['sigma_m']:.1f} cm); both see"
+                f" the forearm for {camera['together_s']:.0f} s"
+            )
     if allowed is not None:
         allows, *open_questions = allowed.sentences
         say(f"allows: {allows}")

@@ -36,7 +36,8 @@ def with_cameras(recovery: Recovery, rig: CameraRig | None) -> Recovery:
     sigma = recovery.estimates.camera_sigma_m or {}
     if rig is None:
         return recovery if recovery.arm.camera is None else replace(recovery, estimates=_of_first(recovery))
-    seen_s = dict(zip((row.name for row in rig.used), _seen(recovery), strict=True))
+    # of an excerpt a camera may have no frame
+    seen_s = dict(zip((row.name for row in rig.used), _seen(recovery), strict=False))
     numbers = {row.name: number for number, row in enumerate(rig.used)}
     rows = []
     for row in rig.cameras:
