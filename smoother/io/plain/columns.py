@@ -16,11 +16,12 @@ from ...recording import CameraFrame, JointState
 from ...runtime.inputs import check_input
 from ..recording.decode import joint_code
 from ..tables.joint_columns import joint_name
-from ..tables.protocol import ImuTable, SkeletonTable, decode, shown
+from ..tables.protocol import HEAD_BYTES, ImuTable, SkeletonTable, decode, shown
 from ..tables.raw_skeleton import BodyRows
 from ..tables.table_layout import SEPARATORS, TableLayout, is_data, layout_of, split_line
 from ..tables.text_table import Sheet, read_sheet, sheet_of_text
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, SECONDS
+from ..tables.workbook import is_workbook, workbook_text
 
 Column = str | int
 _LAYOUT_KEYS = {"separator", "skip_rows", "columns", "time_unit", "rate_hz"}
@@ -177,7 +178,9 @@ def described_sheet(path: Path, keys: TableKeys, columns: Mapping[str, Column | 
         raise RecordingError(f"{path} does not exist, but recording.toml names it; add it or mend the name.")
     if keys.separator is None and keys.skip_rows is None:
         return read_sheet(path, expected, quote=False)
-    text = decode(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n")
+    raw = path.read_bytes()
+    text = workbook_text(path) if is_workbook(raw[:HEAD_BYTES]) else decode(raw)
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
     return sheet_of_text(path, text, expected, _layout(path, text.split("\n"), keys, columns))
 
 

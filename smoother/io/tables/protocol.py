@@ -18,6 +18,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input, marked_encoding
+from .workbook import is_workbook, workbook_text
 
 
 @dataclass
@@ -113,7 +114,8 @@ class FileHead:
     raw : bytes
         Its first 64 kB.
     text : str
-        The same decoded (UTF-8, UTF-16, a byte-order mark taken off), "" where it is no text.
+        The same decoded (UTF-8, UTF-16, a byte-order mark taken off), or a workbook's first rows; "" where
+        it is no text.
     lines : tuple of str
         The text's whole lines.
     """
@@ -168,6 +170,8 @@ class DeviceFormat(Protocol):
 
 #: So much of a file is read to recognise it, bytes.
 HEAD_BYTES = 65_536
+#: So many rows of a workbook.
+HEAD_ROWS = 500
 #: So much of a file is shown in a message at most, characters.
 SHOWN_CHARACTERS = 200
 #: Among the first characters, more of these than one in so many are no text.
@@ -206,6 +210,12 @@ def read_head(path: Path) -> FileHead:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
     if not raw:
         raise RecordingError(f"{path} is empty; export or copy it again.")
+    if is_workbook(raw):
+        try:
+            text = workbook_text(path, HEAD_ROWS)
+        except RecordingError:  # said where it is read; other files of its folder can be of use
+            text = ""
+        return FileHead(path, raw, text, tuple(text.splitlines()))
     text = decode(raw)
     whole = text if len(raw) < HEAD_BYTES else text[: text.rfind("\n") + 1] or text
     return FileHead(path, raw, text, tuple(whole.splitlines()))
@@ -243,8 +253,11 @@ def plain_minus(text: str) -> str:
 
 def no_table(raw: bytes, text: str) -> str:
     """What is plainly no table to read, and what to do: goes behind the file's name; "" for others."""
-    if raw.startswith(b"\xd0\xcf\x11\xe0") or (raw.startswith(b"PK\x03\x04") and b"[Content_Types]" in raw):
-        return "is an Excel workbook; save it as CSV."
+    if raw.startswith(b"\xd0\xcf\x11\xe0"):
+        return "is an Excel workbook of the old kind; save it as .xlsx or CSV."
+    if is_workbook(raw):
+        get = "install openpyxl (`pip install '.[xlsx]'`), or save it as CSV"
+        return "" if text else f"is an Excel workbook that cannot be read here; {get}."
     if raw.startswith(b"PK\x03\x04"):
         return "is an archive (zip, or a spreadsheet); unpack it, or save it as CSV."
     lines = [line for line in text.splitlines() if line.strip()]

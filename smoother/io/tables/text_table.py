@@ -16,6 +16,7 @@ from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from .protocol import HEAD_BYTES, amount, decode, no_table, shown
 from .table_layout import TableLayout, layout_of, split_line
+from .workbook import is_workbook, workbook_text
 
 _DATE = re.compile(
     r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)[-/.](\d{4}))[ T_]+"
@@ -384,7 +385,7 @@ class Sheet:
 
 
 def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> Sheet:
-    """Read a delimited text file.
+    """Read a delimited text file, or an Excel workbook.
 
     A byte-order mark, UTF-16, a `sep=` line, a preamble, a line of units, quotes, trailing separators, a
     header that is repeated, decimal commas and a last line that is cut off do no harm.
@@ -413,7 +414,7 @@ def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> She
         raw = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
-    text = decode(raw)
+    text = workbook_text(path) if is_workbook(raw[:HEAD_BYTES]) else decode(raw)
     if refused := no_table(raw[:HEAD_BYTES], text if len(text) < HEAD_BYTES else ""):
         raise RecordingError(f"{path} {refused}")
     if not text.strip():
