@@ -46,7 +46,7 @@ def _verdict(run: BenchmarkRun) -> Iterator[str]:
             yield f"{DATASETS[dataset].title}, {split}: nothing could be scored."
             continue
         names = [row.method for row in rows]
-        sentence = f"{DATASETS[dataset].title}, {split}: the smallest median error has {names[0]}"
+        sentence = f"{DATASETS[dataset].title}, {split}: {names[0]} has the smallest median error"
         if "graph" in names[1:]:
             sentence += f"; graph is number {names.index('graph') + 1} of {len(names)}"
         yield sentence
