@@ -138,7 +138,7 @@ def test_every_page_opens_on_a_desk_and_on_a_phone(name: str, browser: Browser, 
         assert browser.run("typeof hacked") == "undefined"
         if name in ("smooth", "validate"):
             assert width < 1000 or browser.run("document.documentElement.scrollHeight") < 8000
-            unfold(browser)
+        unfold(browser)
         plots, drawn, spaces = browser.run(
             "['.plot', '.plot .main-svg', '.space'].map((s) => document.querySelectorAll(s).length)"
         )

@@ -59,7 +59,7 @@ def test_an_export_is_that_of_the_command(recovery: Recovery, tmp_path: Path, en
 
 def test_an_ending_that_is_no_format_lists_those_that_are(recovery: Recovery, tmp_path: Path) -> None:
     with pytest.raises(UnoccludeError, match=r"its ending names no format; endings: \.mcap, \.csv"):
-        recovery.export(tmp_path / "a.xlsx")
+        recovery.export(tmp_path / "a.docx")
 
 
 def test_measures_as_a_dataframe(recovery: Recovery) -> None:

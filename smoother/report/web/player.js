@@ -295,11 +295,10 @@
     const margin = 0.02 * (to - from);
     unocclude.range = [from - margin, to + margin];
 
-    let visible = true;
-    new IntersectionObserver((entries) => (visible = entries[entries.length - 1].isIntersecting)).observe(box);
+    const visible = () => { const place = box.getBoundingClientRect(); return place.bottom > 0 && place.top < innerHeight; };
     addEventListener("keydown", (e) => {
       const on = e.target.tagName, typing = on === "SELECT" || on === "TEXTAREA" || (on === "INPUT" && e.target !== slider);
-      if (typing || e.ctrlKey || e.metaKey || e.altKey || !visible) return;
+      if (typing || e.ctrlKey || e.metaKey || e.altKey || !visible()) return;
       if (on === "BUTTON" && e.key === " ") return; // the button's own key
       const frame = arms[0].step * (e.shiftKey ? Math.max(1, Math.round(1 / arms[0].step)) : 1);
       const keys = { " ": toggle, ArrowRight: () => seek(t + frame), ArrowLeft: () => seek(t - frame),
