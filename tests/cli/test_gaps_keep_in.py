@@ -53,7 +53,7 @@ def test_keep_and_apply(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert call("smooth", recording, "-o", folder / "plain.mcap", "--processes", 1, "--force") == 0
     assert "was multiplied" not in capsys.readouterr().out
     outputs = ("-o", folder / "wide.mcap", "--json", folder / "wide.json", "--force")
-    assert call("smooth", recording, *outputs, "--processes", 1, "--calibration", kept) == 0
+    assert call("smooth", recording, *outputs, "--processes", 1, "--calibration", kept, "--verbose") == 0
     assert "sigma of positions in gaps was multiplied by 3.00" in capsys.readouterr().out
     (plain,), (wide,) = read_recovery(folder / "plain.mcap"), read_recovery(folder / "wide.mcap")
     np.testing.assert_allclose(wide.position, plain.position, atol=1e-9)

@@ -94,7 +94,7 @@ def test_the_demo_prints_one_table(arm: SimulatedArm, capsys) -> None:
     assert out.count("┏") == 1 and "In the gaps the answer is within " in out and " of the truth, " in out
     # a row a gap, with the figures of the validation
     assert out.count("\n│") == len(recovery.gaps) == len(validation.gaps)
-    assert f"{100 * validation.gaps[0][1].position_rms_m:.2f}" in out
+    assert f"{100 * validation.gaps[0][1].position_p95_m:.2f}" in out
     print_gaps(recovery, None)
     out = capsys.readouterr().out
     assert "the truth" not in out and out.count("\n│") == len(recovery.gaps)

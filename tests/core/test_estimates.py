@@ -110,5 +110,5 @@ values = st.recursive(
 def test_nothing_is_lost_whatever_a_file_states(plain: dict) -> None:
     again = Estimates.from_plain(plain).plain()
     # an empty list says the same as none
-    lists = ("given", "sigma_factors", "reasons", "cautions", "remedies", "untrusted")
+    lists = ("given", "sigma_factors", "reasons", "cautions", "remedies", "untrusted", "cameras")
     assert again == {name: value for name, value in plain.items() if name not in lists or value != []}

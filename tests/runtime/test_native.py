@@ -79,7 +79,7 @@ def test_a_hang_ends_also_where_the_program_has_handlers_of_its_own(
 
 
 def test_a_matlab_file_with_a_type_that_there_is_not(tmp_path: Path):
-    """It ends the process that reads it, by scipy 1.17."""
+    """It ends the process that reads it, by scipy 1.17, or not, by what lies in its memory."""
     import numpy as np
     from scipy.io import savemat
 
@@ -89,5 +89,5 @@ def test_a_matlab_file_with_a_type_that_there_is_not(tmp_path: Path):
     data = bytearray(path.read_bytes())
     data[data.index(b"d_iner") + 8] = 0x72
     path.write_bytes(data)
-    with pytest.raises(RecordingError, match=r"a\.mat is a damaged Matlab file"):
+    with pytest.raises(RecordingError, match=r"a\.mat (is a damaged|cannot be read as a) Matlab file"):
         import_utd_mhad(path, path)

@@ -138,7 +138,7 @@ CHECKS = (
         "angles",
         angles,
         (
-            option("presets", nargs="*", default=list(PRESETS), choices=(*PRESETS, []), help="cameras"),
+            option("--presets", nargs="+", default=list(PRESETS), choices=PRESETS, help="cameras"),
             option("--imus", type=int, choices=(1, 2), default=1, help="worn on the arm [1]"),
             CHANGES,
             seeds_option("6"),
