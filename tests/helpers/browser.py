@@ -21,7 +21,7 @@ _FLAGS = (
     *("--disable-dev-shm-usage", "--hide-scrollbars", "--remote-debugging-pipe"),
 )
 #: Longest wait for anything, s; the machine may be busy.
-PATIENCE_S = 40.0
+PATIENCE_S = 120.0
 
 
 def chromium() -> str | None:
