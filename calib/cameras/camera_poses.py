@@ -116,7 +116,7 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
         sentences.append(
             f"{name} stands {np.linalg.norm(pose.p_K_C_m):.2f} m from {FIRST_CAMERA}, turned by"
             f" {np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees; sigma {sigma_deg:.2f} degrees"
-            f" and {100 * pose.sigma_m:.1f} cm an axis where the arm is"
+            f" and {100 * pose.sigma_m:.1f} cm per axis where the arm is"
         )
     grade = "not good enough" if set_up.left_out else "good" if is_good else "usable"
     again = () if is_good else ("record a minute in which both cameras see the arm reach far to all sides",)
@@ -162,7 +162,7 @@ def _pose(where: str, values: Any) -> CameraPose:
         ) from error
     proper = np.abs(R @ R.T - np.eye(3)).max() < ROUNDING and np.linalg.det(R) > 0
     if not (proper and np.isfinite(p).all() and sigma_deg > 0 and sigma_m > 0):
-        raise CalibrationError(f"{where}: R_K_C is no rotation, or a sigma is not above zero; mend it.")
+        raise CalibrationError(f"{where}: R_K_C is not a rotation, or a sigma is not above zero; correct it.")
     return CameraPose(R, p, float(np.radians(sigma_deg)), sigma_m)
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..array_types import FloatArray
-from ..errors import UnoccludeError
 from ..result.moving_arm import MovingArm
+from ..runtime.packages import pandas_module
 from ..shoulder_angles import shoulder_angles, trunk_angles
 from .definitions import ELBOW_FLEXION, JOINT_ANGLES, PRONATION, SHOULDER, SHOULDER_TRUNK, WRIST, JointAngle
 from .forearm_mounting import ForearmMounting, forearm_mounting
@@ -73,10 +73,7 @@ class AngleTable:
         UnoccludeError
             pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
+        pandas = pandas_module()
         return pandas.DataFrame({"t_s": self.t_s, **self.to_arrays()})
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import hashlib
+import json
 import os
 import secrets
 import shutil
@@ -30,6 +33,7 @@ from .folder import (
     one_line,
     read_kept,
     slug,
+    write_json,
     write_kept,
 )
 from .guard import REPORTS, Guard
@@ -41,7 +45,7 @@ _PAGE = {"app.js": "text/javascript", "app.css": "text/css"}
 LANGUAGES = ("en", "de")
 #: Bytes of a request's JSON at most.
 _LONGEST_JSON = 1_000_000
-#: Uploads are written in blocks of so many bytes; so many stay free on the disk.
+#: Bytes of an upload written at a time, and bytes that stay free on the disk.
 _BLOCK, RESERVE_BYTES = 1 << 20, 200_000_000
 #: The desk looks for jobs that have ended this often, s.
 _TICK_S = 0.2
@@ -124,7 +128,7 @@ def _answer(handler: Handler) -> Handler:
         except UnoccludeError as error:
             return JSONResponse({"error": str(error)}, 400)
         except OSError as error:
-            full = isinstance(error, OSError) and error.errno in (28, 122)
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
             sentence = NO_SPACE if full else f"{error.strerror or error}"
             return JSONResponse({"error": f"{_name_of(error)}{sentence}"}, 507 if full else 500)
         return result if isinstance(result, Response) else JSONResponse(result)
@@ -157,8 +161,6 @@ async def _body(request: Request) -> dict[str, Any]:
         data += chunk
         if len(data) > _LONGEST_JSON:
             raise AppError("The request is too long.", 413)
-    import json
-
     try:
         values = json.loads(data or b"{}")
     except ValueError:
@@ -232,7 +234,7 @@ async def _upload(request: Request) -> Any:
     _refuse_busy(place)
     length = request.headers.get("content-length", "")
     free = shutil.disk_usage(place).free - RESERVE_BYTES
-    if length.isdigit() and int(length) > free:
+    if length.isdecimal() and int(length) > free:
         raise AppError(f"{name}: {NO_SPACE}", 507)
     beside = place / "files" / f".{secrets.token_hex(8)}.part"
     try:
@@ -339,8 +341,6 @@ async def _template(request: Request) -> Any:
 
 def _mark(names: list[str], width: int) -> str:
     """Of a layout: a second template for it replaces the first of that name."""
-    import hashlib
-
     return hashlib.sha256(f"{width}\0{chr(0).join(names)}".encode("utf-8", "replace")).hexdigest()[:8]
 
 
@@ -379,8 +379,6 @@ def _sensor_keys(place: Path) -> set[str]:
 
 
 async def _compare(request: Request) -> Any:
-    from .folder import write_json
-
     folder, wish = _folder(request), await _body(request)
     person = one_line(wish.get("person", ""))
     if not person:

@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from ..result.draws import USUAL_DRAWS
 from .folder import AppError, AppFolder, Choices, KeptRecording, read_json, read_kept, remedy_options
 
 Step = dict[str, Any]
@@ -30,8 +31,6 @@ EXPORTS = {
     "parquet": "recovered.parquet",
     "measures": "measures.csv",
 }
-#: A recovery draws so many motions, for the intervals of measures.
-DRAWS = 64
 
 
 def recording_of(place: Path) -> str:
@@ -181,7 +180,7 @@ def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[
     """
     kept = read_kept(place)
     words = ["smooth", recording_of(place), "-o", RESULT, "--report", REPORT, "--json", FIGURES, "--force"]
-    words += ["--draws", str(DRAWS), *_arm_words(place, kept)]
+    words += ["--draws", str(USUAL_DRAWS), *_arm_words(place, kept)]
     videos = [each for each in _used(place, kept.choices) if each["kind"] == "video"]
     if videos:
         words += ["--video", _local(videos[0]), "--video-offset", repr(float(kept.choices.video_offset_s))]

@@ -137,7 +137,7 @@ def markdown(run: BenchmarkRun) -> str:
 
 
 def gap_lines(run: BenchmarkRun) -> Iterable[str]:
-    """A line a gap, as `gaps.csv` holds them; the header first."""
+    """One line per gap, as in `gaps.csv`; the header first."""
     yield CSV_COLUMNS
     for (dataset, split), table in run.tables.items():
         for row in table.rows:

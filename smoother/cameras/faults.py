@@ -21,7 +21,7 @@ LEAST_S = 3.0
 OTHER_M, OTHER_SHARE = 0.09, 0.55
 #: Mirrored, the two agree so much better, as a share of the distance, where that is more than this, m.
 MIRRORED_M, MIRRORED_SHARE = 0.03, 0.6
-#: Parts of what both saw are placed one by one: about so long, s, and at most so many of them.
+#: What both saw is placed in parts: the length of a part, s, and the number of parts at most.
 PART_S, MOST_PARTS = 8.0, 24
 #: A camera was moved where the parts before and after a time differ by this, m and rad, and in sigmas.
 MOVED_M, MOVED_RAD, MOVED_SIGMAS = 0.04, np.radians(3.0), 4.0

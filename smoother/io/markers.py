@@ -1,12 +1,6 @@
-"""Markers of motion capture, from TRC, C3D and tables.
+"""Marker trajectories of a motion capture: TRC, C3D (by the library ezc3d) and tables, by a file's ending.
 
-Marker trajectories of a motion capture, whatever file they come from.
-
-TRC files (Motion Analysis; OpenSim's marker format), with the habits of the programs that write them.
-
-C3D files (c3d.org), by the library ezc3d.
-
-Marker files of motion capture, by the ending of their names; one position a marker of a still object.
+TRC is read with the habits of the programs that write it; of a still object one mean position a marker.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
-from ..errors import UnoccludeError
 from ..recording import arm_words
+from ..runtime.packages import pandas_module
 
 if TYPE_CHECKING:
     import pandas
@@ -246,10 +246,7 @@ class Measures:
         UnoccludeError
             pandas is not installed.
         """
-        try:
-            import pandas  # noqa: F401
-        except ImportError as error:
-            raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
+        pandas_module()
         return self.to_table().to_pandas()
 
     def as_dict(self) -> dict[str, object]:

@@ -20,6 +20,7 @@ from ..errors import UnoccludeError
 from ..linalg import median_rate_hz, rotation_sigma_deg
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointTracks, arm_words
+from ..runtime.packages import pandas_module
 from ..sketch import Line, about_median, card_html, even_rows, lines_svg, lines_text, table_html
 from .columns import arrow_table, flat_columns
 from .draws import Draws, turned_by
@@ -480,10 +481,7 @@ class Recovery:
         UnoccludeError
             pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
+        pandas = pandas_module()
         frame = pandas.DataFrame(flat_columns(self.to_arrays()))
         frame["trusted"] = pandas.array(
             self.trusted if self.has_verdict else [None] * len(self), dtype="boolean"

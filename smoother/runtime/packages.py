@@ -56,6 +56,20 @@ def extra_module(
     return module
 
 
+def pandas_module() -> ModuleType:
+    """The package `pandas`, which only `to_dataframe()` needs.
+
+    Raises
+    ------
+    UnoccludeError
+        It is not installed.
+    """
+    try:
+        return import_module("pandas")
+    except ImportError as error:
+        raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
+
+
 def load_open3d() -> ModuleType:
     """Import Open3D; where libusb-1.0 is missing, with the one of the package `libusb-package`.
 

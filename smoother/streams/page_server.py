@@ -242,7 +242,7 @@ class LivePage:
 
     def _take_mark(self, request: BaseHTTPRequestHandler) -> None:
         length = request.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > _LONGEST_BODY:
+        if not length.isdecimal() or int(length) > _LONGEST_BODY:
             self._refuse(request, HTTPStatus.BAD_REQUEST, "a mark is a short text")
             return
         text = request.rfile.read(int(length)).decode("utf-8", "replace")

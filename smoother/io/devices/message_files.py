@@ -1,9 +1,4 @@
-"""Files of messages: MCAP of others, ROS 1 bags, XDF.
-
-Recordings of robots and loggers: MCAP files of others, and ROS 1 bags.
-
-XDF recordings of the Lab Streaming Layer: sensors and skeletons among the streams, on one clock.
-"""
+"""Recordings of messages: ROS 1 bags, MCAP of others, XDF of the Lab Streaming Layer."""
 
 from __future__ import annotations
 

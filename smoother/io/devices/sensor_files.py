@@ -1,11 +1,4 @@
-"""Files of sensors that are no text: APDM's HDF5, Axivity's CWA, Xsens' MVNX.
-
-APDM Opal: HDF5 of Mobility Lab, Moveo and Motion Studio.
-
-Axivity AX6 (and AX3): binary CWA files of OmGui.
-
-Xsens MVN Analyze and Awinda: MVNX (XML) with raw sensors.
-"""
+"""Files of sensors that are not text: APDM Opal's HDF5, Axivity's CWA (AX3, AX6), Xsens' MVNX."""
 
 from __future__ import annotations
 

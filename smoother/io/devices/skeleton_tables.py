@@ -1,8 +1,7 @@
 """Tables of skeletons that name no joint in their header.
 
-Tables with one row a joint: time, joint, x, y, z, and a state where there is one.
-
-Joints without names, by their number: rows of a Kinect's SDK without a header, and numpy's arrays.
+One row per joint (time, joint, x, y, z, perhaps a state), or joints by number: rows of a Kinect's SDK without
+a header, and numpy's arrays.
 """
 
 from __future__ import annotations

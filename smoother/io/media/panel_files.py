@@ -1,8 +1,6 @@
-"""Sessions with the panel: read from a recording, and simulated ones written.
+"""Sessions with the panel: read from an MCAP recording, and simulated ones written as folder or MCAP.
 
-A session with the panel from an MCAP file: images by pose, the lens, markers, and two IMUs.
-
-A simulated panel session as a folder of images and tables, and as an MCAP recording.
+A session holds images by pose, the lens, markers, and two IMUs.
 """
 
 from __future__ import annotations
