@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import hmac
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs
 
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ..runtime.local_requests import LocalDoor, Refusal, is_token, joined
 
 #: Pages of the app: its own files alone, and no other address.
 OWN_PAGES = (
@@ -47,7 +48,7 @@ class Guard:
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:
         self.app = app
         self.token = token
-        self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self.door = LocalDoor(port)
         self.cookie = f"unocclude-{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -58,7 +59,7 @@ class Guard:
         if scope["type"] != "http":
             await send({"type": "websocket.close", "code": 1008})
             return
-        headers = {key.lower(): value.decode("latin-1") for key, value in scope["headers"]}
+        headers = joined((key.decode("latin-1"), value.decode("latin-1")) for key, value in scope["headers"])
         comes_with_token = self._has_token(scope)
         refusal = self._refusal(scope, headers, comes_with_token)
         with_cookie = comes_with_token and not refusal
@@ -81,25 +82,19 @@ class Guard:
         if scope["path"] != "/" or scope["method"] not in ("GET", "HEAD"):
             return False
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        return hmac.compare_digest(given.encode(), self.token.encode())
+        return is_token(given, self.token)
 
-    def _refusal(self, scope: Scope, headers: dict[bytes, str], comes_with_token: bool) -> str:
+    def _refusal(self, scope: Scope, headers: dict[str, str], comes_with_token: bool) -> str:
         """Why a request is refused; "" where it is not."""
-        host = headers.get(b"host", "")
-        if host not in self.hosts:
-            return WRONG_HOST
         changes = scope["method"] not in ("GET", "HEAD")
-        if changes and headers.get(b"origin") != f"http://{host}":
-            return OTHER_SITE
-        if comes_with_token:
-            return ""
-        if headers.get(b"sec-fetch-site", "none") not in ("same-origin", "none"):
-            return OTHER_SITE
-        return "" if self._has_cookie(headers.get(b"cookie", "")) else NO_TOKEN
+        why = self.door.refusal(headers, changes, by_address=comes_with_token)
+        if why is not None:
+            return WRONG_HOST if why is Refusal.HOST else OTHER_SITE
+        return "" if comes_with_token or self._has_cookie(headers.get("cookie", "")) else NO_TOKEN
 
     def _has_cookie(self, text: str) -> bool:
         try:
             cookie = SimpleCookie(text).get(self.cookie)
         except CookieError:
             return False
-        return cookie is not None and hmac.compare_digest(cookie.value.encode(), self.token.encode())
+        return cookie is not None and is_token(cookie.value, self.token)

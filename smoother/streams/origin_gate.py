@@ -10,13 +10,11 @@ import selectors
 import socket
 import threading
 from contextlib import suppress
-from urllib.parse import urlsplit
 
-#: Hosts whose pages may connect: Foxglove's own, and those of this computer.
-ALLOWED_HOSTS = ("app.foxglove.dev", "foxglove.dev", "localhost", "127.0.0.1")
-#: Schemes of programs that are no web page: Foxglove's desktop application.
-ALLOWED_SCHEMES = ("file", "foxglove", "app")
-LOOPBACK = "127.0.0.1"
+from ..runtime.local_requests import LOOPBACK, OWN_NAMES, LocalDoor, joined
+
+#: Whose pages may connect: Foxglove's own and those of this computer, and its desktop application.
+DOOR = LocalDoor(guests=("app.foxglove.dev", "foxglove.dev", *OWN_NAMES), schemes=("file", "foxglove", "app"))
 #: The head of a request is awaited so long, s, and is no longer than this, bytes.
 _HEAD_S, _HEAD_BYTES = 5.0, 16384
 #: A side that takes nothing for so long is let go, s; and how often it is looked whether all ends.
@@ -35,20 +33,8 @@ def is_allowed(head: bytes) -> bool:
     head : bytes
         The request's lines up to the empty one.
     """
-    values: dict[str, list[str]] = {}
-    for line in head.decode("latin-1").split("\r\n")[1:]:
-        key, _, value = line.partition(":")
-        values.setdefault(key.strip().lower(), []).append(value.strip())
-    host = urlsplit(f"//{values.get('host', [''])[0]}").hostname
-    if host not in ("127.0.0.1", "localhost"):  # a name that was pointed at this computer
-        return False
-    for origin in values.get("origin", []):
-        parts = urlsplit(origin)
-        if parts.scheme in ALLOWED_SCHEMES:
-            continue
-        if parts.scheme not in ("http", "https") or parts.hostname not in ALLOWED_HOSTS:
-            return False
-    return True
+    lines = (line.partition(":") for line in head.decode("latin-1").split("\r\n")[1:])
+    return DOOR.refusal(joined((key, value) for key, _, value in lines), changes=False) is None
 
 
 class OriginGate:

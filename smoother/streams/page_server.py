@@ -22,9 +22,10 @@ from ..live.answers import LiveOutput, LiveState
 from ..live.arm_angles import TITLES, live_angles
 from ..measurements.visibility import Gap
 from ..recording import JOINTS
+from ..runtime.local_requests import LOOPBACK, LocalDoor, is_token, joined
 from .arrivals import FrameRows, SourceInfo
 
-LOOPBACK, PAGE_PORT = "127.0.0.1", 8766
+PAGE_PORT = 8766
 #: The page is sent no more than this often, s; without news it is told so that often that it lives.
 _EACH_S, _ALIVE_S = 1 / 60, 1.0
 #: A browser that takes nothing for so long is let go, s.
@@ -188,13 +189,9 @@ class LivePage:
 
     def _may(self, request: BaseHTTPRequestHandler, sends: bool) -> bool:
         """Whether a request comes from the page itself, with its token; else it is refused."""
-        own = {f"{host}:{self.port}" for host in (LOOPBACK, "localhost")}
-        origin = request.headers.get("Origin")
         token = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
-        is_here = request.headers.get("Host", "") in own
-        is_own = (origin is None and not sends) or origin in {f"http://{host}" for host in own}
-        is_own &= request.headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin")
-        if is_here and is_own and secrets.compare_digest(token.encode(), self._token.encode()):
+        refusal = LocalDoor(self.port).refusal(joined(request.headers.items()), changes=sends)
+        if refusal is None and is_token(token, self._token):
             return True
         self._refuse(request, HTTPStatus.FORBIDDEN, "open the address that `unocclude live --page` printed")
         return False
