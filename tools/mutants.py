@@ -1,4 +1,4 @@
-"""Mutation testing of what must not go wrong unseen: `python -m tools.mutants --write docs/mutants.md`.
+"""Mutation testing of what must not go wrong unseen: `python -m tools.mutants --write tools/mutants.md`.
 
 Of every file in `TESTS_OF` a seeded sample of mutants (`mutations`: one small change each) is drawn, and the
 tests of that file run on each. A mutant is killed if a test fails, or if it takes three times as long as the

@@ -11,7 +11,7 @@ import pytest
 
 from smoother.simulation import ArmSimulation, simulate_arm
 from tools.accuracy.__main__ import main, option_parser
-from tools.accuracy.measures import NEAR_DEG, Sample, coverage_table, hidden_extremes, markdown
+from tools.accuracy.measures import NEAR_DEG, Sample, accuracy_csv, coverage_table, hidden_extremes
 from tools.accuracy.pairing import crossed, known_clock_s, rows_of
 from tools.accuracy.recordings import GapErrors
 
@@ -99,8 +99,8 @@ def test_coverage_and_errors_are_counted_by_scope_and_key():
     assert (session["cases"], session["coverage"], movement["coverage"]) == (2, 0.5, 1.0)
     assert session["rms"] == pytest.approx(np.sqrt((0.5**2 + 1.5**2) / 2)) and session["bias"] == 0.5
     assert session["width"] == pytest.approx(1.9)
-    row = markdown({"azure": [session, movement]}).splitlines()[-1]
-    assert row == "| `hand_path_length_m` | 50 % of 2 | 100 % of 1 | 1.1 |"
+    row = accuracy_csv({"azure": [session, movement]}).splitlines()[-1]
+    assert row == "hand_path_length_m,50,2,100,1,1.1"
 
 
 def test_zones_of_an_angle_count_together():

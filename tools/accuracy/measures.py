@@ -249,23 +249,20 @@ def sparc_bias(preset: str, samples: list[Sample]) -> Iterator[str]:
             )
 
 
-def markdown(tables: dict[str, list[dict[str, object]]]) -> str:
-    """The table of docs/measures.md: by measure how often its interval holds, and its rms error."""
+def accuracy_csv(tables: dict[str, list[dict[str, object]]]) -> str:
+    """docs/tables/measures_accuracy.csv: by measure how often its interval holds, and its rms error."""
     by_key = {(preset, row["scope"], row["key"]): row for preset, rows in tables.items() for row in rows}
-    presets = list(tables)
-    heads = [
-        f"{preset}: {what}" for preset in presets for what in ("sessions", "movements", "rms of sessions")
-    ]
-    lines = [f"| measure | {' | '.join(heads)} |", "|---" * (1 + len(heads)) + "|"]
+    columns = ("sessions_inside_percent", "sessions", "movements_inside_percent", "movements", "sessions_rms")
+    lines = [["measure", *(f"{preset}_{column}" for preset in tables for column in columns)]]
     for key in dict.fromkeys(row["key"] for rows in tables.values() for row in rows):
-        cells = []
-        for preset in presets:
+        cells = [str(key)]
+        for preset in tables:
             session, movement = (by_key.get((preset, scope, key)) for scope in ("session", "movement"))
             for row in (session, movement):
-                cells.append(f"{100 * row['coverage']:.0f} % of {row['cases']}" if row else "")
+                cells += [f"{100 * row['coverage']:.0f}", f"{row['cases']}"] if row else ["", ""]
             cells.append(f"{session['rms']:.2g}" if session else "")
-        lines.append(f"| `{key}` | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return "\n".join(map(",".join, lines))
 
 
 def measures(options: argparse.Namespace) -> Iterator[str]:
@@ -285,8 +282,8 @@ def measures(options: argparse.Namespace) -> Iterator[str]:
             rows_of = [row for row in straight if row["scope"] == scope]
             yield from print_rows(f"{preset}, a straight and stiff elbow, {scope}", rows_of)
         yield from hidden_range(preset, seeds)
-    if options.markdown is not None:
-        options.markdown.write_text(markdown(tables) + "\n", encoding="utf-8")
+    if options.csv is not None:
+        options.csv.write_text(accuracy_csv(tables) + "\n", encoding="utf-8")
     if options.json is not None:
         options.json.write_text(json.dumps(tables, indent=1), encoding="utf-8")
 
@@ -403,7 +400,7 @@ CHECKS = (
             DRAWS,
             option("--keep-in", type=Path, help="folder for what was recovered, to measure it again"),
             JSON,
-            option("--markdown", type=Path, help="the table of docs/measures.md"),
+            option("--csv", type=Path, help="write docs/tables/measures_accuracy.csv"),
         ),
     ),
     Check(

@@ -1,4 +1,4 @@
-"""What the commands make of damaged and hostile files: `python -m tools.faults --write docs/reliability.md`.
+"""What commands make of damaged and hostile files: `python -m tools.faults --write tools/faults/matrix.md`.
 
 Each case is a file with one fault, drawn from a seed, on which the real command runs in a process of its
 own with a guard for time and memory. What it ends in is one of these: right (the answer of the sound file),
