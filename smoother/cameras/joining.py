@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..errors import SolveError
 from ..recording import FIRST_CAMERA, JOINTS, Camera, JointTracks, Recording
 from ..runtime.store import Store, batches
 from .clocks import candidate_offsets
@@ -37,6 +38,8 @@ def join_cameras(recording: Recording, store: Store | None = None) -> tuple[Reco
     rig : CameraRig or None
         Where they stand and which were left out; None where there is one camera.
     """
+    if any(arm.pixel_rad is not None for arm in (recording.arm, *(c.arm for c in recording.cameras))):
+        raise SolveError(f"{recording.name}: keypoints of a camera without depth cannot be solved yet")
     if not recording.cameras:
         return recording, None
     placed = [placed_camera(camera, recording.arm) for camera in recording.cameras]

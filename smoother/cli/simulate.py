@@ -137,6 +137,10 @@ def arm(
         raise typer.BadParameter(f"--arms is one or both, not '{arms}'")
     if config.cameras and arms == "both":
         raise typer.BadParameter("--cameras films one arm; leave out --arms both")
+    if config.rgb != "none" and (arms == "both" or mocap or "trunk" in config.imus):
+        raise typer.BadParameter("--rgb goes with one arm and no motion capture; see `simulate arm --help`")
+    if config.rgb == "further" and not config.cameras:
+        raise typer.BadParameter("--rgb further needs --cameras, as in --cameras 75")
     if mocap and arms == "both":
         raise typer.BadParameter("--mocap captures one arm; leave out --arms both")
     files = MocapFiles.beside(output, calibration_out) if mocap else None
@@ -207,7 +211,8 @@ def arm_settings() -> dict[str, FieldInfo]:
     """Every setting of the simulation by name."""
     from ..simulation import ArmSimulation, MocapSimulation
 
-    return {**ArmSimulation.model_fields, **MocapSimulation.model_fields}
+    arms = {name: field for name, field in ArmSimulation.model_fields.items() if not name.startswith("rgb")}
+    return {**arms, **MocapSimulation.model_fields}
 
 
 def parsed_setting(name: str, value: Any) -> Any:
@@ -225,7 +230,7 @@ def parsed_setting(name: str, value: Any) -> Any:
 #: Settings of an arm that each person draws for themselves, or that a crowd has no use for.
 _NOT_OURS = {
     *("side", "strap", "belly", "frozen_gaps", "swapped_gaps", "still_all"),
-    *("cameras", "camera_clock_s", "camera_clock_ppm", "camera_blind", "camera_fault"),
+    *("cameras", "camera_clock_s", "camera_clock_ppm", "camera_blind", "camera_fault", "rgb", "rgb_noise_px"),
 }
 
 

@@ -42,6 +42,12 @@ class JointTracks:
     camera : ndarray of int8, shape (F,), optional
         Which camera each frame is of, where frames of several are joined (`cameras.joined`); None where all
         are of one.
+    pixel_rad : float, rad, optional
+        Of a camera without depth the angle of a pixel: positions are then points of the joints' rays, a metre
+        in front of the camera. None of a depth camera.
+    ray_origin_m : ndarray, shape (c, 3), m, optional
+        Where the rays of each camera begin in {K}, once a depth was put on them (`cameras.lifting`): then
+        only what is across a ray was measured. A row of nan is of a depth camera; None where all are.
     """
 
     name: str
@@ -49,6 +55,8 @@ class JointTracks:
     position: FloatArray
     state: NDArray[np.int8]
     camera: CameraNumbers | None = None
+    pixel_rad: float | None = None
+    ray_origin_m: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -96,7 +104,9 @@ class JointTracks:
     def select(self, rows: BoolArray | IntArray | slice) -> JointTracks:
         """The same tracks with some of the frames only."""
         camera = None if self.camera is None else self.camera[rows]
-        return JointTracks(self.name, self.t_s[rows], self.position[rows], self.state[rows], camera)
+        return replace(
+            self, t_s=self.t_s[rows], position=self.position[rows], state=self.state[rows], camera=camera
+        )
 
     def hide(self, hidden: BoolArray, joints: tuple[str, ...] = FOREARM_JOINTS) -> JointTracks:
         """A copy in which the joints are not tracked, and have no position, in the hidden frames (F,)."""

@@ -52,6 +52,7 @@ from .motion import (
 )
 from .people import mounted_anew, varied
 from .protocol import PAD_S, Performance, knot_times, perform, wander
+from .rgb import depth_free, is_rgb, photograph, with_pixels
 
 #: What the true calibration claims to be good to, m.
 LEVER_ARM_SIGMA_M = 0.002
@@ -133,6 +134,8 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     simulated : SimulatedArm
     """
     config = config or ArmSimulation()
+    if is_rgb(config, first=True):  # results stand in the first camera's frame
+        config = config.model_copy(update={"camera_frame": CameraFrame.OPTICAL})
     body_rng, *streams = random_streams(seed)
     measures = draw_measures(body_rng)
     stage = draw_stage(config.distance_m, config.camera_frame, body_rng)
@@ -178,6 +181,7 @@ def record_arm(
     simulated : SimulatedArm
     """
     imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng, upper_rng, upper_wobble_rng = streams
+    flat = is_rgb(config, first=True)
     wobble = draw_wobble(performance, config.wobble_deg, wobble_rng)
     trunk_rng, hand_rng = upper_rng.spawn(2)  # leaves what `upper_rng` draws as it is
     turn = TrunkTurn(performance, config.trunk_turn_deg, trunk_rng)
@@ -213,7 +217,7 @@ def record_arm(
     strap = {"strap": motion.imu_pose(times)[1]} if config.strap else {}
     footage = film(times, motion.joints(times) | strap)
     true = footage.position.copy()
-    parameters |= add_noise(footage, config, noise_rng)
+    parameters |= add_noise(footage, depth_free(config) if flat else config, noise_rng)
     if config.protocol == "random" and not config.still_all:
         hidden = random_gaps(
             times, config.occlusion_lengths_s, config.occlusion_every_s, config.still_start_s, gap_rng
@@ -231,7 +235,10 @@ def record_arm(
     )
     parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
     same_stamps = deepcopy(stamp_rng)
+    if flat:
+        photograph(footage, config, noise_rng)
     tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
+    tracks = with_pixels(tracks) if flat else tracks
     trunk_motion, trunk = None, None
     if "trunk" in config.imus:
         trunk_motion = TrunkImuMotion(stage.R_K_T, stage.origin_K, turn, draw_trunk_axes(trunk_rng))

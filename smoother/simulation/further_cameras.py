@@ -10,12 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..linalg import runs, unit
-from ..recording import Camera
+from ..recording import Camera, CameraFrame
 from .body import BodyMeasures
 from .camera import add_noise, add_outliers, debounce, deliver, exposures, film, lose_forearm, random_gaps
 from .config import ArmSimulation
 from .motion import ArmMotion, Stage, TrunkTurn, tilt_rotation
 from .protocol import Performance, perform
+from .rgb import calibrated, depth_free, is_rgb, optical_from, photograph, with_pixels
 
 #: A further camera's latency differs from the first one's by up to this, s.
 LATENCY_S = 0.010
@@ -152,7 +153,8 @@ def _further(
     times = exposures(duration_s, config.frame_rate_hz, stamp_rng)
     footage = film(times, motion.joints(times))
     true = footage.position.copy()
-    drawn = add_noise(footage, config, noise_rng)
+    flat = is_rgb(config, first=False)
+    drawn = add_noise(footage, depth_free(config) if flat else config, noise_rng)
     if config.protocol == "random" and not config.still_all:
         hidden = random_gaps(
             times, config.occlusion_lengths_s, config.occlusion_every_s, config.still_start_s, gap_rng
@@ -170,11 +172,18 @@ def _further(
         knock = Rotation.from_rotvec(np.radians(KNOCK_DEG) * unit(place_rng.normal(size=3)))
         push = KNOCK_M * unit(place_rng.normal(size=3))
         footage.position[later] = footage.position[later] @ knock.as_matrix().T + push
+    if flat:
+        photograph(footage, config, noise_rng)
+        R = R @ optical_from(config.camera_frame).T
     latency_s = config.latency_s + place_rng.uniform(-LATENCY_S, LATENCY_S)
     ahead_s = number * config.camera_clock_s
     tracks, _ = deliver(footage, name, config.model_copy(update={"latency_s": latency_s}), stamp_rng)
     tracks = replace(tracks, t_s=tracks.t_s + ahead_s + 1e-6 * config.camera_clock_ppm * tracks.t_s)
-    return Camera(name, tracks, config.camera_frame), drawn | {
+    frame, pose = config.camera_frame, None
+    if flat:
+        tracks, frame = with_pixels(tracks), CameraFrame.OPTICAL
+        pose = calibrated(R, p, place_rng) if config.rgb == "all" else None
+    return Camera(name, tracks, frame, pose=pose), drawn | {
         "R_K_C": R,
         "p_K_C_m": p,
         "offset_s": config.latency_s - latency_s - ahead_s,

@@ -13,7 +13,11 @@ from smoother.io.wire.schemas import message_class, schema_data
 
 FOLDER = files("smoother.io.wire")
 #: A message of each file.
-FILES = {"unocclude": "unocclude.Imu", "unocclude_draws": "unocclude.Draws"}
+FILES = {
+    "unocclude": "unocclude.Imu",
+    "unocclude_draws": "unocclude.Draws",
+    "unocclude_pixels": "unocclude.Keypoints2D",
+}
 SCALARS = {1: "double", 6: "fixed64", 8: "bool", 9: "string", 12: "bytes", 13: "uint32"}
 
 

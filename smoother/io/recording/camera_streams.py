@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +10,13 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import unit
-from ...recording import Camera, CameraFrame, JointTracks
+from ...recording import Camera, CameraFrame
 from ...runtime.store import Store
 from ..mcap.messages import seconds
 from .bodies import people
 from .clean import clean_arm
-from .streams import ArmFrames, CameraStream, ImuSamples, RecordingFile
+from .keypoints import tracks_of
+from .streams import ArmFrames, CameraStream, ImuSamples, KnownLens, RecordingFile
 
 #: Where the skeletons of further cameras are written to, each under its name.
 CAMERA_TOPIC = "/skeleton/"
@@ -39,7 +40,8 @@ def further_cameras(file: RecordingFile) -> dict[str, CameraStream]:
     if len(topics) < 2 or len({frames[topic] for topic in topics} - {""}) < len(topics):
         return {}
     seen = {topic: max(arm.tracked for arm in file.arms if arm.topic == topic) for topic in topics}
-    first = min(topics, key=lambda topic: (-seen[topic], topic))
+    flat = {arm.topic for arm in file.arms if arm.lens is not None}  # a camera with depth comes first
+    first = min(topics, key=lambda topic: (topic in flat, -seen[topic], topic))
     kinds = {arm.topic: arm.camera_frame for arm in file.arms}
     return {topic: CameraStream(frames[topic], kinds[topic]) for topic in topics if topic != first}
 
@@ -62,10 +64,20 @@ def of_first_camera(file: RecordingFile, skeleton: str | None) -> tuple[Recordin
     """
     cameras = {} if skeleton is not None else further_cameras(file)
     if not cameras:
-        return file, None
+        return (file if skeleton is not None else _without_doubles(file)), None
     first = replace(file, arms=[arm for arm in file.arms if arm.topic not in cameras], cameras={})
     arms = [arm for arm in file.arms if arm.topic in cameras]
     return first, replace(file, arms=arms, cameras=cameras)
+
+
+def _without_doubles(file: RecordingFile) -> RecordingFile:
+    """Without keypoints beside the skeleton that was made of them, which `--skeleton` takes: one camera is
+    not two.
+    """
+    with_depth = [arm for arm in file.arms if arm.lens is None]
+    if len(with_depth) == len(file.arms) or not any(arm.tracked for arm in with_depth):
+        return file
+    return replace(file, arms=with_depth)
 
 
 def same_arm(
@@ -115,17 +127,23 @@ def _by_motion(candidates: Sequence[ArmFrames], imu: ImuSamples) -> ArmFrames:
 
 
 def camera_of(
-    stream: CameraStream, arm: ArmFrames, source: str, origin_ns: int, store: Store
+    stream: CameraStream,
+    arm: ArmFrames,
+    source: str,
+    origin_ns: int,
+    store: Store,
+    lenses: Mapping[str, KnownLens] | None = None,
 ) -> tuple[Camera | None, list[str]]:
     """A further camera with cleaned frames; None and a sentence where they cannot be used."""
     try:
         clean, notes = clean_arm(arm, source, store)
     except RecordingError as error:
         return None, [f"{stream.name} was left out: {error}"]
-    t_s = seconds(clean.stamp_ns, origin_ns, store)
-    tracks = JointTracks(clean.topic, t_s, clean.position, clean.state)
+    tracks = tracks_of(clean, seconds(clean.stamp_ns, origin_ns, store), store)
     frame = stream.camera_frame or clean.camera_frame
-    return Camera(stream.name, tracks, frame, stream.gravity_hint), notes
+    known = (lenses or {}).get(arm.topic)
+    pose = None if known is None else known.pose
+    return Camera(stream.name, tracks, frame, stream.gravity_hint, pose), notes
 
 
 def cameras_plain(cameras: dict[str, CameraStream]) -> dict[str, dict[str, object]]:

@@ -215,7 +215,8 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
     for part in batches(len(position)):
         there[part] = np.isfinite(position[part]).all(axis=2)
         with np.errstate(invalid="ignore"):
-            far[part] = claimed[part] & (abs(position[part]) > _FARTHEST_M).any(axis=2) & there[part]
+            if arm.lens is None:  # pixels are no metres
+                far[part] = claimed[part] & (abs(position[part]) > _FARTHEST_M).any(axis=2) & there[part]
     broken = claimed & ~there
     if broken.any():
         if broken.sum() > _LIMIT * claimed.sum():

@@ -325,6 +325,8 @@ class SkeletonDecoder:
     store: Store = field(default_factory=Store)
     frame_id: str = ""
     camera_frame: CameraFrame | None = None
+    #: The messages' repeated field.
+    elements: ClassVar[str] = "joints"
 
     def __post_init__(self) -> None:
         self._rows = JointRows(self.store)
@@ -349,8 +351,9 @@ class SkeletonDecoder:
         """What messages of one layout say of each side."""
         body, count = layout.integer(block, "body") & 0xFFFFFFFF, len(block)
         sides: dict[int, tuple[NDArray, NDArray]] = {}
-        for i in range(layout.counts.get("joints", 0)):
-            code = joint_code(layout.texts.get(f"joints.{i}.name", ""))
+        for i in range(layout.counts.get(self.elements, 0)):
+            path = f"{self.elements}.{i}"
+            code = joint_code(layout.texts.get(f"{path}.name", ""))
             if code is None:
                 continue
             side, joint = code
@@ -358,12 +361,15 @@ class SkeletonDecoder:
                 shape = (count, len(JOINTS))
                 sides[side] = np.full(shape, UNREPORTED, np.int8), np.full((*shape, 3), np.nan)
             state, position = sides[side]
-            said = layout.integer(block, f"joints.{i}.state")
-            if (said.view(np.uint64) > JointState.TRACKED).any():  # damaged
-                said = np.where(said.view(np.uint64) > JointState.TRACKED, JointState.NOT_TRACKED, said)
-            state[:, joint] = said
-            position[:, joint] = layout.vector(block, axes(f"joints.{i}.position"))
+            state[:, joint], position[:, joint] = self.joint(block, layout, path)
         return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
+
+    def joint(self, block: Block, layout: MessageLayout, path: str) -> tuple[NDArray, FloatArray]:
+        """States (rows,) and positions (rows, 3) of a joint."""
+        said = layout.integer(block, f"{path}.state")
+        if (said.view(np.uint64) > JointState.TRACKED).any():  # damaged
+            said = np.where(said.view(np.uint64) > JointState.TRACKED, JointState.NOT_TRACKED, said)
+        return said, layout.vector(block, axes(f"{path}.position"))
 
     def found(self) -> tuple[IntArray, list[ArmFrames]]:
         """Stamps of all messages, ns, and all arms; asked for once."""

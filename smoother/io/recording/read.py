@@ -36,6 +36,7 @@ from .decode import (
     skeleton_decoder,
 )
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
+from .keypoints import KeypointDecoder, keypoint_decoder, lenses_from_plain, with_lenses
 from .select import select_recording, select_recordings
 from .selection import OTHER_SIDE, FileReading, Selection, choose_imu
 from .streams import (
@@ -190,6 +191,7 @@ def open_recording(
             f"{', '.join(angles)}: sensor_msgs/JointState holds angles, not places of joints; left alone."
         )
     _take_metadata(file)
+    with_lenses(file, {each.topic.label for each in decoders.values() if isinstance(each, KeypointDecoder)})
     return file
 
 
@@ -197,7 +199,12 @@ def _decoder(topic: Topic, store: Store, truth: bool) -> AnyDecoder | None:
     """What decodes a topic; None where it is not wanted."""
     if topic.name.startswith(RESULT_PREFIX):
         return None
-    decoder = plain_decoder(topic, store) or skeleton_decoder(topic, store) or json_decoder(topic, store)
+    decoder = (
+        plain_decoder(topic, store)
+        or skeleton_decoder(topic, store)
+        or keypoint_decoder(topic, store)
+        or json_decoder(topic, store)
+    )
     is_pose = isinstance(decoder, PoseDecoder) or (isinstance(decoder, JsonStream) and decoder.kind == "pose")
     is_reference = is_pose or (topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SKELETONS))
     return None if is_reference and not truth else decoder
@@ -347,6 +354,8 @@ def _take_metadata(file: RecordingFile) -> None:
         file.clocks_unrelated = record.get("clocks") == CLOCKS_UNRELATED
         if record.get("cameras"):
             file.cameras = cameras_from_plain(json.loads(record["cameras"]))
+        if record.get("lenses"):
+            file.lenses = lenses_from_plain(json.loads(record["lenses"]))
         notes = json.loads(record.get("notes", "[]"))
         file.notes += [ImportNote(printable(str(note)[:_LONGEST_NOTE])) for note in notes[:_MOST_NOTES]]
         file.notes += repair_notes(file.metadata)

@@ -20,6 +20,7 @@ from .assign import choose, choose_arms, left_out_words
 from .bodies import join_bodies, people
 from .camera_streams import camera_of
 from .clean import clean_arm, clean_imu, clean_poses
+from .keypoints import tracks_of
 from .selection import Selection, StreamChoice, is_named, named_side, role, role_among
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
@@ -81,7 +82,7 @@ def opposite_arm(
         other, _ = clean_arm(others[0], str(file.path), store)
     except RecordingError:  # that arm cannot be used, and nobody asked for it
         return None
-    return JointTracks(other.topic, seconds(other.stamp_ns, origin_ns, store), other.position, other.state)
+    return tracks_of(other, seconds(other.stamp_ns, origin_ns, store), store)
 
 
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
@@ -175,13 +176,13 @@ class _CleanArm:
     def recording(self, file: RecordingFile, origin: int, store: Store) -> Recording:
         arm = self.arm
         trunk, trunk_notes = trunk_of(file, self.choice, origin, store)
-        found = [camera_of(*each, str(file.path), origin, store) for each in self.choice.cameras]
+        found = [camera_of(*each, str(file.path), origin, store, file.lenses) for each in self.choice.cameras]
         more = [note for _, notes in found for note in notes]
         return Recording(
             imu=_imu_stream(self.imu, origin, store),
-            arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
+            arm=tracks_of(arm, seconds(arm.stamp_ns, origin, store), store),
             side=self.choice.side,
-            camera_frame=file.camera_frame or arm.camera_frame,
+            camera_frame=arm.camera_frame if arm.lens is not None else file.camera_frame or arm.camera_frame,
             gravity_hint=file.gravity_hint,
             base_imu=None if self.base is None else _imu_stream(self.base, origin, store),
             truth=None if self.truth is None else _truth(self.truth, origin, store),

@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.intrinsics import Intrinsics
+
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
-from ...recording import CameraFrame, JointState
+from ...recording import CameraFrame, CameraPose, JointState
 from ...runtime.store import Store, batches
 
 
@@ -85,6 +87,8 @@ class ArmFrames:
         `JointState` values.
     camera_frame : CameraFrame, optional
         Convention of the axes where the message type settles it.
+    lens : Intrinsics, optional
+        Of a camera without depth: `position` then holds u and v, pixels, and the score, 0 to 1.
     """
 
     topic: str
@@ -95,6 +99,7 @@ class ArmFrames:
     position: FloatArray
     state: NDArray[np.int8]
     camera_frame: CameraFrame | None = None
+    lens: Intrinsics | None = None
 
     @property
     def label(self) -> str:
@@ -105,6 +110,21 @@ class ArmFrames:
     def tracked(self) -> int:
         """Number of frames with a tracked forearm joint."""
         return int(enough_joints(self.state == JointState.TRACKED, 1).sum())
+
+
+@dataclass(frozen=True)
+class KnownLens:
+    """The lens of a camera without depth, and where the camera stands if that was measured.
+
+    Attributes
+    ----------
+    lens : Intrinsics
+    pose : CameraPose, optional
+        In the first camera's frame.
+    """
+
+    lens: Intrinsics
+    pose: CameraPose | None = None
 
 
 @dataclass(frozen=True)
@@ -204,6 +224,8 @@ class RecordingFile:
         The IMUs' clock and the camera's have nothing in common.
     cameras : dict of str to CameraStream
         Cameras beyond the first that the file names, by the topic of their skeleton.
+    lenses : dict of str to KnownLens
+        Of cameras without depth, by the topic of their keypoints.
     """
 
     path: Path
@@ -219,6 +241,7 @@ class RecordingFile:
     damage: list[str] = field(default_factory=list)
     clocks_unrelated: bool = False
     cameras: dict[str, CameraStream] = field(default_factory=dict)
+    lenses: dict[str, KnownLens] = field(default_factory=dict)
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:

@@ -9,20 +9,25 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.intrinsics import Intrinsics
+
 from ...array_types import FloatArray, IntArray
 from ...body import SEGMENTS
 from ...linalg import runs
-from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
+from ...recording import JOINTS, CameraFrame, CameraPose, ImuStream, JointState, JointTracks, Recording
 from ...runtime.outputs import writing
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.messages import nanoseconds
 from ..wire import protobuf_encode as wire
 from .camera_streams import CAMERA_TOPIC, cameras_plain
+from .keypoints import NAMED_TOPIC, TOPIC, keypoint_messages, lenses_plain, pixels_of
 from .read import CLOCKS_UNRELATED, METADATA
 from .selection import OTHER_SIDE
-from .streams import ArmFrames, CameraStream, ImuSamples, PoseSamples, RecordingFile
+from .streams import ArmFrames, CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile
 
 CAMERA = "camera"
+#: Pixels of the images of a camera without depth whose lens a recording no longer has.
+IMAGE = (1280, 720)
 
 
 def write_recording(
@@ -63,6 +68,8 @@ def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]
         metadata["gravity"] = json.dumps([float(value) for value in file.gravity_hint])
     if file.cameras:
         metadata["cameras"] = json.dumps(cameras_plain(file.cameras))
+    if file.lenses:
+        metadata["lenses"] = json.dumps(lenses_plain(file.lenses))
     if file.clocks_unrelated:
         metadata["clocks"] = CLOCKS_UNRELATED
     scores = {
@@ -74,7 +81,9 @@ def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]
         metadata["truth_score"] = json.dumps(scores)
     output.metadata(METADATA, metadata)
     outgoing = [imu_messages(output, imu) for imu in file.imus]
-    outgoing += [arm_messages(output, arm) for arm in file.arms]
+    outgoing += [
+        arm_messages(output, arm) if arm.lens is None else keypoint_messages(output, arm) for arm in file.arms
+    ]
     for poses in file.poses:
         outgoing += _poses(output, poses)
     return outgoing
@@ -118,15 +127,15 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             body += 1
         sides.add((body, one.side))
         stamp = nanoseconds(one.arm.t_s, one.origin_ns)
-        file.arms.append(
-            ArmFrames("/skeleton", CAMERA, body, one.side, stamp, one.arm.position, one.arm.state)
-        )
+        file.arms.append(_frames(file, "/skeleton", TOPIC, CAMERA, body, one.side, stamp, one.arm))
         for camera in one.cameras:
-            topic = f"{CAMERA_TOPIC}{camera.name}"
-            file.cameras[topic] = CameraStream(camera.name, camera.camera_frame, camera.gravity_hint)
             stamp = nanoseconds(camera.arm.t_s, one.origin_ns)
-            arm = camera.arm
-            file.arms.append(ArmFrames(topic, camera.name, body, one.side, stamp, arm.position, arm.state))
+            topics_of_camera = f"{CAMERA_TOPIC}{camera.name}", NAMED_TOPIC.format(camera.name)
+            frames = _frames(
+                file, *topics_of_camera, camera.name, body, one.side, stamp, camera.arm, camera.pose
+            )
+            file.cameras[frames.topic] = CameraStream(camera.name, camera.camera_frame, camera.gravity_hint)
+            file.arms.append(frames)
         if one.trunk is not None and "/imu/trunk" not in topics:
             topics.add("/imu/trunk")
             trunk = one.trunk.imu
@@ -150,6 +159,30 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             stamp = nanoseconds(arm.t_s, origin_ns)
             file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
     return file
+
+
+def _frames(
+    file: RecordingFile,
+    skeleton: str,
+    keypoints: str,
+    frame_id: str,
+    body: int,
+    side: str,
+    stamp: IntArray,
+    arm: JointTracks,
+    pose: CameraPose | None = None,
+) -> ArmFrames:
+    """A camera's frames under one of two topics; rays of a camera without depth become pixels again."""
+    if arm.pixel_rad is None:
+        return ArmFrames(skeleton, frame_id, body, side, stamp, arm.position, arm.state)
+    if keypoints not in file.lenses:  # which lens it was does not matter to the rays: one that has the angle
+        focal, (width, height) = 1.0 / arm.pixel_rad, IMAGE
+        lens = Intrinsics(width, height, focal, focal, 0.5 * width, 0.5 * height)
+        file.lenses[keypoints] = KnownLens(lens, pose)
+    lens = file.lenses[keypoints].lens
+    return ArmFrames(
+        keypoints, frame_id, body, side, stamp, pixels_of(arm, lens), arm.state, CameraFrame.OPTICAL, lens
+    )
 
 
 def as_session(

@@ -1,8 +1,8 @@
 r"""Our own protobuf messages, and the schemas that an MCAP file carries.
 
-`unocclude_pb2.py` is what protoc makes of `unocclude.proto`, and `unocclude_draws_pb2.py` of
-`unocclude_draws.proto`; whoever changes such a file makes its module anew, with grpcio-tools 1.68 (a newer
-one would ask for a newer protobuf than we do)::
+`unocclude_pb2.py` is what protoc makes of `unocclude.proto`, and likewise of the other `.proto` files beside
+it; whoever changes such a file makes its module anew, with grpcio-tools 1.68 (a newer one would ask for a
+newer protobuf than we do)::
 
     python -c 'import sys; from smoother.io.wire.schemas import schema_data
     sys.stdout.buffer.write(schema_data("foxglove.SceneUpdate"))' > /tmp/foxglove
@@ -20,8 +20,11 @@ from typing import Any
 
 from google.protobuf import descriptor_pb2
 
-#: Messages of `unocclude_draws.proto`.
-_OF_DRAWS = ("Draws", "DrawnMotion")
+#: Modules of the messages that have a file of their own.
+_MODULES = {
+    **dict.fromkeys(("Draws", "DrawnMotion"), "unocclude_draws_pb2"),
+    **dict.fromkeys(("Keypoint", "Keypoints2D"), "unocclude_pixels_pb2"),
+}
 
 
 @cache
@@ -30,7 +33,7 @@ def message_class(name: str) -> Any:
     package, _, short = name.rpartition(".")
     module = f"foxglove_schemas_protobuf.{short}_pb2"
     if package != "foxglove":
-        module = f"{__package__}.{'unocclude_draws_pb2' if short in _OF_DRAWS else 'unocclude_pb2'}"
+        module = f"{__package__}.{_MODULES.get(short, 'unocclude_pb2')}"
     return getattr(import_module(module), short)
 
 

@@ -1,0 +1,177 @@
+"""Keypoints in the images of a camera without depth: read, written, and turned into rays by the lens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.intrinsics import Intrinsics
+
+from ...array_types import FloatArray
+from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTracks
+from ...runtime.store import Store, batches
+from ..mcap.merge import Encoded, Output, OutputStream
+from ..mcap.messages import Topic
+from ..wire import protobuf_encode as wire
+from ..wire.layout import Block, MessageLayout
+from .decode import SkeletonDecoder, proto_grouper
+from .streams import ArmFrames, KnownLens, RecordingFile
+
+#: The schema of a message; where those of the first camera are written to, and of one with a name.
+SCHEMA, TOPIC, NAMED_TOPIC = "unocclude.Keypoints2D", "/camera/keypoints_2d", "/camera/{}/keypoints_2d"
+#: A keypoint counts as tracked from this score on, and as guessed from that.
+TRACKED_SCORE, INFERRED_SCORE = 0.5, 0.1
+
+
+def states_of_scores(score: FloatArray) -> NDArray[np.int8]:
+    """What a network's scores, 0 to 1, say of joints; nan is none."""
+    with np.errstate(invalid="ignore"):
+        tracked, inferred = score >= TRACKED_SCORE, score >= INFERRED_SCORE
+    return np.where(tracked, JointState.TRACKED, np.where(inferred, JointState.INFERRED, 0)).astype(np.int8)
+
+
+class KeypointDecoder(SkeletonDecoder):
+    """unocclude.Keypoints2D: one body, or an arm of it, in one image."""
+
+    elements = "keypoints"
+
+    def joint(self, block: Block, layout: MessageLayout, path: str) -> tuple[NDArray, FloatArray]:
+        """States (rows,), and u, v and score (rows, 3)."""
+        values = layout.vector(block, [f"{path}.{name}" for name in ("u", "v", "score")])
+        return states_of_scores(values[:, 2]), values
+
+
+def keypoint_decoder(topic: Topic, store: Store | None = None) -> KeypointDecoder | None:
+    """The decoder of a topic of keypoints; None for other topics."""
+    if topic.encoding != "protobuf" or topic.schema != SCHEMA:
+        return None
+    return KeypointDecoder(topic, proto_grouper(topic.schema), store or Store())
+
+
+def with_lenses(file: RecordingFile, topics: set[str]) -> None:
+    """Give keypoints their lenses; those of a camera whose lens nobody knows are left out, with a note.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        As read, with its lenses.
+    topics : set of str
+        That hold keypoints.
+    """
+    kept = []
+    for arm in file.arms:
+        if arm.topic in topics:
+            if arm.topic not in file.lenses:
+                continue
+            arm.lens, arm.camera_frame = file.lenses[arm.topic].lens, CameraFrame.OPTICAL
+        kept.append(arm)
+    for topic in sorted(topics - file.lenses.keys()):
+        file.notes.append(
+            f"{topic}: the camera's lens is not known, so its keypoints were left out; import them again with"
+            " --intrinsics."
+        )
+    file.arms = kept
+
+
+def tracks_of(arm: ArmFrames, t_s: FloatArray, store: Store) -> JointTracks:
+    """Cleaned frames as a recording has them: of a camera without depth the points become rays."""
+    if arm.lens is None:
+        return JointTracks(arm.topic, t_s, arm.position, arm.state)
+    position = store.array(arm.position.shape, 0.0)
+    for part in batches(len(position)):
+        pixels = np.asarray(arm.position[part])[..., :2]
+        rays = arm.lens.rays(pixels.reshape(-1, 2)).reshape(pixels.shape)
+        forwards = np.where(np.isfinite(rays).all(axis=2), 1.0, np.nan)
+        position[part] = np.concatenate([rays, forwards[..., None]], axis=2)
+    return JointTracks(arm.topic, t_s, position, arm.state, pixel_rad=1.0 / arm.lens.focal_px)
+
+
+def pixels_of(tracks: JointTracks, lens: Intrinsics) -> FloatArray:
+    """Rays (F, 5, 3) as u, v and score; the score of a state is in the middle of its range."""
+    position = np.full(tracks.position.shape, np.nan)
+    position[..., :2] = lens.pixels(np.asarray(tracks.position).reshape(-1, 3)).reshape(-1, len(JOINTS), 2)
+    position[..., 2] = np.choose(
+        np.asarray(tracks.state), [0.0, 0.5 * (INFERRED_SCORE + TRACKED_SCORE), 0.5 * (TRACKED_SCORE + 1.0)]
+    )
+    return position
+
+
+def keypoint_messages(output: Output, arm: ArmFrames) -> OutputStream:
+    """Messages of a camera without depth, on its topic; joints that are never there are left out."""
+    suffix = f"_{arm.side}" if arm.side else ""
+    present = np.flatnonzero((arm.state != JointState.NOT_TRACKED).any(axis=0)).tolist()
+    parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
+    parts += [
+        wire.message(
+            4,
+            wire.text(1, JOINTS[i] + suffix),
+            *(wire.double(2 + k, "values", 3 * i + k) for k in range(3)),
+        )
+        for i in present
+    ]
+    template = wire.join(*parts)
+
+    def encode(part: slice) -> Encoded:
+        values = np.nan_to_num(np.asarray(arm.position[part]))
+        values[np.asarray(arm.state[part]) == JointState.NOT_TRACKED] = 0.0
+        stamp = arm.stamp_ns[part]
+        return template.encode(
+            len(stamp), {"values": values.reshape(-1, 3 * len(JOINTS))} | wire.stamps("stamp", stamp)
+        )
+
+    return OutputStream(output.channel(arm.topic, SCHEMA), arm.stamp_ns, encode)
+
+
+def lens_plain(lens: Intrinsics) -> dict[str, Any]:
+    """A lens as metadata and recording.toml hold it."""
+    names = ("k1", "k2", "p1", "p2", "k3")
+    terms = {name: float(value) for name, value in zip(names, lens.distortion, strict=False) if value}
+    numbers = {name: float(getattr(lens, name)) for name in ("fx", "fy", "cx", "cy")}
+    return {"width": lens.width, "height": lens.height, **numbers, **terms}
+
+
+def lens_from_plain(values: Mapping[str, Any]) -> Intrinsics:
+    """From plain values; raises `ValueError`, `TypeError` or `KeyError` where they are none."""
+    unknown = set(values) - {"width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"}
+    if unknown:
+        raise ValueError(f"{sorted(unknown)[0]} is no key of a lens")
+    fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
+    terms = tuple(float(values.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3"))
+    width, height = int(values["width"]), int(values["height"])
+    if not (np.isfinite([fx, fy, cx, cy, *terms]).all() and min(fx, fy, width, height) > 0):
+        raise ValueError("focal lengths and sizes are above zero")
+    return Intrinsics(width, height, fx, fy, cx, cy, terms if any(terms) else ())
+
+
+def lenses_plain(lenses: Mapping[str, KnownLens]) -> dict[str, dict[str, Any]]:
+    """As a file's metadata holds them, by topic."""
+    plain: dict[str, dict[str, Any]] = {}
+    for topic, known in lenses.items():
+        plain[topic] = {"intrinsics": lens_plain(known.lens)}
+        if known.pose is not None:
+            plain[topic]["pose"] = {
+                "R_K_C": known.pose.R_K_C.tolist(),
+                "p_K_C_m": known.pose.p_K_C_m.tolist(),
+                "sigma_deg": float(np.degrees(known.pose.sigma_rad)),
+                "sigma_m": known.pose.sigma_m,
+            }
+    return plain
+
+
+def lenses_from_plain(values: Mapping[str, Mapping[str, Any]]) -> dict[str, KnownLens]:
+    """From metadata; raises `ValueError`, `TypeError` or `KeyError` where it is none."""
+    lenses = {}
+    for topic, each in dict(values).items():
+        pose = None
+        if each.get("pose") is not None:
+            R = np.array(each["pose"]["R_K_C"], float).reshape(3, 3)
+            p = np.array(each["pose"]["p_K_C_m"], float).reshape(3)
+            if not (np.isfinite(p).all() and np.allclose(R @ R.T, np.eye(3), atol=1e-4)):
+                raise ValueError("R_K_C is no rotation")
+            sigma_rad = float(np.radians(float(each["pose"]["sigma_deg"])))
+            pose = CameraPose(R, p, sigma_rad, float(each["pose"]["sigma_m"]))
+        lenses[str(topic)] = KnownLens(lens_from_plain(each["intrinsics"]), pose)
+    return lenses
