@@ -11,6 +11,10 @@ With `--model out.osim` OpenSim's Inverse Kinematics tool moves the exported mod
 angles are held against those of the MOT file; with `--truth out.mcap` also against the truth in that result.
 With `--orientations out.sto` too, OpenSense moves it by the IMUs' orientations (forearm and upper arm).
 
+`--folder` runs what `unocclude export --format opensim` wrote as it is: Scale, Inverse Kinematics, OpenSense.
+
+    sim/bin/python tools/opensim_check.py --folder out_opensim
+
 Needs `opensim` and numpy alone, so that it runs in an environment of its own; `--truth` needs unocclude too.
 """
 
@@ -18,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -42,8 +47,9 @@ TOLERANCE_M = 1e-5
 def main() -> int:
     """Print what was found as JSON; exit code 1 where model and markers differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("trc")
-    parser.add_argument("mot")
+    parser.add_argument("trc", nargs="?")
+    parser.add_argument("mot", nargs="?")
+    parser.add_argument("--folder", help="what `export --format opensim` wrote; all of its set-ups are run")
     parser.add_argument("--side", choices=("left", "right"), default="right")
     parser.add_argument("--rows", type=int, default=200, help="how many rows to compare")
     parser.add_argument("--model", help="the exported model, to be moved by inverse kinematics")
@@ -51,6 +57,11 @@ def main() -> int:
     parser.add_argument("--truth", help="a result with a truth in it, to compare the angles with")
     parser.add_argument("--seconds", type=float, help="how much of the recording to move the model through")
     arguments = parser.parse_args()
+    if arguments.folder:
+        print(json.dumps(run_folder(Path(arguments.folder).resolve()), indent=2))
+        return 0
+    if not arguments.mot:
+        parser.error("name a TRC and a MOT file, or --folder")
     figures = check(arguments.trc, arguments.mot, arguments.side, arguments.rows)
     if arguments.model:
         times, angles = inverse_kinematics(arguments.model, arguments.trc, arguments.seconds)
@@ -161,6 +172,48 @@ def opensense(model_file: str, sto: str, seconds: float | None = None):
         tool.set_report_errors(False)
         tool.run(False)
         return motion_file(str(Path(folder) / output))
+
+
+def run_folder(folder: Path) -> dict[str, object]:
+    """Run the set-ups of an exported folder, and hold what they find against its model and its angles."""
+    import opensim
+
+    opensim.Logger.removeFileSink()
+    opensim.Logger.setLevelString("Error")
+    os.chdir(folder)  # the tools take names of files from where they run
+    own = motion_file(str(folder / "arm.mot"))
+    for values in own[1].values():
+        values[own[1]["answered"] < 1] = np.nan  # a straight line there
+    figures: dict[str, object] = {"opensim": opensim.GetVersion()}
+    figures["scale"] = opensim.ScaleTool(str(folder / "scale.xml")).run()
+    exported, scaled = (markers_of(folder / name) for name in ("arm.osim", "scaled.osim"))
+    figures["scaled_minus_exported_m"] = {
+        name: float(np.linalg.norm(place - exported[name])) for name, place in scaled.items()
+    }
+    figures["ik"] = opensim.InverseKinematicsTool(str(folder / "ik.xml")).run()
+    figures["ik_minus_mot_deg"] = against(*motion_file(str(folder / "ik.mot")), *own)
+    # the model that Scale made, by the same set-up
+    text = (folder / "ik.xml").read_text(encoding="utf-8")
+    text = text.replace("arm.osim", "scaled.osim").replace(">ik.mot<", ">ik_scaled.mot<")
+    (folder / "ik_scaled.xml").write_text(text, encoding="utf-8")
+    figures["ik_scaled"] = opensim.InverseKinematicsTool(str(folder / "ik_scaled.xml")).run()
+    figures["ik_scaled_minus_mot_deg"] = against(*motion_file(str(folder / "ik_scaled.mot")), *own)
+    if (folder / "imu_ik.xml").exists():
+        figures["imu_ik"] = opensim.IMUInverseKinematicsTool(str(folder / "imu_ik.xml")).run(False)
+        figures["imu_ik_minus_mot_deg"] = against(*motion_file(str(folder / "imu_ik.mot")), *own)
+    return figures
+
+
+def markers_of(model_file: Path) -> dict[str, np.ndarray]:
+    """Places (3,) of a model's markers on their bodies, m."""
+    import opensim
+
+    model = opensim.Model(str(model_file))
+    model.initSystem()
+    markers = [model.getMarkerSet().get(k) for k in range(model.getMarkerSet().getSize())]
+    return {
+        marker.getName(): np.array([marker.get_location().get(i) for i in range(3)]) for marker in markers
+    }
 
 
 def motion_file(path: str):

@@ -15,11 +15,12 @@ from .options import Body, Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
+    from ..array_types import FloatArray
     from ..io.export.prepare import Export
     from ..recording import Truth
     from ..result import Recovery
 
-FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd", "bids")
+FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd", "bids", "opensim")
 ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 #: Endings of files that are none of these.
@@ -97,8 +98,10 @@ def export(
     straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
     and the markers of trc, for its Inverse Kinematics. sto: orientations of all IMUs for its OpenSense,
     rows without one left out. bids: a session of a Motion-BIDS data set, the folder OUTPUT, which is begun
-    or added to: camera and IMUs as they were recorded, the recovered arm as a derivative. rrd: a recording of
-    Rerun with its views, all arms in one file; `unocclude view` opens it (needs `pip install '.[view]'`).
+    or added to: camera and IMUs as they were recorded, the recovered arm as a derivative. opensim: the
+    folder OUTPUT, one an arm, with osim, trc, mot and sto, and set-ups that OpenSim's Scale, Inverse
+    Kinematics and OpenSense run as they are. rrd: a recording of Rerun with its views, all arms in one
+    file; `unocclude view` opens it (needs `pip install '.[view]'`).
 
     What is not to be trusted is named on stderr, and marked in the file: column or channel `trusted`, dark
     red in rrd.
@@ -114,6 +117,9 @@ def export(
     recoveries = load_recoveries(result, one_side(side), body)
     if format_name == "bids":
         _bids(result, recoveries, output, (subject, session, task), json_file, force)
+        return
+    if format_name == "opensim":
+        _opensim(result, recoveries, output, rate, json_file, force)
         return
     together = format_name == "rrd"
     files = [output] if together else output_names(output, recoveries)
@@ -182,6 +188,33 @@ def _bids(
     write_json(json_file, figures | {"motion_files": count, "notes": notes}, force)
 
 
+def _opensim(
+    result: Path,
+    recoveries: list[Recovery],
+    output: Path,
+    rate: float | None,
+    json_file: Path | None,
+    force: bool,
+) -> None:
+    """A folder an arm, which OpenSim runs as it is."""
+    from ..io.export.opensim_setup import check_opensim_folder, opensim_files, write_opensim
+
+    folders = output_names(output, recoveries)
+    check_outputs(force, [json_file], [result])
+    for folder in folders:
+        check_opensim_folder(folder, force)
+    level_down = _level_down(result, recoveries)
+    arms = [opensim_files(recovery, rate, level_down) for recovery in recoveries]
+    figures = []
+    for recovery, folder, (files, notes) in zip(recoveries, folders, arms, strict=True):
+        write_opensim(files, folder, force)
+        say(f"written: {folder} ({', '.join(files)})")
+        figures.append({"folder": str(folder), "files": list(files), "side": recovery.side, "notes": notes})
+    warn(recoveries)
+    print_notes(note for _, notes in arms for note in notes)
+    write_json(json_file, {"folders": figures}, force)
+
+
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
     """One file an arm: the name as given, or with body, side (and a number) before its ending."""
     if len(recoveries) == 1:
@@ -238,20 +271,25 @@ def _prepared(
     origin: str,
     draws: bool,
 ) -> list[Export]:
-    import numpy as np
-
     from .. import __version__
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
 
     wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
-    axes = None
-    if wants_up and not all(np.isfinite(recovery.gravity_direction).all() for recovery in recoveries):
-        axes = camera_frame_of(result)
-    level_down = None if axes is None else axes.down  # of a camera that stands level
+    level_down = _level_down(result, recoveries) if wants_up else None
     return [
         prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws)
         for recovery in recoveries
     ]
+
+
+def _level_down(result: Path, recoveries: list[Recovery]) -> FloatArray | None:
+    """Down in the camera's axes if the camera stands level, where a method did not find gravity."""
+    import numpy as np
+
+    if all(np.isfinite(recovery.gravity_direction).all() for recovery in recoveries):
+        return None
+    axes = camera_frame_of(result)
+    return None if axes is None else axes.down
 
 
 def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -162,7 +163,9 @@ def write_osim(
         temporary.write_text(osim_text(measures, name), encoding="utf-8", newline="\n")
 
 
-def osim_text(measures: ArmMeasures, name: str = "arm") -> str:
+def osim_text(
+    measures: ArmMeasures, name: str = "arm", free: Collection[str] = (), camera: bool = False
+) -> str:
     """The model as OpenSim 4 reads it.
 
     A base that moves freely (its turns locked: an arm does not show the thorax), the shoulder with the
@@ -177,6 +180,10 @@ def osim_text(measures: ArmMeasures, name: str = "arm") -> str:
         Lengths and places.
     name : str
         Of the model.
+    free : collection of str
+        Markers whose places OpenSim's Scale may change.
+    camera : bool
+        With a marker `camera` at the ground's origin.
 
     Returns
     -------
@@ -230,8 +237,11 @@ def osim_text(measures: ArmMeasures, name: str = "arm") -> str:
         _marker("wrist", "radius", wrist),
     ]
     markers += [
-        _marker(marker, "radius", mirror * (_QUARTER @ place)) for marker, place in measures.places.items()
+        _marker(marker, "radius", mirror * (_QUARTER @ place), marker not in free)
+        for marker, place in measures.places.items()
     ]
+    if camera:
+        markers.append(_marker("camera", "", np.zeros(3)))
     return _MODEL.format(
         name=_escaped(name), bodies="".join(bodies), joints="".join(joints), markers="".join(markers)
     )
@@ -349,10 +359,11 @@ def _coordinate(name: str, span: tuple[float, float], start: float, locked: bool
     )
 
 
-def _marker(name: str, body: str, place: FloatArray) -> str:
+def _marker(name: str, body: str, place: FloatArray, fixed: bool = True) -> str:
+    frame = f"/bodyset/{body}" if body else "/ground"
     return (
-        f'<Marker name="{name}"><socket_parent_frame>/bodyset/{body}</socket_parent_frame>'
-        f"<location>{_numbers(place)}</location><fixed>true</fixed></Marker>\n"
+        f'<Marker name="{name}"><socket_parent_frame>{frame}</socket_parent_frame>'
+        f"<location>{_numbers(place)}</location><fixed>{str(fixed).lower()}</fixed></Marker>\n"
     )
 
 

@@ -14,7 +14,7 @@ from ...result import Recovery
 #: The formats, and for which of them axes and rate may be chosen.
 FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
 WITH_FRAME = ("trc", "c3d")
-WITH_RATE = ("trc", "mot", "c3d")
+WITH_RATE = ("trc", "mot", "c3d", "opensim")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
 DEFAULT_FRAME = {"trc": "opensim", "c3d": "camera", "sto": "opensim"}
 
@@ -190,13 +190,13 @@ def _sto(recovery: Recovery, level_down: FloatArray | None) -> Export:
     from .sto import orientation_table, write_sto
 
     table = orientation_table(recovery, level_down)
-    notes = (*table.notes, *_level(recovery))
+    notes = (*table.notes, *level_note(recovery))
     return Export(
         len(table.t_s), lambda path, force: write_sto(table, path, force), frame="opensim", notes=notes
     )
 
 
-def _level(recovery: Recovery) -> tuple[str, ...]:
+def level_note(recovery: Recovery) -> tuple[str, ...]:
     """A note where OpenSim's axes are those of a camera that is taken to stand level."""
     import numpy as np
 
@@ -218,7 +218,7 @@ def _markers(
 
     table = marker_table(recovery, frame, rate_hz, level_down, origin)
     rate, rows = table.grid.rate_hz, len(table.grid.t_s)
-    notes = _level(recovery) if frame == "opensim" else ()
+    notes = level_note(recovery) if frame == "opensim" else ()
     if format_name == "trc":
         return Export(
             rows,

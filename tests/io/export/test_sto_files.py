@@ -169,7 +169,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     [figures] = json.loads((tmp_path / "s.json").read_text())["files"]
     assert figures["frame"] == "opensim" and figures["rows"] == len(read_sto(tmp_path / "out.sto")[1])
     assert run([*command, "--force", "--rate", "50"]) == 2
-    assert "--rate is for trc, mot, c3d, not for sto" in capsys.readouterr().err
+    assert "--rate is for trc, mot, c3d, opensim, not for sto" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(opensim_python() is None, reason="OpenSim is not installed (a tool, not a dependency)")
