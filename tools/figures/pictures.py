@@ -1,7 +1,7 @@
 """The pictures of the documents, drawn from real runs.
 
-docs/picture.svg: one occlusion of data/demo.mcap before and after. (The README's picture, docs/pictures/body.webp,
-is the animation in that recording's report at 5.25 s.)
+docs/picture.svg: one occlusion of data/demo.mcap before and after. (The README's picture,
+docs/pictures/body.webp, is the animation in that recording's report at 5.25 s.)
 
 Drawn from a real run with nothing calibrated. The SVG is written by hand, so that the picture needs no
 plotting library.
