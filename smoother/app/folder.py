@@ -5,7 +5,7 @@
     FOLDER/ID/recording.mcap .. what the commands wrote, under the commands' own names
     FOLDER/ID/jobs/0001/        a command that ran: its words, what it printed, how it ended
     FOLDER/comparisons/ID/      the sessions of a person: a study of `batch`, the page of `progress`
-    FOLDER/.unocclude/          the address and its token, templates, what was removed
+    FOLDER/.unocclude/          the address and its token, templates, models, what was removed
 
 Everything is a file that is written whole, so that a program that is killed loses nothing.
 """
@@ -16,6 +16,7 @@ import json
 import os
 import re
 import secrets
+import shutil
 import time
 import unicodedata
 from collections.abc import Iterator
@@ -76,6 +77,10 @@ class Choices:
         Options that undo a wrong set-up, as `check` proposes them ("--mirror x").
     video_offset_s : float, s
         From the recording's first sample to the video's first picture.
+    video_mirrored : bool
+        The video that stands for the camera is a mirror image.
+    video_turn : int
+        Its pictures are turned clockwise by so many degrees (0, 90, 180, 270).
     """
 
     places: dict[str, str] = field(default_factory=dict)
@@ -85,6 +90,8 @@ class Choices:
     body: int | None = None
     remedy: str = ""
     video_offset_s: float = 0.0
+    video_mirrored: bool = False
+    video_turn: int = 0
 
 
 @dataclass
@@ -138,7 +145,7 @@ class AppFolder:
         self.path = path.resolve()
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            for each in (self.hidden, self.templates):
+            for each in (self.hidden, self.templates, self.models):
                 each.mkdir(mode=0o700, exist_ok=True)
         except OSError as error:
             raise UnoccludeError(f"{path}: {error.strerror or error}; name another folder") from error
@@ -152,6 +159,28 @@ class AppFolder:
     def templates(self) -> Path:
         """Templates of tables, a file each."""
         return self.hidden / "templates"
+
+    @property
+    def models(self) -> Path:
+        """Models of MediaPipe's pose landmarker that were dropped, for all recordings."""
+        return self.hidden / "models"
+
+    def model_files(self) -> list[Path]:
+        """All models, the newest first."""
+        return sorted(self.models.glob("*.task"), key=lambda each: (-each.stat().st_mtime_ns, each.name))
+
+    def keep_model(self, file: Path) -> None:
+        """Keep a dropped model for the other recordings too, without a copy where the disk allows."""
+        beside = self.models / f".{secrets.token_hex(8)}.part"
+        try:
+            try:
+                os.link(file, beside)
+            except OSError:
+                shutil.copyfile(file, beside)
+            os.replace(beside, self.models / file.name)
+        finally:
+            with suppress(OSError):
+                beside.unlink()
 
     def template_files(self) -> list[Path]:
         """All templates, by name."""
@@ -323,6 +352,7 @@ def _check(choices: Choices) -> None:
     good &= choices.side in ("", "left", "right")
     good &= choices.body is None or (isinstance(choices.body, int) and 0 <= choices.body < 10**9)
     good &= all(_is_time(each) for each in (choices.imu_starts_at_s or 0.0, choices.video_offset_s))
+    good &= isinstance(choices.video_mirrored, bool) and choices.video_turn in (0, 90, 180, 270)
     good &= isinstance(choices.remedy, str) and (
         not choices.remedy or all(_REMEDY.fullmatch(each) for each in remedy_options(choices.remedy))
     )

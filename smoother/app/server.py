@@ -22,6 +22,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ..errors import UnoccludeError
+from ..io.media.pose_landmarks import is_model
 from ..io.plain.template import read_templates, template_text
 from . import steps, views
 from .folder import (
@@ -243,10 +244,14 @@ async def _upload(request: Request) -> Any:
             async for chunk in request.stream():
                 block += chunk
                 if len(block) >= _BLOCK:
+                    if shutil.disk_usage(place).free < RESERVE_BYTES + len(block):  # no length was stated
+                        raise AppError(f"{name}: {NO_SPACE}", 507)
                     await file.write(block)
                     block = bytearray()
             await file.write(block)
         await anyio.to_thread.run_sync(os.replace, beside, place / "files" / name)
+        if name.endswith(".task") and is_model(place / "files" / name):
+            _folder(request).keep_model(place / "files" / name)
     except ClientDisconnect:
         return Response(status_code=400)  # nobody is there to read it
     finally:
@@ -357,9 +362,9 @@ async def _batch(request: Request) -> Any:
         kept = read_kept(place)
         try:
             if pattern is not None:
-                for key in ("side", "body", "remedy", "imu_starts_at_s"):
+                for key in ("side", "body", "remedy", "imu_starts_at_s", "video_mirrored", "video_turn"):
                     setattr(kept.choices, key, getattr(pattern, key))
-                mine = _sensor_keys(place)
+                mine = set(steps.sensor_keys(steps.described(place)))
                 kept.choices.places |= {k: v for k, v in pattern.places.items() if k in mine}
                 kept.revision += 1
                 write_kept(place, kept)
@@ -368,14 +373,6 @@ async def _batch(request: Request) -> Any:
         except AppError as error:
             refused.append(f"{kept.name}: {error}")
     return {"begun": begun, "refused": refused}
-
-
-def _sensor_keys(place: Path) -> set[str]:
-    keys = set()
-    for each in steps.described(place):
-        sensors = [stream for stream in each["streams"] if stream["kind"] == "imu"]
-        keys |= {steps.sensor_key(each["file"], sensor, len(sensors)) for sensor in sensors}
-    return keys
 
 
 async def _compare(request: Request) -> Any:

@@ -20,6 +20,13 @@ Step = dict[str, Any]
 #: What commands write in a recording's folder.
 RESULT, REPORT = "recovered.mcap", "report.html"
 STREAMS, CHECK, FIGURES, MATCHES = "streams.json", "check.json", "smooth.json", "matches.json"
+IMPORTED = "import.json"
+#: Files that are used without being a stream.
+_NO_STREAM = ("video", "model", "calibration", "description")
+NO_MODEL = (
+    "A video is the only camera here, and the model with which MediaPipe finds the arm in it is missing: drop"
+    " the file pose_landmarker_full.task (or _lite, _heavy) beside the video."
+)
 #: Exports by format: the file that is written.
 EXPORTS = {
     "csv": "recovered.csv",
@@ -76,23 +83,58 @@ def import_steps(folder: AppFolder, place: Path) -> list[Step]:
     """Make the recording of the files; several IMUs are matched with the limbs by their motion."""
     kept, target = read_kept(place), recording_of(place)
     files = _used(place, kept.choices)
-    streams = [each for each in files if each["kind"] not in ("video", "calibration", "description")]
-    if not streams and not _is_described(files):
+    streams = [each for each in files if each["kind"] not in _NO_STREAM]
+    film = None if _is_described(files) else camera_video(files)
+    if not streams and not film and not _is_described(files):
         raise AppError("There is no file of a camera or an IMU yet; drop them.")
     steps: list[Step] = []
     if _is_described(files):
         words = ["import", "csv", "files", "-o", target, "--force"]
         steps.append({"name": "import", "argv": words})
+    elif film:
+        words = _video_words(folder, film, files, kept.choices)
+        words += _imu_words(files, kept.choices, every=True) + _end_words(folder, kept.choices, target)
+        steps.append({"name": "import", "argv": ["import", "video", *words]})
     elif len(streams) == 1 and streams[0]["format"] == "mcap":
         steps.append({"name": "import", "link": [_local(streams[0]), target]})
     else:
         steps.append({"name": "import", "argv": _import_words(folder, streams, kept.choices, target)})
-    imus = [stream for each in streams for stream in each["streams"] if stream["kind"] == "imu"]
-    named = [place for place in kept.choices.places.values() if place not in ("", "-")]
-    if len(imus) > 1 and len(named) < len(imus):
+    if _is_open(streams, kept.choices):
         words = ["match", target, "--json", MATCHES, "--force"]
         steps.append({"name": "match", "argv": words, "ok": [0, 1]})  # a proposal, no condition
     return steps
+
+
+def _is_open(files: Sequence[dict[str, Any]], choices: Choices) -> bool:
+    """Whether it is left to the motion where an IMU is worn, and there is more than one answer."""
+    worn = [choices.places.get(key, "") for key in sensor_keys(files)]
+    joints = [
+        name for each in files for s in each["streams"] if s["kind"] == "skeleton" for name in s["holds"]
+    ]
+    sides = {name.rpartition("_")[2] for name in joints}
+    return "" in worn and (len([place for place in worn if place != "-"]) > 1 or {"left", "right"} <= sides)
+
+
+def sensor_keys(files: Sequence[dict[str, Any]]) -> list[str]:
+    """The IMUs of files, by what a choice names them."""
+    keys = []
+    for each in files:
+        sensors = [stream for stream in each["streams"] if stream["kind"] == "imu"]
+        keys += [sensor_key(each["file"], sensor, len(sensors)) for sensor in sensors]
+    return keys
+
+
+def camera_video(files: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """The video that stands for the camera: where no file holds a skeleton or a whole recording."""
+    if any(each["format"] == "mcap" or s["kind"] == "skeleton" for each in files for s in each["streams"]):
+        return None
+    return next((each for each in files if each["kind"] == "video"), None)
+
+
+def model_of(folder: AppFolder, files: Sequence[dict[str, Any]]) -> str:
+    """The model of the pose landmarker, as a command in the recording's folder names it; "" without one."""
+    mine = [_local(each) for each in files if each["kind"] == "model"]
+    return next(iter([*mine, *map(str, folder.model_files())]), "")
 
 
 def _used(place: Path, choices: Choices) -> list[dict[str, Any]]:
@@ -113,8 +155,34 @@ def _import_words(
     """`import files` with what was chosen; a file that nobody knows is named too, so that it is said why."""
     skeletons = [each for each in files if any(s["kind"] == "skeleton" for s in each["streams"])]
     words = [word for each in skeletons for word in ("--skeleton", _local(each))]
+    unnamed = [_local(each) for each in files if not each["streams"]]
+    words += _imu_words(files, choices) + _end_words(folder, choices, target)
+    return ["import", "files", *unnamed, *words]
+
+
+def _video_words(
+    folder: AppFolder, film: dict[str, Any], files: Sequence[dict[str, Any]], choices: Choices
+) -> list[str]:
+    """The video that stands for the camera, with the model and how its pictures are stored."""
+    model = model_of(folder, files)
+    if not model:
+        raise AppError(NO_MODEL)
+    words = [_local(film), "--model", model]
+    words += ["--mirrored"] if choices.video_mirrored else []
+    return words + (["--turn", str(choices.video_turn)] if choices.video_turn else [])
+
+
+def _end_words(folder: AppFolder, choices: Choices, target: str) -> list[str]:
+    words = []
+    if choices.imu_starts_at_s is not None:
+        words += ["--imu-starts-at", repr(float(choices.imu_starts_at_s))]
+    return [*words, *_templates(folder), "--one-session", "--json", IMPORTED, "-o", target, "--force"]
+
+
+def _imu_words(files: Sequence[dict[str, Any]], choices: Choices, every: bool = False) -> list[str]:
+    """`--imu` of all sensors; with `every` also of files that nobody knows, so that it is said why."""
+    words: list[str] = []
     halves: dict[str, list[tuple[str, str]]] = {}
-    unnamed: list[str] = []
     for each in files:
         sensors = [stream for stream in each["streams"] if stream["kind"] == "imu"]
         for sensor in sensors:
@@ -128,15 +196,12 @@ def _import_words(
                 words += ["--imu", f"{worn}={source}" if worn else source]
             else:
                 halves.setdefault(worn, []).append((sensor["holds"][0], file))
-        if not each["streams"]:
-            unnamed.append(_local(each))
+        if every and not each["streams"] and each["kind"] not in _NO_STREAM:
+            words += ["--imu", _local(each)]
     for worn, parts in halves.items():
         sources = ",".join(file for _, file in sorted(parts))  # the accelerometer's first
         words += ["--imu", f"{worn}={sources}" if worn else sources]
-    if choices.imu_starts_at_s is not None:
-        words += ["--imu-starts-at", repr(float(choices.imu_starts_at_s))]
-    words += _templates(folder)
-    return ["import", "files", *unnamed, *words, "--one-session", "-o", target, "--force"]
+    return words
 
 
 def sensor_key(file: str, sensor: dict[str, Any], count: int) -> str:
@@ -181,8 +246,9 @@ def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[
     kept = read_kept(place)
     words = ["smooth", recording_of(place), "-o", RESULT, "--report", REPORT, "--json", FIGURES, "--force"]
     words += ["--draws", str(USUAL_DRAWS), *_arm_words(place, kept)]
-    videos = [each for each in _used(place, kept.choices) if each["kind"] == "video"]
-    if videos:
+    files = _used(place, kept.choices)
+    videos = [each for each in files if each["kind"] == "video"]
+    if videos and camera_video(files) is None:
         words += ["--video", _local(videos[0]), "--video-offset", repr(float(kept.choices.video_offset_s))]
     return [*check_steps(folder, place, strict=not anyway), {"name": "recover", "argv": words}]
 

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from .folder import AppFolder, read_json, read_kept
+from .folder import AppFolder, Choices, read_json, read_kept
 from .jobs import OPEN, latest, state_of
 from .steps import (
     CHECK,
     EXPORTS,
     FIGURES,
+    IMPORTED,
     MATCHES,
     REPORT,
     RESULT,
     STREAMS,
+    camera_video,
     described,
     files_of,
+    model_of,
     recorded_date,
     recording_of,
     sensor_key,
+    sensor_keys,
     stamp,
 )
 
@@ -89,7 +94,8 @@ def recording(folder: AppFolder, name: str) -> dict[str, Any]:
         "looked_at": [each["file"] for each in known] if seen >= {path.name for path in files} else [],
         "looked_ns": (place / STREAMS).stat().st_mtime_ns if (place / STREAMS).is_file() else 0,
         "imported": (place / recording_of(place)).is_file(),
-        "matches": read_json(place / MATCHES).get("matches", []),
+        "proposals": _proposals(place, kept.choices, known),
+        "camera_video": _camera_video(folder, kept.choices, known),
         "check": _verdict(place / CHECK),
         "result": _verdict(place / FIGURES) if (place / RESULT).is_file() else None,
         "report": (place / REPORT).is_file(),
@@ -98,6 +104,39 @@ def recording(folder: AppFolder, name: str) -> dict[str, Any]:
         "exports": [each for each, file in EXPORTS.items() if (place / "exports" / file).is_file()],
         "downloads": [file for file in (recording_of(place), *DOWNLOADS) if (place / file).is_file()],
     }
+
+
+def _camera_video(folder: AppFolder, choices: Choices, files: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """The video that stands for the camera: its file, the model's, and whether MediaPipe is there."""
+    used = [each for each in files if Path(each["file"]).name not in choices.left_out]
+    film = camera_video(used)
+    if film is None:
+        return None
+    return {
+        "file": Path(film["file"]).name,
+        "model": Path(model_of(folder, used)).name,
+        "installed": find_spec("mediapipe") is not None,
+    }
+
+
+def _proposals(place: Path, choices: Choices, files: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Where each IMU is worn by `match`, by the key that a choice names it with.
+
+    The import says which topic each file went to; of several sensors of a file in their order.
+    """
+    matches = {each["imu"]: each for each in read_json(place / MATCHES).get("matches", [])}
+    topics: dict[str, list[str]] = {}
+    for report in read_json(place / IMPORTED).get("files", []):
+        imus = [topic for topic in report["topics"] if topic.startswith("/imu/")]
+        for part in report["path"].split(", "):
+            topics.setdefault(Path(part).name, []).extend(imus)
+    found = {}
+    for each in files:
+        keys = [key for key in sensor_keys([each]) if choices.places.get(key, "") != "-"]
+        for key, topic in zip(keys, topics.get(Path(each["file"]).name, []), strict=False):
+            if topic in matches:
+                found[key] = matches[topic]
+    return found
 
 
 def streams(folder: AppFolder, name: str) -> dict[str, Any]:

@@ -150,6 +150,10 @@ _IMPORTS = {
     "files": _spec(
         "imports", "import files --skeleton azure.csv --imu forearm_right=dot.csv -o session.mcap"
     ),
+    "video": _spec(
+        "import_video",
+        "import video phone.mp4 --model pose_landmarker_full.task --imu dot.csv -o session.mcap",
+    ),
     "formats": _spec("imports", "import formats"),
     "describe": _spec("imports", "import describe sensor.csv > session/recording.toml"),
     "bids": _spec("imports", "import bids dataset --subject p12 -o session.mcap"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,7 +25,7 @@ from .output import check_mcap, check_outputs, print_notes, print_table, say, sa
 if TYPE_CHECKING:
     from ..io import RecordingFile
     from ..io.devices.described import DescribedFile
-    from ..io.devices.files import ImuFiles
+    from ..io.devices.files import FileReport, ImuFiles
     from ..io.media.strap import StrapFound
     from ..recording import Recording
 
@@ -215,7 +216,6 @@ def files(
     force: Force = False,
 ) -> None:
     """Import files as devices and camera programs write them; `import formats` lists them."""
-    from ..io import describe, write_recording
     from ..io.devices.files import import_files
     from ..io.devices.folder import add_truth, sort_files
     from ..io.devices.registry import FileReader
@@ -241,6 +241,20 @@ def files(
     )
     if truth is not None:
         reports.append(add_truth(file, truth))
+    write_imported(file, reports, output, json_file, force, passed_over)
+
+
+def write_imported(
+    file: RecordingFile,
+    reports: list[FileReport],
+    output: Path,
+    json_file: Path | None,
+    force: bool,
+    passed_over: Sequence[str] = (),
+) -> None:
+    """Say what was recognised in files, write the recording that they make, and say what it holds."""
+    from ..io import describe, write_recording
+
     for report in reports:
         say(report.sentence)
     write_recording(file, output, force=force)

@@ -350,11 +350,11 @@ const one = {
     part(view, "job", jobSeen(about.job), () => jobBox(about.job, `/api/recordings/${view.id}`, () => repeat(view, about)));
     if (about.job?.open) moveBar(view, about.job);
     const ready = !open && !about.result && about.looked_at.length > 0 && about.job?.state !== "held";
-    part(view, "next", [ready, Boolean(view.streams?.length)], () => (ready && isComplete(view.streams)
+    part(view, "next", [ready, Boolean(view.streams?.length), about.camera_video], () => (ready && isComplete(view.streams, about.camera_video)
       ? h("p", {}, h("button", { type: "button", id: "next", class: "first", onclick: () => document.getElementById("recover").click() }, t("recover"))) : null));
     part(view, "about", [about.name, about.person, about.date, about.task, about.own_date, about.revision, open], () => aboutForm(view, about, open));
     part(view, "files", [about.dropped, open], () => filesSection(view, about, open));
-    part(view, "streams", [view.seen, about.choices, about.matches, about.looked_at.length, open], () => streamsSection(view, about, open));
+    part(view, "streams", [view.seen, about.choices, about.proposals, about.camera_video, about.looked_at.length, open], () => streamsSection(view, about, open));
     part(view, "check", [about.check, about.choices.remedy, about.revision, open, about.dropped.length], () => checkSection(view, about, open));
     part(view, "recover", [about.result, about.outdated, about.job?.state === "held", open, about.dropped.length], () => recoverSection(view, about, open));
     part(view, "report", [about.report && about.result, about.name, about.report_at], () => reportSection(view, about));
@@ -436,9 +436,10 @@ function filesSection(view, about, open) {
     dropPlace(true, (files) => upload(view.id, files.filter(({ path }) => !path.split("/").some((s) => s.startsWith("."))))));
 }
 
-function isComplete(files) {
+function isComplete(files, film) {
   const kinds = files.flatMap((each) => each.streams.map((stream) => stream.kind));
-  return files.some((each) => each.kind === "description") || (kinds.includes("skeleton") && kinds.includes("imu"));
+  const seen = kinds.includes("skeleton") || (film?.model && film.installed);
+  return files.some((each) => each.kind === "description") || (seen && kinds.includes("imu"));
 }
 
 function streamsSection(view, about, open) {
@@ -447,7 +448,7 @@ function streamsSection(view, about, open) {
   if (!files.length) return h("section", { class: "step" }, h("h2", {}, t("s_streams")), h("p", { class: "soft" }, t("not_looked")), look);
   const kinds = files.flatMap((each) => each.streams.map((stream) => stream.kind));
   const described = files.some((each) => each.kind === "description");
-  const missing = described ? [] : ["skeleton", "imu"].filter((kind) => !kinds.includes(kind));
+  const missing = described ? [] : ["skeleton", "imu"].filter((kind) => !kinds.includes(kind) && !(kind === "skeleton" && about.camera_video));
   return h("section", { class: "step" }, h("h2", {}, t("s_streams")),
     missing.map((kind) => h("p", { class: "said care" }, t(`missing_${kind}`))),
     files.map((each) => fileBox(view, about, each, open)), furtherChoices(view, about, files, open), look);
@@ -462,11 +463,31 @@ function fileBox(view, about, file, open) {
     }) }), " ", t("leave_out"));
   return h("div", { class: "file" },
     h("h3", {}, file.name, " ", h("span", { class: "soft" }, file.title || t("unknown_file"))),
-    ["video", "calibration", "description"].includes(file.kind) ? h("p", {}, t(`kind_${file.kind}`)) : null,
+    file.name === about.camera_video?.file ? filmBox(view, about, open)
+      : ["video", "model", "calibration", "description"].includes(file.kind) ? h("p", {}, t(`kind_${file.kind}`)) : null,
     file.error && !file.guess ? h("p", { class: "said", lang: "en" }, file.error) : null,
     out ? null : file.streams.map((stream) => streamBox(view, about, stream, open)),
     file.notes.map((note) => h("p", { class: "soft small" }, note)),
     file.guess && !out ? templateForm(view, file, open) : null, tick);
+}
+
+// the video that stands for the camera: what it needs, and how its pictures are stored
+function filmBox(view, about, open) {
+  const film = about.camera_video, turns = [0, 90, 180, 270].map((each) => [String(each), t(`turn_${each}`)]);
+  return [h("p", {}, t("film_is")),
+    film.model ? h("p", { class: "soft small" }, t("film_model", { name: film.model })) : h("p", { class: "said care", id: "film-model" }, t("film_no_model")),
+    film.installed ? null : h("p", { class: "said care", id: "film-extra" }, t("film_no_extra")),
+    h("div", { class: "row" },
+      h("label", { class: "tick" }, h("input", { type: "checkbox", id: "c-mirrored", checked: about.choices.video_mirrored, disabled: open,
+        onchange: act((event) => change(view, about, { choices: { video_mirrored: event.target.checked } })) }), " ", t("film_mirrored")),
+      labelled(t("film_turn"), select(turns, String(about.choices.video_turn),
+        act((event) => change(view, about, { choices: { video_turn: Number(event.target.value) } })), { id: "c-turn", disabled: open })))];
+}
+
+// a limb as `match` names it
+function limb(joint) {
+  const place = joint.replace("wrist", "forearm");
+  return t(PLACES.includes(place) ? place : `limb_${place}`);
 }
 
 function streamBox(view, about, stream, open) {
@@ -475,13 +496,13 @@ function streamBox(view, about, stream, open) {
   const facts = [line, `${t("holds")}: ${stream.holds.map((each) => each.replace(/_/g, " ")).join(", ")}`, `${t("units")}: ${stream.units || "?"}`];
   let worn = null;
   if (stream.kind === "imu") {
-    const proposal = about.matches.find((each) => stream.name && each.imu.endsWith(stream.name.replace(/\W+/g, "_")));
+    const proposal = about.proposals[stream.key];
     worn = h("div", { class: "row" }, labelled(t("worn"), select(
       [["", t("worn_motion")], ...PLACES.map((each) => [each, t(each)]), ["-", t("worn_skip")]],
       about.choices.places[stream.key] || "",
       act((event) => change(view, about, { choices: { places: { ...about.choices.places, [stream.key]: event.target.value } } })),
       { id: `worn-${stream.key}`, disabled: open })),
-    proposal ? h("p", { class: "small" }, t("proposal", { where: proposal.joint, p: Number(proposal.probability).toFixed(2) })) : null);
+    proposal ? h("p", { class: "small" }, t("proposal", { where: limb(proposal.joint), p: Math.round(100 * proposal.probability) })) : null);
   } else {
     facts.push(`${t("axes")}: ${t(`axes_${stream.axes || "open"}`)}`);
     if (stream.body) facts.push(t("person_n", { n: stream.body }));
@@ -501,7 +522,7 @@ function furtherChoices(view, about, files, open) {
       act((event) => change(view, about, { choices: { side: event.target.value } })), { id: "c-side", disabled: open })),
     several || choices.body !== null ? number("body", t("body"), choices.body) : null,
     number("imu_starts_at_s", t("starts_at"), choices.imu_starts_at_s),
-    files.some((each) => each.kind === "video") ? number("video_offset_s", t("video_offset"), choices.video_offset_s) : null));
+    files.some((each) => each.kind === "video" && each.name !== about.camera_video?.file) ? number("video_offset_s", t("video_offset"), choices.video_offset_s) : null));
 }
 
 // least and largest value in each column, as a band; holes where there is none

@@ -13,6 +13,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JointState
+from ..media.pose_landmarks import is_model
 from ..tables.protocol import DeviceFormat, FileHead, ImuTable, SkeletonTable, first_rows, read_head, shown
 from ..tables.text_table import Sheet, read_sheet
 from .describe_table import Guess, guess_of
@@ -20,6 +21,7 @@ from .files import times_of
 from .folder import files_meant
 from .registry import FileReader, Tables, unknown_file
 from .repair import repaired_imu, repaired_skeleton
+from .video_file import is_video
 
 #: Columns of a plot: of the samples that fall into one, the least and the largest are kept.
 BINS = 200
@@ -27,8 +29,6 @@ BINS = 200
 _LONGEST_GUESS = 300_000_000
 #: Rows of an unknown table that are shown.
 SHOWN_ROWS = 6
-#: Bytes at the beginning of videos: where they stand, and what they are called.
-_VIDEOS = ((4, b"ftyp"), (0, b"\x1aE\xdf\xa3"), (8, b"AVI "))
 #: Joints that are plotted, the first that a side has.
 _PLOTTED = ("wrist", "strap", "hand", "elbow")
 
@@ -104,8 +104,8 @@ class DescribedFile:
     format, title : str
         Key and name of its importer; "" where it is of none.
     kind : str
-        "imu", "skeleton", "recording", "video", "calibration", "description" (a recording.toml), or "" where
-        the file is not recognised or cannot be read.
+        "imu", "skeleton", "recording", "video", "model" (of the pose landmarker), "calibration",
+        "description" (a recording.toml), or "" where the file is not recognised or cannot be read.
     streams : list of DescribedStream
     notes : list of str
         What was decided or mended.
@@ -176,8 +176,10 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
 
 def _no_stream(path: Path, head: FileHead) -> tuple[str, str] | None:
     """Kind and title of what is no stream of a device, and is used all the same."""
-    if any(head.raw[at : at + len(mark)] == mark for at, mark in _VIDEOS):
+    if is_video(head.raw):
         return "video", "Video"
+    if head.raw.startswith(b"PK") and is_model(path):
+        return "model", "Model of MediaPipe's pose landmarker"
     if path.name == "recording.toml":
         return "description", "recording.toml"
     if path.suffix.lower() == ".toml" and "unocclude calibration" in head.text[:4000]:

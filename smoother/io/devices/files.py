@@ -9,14 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ...array_types import FloatArray
+from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import median_rate_hz
-from ...recording import JOINTS, JointState
+from ...recording import JOINTS, CameraFrame, JointState
 from ..mcap.messages import nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.clean import clean_arm, clean_imu
 from ..recording.decode import JointRows, joint_code
+from ..recording.keypoints import NAMED_TOPIC, TOPIC, states_of_scores
 from ..recording.selection import named_side, role
 from ..recording.streams import CameraStream, ImuSamples, RecordingFile
 from ..tables.imu_checks import paired
@@ -320,8 +321,33 @@ def add_skeleton(
             " read); record again with the arm in view."
         )
     file.arms += arms
+    _add_image_points(file, tables, stamps, frames, camera)
     if file.camera_frame is None and file.gravity_hint is None and camera == "camera":
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
+
+
+def _add_image_points(
+    file: RecordingFile,
+    tables: list[SkeletonTable],
+    stamps: list[IntArray],
+    frames: IntArray,
+    camera: str,
+) -> None:
+    """The same joints in the pictures, where the file has them: for a camera model that uses pixels."""
+    rows, topic = JointRows(), TOPIC if camera == "camera" else NAMED_TOPIC.format(camera)
+    for table, stamp in zip(tables, stamps, strict=True):
+        if table.image is None:
+            continue
+        frame = np.searchsorted(frames, stamp)
+        body = np.full(len(stamp), table.body, np.int64)
+        file.image_sizes[topic] = (table.image.width, table.image.height)
+        for name, points in table.image.joints.items():
+            if (code := joint_code(name)) is not None:
+                side, joint = (np.full(len(stamp), value, np.int64) for value in code)
+                state = states_of_scores(points[:, 2]).astype(np.int64)
+                rows.add_joints(frame, body, side, joint, state, points.copy())
+    if topic in file.image_sizes:
+        file.image_points += rows.arms(frames, topic, camera, CameraFrame.OPTICAL)
 
 
 def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift_s: float) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from ...errors import RecordingError
+from ...errors import RecordingError, UnoccludeError
 from ..tables.columns import MissingAxis, missing_axes, missing_axes_words
 from ..tables.imu_formats import IMU_FORMATS
 from ..tables.joint_columns import find_joint_columns
@@ -88,6 +88,13 @@ def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> DeviceFormat | Non
 
 def unknown_file(head: FileHead) -> RecordingError:
     """The sentence about a file that no importer recognises."""
+    from .video_file import is_video
+
+    if is_video(head.raw):
+        return RecordingError(
+            f"{head.path} is a video; `unocclude import video {head.path} --model FILE.task` takes it as the"
+            " camera, and `smooth --video` shows it in the report."
+        )
     if what := no_table(head.raw, head.text):
         return RecordingError(f"{head.path} {what}")
     return RecordingError(
@@ -180,6 +187,8 @@ class FileReader:
                 if not tables:
                     raise
                 self._tables[key] = tables
+            except UnoccludeError:  # a package or a model that is not there is no fault of the file
+                raise
             except Exception as error:  # a damaged file fails anywhere, in libraries too
                 raise RecordingError(
                     f"{path} was recognised as {importer.title}, but is damaged ({type(error).__name__});"

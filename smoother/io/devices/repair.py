@@ -256,6 +256,7 @@ def _frames(table: SkeletonTable, keep: BoolArray | IntArray, why: str) -> Skele
         position={joint: values[keep] for joint, values in table.position.items()},
         state={joint: values[keep] for joint, values in table.state.items()},
         notes=[*table.notes, _message(keep, why)],
+        image=None if table.image is None else table.image.select(keep),
     )
 
 

@@ -68,7 +68,9 @@ def with_lenses(file: RecordingFile, topics: set[str]) -> None:
                 continue
             arm.lens, arm.camera_frame = file.lenses[arm.topic].lens, CameraFrame.OPTICAL
         kept.append(arm)
-    for topic in sorted(topics - file.lenses.keys()):
+    for topic in sorted(
+        topics - file.lenses.keys() - file.image_sizes.keys()
+    ):  # a video's lie beside its joints
         file.notes.append(
             f"{topic}: the camera's lens is not known, so its keypoints were left out; import them again with"
             " --intrinsics."

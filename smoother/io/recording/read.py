@@ -354,6 +354,9 @@ def _take_metadata(file: RecordingFile) -> None:
         file.clocks_unrelated = record.get("clocks") == CLOCKS_UNRELATED
         if record.get("cameras"):
             file.cameras = cameras_from_plain(json.loads(record["cameras"]))
+        if record.get("image_sizes"):
+            sizes = json.loads(record["image_sizes"])
+            file.image_sizes = {str(topic): (int(w), int(h)) for topic, (w, h) in dict(sizes).items()}
         if record.get("lenses"):
             file.lenses = lenses_from_plain(json.loads(record["lenses"]))
         notes = json.loads(record.get("notes", "[]"))
@@ -365,7 +368,7 @@ def _take_metadata(file: RecordingFile) -> None:
                 poses.score = np.zeros(len(poses.stamp_ns), bool)
                 for start, stop in scores[poses.topic][: len(poses.stamp_ns)]:
                     poses.score[start:stop] = True
-    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise RecordingError(
             f"{file.path}: its metadata record {METADATA} cannot be read ({error}); write it again."
         ) from error

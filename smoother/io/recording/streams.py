@@ -226,6 +226,10 @@ class RecordingFile:
         Cameras beyond the first that the file names, by the topic of their skeleton.
     lenses : dict of str to KnownLens
         Of cameras without depth, by the topic of their keypoints.
+    image_points : list of ArmFrames
+        To be written beside the skeleton that was made of them: `position` holds u, v and the score.
+    image_sizes : dict of str to (int, int)
+        Width and height of the pictures that they lie in, pixels, by topic.
     """
 
     path: Path
@@ -242,6 +246,8 @@ class RecordingFile:
     clocks_unrelated: bool = False
     cameras: dict[str, CameraStream] = field(default_factory=dict)
     lenses: dict[str, KnownLens] = field(default_factory=dict)
+    image_points: list[ArmFrames] = field(default_factory=list)
+    image_sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:

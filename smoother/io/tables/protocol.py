@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array_types import FloatArray
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input, marked_encoding
@@ -64,6 +64,28 @@ class ImuTable:
 
 
 @dataclass
+class ImagePoints:
+    """One body's joints in the pictures of a camera.
+
+    Attributes
+    ----------
+    width, height : int
+        Of the pictures, pixels.
+    joints : dict of str to ndarray, shape (F, 3)
+        u and v, pixels to the right of and below the centre of the first pixel, and the score, 0 to 1; by
+        joint and side, nan where the body was not found.
+    """
+
+    width: int
+    height: int
+    joints: dict[str, FloatArray]
+
+    def select(self, keep: BoolArray | IntArray) -> ImagePoints:
+        """Some of the frames."""
+        return ImagePoints(self.width, self.height, {name: rows[keep] for name, rows in self.joints.items()})
+
+
+@dataclass
 class SkeletonTable:
     """One body's joints as a file has them, in metres, times not yet repaired.
 
@@ -89,6 +111,8 @@ class SkeletonTable:
         As written in the file ("mm").
     notes : list of str
         What was decided or dropped in reading, a sentence each.
+    image : ImagePoints, optional
+        The same joints in the pictures, where the file has them.
     """
 
     body: int
@@ -101,6 +125,7 @@ class SkeletonTable:
     relative: bool = False
     units: str = ""
     notes: list[str] = field(default_factory=list)
+    image: ImagePoints | None = None
 
 
 @dataclass(frozen=True)
