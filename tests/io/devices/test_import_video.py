@@ -199,7 +199,7 @@ def test_the_recording_keeps_both(scene, tmp_path: Path):
         assert abs(wrist.u - expected[0]) < 0.8 and abs(wrist.v - expected[1]) < 0.8 and wrist.score > 0.5
     sizes = json.loads(container.metadata["unocclude.recording"]["image_sizes"])
     assert sizes == {"/camera/keypoints_2d": [WIDTH, HEIGHT]}
-    topics = {each["topic"]: each for each in json.loads((tmp_path / "a.json").read_text())["topics"]}
+    topics = {each["name"]: each for each in json.loads((tmp_path / "a.json").read_text())["topics"]}
     assert {"/skeleton", "/camera/keypoints_2d"} <= topics.keys()
 
 
