@@ -183,9 +183,38 @@ def chained(turns: FloatArray) -> FloatArray:
     return np.concatenate([np.eye(3)[None], after[: len(turns)]])
 
 
+def matrix_of(rotvec: FloatArray) -> FloatArray:
+    """One rotation vector (3,), rad, as a matrix (3, 3): `Rotation.from_rotvec` without arrays' overhead."""
+    x, y, z = rotvec.tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    w, half = math.cos(0.5 * angle), math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    x, y, z = half * x, half * y, half * z
+    xx, yy, zz, xy, yz, zx = x * x, y * y, z * z, x * y, y * z, z * x
+    wx, wy, wz = w * x, w * y, w * z
+    return np.array(
+        [
+            [1.0 - 2.0 * (yy + zz), 2.0 * (xy - wz), 2.0 * (zx + wy)],
+            [2.0 * (xy + wz), 1.0 - 2.0 * (xx + zz), 2.0 * (yz - wx)],
+            [2.0 * (zx - wy), 2.0 * (yz + wx), 1.0 - 2.0 * (xx + yy)],
+        ]
+    )
+
+
+def rotvec_of(matrix: FloatArray) -> FloatArray:
+    """One matrix (3, 3) as a rotation vector (3,), rad: `Rotation.as_rotvec` without arrays' overhead."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    x, y, z, trace = h - f, c - g, d - b, a + e + i
+    sine, cosine = 0.5 * math.sqrt(x * x + y * y + z * z), 0.5 * (trace - 1.0)
+    if cosine < -0.5:  # the axis shows badly in the differences
+        return Rotation(matrix).as_rotvec()
+    angle = math.atan2(sine, cosine)
+    scale = 0.5 * angle / sine if sine > 1e-6 else 0.5
+    return np.array([scale * x, scale * y, scale * z])
+
+
 def _matrix_of(quaternion: FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    w, x, y, z = (quaternion[..., k] for k in range(4))
     matrix = np.empty((*quaternion.shape[:-1], 3, 3))
     matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
     matrix[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)

@@ -164,22 +164,22 @@ class ImuBuffer:
         first, again = np.searchsorted(self.t, [end_s - AGAIN_S - CONTEXT_S, end_s - AGAIN_S]).tolist()
         rows = self._rows[first : self._count]
         doubt = self._check.doubt(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
-        found = np.column_stack([doubt.velocity, doubt.turn])
-        found = np.maximum(found, self._contradicted(rows[:, 0]))
+        found = np.stack([doubt.velocity, doubt.turn], axis=1)
+        if self._doubted_s[1] >= rows[0, 0]:
+            found = np.maximum(found, self._contradicted(rows[:, 0]))
         for why, where in doubt.reason.items():
             if where[-3:].any() and where.sum() >= 5:
                 self._reasons[why] = end_s
         self._reasons = {why: at for why, at in self._reasons.items() if end_s - at < AGAIN_S}
-        sound = ~found.any(axis=1) & (np.arange(first, self._count) >= again)
-        self._check.learn(rows[sound, 1:4], rows[sound, 4:7])
-        before = rows[:, 7:].copy()
-        late = np.arange(first, self._count) >= again
-        rows[late, 7:] = found[late]
-        changed = late & ((found > 0) != (before > 0)).any(axis=1)
+        late, found = rows[again - first :], found[again - first :]
+        sound = ~found.any(axis=1)
+        self._check.learn(late[sound, 1:4], late[sound, 4:7])
+        changed = ((found > 0) != (late[:, 7:] > 0)).any(axis=1)
+        late[:, 7:] = found
         if not changed.any():
             return None
         self.version += 1
-        return float(rows[int(np.argmax(changed)), 0])
+        return float(late[int(np.argmax(changed)), 0])
 
     def contradicted(self, since_s: float, until_s: float) -> float | None:
         """Doubt all samples from one time to another, because the camera contradicts them.

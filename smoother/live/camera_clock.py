@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from statistics import median
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class CameraClock:
     def __init__(self) -> None:
         self.correction_s = 0.0
         self._usual: deque[float] = deque(maxlen=USUAL_FRAMES)
+        self._delay_s: float | None = None
         self._doubtful: list[SkeletonFrame] = []
 
     def __len__(self) -> int:
@@ -39,7 +41,9 @@ class CameraClock:
     @property
     def delay_s(self) -> float:
         """Median time from a corrected stamp to the arrival, s: latency plus offset; nan without a frame."""
-        return float(np.median(self._usual)) if self._usual else float("nan")
+        if self._delay_s is None:
+            self._delay_s = median(self._usual) if self._usual else float("nan")
+        return self._delay_s
 
     def take(self, frame: SkeletonFrame) -> tuple[list[SkeletonFrame], float]:
         """Frames that can be used now, with continuous stamps, and by how much the clock has jumped.
@@ -50,6 +54,7 @@ class CameraClock:
         usual_s = self.delay_s
         if len(self._usual) < JUMP_FRAMES or abs(delay_s - usual_s) < JUMP_S:
             self._usual.append(delay_s)
+            self._delay_s = None
             ready, self._doubtful = [*self._doubtful, frame], []
             return [self._corrected(each) for each in ready], 0.0
         self._doubtful.append(frame)
@@ -67,6 +72,7 @@ class CameraClock:
         """The last jump was the latency's: the stamps were right, and frames come so much later now."""
         self.correction_s -= seconds
         self._usual.clear()
+        self._delay_s = None
 
     def _corrected(self, frame: SkeletonFrame) -> SkeletonFrame:
         return SkeletonFrame(frame.t_s + self.correction_s, frame.arrival_s, frame.position, frame.state)

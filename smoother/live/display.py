@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..array_types import FloatArray
-from ..linalg import skew
+from ..linalg import skew_of
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..recovery.samples import widen_turns
 from ..rotation import Rotation
@@ -16,6 +16,7 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..window.shared import JOINT_ERRORS
 from ..window.solution import LagSolution, NodeState
 from .answers import LiveEstimate, LiveState
+from .monitor import joint_rows
 from .prediction import Prediction, predict
 from .tracker import Tracker
 
@@ -53,6 +54,7 @@ class Discontinuity:
         return 1.0 - u * u * (3.0 - 2.0 * u)
 
 
+_ONE, _POSE = np.eye(3), np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 _NEWEST = ("turn", "position", "velocity", "bias", "gravity")
 _SETTLED = ("settled_turn", "settled_position", "settled_velocity", "bias", "gravity")
 
@@ -108,7 +110,7 @@ def estimate_of(
     covariance[:9, :9] += prediction.noise
     state, common = prediction.state, common_error(model)
     # a clock that is off by a moment moves the whole path along itself
-    common = common + about.clock_sigma_s**2 * np.outer(state.v, state.v)
+    common = common + about.clock_sigma_s**2 * state.v[:, None] * state.v
     R, p, offset = state.R, state.p, np.zeros(3)
     if about.discontinuity is not None:
         share = about.discontinuity.share(state.t)
@@ -116,17 +118,15 @@ def estimate_of(
         p, R = p + offset, Rotation.from_rotvec(turn).as_matrix() @ R
         common = common + np.outer(offset, offset)
         covariance[:3, :3] += np.outer(turn, turn)
-    order = np.r_[3:6, 0:3]
-    pose = covariance[order][:, order]
+    pose = covariance[_POSE]
     pose[:3, :3] += common
     pose = widen_turns(pose[None])[0]
     places, spreads = {}, {}
     for k, joint in enumerate(joints):
         arm = R @ solution.levers[joint]
-        rows = np.r_[0:6, 9 + 3 * k : 12 + 3 * k]
-        jacobian = np.hstack([-skew(arm), np.eye(3), R])
+        jacobian = np.concatenate([-skew_of(arm), _ONE, R], axis=1)
         places[joint] = p + arm
-        spreads[joint] = jacobian @ covariance[rows][:, rows] @ jacobian.T + common
+        spreads[joint] = jacobian @ covariance[joint_rows(k)] @ jacobian.T + common
     if solution.shoulder is not None:
         places["shoulder"] = solution.shoulder
         spreads["shoulder"] = covariance[-3:, -3:] + about.shoulder_variance * np.eye(3)

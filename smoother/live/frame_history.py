@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
-
-import numpy as np
+import math
+from bisect import bisect_left, bisect_right, insort
 
 from ..array_types import FloatArray
 from ..measurements.visibility import MISSING_S
@@ -24,18 +23,21 @@ class FrameHistory:
     """
 
     def __init__(self) -> None:
-        self._frames: deque[tuple[float, bool]] = deque(maxlen=FRAMES)
-        self.visible_s = -np.inf
+        self._frames: list[tuple[float, bool]] = []  # in order of time
+        self.visible_s = -math.inf
 
     def add(self, t_s: float, is_visible: bool) -> None:
         """Add a frame, in any order."""
-        self._frames.append((t_s, is_visible))
+        insort(self._frames, (t_s, is_visible))
+        del self._frames[:-FRAMES]
         if is_visible:
             self.visible_s = max(self.visible_s, t_s)
 
     def sees_all(self, t: FloatArray) -> bool:
         """Whether the forearm was visible all the time that nodes at these times (n,) cover."""
-        return len(t) > 5 and all(is_visible for t_s, is_visible in self._frames if t_s >= t[0])
+        if len(t) <= 5:
+            return False
+        return all(is_visible for _, is_visible in self._frames[self._from(float(t[0])) :])
 
     def state_now(self, now_s: float, usual_delay_s: float) -> tuple[LiveState, float | None]:
         """Visible or gap at the present, as far as the frames that have arrived say.
@@ -54,18 +56,21 @@ class FrameHistory:
         """
         if now_s - self.visible_s > usual_delay_s + MISSING_S:
             return LiveState.GAP, self.visible_s
-        newest_s, is_visible = max(self._frames, default=(0.0, True))
+        newest_s, is_visible = self._frames[-1] if self._frames else (0.0, True)
         if not is_visible and newest_s > self.visible_s:
             return LiveState.GAP, self.visible_s
         return LiveState.VISIBLE, None
 
     def state_at(self, t_s: float) -> tuple[LiveState, float | None]:
         """Visible or gap at a moment a little ago, and when the gap began."""
-        visible = sorted(t for t, is_visible in self._frames if is_visible)
-        before = [t for t in visible if t <= t_s]
-        after = [t for t in visible if t > t_s]
-        first = before[-1] if before else self.visible_s
-        last = after[0] if after else np.inf
+        after = bisect_right(self._frames, (t_s, True))
+        before = (t for t, is_visible in reversed(self._frames[:after]) if is_visible)
+        first = next(before, self.visible_s)
+        last = next((t for t, is_visible in self._frames[after:] if is_visible), math.inf)
         if last - first > MISSING_S and t_s - first > 1e-6:
             return LiveState.GAP, first
         return LiveState.VISIBLE, None
+
+    def _from(self, t_s: float) -> int:
+        """The first frame that is no earlier than a time."""
+        return bisect_left(self._frames, (t_s, False))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..array_types import BoolArray, FloatArray
-from ..linalg import runs
+from ..linalg import middle, runs
 from ..units import GRAVITY
 
 #: No sensor that is worn measures more, m/s^2 (32 g) and rad/s (4,300 deg/s).
@@ -90,20 +90,18 @@ class ImuCheck:
         reason: dict[str, BoolArray] = {}
         if count < 8:
             return Doubt(velocity, turn, reason)
-        each_s = np.clip(np.diff(t_s, prepend=t_s[0] - np.median(np.diff(t_s))), 1e-4, 0.1)
-        force, rate = np.linalg.norm(acc, axis=1), np.linalg.norm(gyro, axis=1)
-        slow = max(float(np.median(each_s)) / 0.01, 1.0)
+        apart = t_s[1:] - t_s[:-1]
+        each_s = np.clip(np.concatenate([[middle(apart)], apart]), 1e-4, 0.1)
+        usual_s = middle(each_s)
+        force, rate = np.sqrt((acc * acc).sum(axis=1)), np.sqrt((gyro * gyro).sum(axis=1))
+        slow = max(usual_s / 0.01, 1.0)
         spike, size = _spikes(acc, SPIKE_FORCE * slow)
-        velocity[spike] = (KNOCK_SHARE * np.minimum(size, LARGEST_FORCE) * each_s)[spike] ** 2
+        if spike.any():
+            velocity[spike] = (KNOCK_SHARE * np.minimum(size, LARGEST_FORCE) * each_s)[spike] ** 2
         spike, size = _spikes(gyro, SPIKE_RATE * slow)
-        turn[spike] = (TURN_SHARE * np.minimum(size, LARGEST_RATE) * each_s)[spike] ** 2
-        held = [_held(acc), _held(gyro)]
-        unusual = held[0] & held[1] & _long(held[0] & held[1]) & (self._repeats < USUAL_REPEATS).all()
-        is_moving = (np.abs(force - GRAVITY) > MOVING_FORCE) | (rate > MOVING_RATE)
-        turned = _over_runs(held[0], rate) > MOVING_RATE
-        shaken = _over_runs(held[1], np.abs(force - np.median(force))) > MOVING_FORCE
-        force_held = held[0] & (is_moving | turned | unusual)
-        rate_held = held[1] & ((rate > MOVING_RATE) | shaken | unusual)
+        if spike.any():
+            turn[spike] = (TURN_SHARE * np.minimum(size, LARGEST_RATE) * each_s)[spike] ** 2
+        force_held, rate_held = self._held(acc, gyro, force, rate)
         clipped = [
             _clipped(values, self._largest[columns], floor)
             for values, columns, floor in (
@@ -114,16 +112,16 @@ class ImuCheck:
         by_force = {
             "the accelerometer repeats a value": force_held,
             "the accelerometer is out of range": (np.abs(acc) > LARGEST_FORCE).any(axis=1)
-            | _on_average(force > LARGE_G * GRAVITY, each_s, LARGE_S),
+            | _on_average(force > LARGE_G * GRAVITY, usual_s, LARGE_S),
             "the accelerometer does not show gravity: are its units m/s^2?": _on_average(
-                force < SMALLEST_G * GRAVITY, each_s, SMALL_S
+                force < SMALLEST_G * GRAVITY, usual_s, SMALL_S
             ),
             "the accelerometer is clipped": clipped[0],
         }
         by_rate = {
             "the gyroscope repeats a value": rate_held,
             "the gyroscope is out of range: are its units rad/s?": (np.abs(gyro) > LARGEST_RATE).any(axis=1)
-            | _on_average(rate > LARGE_RATE, each_s, LARGE_RATE_S),
+            | _on_average(rate > LARGE_RATE, usual_s, LARGE_RATE_S),
             "the gyroscope is clipped": clipped[1],
         }
         for found, variance, density in (
@@ -136,6 +134,20 @@ class ImuCheck:
                     reason[why] = rows
         return Doubt(velocity, turn, reason)
 
+    def _held(
+        self, acc: FloatArray, gyro: FloatArray, force: FloatArray, rate: FloatArray
+    ) -> tuple[BoolArray, BoolArray]:
+        """Samples of each sensor (n,) that repeat a value while the arm moves, or unlike before."""
+        held = [_held(acc), _held(gyro)]
+        if not (held[0].any() or held[1].any()):
+            return held[0], held[1]
+        unusual = held[0] & held[1] & _long(held[0] & held[1]) & (self._repeats < USUAL_REPEATS).all()
+        is_moving = (np.abs(force - GRAVITY) > MOVING_FORCE) | (rate > MOVING_RATE)
+        turned = _over_runs(held[0], rate) > MOVING_RATE
+        shaken = _over_runs(held[1], np.abs(force - middle(force))) > MOVING_FORCE
+        force_held = held[0] & (is_moving | turned | unusual)
+        return force_held, held[1] & ((rate > MOVING_RATE) | shaken | unusual)
+
 
 def _same(values: FloatArray) -> BoolArray:
     """Samples (n, 3) that repeat the one before on all axes, (n - 1,)."""
@@ -145,7 +157,10 @@ def _same(values: FloatArray) -> BoolArray:
 def _held(values: FloatArray) -> BoolArray:
     """Samples of a long run of repeats, without its first."""
     held = np.zeros(len(values), bool)
-    for run in runs(_same(values)):
+    same = _same(values)
+    if not same.any():
+        return held
+    for run in runs(same):
         if run.stop - run.start >= REPEATS:
             held[run.start + 1 : run.stop + 1] = True
     return held
@@ -184,17 +199,19 @@ def _clipped(values: FloatArray, largest: FloatArray, floor: float) -> BoolArray
 
 def _spikes(values: FloatArray, limit: float) -> tuple[BoolArray, FloatArray]:
     """Samples far from the median of five around them, and how far (n,); twice as far for the newest two."""
-    padded = np.concatenate([values[:2][::-1], values, np.repeat(values[-3:-2], 2, axis=0)])
-    middle = np.median(sliding_window_view(padded, 5, axis=0), axis=2)
-    size = np.linalg.norm(values - middle, axis=1)
+    padded = np.concatenate([values[1::-1], values, values[-3:-2], values[-3:-2]])
+    around = np.stack([padded[k : len(padded) - 4 + k] for k in range(5)])
+    around.sort(axis=0)
+    off = values - around[2]
+    size = np.sqrt((off * off).sum(axis=1))
     limits = np.full(len(values), limit)
     limits[-2:] = 2.0 * limit
     return np.asarray(size > limits), size
 
 
-def _on_average(rows: BoolArray, each_s: FloatArray, seconds: float) -> BoolArray:
+def _on_average(rows: BoolArray, usual_s: float, seconds: float) -> BoolArray:
     """Rows of stretches so long of which nearly all hold, without a pause for single ones."""
-    width = max(round(seconds / float(np.median(each_s))), 3)
+    width = max(round(seconds / usual_s), 3)
     if len(rows) < width or rows.sum() < 0.8 * width:
         return np.zeros(len(rows), bool)
     share = sliding_window_view(rows, width).mean(axis=1)

@@ -13,11 +13,12 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray
-from ..linalg import skew
+from ..array_types import BoolArray, FloatArray, IntArray
+from ..linalg import length, skew_of
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.problem import NoiseModel
@@ -176,23 +177,35 @@ def residuals_of(
     whole[:9, :9] += prediction.noise
     start_s = min(max(t_s - 0.02, signal.start_s), signal.end_s - 0.01)
     rate = signal.mean(np.array([start_s]), np.array([start_s + 0.02]))[0, 3:] - solution.bias[3:]
+    turning = skew_of(rate)
     column, residual, covariance, velocity, place = [], [], [], [], []
     for joint in joints:
         k, lever = JOINTS.index(joint), solution.levers[joint]
-        at = 9 + 3 * names.index(joint)
-        rows = np.r_[0:6, at : at + 3]
         arm = state.R @ lever
-        jacobian = np.hstack([-skew(arm), np.eye(3), state.R])
+        jacobian = _NO_JOINT.copy()
+        jacobian[:, :3] = -skew_of(arm)
+        jacobian = np.concatenate([jacobian, state.R], axis=1)
         column.append(k)
         place.append(state.p + arm)
         residual.append(position[k] - place[-1])
         own = model.joint_sigma_m[k] ** 2 + SLOW_M**2
-        covariance.append(jacobian @ whole[rows][:, rows] @ jacobian.T + own * np.eye(3))
-        velocity.append(state.v + state.R @ np.cross(rate, lever))
+        rows = joint_rows(names.index(joint))
+        covariance.append(jacobian @ whole[rows] @ jacobian.T + own * _ONE)
+        velocity.append(state.v + state.R @ (turning @ lever))
     spread = float(np.sqrt(np.linalg.eigvalsh(whole[3:6, 3:6])[-1]))
     return JointResiduals(
         column, np.array(residual), np.array(covariance), np.array(velocity), np.array(place), spread
     )
+
+
+_ONE, _NO_JOINT = np.eye(3), np.eye(3, 6, 3)
+
+
+@lru_cache(maxsize=16)
+def joint_rows(number: int) -> tuple[IntArray, IntArray]:
+    """Where turn, position and a lever arm stand in a covariance of (turn, position, velocity, levers)."""
+    rows = np.array([*range(6), *range(9 + 3 * number, 12 + 3 * number)])
+    return np.ix_(rows, rows)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -307,7 +320,7 @@ class CameraMonitor:
         """Without a shoulder that is not where it was, or of a camera that is left out."""
         if not accepted[_SHOULDER] or solution.shoulder is None:
             return accepted
-        is_other = float(np.linalg.norm(position[_SHOULDER] - solution.shoulder)) > SHOULDER_M
+        is_other = length(position[_SHOULDER] - solution.shoulder) > SHOULDER_M
         if not is_other and (self.since_s is None or accepted[_COLUMNS].any()):
             return accepted
         left = accepted.copy()

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import FloatArray
-from ..linalg import skew
-from ..measurements.inertial import integrate_between
-from ..rotation import Rotation
+from ..linalg import length, skew_of
+from ..measurements.inertial import integrate_one
+from ..rotation import matrix_of, rotvec_of
 from ..window.problem import NoiseModel
 from ..window.solution import LagSolution, NodeState
 from .signal import DoubtfulSignal
@@ -67,14 +67,13 @@ def predict(
     follows, white = np.eye(9, 18), np.zeros((9, 9))
     t = start.t
     if inside_s > start.t + 1e-9:
-        delta = integrate_between(signal, np.array([start.t]), np.array([inside_s]), solution.bias)
-        step = delta.delta_R[0], delta.delta_v[0], delta.delta_p[0], float(delta.dt[0])
-        R, p, v, follows, white = _advance(R, p, v, solution.gravity, *step, noise)
+        delta = integrate_one(signal, start.t, inside_s, solution.bias)
+        R, p, v, follows, white = _advance(R, p, v, solution.gravity, *delta, inside_s - start.t, noise)
         t = inside_s
     beyond_s = min(t_s - t, BEYOND_S)
     if beyond_s > 1e-4:
         last = signal.mean(np.array([signal.end_s - 0.02]), np.array([signal.end_s]))[0] - solution.bias
-        turn = Rotation.from_rotvec(last[3:] * beyond_s).as_matrix()
+        turn = matrix_of(last[3:] * beyond_s)
         dv, dp = last[:3] * beyond_s, 0.5 * last[:3] * beyond_s**2
         R, p, v, more, added = _advance(R, p, v, solution.gravity, turn, dv, dp, beyond_s, noise)
         whole = np.eye(18)
@@ -101,27 +100,28 @@ def _advance(
     dv, dp = R @ delta_v, R @ delta_p
     after_R, after_v = R @ delta_R, v + gravity * dt + dv
     after_p = p + v * dt + 0.5 * gravity * dt**2 + dp
-    middle = R @ Rotation.from_rotvec(0.5 * Rotation.from_matrix(delta_R).as_rotvec()).as_matrix()
-    follows = np.eye(9, 18)
-    turn, place, speed, acc, gyro, down = (slice(k, k + 3) for k in (0, 3, 6, 9, 12, 15))
-    follows[turn, gyro] = -middle * dt
-    follows[place, turn], follows[place, speed] = -skew(dp), np.eye(3) * dt
-    follows[place, acc], follows[place, down] = -0.5 * dt**2 * middle, 0.5 * dt**2 * np.eye(3)
-    follows[speed, turn] = -skew(dv)
-    follows[speed, acc], follows[speed, down] = -dt * middle, dt * np.eye(3)
-    force, rate = (
-        float(np.linalg.norm(delta_v)) / dt,
-        float(np.linalg.norm(Rotation.from_matrix(delta_R).as_rotvec())) / dt,
-    )
-    beyond = abs(force - float(np.linalg.norm(gravity)))
+    turned = rotvec_of(delta_R)
+    middle = R @ matrix_of(0.5 * turned)
+    follows = _NOTHING.copy()
+    follows[_TURN, _GYRO] = -middle * dt
+    follows[_PLACE, _TURN], follows[_PLACE, _SPEED] = -skew_of(dp), _ONE * dt
+    follows[_PLACE, _ACC], follows[_PLACE, _DOWN] = -0.5 * dt**2 * middle, 0.5 * dt**2 * _ONE
+    follows[_SPEED, _TURN] = -skew_of(dv)
+    follows[_SPEED, _ACC], follows[_SPEED, _DOWN] = -dt * middle, dt * _ONE
+    force, rate = length(delta_v) / dt, length(turned) / dt
+    beyond = abs(force - length(gravity))
     q_acc = noise.accelerometer_density**2 + (noise.accelerometer_share * beyond) ** 2
     q_gyro = noise.gyroscope_density**2 + (noise.gyroscope_share * rate) ** 2
     white = np.zeros((9, 9))
-    white[turn, turn] = np.eye(3) * q_gyro * dt
-    white[speed, speed] = np.eye(3) * q_acc * dt
-    white[place, place] = np.eye(3) * q_acc * dt**3 / 3.0
-    white[place, speed] = white[speed, place] = np.eye(3) * q_acc * dt**2 / 2.0
+    white[_TURN, _TURN] = _ONE * (q_gyro * dt)
+    white[_SPEED, _SPEED] = _ONE * (q_acc * dt)
+    white[_PLACE, _PLACE] = _ONE * (q_acc * dt**3 / 3.0)
+    white[_PLACE, _SPEED] = white[_SPEED, _PLACE] = _ONE * (q_acc * dt**2 / 2.0)
     return after_R, after_p, after_v, follows, white
+
+
+_ONE, _NOTHING = np.eye(3), np.eye(9, 18)
+_TURN, _PLACE, _SPEED, _ACC, _GYRO, _DOWN = (slice(k, k + 3) for k in range(0, 18, 3))
 
 
 def _lost(signal: DoubtfulSignal, start_s: float, end_s: float) -> FloatArray:
@@ -129,8 +129,8 @@ def _lost(signal: DoubtfulSignal, start_s: float, end_s: float) -> FloatArray:
     t, length_s = np.array([start_s, end_s]), end_s - start_s
     speed, turn = float(signal.velocity_error(t)[0]) ** 2, float(signal.turn_error(t)[0]) ** 2
     added = np.zeros((9, 9))
-    added[:3, :3] = turn * np.eye(3)
-    added[3:6, 3:6] = speed * length_s**2 / 3.0 * np.eye(3)
-    added[3:6, 6:] = added[6:, 3:6] = 0.5 * speed * length_s * np.eye(3)
-    added[6:, 6:] = speed * np.eye(3)
+    added[:3, :3] = turn * _ONE
+    added[3:6, 3:6] = speed * length_s**2 / 3.0 * _ONE
+    added[3:6, 6:] = added[6:, 3:6] = 0.5 * speed * length_s * _ONE
+    added[6:, 6:] = speed * _ONE
     return added

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..array_types import FloatArray
+from ..linalg import middle
 from ..measurements.inertial import (
     InertialSignal,
     equivalent_samples,
-    integrate,
-    integrate_between,
+    integrate_each,
+    integrate_one,
     split_steps,
 )
 from ..measurements.segment import without_spikes
@@ -45,6 +46,7 @@ class DoubtfulSignal(InertialSignal):
         super().__init__(imu)
         self._doubt = np.zeros((len(self.edges), 2))
         self.is_doubtful = bool(doubt.any())
+        self.usual_s = middle(self.edges[1:] - self.edges[:-1])
         np.cumsum(doubt, axis=0, out=self._doubt[1:])
 
     def velocity_error(self, t: FloatArray) -> FloatArray:
@@ -54,7 +56,7 @@ class DoubtfulSignal(InertialSignal):
 
     def turn_error(self, t: FloatArray) -> FloatArray:
         """Turn that each interval of consecutive times (n + 1,) may have lost, rad, one sigma an axis."""
-        return self._lost(t, 1)
+        return self._lost(t, 1) if self.is_doubtful else np.zeros(len(t) - 1)
 
     def _lost(self, t: FloatArray, column: int) -> FloatArray:
         variance = np.diff(np.interp(t, self.edges, self._doubt[:, column]))
@@ -113,11 +115,13 @@ def increments_between(
     """
     t = np.array([start_s, end_s])
     step_t, first = split_steps(t)
-    acc, gyro, h = equivalent_samples(integrate(signal, step_t, bias))
+    acc, gyro, h = equivalent_samples(integrate_each(signal, step_t, bias))
     error, turn = signal.velocity_error(t), signal.turn_error(t)
-    length_s = np.diff(signal.edges)
-    inside = (signal.edges[1:] > start_s) & (signal.edges[:-1] < end_s)
-    missing_s = float(np.maximum(length_s[inside] - 2.0 * np.median(length_s), 0.0).sum())
+    inside = slice(
+        int(np.searchsorted(signal.edges[1:], start_s, "right")), int(np.searchsorted(signal.edges, end_s))
+    )
+    length_s = signal.edges[1:] - signal.edges[:-1]
+    missing_s = float(np.maximum(length_s[inside] - 2.0 * signal.usual_s, 0.0).sum())
     if missing_s > 0:
         error = np.hypot(error, MISSED_ACCELERATION * missing_s)
         turn = np.hypot(turn, 0.5 * MISSED_TURNING * missing_s**2)
@@ -138,11 +142,11 @@ def propagated(
     gravity : ndarray, shape (3,), m/s^2
         In {K}.
     """
-    delta = integrate_between(signal, np.array([node.t]), np.array([t_s]), bias)
+    delta_R, delta_v, delta_p = integrate_one(signal, node.t, t_s, bias)
     dt = t_s - node.t
-    p = node.p + node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
-    v = node.v + gravity * dt + node.R @ delta.delta_v[0]
-    return NodeState(t_s, node.R @ delta.delta_R[0], p, v)
+    p = node.p + node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta_p
+    v = node.v + gravity * dt + node.R @ delta_v
+    return NodeState(t_s, node.R @ delta_R, p, v)
 
 
 def displacement(
@@ -153,11 +157,11 @@ def displacement(
     Parameters as of `propagated`.
     """
     first_s, last_s = min(node.t, t_s), max(node.t, t_s)
-    delta = integrate_between(signal, np.array([first_s]), np.array([last_s]), bias)
+    delta_R, delta_v, delta_p = integrate_one(signal, first_s, last_s, bias)
     dt = last_s - first_s
     if t_s > node.t:
-        moved = node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
-        return node.R @ delta.delta_R[0], moved
-    R = node.R @ delta.delta_R[0].T
-    v = node.v - gravity * dt - R @ delta.delta_v[0]
-    return R, -(v * dt + 0.5 * gravity * dt**2 + R @ delta.delta_p[0])
+        moved = node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta_p
+        return node.R @ delta_R, moved
+    R = node.R @ delta_R.T
+    v = node.v - gravity * dt - R @ delta_v
+    return R, -(v * dt + 0.5 * gravity * dt**2 + R @ delta_p)

@@ -14,7 +14,7 @@ from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
 #: 13 to 17 ms of processor time, so that a step stays within 20 ms.
 CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 10
 #: A successor catches up beside the one at work by so many frames a step.
-SUCCESSOR_FRAMES = 4
+SUCCESSOR_FRAMES = 2
 #: After a pause of the IMU it takes so much to begin anew, s.
 FRESH_S = 1.0
 #: The camera must not have contradicted a first tracker for so long, s.

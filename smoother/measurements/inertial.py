@@ -7,14 +7,16 @@ samples constant instead shifts a 40 Hz sensor by half a sample (12.5 ms).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..recording import ImuStream
-from ..rotation import Rotation, Slerp
+from ..rotation import Rotation, Slerp, chained
 from ..splines import cubic_spline
 
 #: Longest fine step of the integration, s.
@@ -196,6 +198,51 @@ def integrate_between(
             R = middle @ halves[:, k]
         delta_R[rows], delta_v[rows], delta_p[rows] = R, v, p
     return Preintegration(delta_R, delta_v, delta_p, dt)
+
+
+def integrate_one(
+    signal: InertialSignal, start_s: float, end_s: float, bias: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Integrate the signal over one interval: `integrate_between` without a loop over its steps.
+
+    Parameters
+    ----------
+    signal : InertialSignal
+    start_s, end_s : float, s
+    bias : ndarray, shape (6,), m/s^2 and rad/s
+        Accelerometer and gyroscope bias to subtract.
+
+    Returns
+    -------
+    delta_R, delta_v, delta_p : ndarray, shape (3, 3), (3,), (3,)
+        As `Preintegration` has them.
+    """
+    count = _step_count(end_s - start_s)
+    h = (end_s - start_s) / count
+    rate = signal.means(start_s + h * np.arange(count + 1)) - bias
+    halves = Rotation.from_rotvec(0.5 * h * rate[:, 3:]).as_matrix()
+    R = chained(halves @ halves)
+    middle = R[:-1] @ halves
+    a = (middle @ rate[:, :3, None])[..., 0]
+    v = h * np.cumsum(a, axis=0)
+    # each step: p += h v + h^2 a / 2 with the v before it
+    p = h * (v.sum(axis=0) - v[-1]) + 0.5 * h**2 * a.sum(axis=0)
+    return R[-1], v[-1], p
+
+
+def integrate_each(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preintegration:
+    """`integrate` of a few intervals with one bias (6,), each by `integrate_one`."""
+    bounds = t.tolist()
+    parts = [integrate_one(signal, a, b, bias) for a, b in pairwise(bounds)]
+    delta_R, delta_v, delta_p = (np.stack(each) for each in zip(*parts, strict=True))
+    return Preintegration(delta_R, delta_v, delta_p, t[1:] - t[:-1])
+
+
+def _step_count(seconds: float) -> int:
+    """Fine steps of one interval, as `integrate_between` takes them."""
+    steps = max(math.ceil(seconds / FINE_STEP_S - 1e-6), 1)
+    group = max(math.ceil(math.log(steps) / math.log(STEP_FACTOR) - 1e-9), 0)
+    return math.ceil(STEP_FACTOR**group - 1e-9)
 
 
 def split_steps(t: FloatArray) -> tuple[FloatArray, IntArray]:

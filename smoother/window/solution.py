@@ -243,5 +243,5 @@ class LagSolution:
 
     def block(self, *names: str) -> FloatArray:
         """Joint covariance of some of the rows, in the order asked for."""
-        index = [i for name in names for i in range(self.rows[name].start, self.rows[name].stop)]
-        return self.covariance[index][:, index]
+        index = np.array([i for name in names for i in range(self.rows[name].start, self.rows[name].stop)])
+        return self.covariance[index[:, None], index]

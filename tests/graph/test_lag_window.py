@@ -11,7 +11,7 @@ from gtsam import Rot3
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
 from smoother.array_types import FloatArray
-from smoother.graph.lag_elimination import in_order, iterate, marginalise, split
+from smoother.graph.lag_elimination import in_order, iterate, letter_of, marginalise, split
 from smoother.graph.lag_window import LagWindow
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
@@ -220,13 +220,10 @@ def chain() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     return graph, values
 
 
-TIMES = {0: 0.0, 1: 0.1, 2: 0.2}
-
-
 @pytest.mark.parametrize("asked", [[X(2)], [X(2), L(0), X(0)], [X(0), X(1), X(2), L(0)]])
 def test_step_and_covariance_are_those_of_gtsam(asked: list[int]) -> None:
     graph, values = chain()
-    iteration = iterate(graph, values, asked, TIMES)
+    iteration = iterate(graph, values, asked)
     expected = values.retract(graph.linearize(values).optimize())
     for k in range(3):
         assert iteration.values.atPose3(X(k)).equals(expected.atPose3(X(k)), 1e-9)
@@ -247,13 +244,13 @@ def test_step_and_covariance_are_those_of_gtsam(asked: list[int]) -> None:
 
 def test_it_says_how_far_a_pose_moved() -> None:
     graph, values = chain()
-    iteration = iterate(graph, values, [X(1)], TIMES)
+    iteration = iterate(graph, values, [X(1)])
     moved_m = values.atPose3(X(1)).range(iteration.values.atPose3(X(1)).translation())
     assert iteration.moved_m(X(1)) == pytest.approx(moved_m, rel=0.05)  # a chord for an arc
     settled = iteration.values
     for _ in range(5):
-        settled = iterate(graph, settled, [X(1)], TIMES).values
-    assert iterate(graph, settled, [X(1)], TIMES).moved_m(X(1)) < 1e-7
+        settled = iterate(graph, settled, [X(1)]).values
+    assert iterate(graph, settled, [X(1)]).moved_m(X(1)) < 1e-7
 
 
 def test_what_nothing_holds_is_refused() -> None:
@@ -261,15 +258,14 @@ def test_what_nothing_holds_is_refused() -> None:
     values.insert(X(0), gtsam.Pose3())
     graph.add(gtsam.GPSFactor(X(0), np.ones(3), UNIT(3, 0.01)))
     with pytest.raises(np.linalg.LinAlgError, match="left free"):
-        iterate(graph, values, [X(0)], TIMES)
+        iterate(graph, values, [X(0)])
 
 
 def test_the_order_is_that_of_time_and_what_lasts_comes_last() -> None:
     keys = [G(0), L(2), B(0), S(1), X(4), V(4), X(3), V(3), B(1)]
-    # node 3 came late: it is the younger one by its number, not by its time
-    times = {3: 0.2, 4: 0.1}
-    assert in_order(keys, times) == [V(4), X(4), V(3), X(3), S(1), B(0), B(1), G(0), L(2)]
-    assert in_order(reversed(keys), times) == in_order(keys, times)
+    assert in_order(keys) == [V(3), X(3), V(4), X(4), S(1), B(0), B(1), G(0), L(2)]
+    assert in_order(reversed(keys)) == in_order(keys)
+    assert [letter_of(key) for key in keys] == [chr(gtsam.Symbol(key).chr()) for key in keys]
 
 
 def walk() -> tuple[list[gtsam.NonlinearFactor], gtsam.Values]:
