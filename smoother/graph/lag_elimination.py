@@ -157,7 +157,8 @@ def split(
     factors: Sequence[gtsam.NonlinearFactor], keys: set[int]
 ) -> tuple[list[gtsam.NonlinearFactor], list[gtsam.NonlinearFactor]]:
     """The factors that touch some variables, and those that do not."""
-    touching, others = [], []
+    touching: list[gtsam.NonlinearFactor] = []
+    others: list[gtsam.NonlinearFactor] = []
     for factor in factors:
         (others if keys.isdisjoint(factor.keys()) else touching).append(factor)
     return touching, others

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from dataclasses import dataclass
+from enum import Enum
 from statistics import median
-
-import numpy as np
 
 from .buffers import SkeletonFrame
 
@@ -13,15 +14,40 @@ from .buffers import SkeletonFrame
 USUAL_LATENCY_S = 0.1
 #: Frames behind the median of what is usual, and frames in a row that make a jump.
 USUAL_FRAMES, JUMP_FRAMES = 60, 10
-#: A jump is larger than this, s, and the frames after it agree to this share of it.
-JUMP_S, AGREE = 0.08, 0.25
+#: A jump is larger than so many usual deviations of the delay, at least the first and at most the second, s;
+#: the frames after it agree to this share of it.
+JUMP_SIGMAS, LEAST_JUMP_S, JUMP_S, AGREE = 6.0, 0.03, 0.08, 0.25
+
+
+class JumpCause(Enum):
+    """Why frames come at another time after their stamps than before."""
+
+    CLOCK = "clock"  # it was set: their stamps have a step
+    LATENCY = "latency"  # the camera's: their arrivals have one
+    OPEN = "open"  # stamps and arrivals do not say
+
+
+@dataclass(frozen=True)
+class Jump:
+    """From some frame on, frames come at another time after their stamps.
+
+    Attributes
+    ----------
+    seconds : float, s
+        How much later.
+    cause : JumpCause
+    """
+
+    seconds: float
+    cause: JumpCause
 
 
 class CameraClock:
     """Makes one continuous clock of the camera's stamps.
 
     The time from a frame's stamp to its arrival is latency plus the clocks' difference. Where it changes at
-    once and stays, the clock was set (or the latency has changed; the next calibration tells).
+    once and stays, either the clock was set, and the stamps have a step while frames arrive as ever, or the
+    latency has changed, and the arrivals have a step while the stamps go on.
 
     Attributes
     ----------
@@ -32,8 +58,12 @@ class CameraClock:
     def __init__(self) -> None:
         self.correction_s = 0.0
         self._usual: deque[float] = deque(maxlen=USUAL_FRAMES)
+        self._intervals: deque[float] = deque(maxlen=USUAL_FRAMES)
+        self._newest_s = self._arrival_s = -math.inf  # corrected stamp; of the last
         self._delay_s: float | None = None
+        self._limit_s = JUMP_S
         self._doubtful: list[SkeletonFrame] = []
+        self._cause = JumpCause.OPEN
 
     def __len__(self) -> int:
         return len(self._usual)
@@ -43,36 +73,90 @@ class CameraClock:
         """Median time from a corrected stamp to the arrival, s: latency plus offset; nan without a frame."""
         if self._delay_s is None:
             self._delay_s = median(self._usual) if self._usual else float("nan")
+            deviation_s = median(abs(each - self._delay_s) for each in self._usual) if self._usual else JUMP_S
+            self._limit_s = min(max(1.4826 * JUMP_SIGMAS * deviation_s, LEAST_JUMP_S), JUMP_S)
         return self._delay_s
 
-    def take(self, frame: SkeletonFrame) -> tuple[list[SkeletonFrame], float]:
-        """Frames that can be used now, with continuous stamps, and by how much the clock has jumped.
+    def take(self, frame: SkeletonFrame) -> tuple[list[SkeletonFrame], Jump | None]:
+        """Frames that can be used now, with continuous stamps, and the jump that they end, if they do.
 
-        A frame that does not fit the others waits until some more show whether it was late or the clock set.
+        A frame that does not fit the others waits until some more show whether it was late or the clock set;
+        where stamps and arrivals show that frames are only later than before, none waits.
         """
-        delay_s = frame.arrival_s - frame.t_s - self.correction_s
-        usual_s = self.delay_s
-        if len(self._usual) < JUMP_FRAMES or abs(delay_s - usual_s) < JUMP_S:
-            self._usual.append(delay_s)
-            self._delay_s = None
-            ready, self._doubtful = [*self._doubtful, frame], []
-            return [self._corrected(each) for each in ready], 0.0
+        off_s = frame.arrival_s - frame.t_s - self.correction_s - self.delay_s
+        after_s = frame.t_s + self.correction_s - self._newest_s
+        since_s, self._arrival_s = frame.arrival_s - self._arrival_s, frame.arrival_s
+        if len(self._usual) < JUMP_FRAMES or abs(off_s) < self._limit_s:
+            if 0.0 < after_s < math.inf:
+                self._intervals.append(after_s)
+            self._learn(frame)
+            return self._ended(frame), None
+        if not self._doubtful:
+            self._cause = self._cause_of(after_s, since_s, off_s)
         self._doubtful.append(frame)
+        is_late = self._cause is JumpCause.LATENCY
+        if is_late:
+            self._newest_s = max(self._newest_s, frame.t_s + self.correction_s)
+        ready = [frame] if is_late else []
         if len(self._doubtful) < JUMP_FRAMES:
-            return [], 0.0
+            return self._corrected(ready), None
         delays = [each.arrival_s - each.t_s - self.correction_s for each in self._doubtful]
-        jump_s = float(np.median(delays)) - usual_s
-        ready, self._doubtful = self._doubtful, []
-        if np.ptp(delays) > AGREE * abs(jump_s):  # late by different times: no clock does that
-            return [self._corrected(each) for each in ready], 0.0
-        self.correction_s += jump_s
-        return [self._corrected(each) for each in ready], jump_s
+        jump_s = median(delays) - self.delay_s
+        ready, self._doubtful = ready or self._doubtful, []
+        if max(delays) - min(delays) > AGREE * abs(jump_s):  # late by different times: no clock does that
+            return self._corrected(ready), None
+        if is_late:
+            self._usual.clear()
+            self._usual.extend(delays)
+            self._delay_s = None
+        else:
+            self.correction_s += jump_s
+            self._newest_s = frame.t_s + self.correction_s
+        return self._corrected(ready), Jump(jump_s, self._cause)
 
     def later(self, seconds: float) -> None:
         """The last jump was the latency's: the stamps were right, and frames come so much later now."""
         self.correction_s -= seconds
+        self._newest_s -= seconds
         self._usual.clear()
         self._delay_s = None
 
-    def _corrected(self, frame: SkeletonFrame) -> SkeletonFrame:
-        return SkeletonFrame(frame.t_s + self.correction_s, frame.arrival_s, frame.position, frame.state)
+    def _cause_of(self, after_s: float, since_s: float, off_s: float) -> JumpCause:
+        """Whether the stamps or the arrivals have a step of so much at a frame.
+
+        Parameters
+        ----------
+        after_s : float, s
+            Its stamp after the newest one: where frames overtake each other, nothing is missing between.
+        since_s : float, s
+            Its arrival after the last one.
+        off_s : float, s
+            How much later after its stamp it came than is usual.
+        """
+        if len(self._intervals) < JUMP_FRAMES:
+            return JumpCause.OPEN
+        usual_s, limit_s = median(self._intervals), AGREE * abs(off_s)
+        if abs(after_s - usual_s) < limit_s:
+            return JumpCause.LATENCY
+        if abs(since_s - usual_s) < limit_s and abs(after_s - usual_s + off_s) < limit_s:
+            return JumpCause.CLOCK
+        return JumpCause.OPEN
+
+    def _learn(self, frame: SkeletonFrame) -> None:
+        self._usual.append(frame.arrival_s - frame.t_s - self.correction_s)
+        self._newest_s = max(self._newest_s, frame.t_s + self.correction_s)
+        self._delay_s = None
+
+    def _ended(self, frame: SkeletonFrame) -> list[SkeletonFrame]:
+        """A usual frame, after those that waited for it."""
+        waited = [] if self._cause is JumpCause.LATENCY else self._doubtful
+        self._doubtful = []
+        newest_s = max((each.t_s + self.correction_s for each in waited), default=-math.inf)
+        self._newest_s = max(self._newest_s, newest_s)
+        return self._corrected([*waited, frame])
+
+    def _corrected(self, frames: list[SkeletonFrame]) -> list[SkeletonFrame]:
+        return [
+            SkeletonFrame(each.t_s + self.correction_s, each.arrival_s, each.position, each.state)
+            for each in frames
+        ]

@@ -48,6 +48,8 @@ PREDICTED_M = 0.25
 LOOKED_AT = 16
 #: Joints that move less than this share of what the IMU says, and the least motion that tells, m.
 RESTS_SHARE, MOVED_M = 0.35, 0.06
+#: .. and how far the gyroscope turns the wrist about the elbow at least, m, in at most so many seconds.
+TURNED_M, TURNED_WITHIN_S = 0.10, 0.8
 #: Bones off by this share, and by so many sigmas, are another body's.
 OTHER_LENGTH, OTHER_SIGMAS = 0.15, 4.0
 #: A joint jumps by itself where it is so far from its own last motion, m, and by this share of what it is
@@ -216,6 +218,17 @@ class _Seen:
     position: FloatArray
     accepted: BoolArray
     before: JointResiduals | None
+    now: JointResiduals
+
+    @property
+    def forearm(self) -> tuple[FloatArray, FloatArray] | None:
+        """From the elbow to the wrist as the camera sees it and as it is predicted; None without both."""
+        if not (self.accepted[_ELBOW] and self.accepted[_WRIST]):
+            return None
+        if _ELBOW not in self.now.column or _WRIST not in self.now.column:
+            return None
+        elbow, wrist = (self.now.place[self.now.column.index(k)] for k in (_ELBOW, _WRIST))
+        return self.position[_WRIST] - self.position[_ELBOW], wrist - elbow
 
 
 class CameraMonitor:
@@ -242,7 +255,7 @@ class CameraMonitor:
         self._solutions: deque[LagSolution] = deque()
         self._seen: deque[_Seen] = deque(maxlen=LOOKED_AT)
         self._waited: deque[tuple[_Seen, JointResiduals]] = deque(maxlen=LOOKED_AT // 2)
-        self._bad = self._fits = self._repeats = 0
+        self._bad = self._fits = self._repeats = self._resting = 0
         self._count = 0
         self._doubt_s, self._doubted_until_s = DOUBT_S, -np.inf
         self._visible_s = -np.inf
@@ -253,6 +266,10 @@ class CameraMonitor:
             self._solutions.append(solution)
         while len(self._solutions) > 1 and self._solutions[1].newest.t < solution.newest.t - BEFORE_S:
             self._solutions.popleft()
+
+    def solution_before(self, t_s: float) -> LagSolution | None:
+        """The last solution that is remembered with its newest node before a time; None without one."""
+        return next((each for each in reversed(self._solutions) if each.newest.t < t_s), None)
 
     def judge(
         self,
@@ -295,9 +312,13 @@ class CameraMonitor:
             before = residuals_of(
                 first, signal_since(first.newest.t), t_s, position, accepted, self._model, self._noise
             )
-        self._seen.append(_Seen(t_s, position, accepted, before))
+        self._seen.append(_Seen(t_s, position, accepted, before, now))
+        self._resting = self._resting + 1 if self._rests_while_turning() else 0
         if self.since_s is not None:
             return self._waiting(t_s, now, accepted)
+        if self._resting >= FRAMES_IN_A_ROW:
+            self._limit_s, self._jump_m = LONGEST_S, np.inf
+            return self._left_out(t_s, _RESTS, self._seen[0].t_s)
         after_gap, self._visible_s = t_s - self._visible_s > 0.3, t_s
         wrong = (now.squared > CONTRADICTS) & (np.linalg.norm(now.residual, axis=1) > CONTRADICTS_M)
         if wrong.all():
@@ -376,6 +397,8 @@ class CameraMonitor:
             self._visible_s = t_s
             return Finding(accepted, Culprit.NOBODY, f"the camera fits again, after {away_s:.1f} s")
         nothing = np.zeros(len(JOINTS), bool)
+        if _rests(*self._waited[0], *self._waited[-1]):
+            self._limit_s = LONGEST_S  # it is not the tracker that strayed
         if t_s - self.since_s > self._limit_s or now.predicted_m > PREDICTED_M:
             return Finding(nothing, Culprit.TRACKER, _ANEW)
         return Finding(nothing)
@@ -431,9 +454,20 @@ class CameraMonitor:
                 if off > OTHER_LENGTH * usual and off > OTHER_SIGMAS * sigma / np.sqrt(len(both)):
                     return "its forearm has another length"
         assert first.before is not None and last.before is not None
-        if _rests(first, first.before, last, last.before):
-            return "its joints rest while the IMU moves"
-        return ""
+        return _RESTS if _rests(first, first.before, last, last.before) else ""
+
+    def _rests_while_turning(self) -> bool:
+        """Whether elbow and wrist rest while the gyroscope turns the forearm: needs no good velocity."""
+        new = self._seen[-1]
+        old = next((each for each in self._seen if each.t_s > new.t_s - TURNED_WITHIN_S), new)
+        if old.forearm is None or new.forearm is None:
+            return False
+        (seen, predicted), (seen_before, predicted_before) = new.forearm, old.forearm
+        turned = length(predicted - predicted_before)
+        if turned < TURNED_M:
+            return False
+        moved = [length(new.position[k] - old.position[k]) for k in (_ELBOW, _WRIST)]
+        return max(*moved, length(seen - seen_before)) < RESTS_SHARE * turned
 
 
 def _rests(first: _Seen, before: JointResiduals, last: _Seen, after: JointResiduals) -> bool:
@@ -447,6 +481,7 @@ def _rests(first: _Seen, before: JointResiduals, last: _Seen, after: JointResidu
     return max(moved) > MOVED_M and max(seen) < max(RESTS_SHARE * max(moved), 0.02)
 
 
+_RESTS = "its joints rest while the IMU moves"
 _ANEW = "camera and answer contradict each other, and which is wrong does not show: the smoother begins anew"
 
 

@@ -17,7 +17,7 @@ from ..recording import CameraFrame
 from .answers import Dropped, LiveEstimate, LiveOutput, LiveState
 from .buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, Calibrator, LiveCalibration
-from .camera_clock import USUAL_LATENCY_S, CameraClock
+from .camera_clock import USUAL_LATENCY_S, CameraClock, Jump, JumpCause
 from .display import Display, predicted
 from .monitor import Culprit
 from .tracker import LONGEST_PAUSE_S, Tracker
@@ -111,17 +111,24 @@ class LiveSmoother:
 
     def add_frame(self, frame: SkeletonFrame) -> None:
         """Take a frame in, in any order; one older than half a second before the newest is dropped."""
-        frames, jump_s = self._camera.take(frame)
-        if jump_s:
-            frames = self._jumped(frames, jump_s)
+        frames, jump = self._camera.take(frame)
+        if jump is not None:
+            frames = self._jumped(frames, jump)
         for each in frames:
             is_new, tracker = self._frames.add(each), self._handover.tracker
             if is_new and tracker is not None and each.t_s <= tracker.cursor_s:
                 self._late.append(each)
 
-    def _jumped(self, frames: list[SkeletonFrame], jump_s: float) -> list[SkeletonFrame]:
+    def _jumped(self, frames: list[SkeletonFrame], jump: Jump) -> list[SkeletonFrame]:
         """Frames that come at other times after their stamps: was the clock set, or is the camera later?"""
-        tracker = self._handover.tracker
+        tracker, jump_s = self._handover.tracker, jump.seconds
+        if jump.cause is JumpCause.LATENCY:
+            self._notes.append(f"the camera's frames come {jump_s:+.3f} s later than before")
+            return frames
+        if jump.cause is JumpCause.CLOCK:
+            self._calibrations.clock_jumped(JUMP_SIGMA_S)
+            self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
+            return frames
         clock, latency = np.nan, np.nan
         if tracker is not None:
             clock, latency = tracker.misfit(frames, 0.0), tracker.misfit(frames, -jump_s)

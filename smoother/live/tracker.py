@@ -230,15 +230,17 @@ class Tracker:
         misfit : float
             Mean squared error in sigmas; nan where too few can be compared.
         """
-        if self.solution is None:
+        first_s = min((frame.t_s for frame in frames), default=np.nan) + self.offset_s + min(shift_s, 0.0)
+        solution = self.monitor.solution_before(first_s)
+        if solution is None:
             return float("nan")
-        signal, values = self.signal.since(self.solution.newest.t), []
+        signal, values = self.signal.since(solution.newest.t), []
         for frame in frames:
             t_s = frame.t_s + self.offset_s + shift_s
             position, accepted = frame.position - self.model.joint_bias.error_m, self.accepted(frame)
-            if not self.solution.newest.t < t_s <= signal.end_s:
+            if not solution.newest.t < t_s <= signal.end_s:
                 continue
-            residuals = residuals_of(self.solution, signal, t_s, position, accepted, self.model, self.noise)
+            residuals = residuals_of(solution, signal, t_s, position, accepted, self.model, self.noise)
             if residuals is not None:
                 values.append(float(np.mean(residuals.squared)))
         return float(np.mean(values)) if len(values) >= 4 else float("nan")

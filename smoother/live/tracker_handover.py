@@ -79,7 +79,9 @@ class TrackerHandover:
         if successor.pause_s() > LONGEST_PAUSE_S or not self._catch_up(successor, now_s):
             self._successor = None if self.tracker is not None else self._fresh()
             return None
-        if any(finding.cause is Culprit.TRACKER for finding in successor.findings):
+        # a first one has nothing to go on by where the camera is wrong
+        is_left_alone = self.tracker is None and successor.monitor.since_s is not None
+        if is_left_alone or any(finding.cause is Culprit.TRACKER for finding in successor.findings):
             if self.tracker is None:
                 self._not_before_s = max(self._not_before_s, now_s - FRESH_S)
             self._successor = None if self.tracker is not None else self._fresh()

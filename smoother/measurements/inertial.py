@@ -219,7 +219,7 @@ def integrate_one(
     """
     count = _step_count(end_s - start_s)
     h = (end_s - start_s) / count
-    rate = signal.means(start_s + h * np.arange(count + 1)) - bias
+    rate = signal.means(start_s + h * np.arange(count + 1, dtype=float)) - bias
     halves = Rotation.from_rotvec(0.5 * h * rate[:, 3:]).as_matrix()
     R = chained(halves @ halves)
     middle = R[:-1] @ halves

@@ -10,7 +10,7 @@ from live_play import LATENCY_S, OFFSET_S, errors, events, play, rms, simulated
 
 from smoother.live.answers import LiveState
 from smoother.live.buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
-from smoother.live.camera_clock import CameraClock
+from smoother.live.camera_clock import CameraClock, JumpCause
 
 SIMULATION = simulated(2, 15.0, ())
 ARRIVALS = events(SIMULATION)
@@ -60,17 +60,57 @@ def test_frames_out_of_order():
     assert (frames.late, frames.duplicate) == (2, 1)
 
 
-def test_a_camera_clock_that_is_set_is_followed():
+@pytest.mark.parametrize("step_s", [0.3, -0.3, 0.05])
+def test_a_camera_clock_that_is_set_is_followed(step_s):
     clock = CameraClock()
     usual = [each for k in range(30) for each in clock.take(frame(k / 30))[0]]
     assert len(usual) == 30
     jumps, taken = [], []
-    for k in range(30, 45):  # the stamps go on 0.3 s later than before
-        frames, jump = clock.take(frame(k / 30 + 0.3, k / 30 + 0.1))
-        jumps.append(jump)
+    for k in range(30, 45):  # the stamps go on otherwise than before, the arrivals do not
+        frames, jump = clock.take(frame(k / 30 + step_s, k / 30 + 0.1))
+        jumps += [] if jump is None else [jump]
         taken += frames
-    assert sum(jumps) == pytest.approx(-0.3, abs=1e-9)
+    assert [jump.cause for jump in jumps] == [JumpCause.CLOCK]
+    assert jumps[0].seconds == pytest.approx(-step_s, abs=1e-9)
     np.testing.assert_allclose([each.t_s for each in taken], np.arange(30, 45) / 30)
+
+
+@pytest.mark.parametrize("seconds", [0.1, -0.06])
+def test_frames_that_come_later_than_before_keep_their_stamps_and_none_waits(seconds):
+    clock = CameraClock()
+    for k in range(30):
+        clock.take(frame(k / 30))
+    jumps = []
+    for k in range(30, 60):
+        frames, jump = clock.take(frame(k / 30, k / 30 + 0.1 + seconds))
+        assert [each.t_s for each in frames] == [k / 30]
+        jumps += [] if jump is None else [jump]
+    assert [jump.cause for jump in jumps] == [JumpCause.LATENCY]
+    assert clock.correction_s == 0.0 and clock.delay_s == pytest.approx(0.1 + seconds)
+
+
+def test_frames_that_overtake_others_show_that_the_latency_has_changed():
+    clock = CameraClock()
+    late = [frame(k / 30, k / 30 + 0.2) for k in range(30)]
+    soon = [frame(k / 30, k / 30 + 0.1) for k in range(30, 60)]
+    jumps = [clock.take(each)[1] for each in sorted([*late, *soon], key=lambda each: each.arrival_s)]
+    assert [jump.cause for jump in jumps if jump is not None] == [JumpCause.LATENCY]
+    assert clock.correction_s == 0.0
+
+
+def test_what_frames_that_were_lost_leave_open_stays_open():
+    clock = CameraClock()
+    for k in range(30):
+        clock.take(frame(k / 30))
+    jumps = [clock.take(frame(k / 30, k / 30 + 0.2))[1] for k in range(40, 55)]
+    assert [jump.cause for jump in jumps if jump is not None] == [JumpCause.OPEN]
+
+
+def test_a_jitter_of_arrivals_is_no_jump():
+    rng, clock = np.random.default_rng(2), CameraClock()
+    for k in range(400):
+        _, jump = clock.take(frame(k / 30, k / 30 + 0.1 + rng.exponential(0.02)))
+        assert jump is None
 
 
 def test_a_burst_is_no_jump():
@@ -80,7 +120,7 @@ def test_a_burst_is_no_jump():
     taken = []
     for k in range(30, 50):  # held up, then all at once
         frames, jump = clock.take(frame(k / 30, 50 / 30 + 0.1))
-        assert jump == 0.0
+        assert jump is None
         taken += frames
     taken += clock.take(frame(50 / 30))[0]
     assert len(taken) == 21 and clock.correction_s == 0.0
