@@ -19,7 +19,7 @@ USUAL_FRAMES, JUMP_FRAMES = 60, 10
 JUMP_SIGMAS, LEAST_JUMP_S, JUMP_S, AGREE = 6.0, 0.03, 0.08, 0.25
 
 
-class JumpCause(Enum):
+class ShiftCause(Enum):
     """Why frames come at another time after their stamps than before."""
 
     CLOCK = "clock"  # it was set: their stamps have a step
@@ -28,18 +28,18 @@ class JumpCause(Enum):
 
 
 @dataclass(frozen=True)
-class Jump:
+class Shift:
     """From some frame on, frames come at another time after their stamps.
 
     Attributes
     ----------
     seconds : float, s
         How much later.
-    cause : JumpCause
+    cause : ShiftCause
     """
 
     seconds: float
-    cause: JumpCause
+    cause: ShiftCause
 
 
 class CameraClock:
@@ -63,7 +63,7 @@ class CameraClock:
         self._delay_s: float | None = None
         self._limit_s = JUMP_S
         self._doubtful: list[SkeletonFrame] = []
-        self._cause = JumpCause.OPEN
+        self._cause = ShiftCause.OPEN
 
     def __len__(self) -> int:
         return len(self._usual)
@@ -77,7 +77,7 @@ class CameraClock:
             self._limit_s = min(max(1.4826 * JUMP_SIGMAS * deviation_s, LEAST_JUMP_S), JUMP_S)
         return self._delay_s
 
-    def take(self, frame: SkeletonFrame) -> tuple[list[SkeletonFrame], Jump | None]:
+    def take(self, frame: SkeletonFrame) -> tuple[list[SkeletonFrame], Shift | None]:
         """Frames that can be used now, with continuous stamps, and the jump that they end, if they do.
 
         A frame that does not fit the others waits until some more show whether it was late or the clock set;
@@ -94,7 +94,7 @@ class CameraClock:
         if not self._doubtful:
             self._cause = self._cause_of(after_s, since_s, off_s)
         self._doubtful.append(frame)
-        is_late = self._cause is JumpCause.LATENCY
+        is_late = self._cause is ShiftCause.LATENCY
         if is_late:
             self._newest_s = max(self._newest_s, frame.t_s + self.correction_s)
         ready = [frame] if is_late else []
@@ -112,7 +112,7 @@ class CameraClock:
         else:
             self.correction_s += jump_s
             self._newest_s = frame.t_s + self.correction_s
-        return self._corrected(ready), Jump(jump_s, self._cause)
+        return self._corrected(ready), Shift(jump_s, self._cause)
 
     def later(self, seconds: float) -> None:
         """The last jump was the latency's: the stamps were right, and frames come so much later now."""
@@ -121,7 +121,7 @@ class CameraClock:
         self._usual.clear()
         self._delay_s = None
 
-    def _cause_of(self, after_s: float, since_s: float, off_s: float) -> JumpCause:
+    def _cause_of(self, after_s: float, since_s: float, off_s: float) -> ShiftCause:
         """Whether the stamps or the arrivals have a step of so much at a frame.
 
         Parameters
@@ -134,13 +134,13 @@ class CameraClock:
             How much later after its stamp it came than is usual.
         """
         if len(self._intervals) < JUMP_FRAMES:
-            return JumpCause.OPEN
+            return ShiftCause.OPEN
         usual_s, limit_s = median(self._intervals), AGREE * abs(off_s)
         if abs(after_s - usual_s) < limit_s:
-            return JumpCause.LATENCY
+            return ShiftCause.LATENCY
         if abs(since_s - usual_s) < limit_s and abs(after_s - usual_s + off_s) < limit_s:
-            return JumpCause.CLOCK
-        return JumpCause.OPEN
+            return ShiftCause.CLOCK
+        return ShiftCause.OPEN
 
     def _learn(self, frame: SkeletonFrame) -> None:
         self._usual.append(frame.arrival_s - frame.t_s - self.correction_s)
@@ -149,7 +149,7 @@ class CameraClock:
 
     def _ended(self, frame: SkeletonFrame) -> list[SkeletonFrame]:
         """A usual frame, after those that waited for it."""
-        waited = [] if self._cause is JumpCause.LATENCY else self._doubtful
+        waited = [] if self._cause is ShiftCause.LATENCY else self._doubtful
         self._doubtful = []
         newest_s = max((each.t_s + self.correction_s for each in waited), default=-math.inf)
         self._newest_s = max(self._newest_s, newest_s)

@@ -17,7 +17,7 @@ from ..recording import CameraFrame
 from .answers import Dropped, LiveEstimate, LiveOutput, LiveState
 from .buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, Calibrator, LiveCalibration
-from .camera_clock import USUAL_LATENCY_S, CameraClock, Jump, JumpCause
+from .camera_clock import USUAL_LATENCY_S, CameraClock, Shift, ShiftCause
 from .display import Display, predicted
 from .monitor import Culprit
 from .tracker import LONGEST_PAUSE_S, Tracker
@@ -119,13 +119,13 @@ class LiveSmoother:
             if is_new and tracker is not None and each.t_s <= tracker.cursor_s:
                 self._late.append(each)
 
-    def _jumped(self, frames: list[SkeletonFrame], jump: Jump) -> list[SkeletonFrame]:
+    def _jumped(self, frames: list[SkeletonFrame], jump: Shift) -> list[SkeletonFrame]:
         """Frames that come at other times after their stamps: was the clock set, or is the camera later?"""
         tracker, jump_s = self._handover.tracker, jump.seconds
-        if jump.cause is JumpCause.LATENCY:
+        if jump.cause is ShiftCause.LATENCY:
             self._notes.append(f"the camera's frames come {jump_s:+.3f} s later than before")
             return frames
-        if jump.cause is JumpCause.CLOCK:
+        if jump.cause is ShiftCause.CLOCK:
             self._calibrations.clock_jumped(JUMP_SIGMA_S)
             self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
             return frames

@@ -166,7 +166,7 @@ def test_a_killed_server_a_closed_tab_and_a_cancel(
     opened(browser, program)
     choose(browser, session_files["imu"])
     browser.wait("!!document.querySelector('.said.care')")
-    assert "no skeleton yet" in browser.run("document.querySelector('.said.care').textContent")
+    assert "There is no skeleton" in browser.run("document.querySelector('.said.care').textContent")
     choose(browser, session_files["skeleton"])
     browser.wait("document.querySelectorAll('.plots svg').length === 3")
     press(browser, "#check")

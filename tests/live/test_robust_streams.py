@@ -10,7 +10,7 @@ from live_play import LATENCY_S, OFFSET_S, errors, events, play, rms, simulated
 
 from smoother.live.answers import LiveState
 from smoother.live.buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
-from smoother.live.camera_clock import CameraClock, JumpCause
+from smoother.live.camera_clock import CameraClock, ShiftCause
 
 SIMULATION = simulated(2, 15.0, ())
 ARRIVALS = events(SIMULATION)
@@ -70,7 +70,7 @@ def test_a_camera_clock_that_is_set_is_followed(step_s):
         frames, jump = clock.take(frame(k / 30 + step_s, k / 30 + 0.1))
         jumps += [] if jump is None else [jump]
         taken += frames
-    assert [jump.cause for jump in jumps] == [JumpCause.CLOCK]
+    assert [jump.cause for jump in jumps] == [ShiftCause.CLOCK]
     assert jumps[0].seconds == pytest.approx(-step_s, abs=1e-9)
     np.testing.assert_allclose([each.t_s for each in taken], np.arange(30, 45) / 30)
 
@@ -85,7 +85,7 @@ def test_frames_that_come_later_than_before_keep_their_stamps_and_none_waits(sec
         frames, jump = clock.take(frame(k / 30, k / 30 + 0.1 + seconds))
         assert [each.t_s for each in frames] == [k / 30]
         jumps += [] if jump is None else [jump]
-    assert [jump.cause for jump in jumps] == [JumpCause.LATENCY]
+    assert [jump.cause for jump in jumps] == [ShiftCause.LATENCY]
     assert clock.correction_s == 0.0 and clock.delay_s == pytest.approx(0.1 + seconds)
 
 
@@ -94,7 +94,7 @@ def test_frames_that_overtake_others_show_that_the_latency_has_changed():
     late = [frame(k / 30, k / 30 + 0.2) for k in range(30)]
     soon = [frame(k / 30, k / 30 + 0.1) for k in range(30, 60)]
     jumps = [clock.take(each)[1] for each in sorted([*late, *soon], key=lambda each: each.arrival_s)]
-    assert [jump.cause for jump in jumps if jump is not None] == [JumpCause.LATENCY]
+    assert [jump.cause for jump in jumps if jump is not None] == [ShiftCause.LATENCY]
     assert clock.correction_s == 0.0
 
 
@@ -103,7 +103,7 @@ def test_what_frames_that_were_lost_leave_open_stays_open():
     for k in range(30):
         clock.take(frame(k / 30))
     jumps = [clock.take(frame(k / 30, k / 30 + 0.2))[1] for k in range(40, 55)]
-    assert [jump.cause for jump in jumps if jump is not None] == [JumpCause.OPEN]
+    assert [jump.cause for jump in jumps if jump is not None] == [ShiftCause.OPEN]
 
 
 def test_a_jitter_of_arrivals_is_no_jump():

@@ -84,7 +84,7 @@ def test_every_command_of_the_documents_is_one_of_the_program():
         for command in re.findall(r"`python -m tools\.accuracy( [^`]*)`", page.read_text(encoding="utf-8"))
         if "NAME" not in command
     ]
-    assert len(found) > 30
+    assert len(found) > 20
     for command in found:
         option_parser().parse_args(command.split())
 
