@@ -8,7 +8,8 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+
+from .help_page import GroupedCommand, WholeSentences
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ class CommandSpec:
         settings = getattr(module, f"{name}_settings")() if self.has_settings else None
         function = with_groups(getattr(module, name.replace("-", "_")), settings)
         app = typer.Typer(add_completion=False, rich_markup_mode=None)
-        app.command(name, cls=getattr(module, self.cls) if self.cls else None, epilog=self.epilog)(function)
+        cls = getattr(module, self.cls) if self.cls else GroupedCommand
+        app.command(name, cls=cls, epilog=self.epilog)(function)
         return typer.main.get_command(app)
 
 
@@ -70,7 +72,7 @@ class LazyCommands(Mapping[str, Any]):
         return len(self._names)
 
 
-def lazy_group(specs: Mapping[str, CommandSpec]) -> type[TyperGroup]:
+def lazy_group(specs: Mapping[str, CommandSpec]) -> type[WholeSentences]:
     """A kind of group that holds commands.
 
     Parameters
@@ -84,7 +86,7 @@ def lazy_group(specs: Mapping[str, CommandSpec]) -> type[TyperGroup]:
         For `typer.Typer(cls=...)`.
     """
 
-    class LazyGroup(TyperGroup):
+    class LazyGroup(WholeSentences):
         def __init__(self, *, commands: Any = None, **attributes: Any) -> None:
             super().__init__(commands=commands, **attributes)
             self.commands = LazyCommands(specs, self.commands)  # type: ignore[assignment]
@@ -211,7 +213,7 @@ def _app(help_text: str, commands: Mapping[str, CommandSpec]) -> typer.Typer:
     )
 
 
-app = _app("Recover an occluded arm from a depth camera's skeleton and one wrist IMU.", _COMMANDS)
+app = _app("Recover arm motion that a depth camera could not see, with a wrist IMU.", _COMMANDS)
 
 
 def _version(wanted: bool) -> None:
@@ -228,12 +230,12 @@ def _root(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """Recover an occluded arm from a depth camera's skeleton and one wrist IMU."""
+    """Recover arm motion that a depth camera could not see, with a wrist IMU."""
 
 
 for _name, _help, _commands in (
-    ("import", "Make a recording of other formats.", _IMPORTS),
-    ("calibrate", "Measure once what does not change, and keep it in a calibration file.", _CALIBRATIONS),
-    ("simulate", "Make a recording with truth.", _SIMULATIONS),
+    ("import", "Make a recording from other files.", _IMPORTS),
+    ("calibrate", "Measure once what does not change; write a calibration file.", _CALIBRATIONS),
+    ("simulate", "Simulate recordings with truth.", _SIMULATIONS),
 ):
     app.add_typer(_app(_help, _commands), name=_name)

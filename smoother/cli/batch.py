@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from ..runtime.printable import printable
 from .arm_output import end_strictly
+from .help_page import GroupedCommand
 from .load import camera_frame_of, damage
 from .options import (
     ANY_ARM,
@@ -132,7 +132,7 @@ _PAGE_MARKS = b'content="unocclude', b"<title>Study</title>"
 _FIGURES_MARKS = b'"recordings"', b'"done_before"'
 
 
-class BatchCommand(TyperCommand):
+class BatchCommand(GroupedCommand):
     """Lets `--report` stand alone: the page then lies in the study's folder."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -228,7 +228,7 @@ def batch(
         typer.Option("--force", help="Take a folder with other files; compute everything anew."),
     ] = False,
 ) -> None:
-    """Recover many recordings; the same command continues where an interrupted one stopped.
+    """Recover many recordings; run again to continue.
 
     Results lie in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
     One failing recording does not stop the others; the exit code is 1 then. With --strict it is 3 where all

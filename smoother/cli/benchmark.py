@@ -70,7 +70,7 @@ def benchmark(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Hide the arm in recordings of public data sets, recover it by every method, and score the answers.
+    """Score all methods on public data sets with hidden gaps.
 
     The folder of --data holds broad/, utd_mhad/, smartfallmm/ and sevivi/ as they are published; those
     that are not there are left out and named. Splits and gaps are frozen: they hang on a trial's name and the

@@ -134,7 +134,7 @@ def motion(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Find lever arms, limb lengths and the IMU's mounting from visible motion.
+    """Lever arms, limb lengths, IMU mounting, from visible motion.
 
     Several recordings are solved together. A calibration that exists is added to, without --force: what
     was found replaces what the file holds of this arm, the rest of it is kept. Of recordings with IMUs on
@@ -223,7 +223,7 @@ def imu(
     ] = 9.81,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Find an IMU's offsets, scales and cross-axis from rest poses, and its noise from a long rest.
+    """An IMU's offsets, scales and noise, from rest poses.
 
     Lay the sensor still for three seconds on each of its six sides and on six edges between them, in any
     order; the rests are found by themselves. One long rest (an hour) instead gives the noise.
@@ -249,7 +249,7 @@ def magnetometer(
     name: Imu = None,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Find a magnetometer's hard and soft iron from samples in all directions.
+    """A magnetometer's hard and soft iron.
 
     Turn the sensor slowly about all its axes for a minute, on one spot and away from iron, until every side
     has pointed in every direction.
@@ -310,7 +310,7 @@ def forearm(
     solving: Solving = AS_USUAL,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Find lever arms, lengths and the sensor's mounting from a held pose.
+    """Lever arms, lengths, mounting, from a held pose.
 
     The forearm raised beside the head, palm to the camera, still for a second or more; motion in the same
     recording says how the sensor is turned against the camera, and is held against what the pose tells. A

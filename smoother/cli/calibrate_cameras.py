@@ -22,7 +22,7 @@ def cameras(
     arm: ArmSelection = ANY_ARM,
     json_file: Json = None,
 ) -> None:
-    """Find where further cameras stand, from the joints that they and the first one see.
+    """Poses of further cameras, from joints seen by both.
 
     `smooth --calibration` takes the places as priors, and says so where a camera was moved since. Clocks are
     of a recording: they are shown and not kept. A calibration that exists is added to.

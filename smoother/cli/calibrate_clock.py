@@ -101,7 +101,7 @@ def clock(
     solving: Solving = AS_USUAL,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Find offset and skew between the clocks of one session: by sound, by broadcast, by motion, or chained.
+    """Clock offsets and drift, by sound, broadcast or motion.
 
     t_to = t_from + offset. Offsets belong to this session: `smooth` takes them from this file as a prior.
     """

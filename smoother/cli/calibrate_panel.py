@@ -56,7 +56,7 @@ def panel(
     ] = 0.2,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Find where the camera stands in the motion capture's frame, from a panel with four markers.
+    """The camera's pose in motion capture, from a marker panel.
 
     Hold the panel still in each pose; --depth, --infrared and --markers are given once a pose, in the same
     order. The answer is added to the calibration file, with its sigma and a verdict.
@@ -193,7 +193,7 @@ def world(
     ] = "base",
     to: Outputs = NO_FILES,
 ) -> None:
-    """Find how the IMU on the camera sits on it, so that gravity is known in every recording after.
+    """The orientation of an IMU on the camera, for gravity.
 
     Hold the panel, with an IMU on it, still for two seconds in each pose. From a recording of the whole
     session the gyroscopes link the poses; from files each pose stands alone. The answer is added to the

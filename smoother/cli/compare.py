@@ -146,7 +146,7 @@ def compare(
     processes: Processes = None,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Recover a recording by every method and hold each against the truth: one table, the best first.
+    """Compare all methods on a recording with truth.
 
     The graph runs once; the other methods get its calibration, its clock and the camera's samples that
     it did not reject. No method sees the truth. With `--live` also what would have been shown at the moment

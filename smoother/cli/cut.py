@@ -50,7 +50,7 @@ def cut(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write a part of a recording, or every trial of a table, as recordings of their own.
+    """Cut a recording by time, or into the trials of a table.
 
     Times are seconds on the recording's axis, as `smooth` states them of gaps. All topics are carried over as
     they are, images too; camera calibrations and transforms that were recorded once go into every part.

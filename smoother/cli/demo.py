@@ -45,7 +45,7 @@ def demo(
     processes: Processes = None,
     json_file: Json = None,
 ) -> None:
-    """Recover a small recording, hold it against its truth, and write a report."""
+    """Recover a small recording, validate it, write a report."""
     from calib.motion.motion_calibration import with_given
 
     from .. import smooth
@@ -164,7 +164,7 @@ OPEN3D = "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_
 
 
 def doctor(json_file: Json = None, force: Force = False) -> None:
-    """Check the installation: versions, the solver, point clouds, cores and memory."""
+    """Check the installation."""
     check_outputs(force, [json_file])
     checks = [("python", True, f"{platform.python_version()} on {platform.platform()}")]
     checks += [check_version(name) for name in (*PACKAGES, OPEN3D)]
@@ -240,7 +240,7 @@ def memory() -> str:
 
 
 def config(config_file: ConfigFile = None, json_file: Json = None, force: Force = False) -> None:
-    """Print the configuration as TOML, the defaults or what a file makes of them."""
+    """Print the configuration as TOML."""
     from .config import read_config, to_toml
 
     check_outputs(force, [json_file], [config_file])

@@ -89,7 +89,9 @@ def export(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write a result in a format that other programs open; one file an arm (rrd and bids: one for all).
+    """Write a result for OpenSim, MATLAB, R, Excel and others.
+
+    Several arms give one file each; rrd and bids hold all of them.
 
     csv and parquet: one row a sample of the forearm IMU with poses, joints and sigmas, in metres and the
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and

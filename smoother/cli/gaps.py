@@ -184,7 +184,7 @@ def gaps(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Hide gaps at random where the camera sees the arm, recover them, and measure the error by length.
+    """Hide visible stretches and measure the error by gap length.
 
     The answer is compared with the recording's truth where it has one, else with the camera samples
     that were hidden; these carry the camera's own noise. Also says by what factor the stated sigma would

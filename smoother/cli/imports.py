@@ -46,7 +46,7 @@ def csv(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Import a folder of plain files: recording.toml, skeleton and IMU tables."""
+    """Import recording.toml with skeleton and IMU tables."""
     from ..io import open_csv
 
     check_mcap(output)
@@ -66,7 +66,7 @@ def broad(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Import a BROAD trial: a real IMU with optical truth; the truth with noise stands for the camera."""
+    """Import a BROAD trial: real IMU, optical truth plus noise."""
     from ..io import import_broad
 
     if not 1 <= rate_hz <= 1000:
@@ -87,7 +87,7 @@ def bids(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Import a session of a Motion-BIDS data set: joints of an arm by name, IMUs with ACCEL and GYRO."""
+    """Import a session of a Motion-BIDS data set."""
     from ..io.plain.bids import open_bids
 
     check_mcap(output)
@@ -111,7 +111,7 @@ def utd_mhad(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Import a UTD-MHAD trial: a Kinect v1 skeleton and one wrist IMU."""
+    """Import a UTD-MHAD trial: Kinect v1 and one wrist IMU."""
     from ..io import import_utd_mhad
 
     skeleton = skeleton or _skeleton_beside(inertial)
@@ -215,7 +215,7 @@ def files(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Import files as devices and camera programs write them; `import formats` lists them."""
+    """Import files as exported by devices and camera programs."""
     from ..io.devices.files import import_files
     from ..io.devices.folder import add_truth, sort_files
     from ..io.devices.registry import FileReader
@@ -295,7 +295,7 @@ def imu_files(text: str) -> ImuFiles:
 
 
 def formats(json_file: Json = None, force: Force = False) -> None:
-    """List the formats of `import files`, and what each is recognised by."""
+    """List the formats that `import files` recognises."""
     from ..io.devices.registry import formats as importers
 
     check_outputs(force, [json_file])
@@ -324,7 +324,7 @@ def describe(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Look at a table and print a recording.toml for `import csv`: a guess, its reasons, what is unsure.
+    """Guess a table's columns and units; print a recording.toml.
 
     Of several files, or those of a folder, list the streams that they hold: rates, units, axes. --json has a
     small plot of each, and the guess about tables of an unknown layout.
@@ -419,7 +419,7 @@ def strap(
     solving: Solving = AS_USUAL,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Find the dark strap in the colour images and add it to the recording as the joint `strap`.
+    """Find the strap in colour images and add it as a joint.
 
     The recording is solved without images first: the sensor's orientation takes the strap from the arm's core
     to the sensor. Images stream by, memory stays flat. What contradicts the forearm is rejected.

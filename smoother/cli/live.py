@@ -13,8 +13,8 @@ from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
+from .help_page import GroupedCommand
 from .live_dashboard import Aside, Dashboard, Lines, Table
 from .options import Calibration, ConfigFile, Force, Json, Side, one_side
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
@@ -236,7 +236,7 @@ _FOXGLOVE, _PAGE = "--foxglove", "--page"
 _PORTS = {_FOXGLOVE: 8765, _PAGE: 8766}
 
 
-class LiveCommand(TyperCommand):
+class LiveCommand(GroupedCommand):
     """Lets `--foxglove` and `--page` stand alone: the port is then the usual one."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -329,7 +329,7 @@ def live(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Recover the arm while it moves: where it is now, and where it was a lag ago, with sigma.
+    """Recover the arm live: now, and a moment ago with less error.
 
     Streams come from the Lab Streaming Layer, with labelled channels and units. Ctrl-C (or q) ends the
     session and leaves a whole recording; s ends it and smooths the recording. Needs

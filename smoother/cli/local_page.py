@@ -32,7 +32,7 @@ def app(
         bool, typer.Option("--no-browser", help="Print the address, and open no browser.")
     ] = False,
 ) -> None:
-    """Open the whole way, from files to report, as a page in the browser; no file leaves this computer.
+    """Open the local page: from files to report in the browser.
 
     The address that is printed holds a token; without it nobody is let in, and no other computer at all.
     Ctrl-C ends it: what is running then is stopped and can be repeated, all else is kept in the folder.

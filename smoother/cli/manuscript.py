@@ -38,7 +38,7 @@ def methods(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write what a paper has to say of a result: a paragraph, a table, the references it cites.
+    """Write the methods section of a paper: text, table, references.
 
     It states what the file holds and nothing else: sensors and rates, method and version, calibration,
     clocks, gaps, uncertainty, self-check, settings that are not the defaults. What the ISB's recommendations

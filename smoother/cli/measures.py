@@ -152,7 +152,7 @@ def measures(
     ] = None,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Measure a result: ranges of motion, reach, speed and smoothness, each with its 95 % interval.
+    """Measure range of motion, reach, speed, smoothness.
 
     Of the session, of each movement of the hand, and of each repetition of an exercise. The intervals come
     from the motions that `unocclude smooth` drew. With both arms of a person also how alike they are. No

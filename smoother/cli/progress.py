@@ -58,7 +58,7 @@ def progress(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Show how the measures of a study's persons changed over their sessions, and what can be said of it.
+    """Show how a person's measures changed over sessions.
 
     A change is clear where it is larger than the 95 % interval of the difference and, with --mdc, than the
     minimal detectable change. The study is one of `batch --measures`.

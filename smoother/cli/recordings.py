@@ -54,7 +54,7 @@ def info(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Show topics, rates, clocks and gaps, and what is missing for which step."""
+    """Show streams, rates, clocks, gaps, and what is missing."""
     from ..io import describe
 
     check_outputs(force, [json_file], [recording_file])
@@ -165,7 +165,7 @@ def match(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Settle which IMU is on which body and limb, by motion alone.
+    """Find which IMU is on which body and limb, by motion alone.
 
     Needs no calibration, no common orientation and no common clock. An IMU is on the wrist (the forearm) or
     the upper arm of one body, on none of the limbs in view, or unknown where the motion does not settle it.
@@ -229,7 +229,7 @@ Whole = Annotated[
 
 
 def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Force = False) -> None:
-    """Write every complete message of a damaged MCAP file into a whole one, and list what was lost where.
+    """Salvage a damaged MCAP file and list what was lost.
 
     Messages stand in the order of their log times, behind a new index. Messages of chunks that fail their
     checksum are kept; the new file says so, and every command that reads it repeats it.
@@ -291,7 +291,7 @@ def check(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Say what a recording allows, and what seems wrong with its set-up and what mends it.
+    """Test what a recording allows and what is wrong with its set-up.
 
     Of a long recording the excerpts that tell most are looked at. Every arm that has an IMU is checked. The
     exit code is 0 where a result can be used, 3 where it is not to be trusted, of one arm at least.

@@ -112,7 +112,7 @@ def arm(
     force: Force = False,
     **settings: Any,
 ) -> None:
-    """Simulate an arm with a wrist IMU before a depth camera, with truth.
+    """An arm with a wrist IMU before a depth camera.
 
     The settings that are not given come from the preset. Their defaults here are those of `white`.
     """
@@ -242,7 +242,7 @@ def people(
     force: Force = False,
     **settings: Any,
 ) -> None:
-    """Simulate people before one camera with shuffled IMUs whose names say nothing.
+    """People with shuffled, unnamed IMUs, for `match`.
 
     The truth, which IMU is where, is printed and goes to --json. The settings of the arms that are not given
     come from the preset.
@@ -305,7 +305,7 @@ def strap(
         int, typer.Option("--every", min=1, max=60, help="Images at every so many of the camera's frames.")
     ] = 5,
 ) -> None:
-    """Simulate an arm with images of its strap, for `import strap`.
+    """An arm with images of its strap, for `import strap`.
 
     Beside FILE lies FILE_truth.toml: where the strap sits. FILE holds the true motion of the IMU.
     """

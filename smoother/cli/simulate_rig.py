@@ -103,7 +103,7 @@ def imu(
         float, typer.Option("--noise", min=0.0, help="Of an accelerometer sample in a pose, m/s^2.")
     ] = 0.02,
 ) -> None:
-    """Simulate an IMU in rest poses, for `calibrate imu`.
+    """An IMU in rest poses, for `calibrate imu`.
 
     Beside FILE lies FILE_truth.toml, in the form of a calibration file: what should be found.
     """
@@ -139,7 +139,7 @@ def magnetometer(
         float, typer.Option("--noise", min=0.0, max=0.2, help="Of a sample, in parts of the field.")
     ] = 0.01,
 ) -> None:
-    """Simulate a magnetometer turned all round for a minute.
+    """A magnetometer turned in all directions.
 
     Beside FILE lies FILE_truth.toml, in the form of a calibration file: what should be found.
     """
@@ -196,7 +196,7 @@ def panel(
     force: Force = False,
     **settings: Any,
 ) -> None:
-    """Simulate a marker panel before a depth camera, with motion capture and IMUs, and the answer.
+    """A marker panel with images, motion capture and IMUs.
 
     Writes depth and infrared images, mocap markers and IMU samples of each pose, intrinsics.toml, panel.toml
     and truth.toml: what `calibrate panel` and `calibrate world` take, and what they should find.
@@ -349,7 +349,7 @@ def clock(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Simulate a beep, broadcasts and motion on known clocks.
+    """A beep, broadcasts and motion with known clocks.
 
     Writes beep.wav, times.csv, session.mcap and truth.toml. The IMU's clock runs 390 ppm fast.
     """

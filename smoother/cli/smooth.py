@@ -102,7 +102,7 @@ def smooth(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Recover the motion in every gap, with its uncertainty, and write it as MCAP.
+    """Recover the motion in every gap, with its uncertainty.
 
     Every arm that has an IMU is recovered, of every person; --side, --body and --imu restrict. Where the
     names of the IMUs leave open where they are worn, motion settles it, and the notes say how.

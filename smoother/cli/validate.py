@@ -104,7 +104,7 @@ def validate(
     verbose: Verbose = False,
     to: Outputs = NO_FILES,
 ) -> None:
-    """Compare a result with a reference: position, orientation, angles, measures, consistency of sigma.
+    """Compare a result with motion capture or another reference.
 
     Of a result with several arms each is compared with its own truth (topics /truth/left, /truth/right); a
     truth that names no side is of one arm, chosen with --side.

@@ -32,7 +32,7 @@ def view(
         typer.Option("--port", metavar="N", min=1, max=65535, help="Port of the data, with --web."),
     ] = DATA_PORT,
 ) -> None:
-    """Show a result in Rerun: the arm in space, upright; place and flexion with 2 sigma; the gaps.
+    """Show a result in Rerun: the arm in space, curves, gaps.
 
     Needs rerun-sdk (`pip install '.[view]'`). It listens on 127.0.0.1 alone and speaks to nobody
     else: no usage statistics, no questions for newer versions. A window closes as usual; --web is ended
