@@ -61,7 +61,10 @@ def video(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Import a video as the camera: MediaPipe finds the joints, in metres about the hips and in pixels."""
+    """Import a video as the camera; MediaPipe finds the joints.
+
+    They are kept in metres relative to the hips, and in pixels.
+    """
     from ..io.devices.files import import_files
     from ..io.devices.registry import FileReader
     from ..io.devices.video_file import PoseVideo
