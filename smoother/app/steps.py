@@ -89,7 +89,7 @@ def import_steps(folder: AppFolder, place: Path) -> list[Step]:
         raise AppError("There is no file of a camera or an IMU yet; drop them.")
     steps: list[Step] = []
     if _is_described(files):
-        words = ["import", "csv", "files", *_templates(folder), "-o", target, "--force"]
+        words = ["import", "csv", "files", "-o", target, "--force"]
         steps.append({"name": "import", "argv": words})
     elif film:
         words = _video_words(folder, film, files, kept.choices)
@@ -125,8 +125,8 @@ def sensor_keys(files: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def camera_video(files: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-    """The video that stands for the camera: where no file holds a skeleton."""
-    if any(stream["kind"] == "skeleton" for each in files for stream in each["streams"]):
+    """The video that stands for the camera: where no file holds a skeleton or a whole recording."""
+    if any(each["format"] == "mcap" or s["kind"] == "skeleton" for each in files for s in each["streams"]):
         return None
     return next((each for each in files if each["kind"] == "video"), None)
 

@@ -15,6 +15,7 @@ from .output import check_outputs, percent, print_notes, print_table, say, say_w
 
 if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress, Series
+    from ..evaluation.reliability import Reliability
 
 #: Characters at which a spreadsheet would take a cell for a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -44,7 +45,23 @@ def progress(
         typer.Option(
             "--mdc",
             metavar="FILE",
-            help="Minimal detectable changes: what `validate --json` wrote, or a .toml with [mdc95].",
+            help="Minimal detectable changes: what `validate --json` or `progress --reliability --json`"
+            " wrote, or a .toml with [mdc95].",
+        ),
+    ] = None,
+    reliability: Annotated[
+        bool,
+        typer.Option(
+            "--reliability",
+            help="If nobody changed between the sessions: ICC, SEM, smallest detectable change.",
+        ),
+    ] = False,
+    plots: Annotated[
+        Path | None,
+        typer.Option(
+            "--plots",
+            metavar="FOLDER",
+            help="Also write SVG for papers: curves over a repetition, Bland-Altman (--reliability).",
         ),
     ] = None,
     measure: Annotated[
@@ -63,7 +80,9 @@ def progress(
     A change is clear where it is larger than the 95 % interval of the difference and, with --mdc, than the
     minimal detectable change. The study is one of `batch --measures`.
     """
-    from ..evaluation.measure_agreement import read_detectable
+    from ..evaluation.measure_files import read_detectable
+    from ..evaluation.reliability import reliability_of
+    from ..evaluation.waveform_change import of_group
     from ..study.progress import progress_of, read_rows, sessions_of
 
     if not study.is_dir():
@@ -76,10 +95,19 @@ def progress(
     persons = [_narrowed(each, measure) for each in _chosen(persons, person)]
     if report is not None:
         _write_page(persons, report, force)
-    write_json(json_file, {"persons": [each.to_dict() for each in persons], "left_out": left_out}, force)
+    repeated = reliability_of(persons) if reliability else []
+    figures: dict[str, object] = {"persons": [each.to_dict() for each in persons], "left_out": left_out}
+    figures["group_waveforms"] = of_group([change for each in persons for change in each.waveforms])
+    if reliability:
+        figures["reliability"] = [each.to_dict() for each in repeated]
+    write_json(json_file, figures, force)
     _write_csv(csv_file, persons, force)
+    if plots is not None:
+        _write_plots(persons, repeated, plots, force)
     for each in persons:
         _print(each)
+    if reliability:
+        _print_reliability(repeated)
     print_notes(left_out)
     say(NO_DIAGNOSIS)
     say_written(report, json_file, csv_file)
@@ -131,7 +159,58 @@ def _print(progress: PersonProgress) -> None:
         say(_counted(progress))
     elif progress.sessions:
         say("One session only: there is no change to speak of.")
-    print_notes([*progress.notes, *_limits(progress), *progress.left_out])
+    print_notes([*_waveform_notes(progress), *progress.notes, *_limits(progress), *progress.left_out])
+
+
+def _waveform_notes(progress: PersonProgress) -> list[str]:
+    """What the curves over a repetition show: a sentence each."""
+    from ..evaluation.agreement import WORDS
+    from ..evaluation.waveform_change import sentence
+
+    return [sentence(each, f"Curve of {WORDS[each.angle]}") for each in progress.waveforms]
+
+
+def _print_reliability(repeated: Sequence[Reliability]) -> None:
+    """Print the table over all persons."""
+    from ..evaluation.reliability import COLUMNS, FEWEST_PERSONS, reliability_cells
+
+    if not repeated:
+        raise UnoccludeError(
+            f"--reliability needs {FEWEST_PERSONS} persons with two sessions each; no measure has them"
+        )
+    print_table("Reliability, if nobody changed between the sessions", COLUMNS, reliability_cells(repeated))
+
+
+def _write_plots(
+    persons: Sequence[PersonProgress], repeated: Sequence[Reliability], folder: Path, force: bool
+) -> None:
+    """Curves of each person, and a Bland-Altman plot a measure."""
+    import numpy as np
+
+    from ..evaluation.agreement import WORDS
+    from ..report.agreement_plot import (
+        file_name,
+        prepared_folder,
+        write_bland_altman,
+        write_waveform_change,
+    )
+
+    curves = {
+        file_name("curve", person.person, each.side, each.task, each.angle): (person, each)
+        for person in persons
+        for each in person.waveforms
+    }
+    pairs = {file_name("agreement", each.side, each.task, each.key): each for each in repeated}
+    prepared_folder(folder, [*curves, *pairs], force)
+    for name, (person, change) in curves.items():
+        title = ", ".join(filter(None, (person.person, WORDS[change.angle], change.side, change.task)))
+        write_waveform_change(change, title, folder / name, force)
+    for name, one in pairs.items():
+        values = np.array(one.values)
+        title = ", ".join(filter(None, (one.name, one.side, one.task)))
+        words = ("session 1", "session 2")
+        write_bland_altman(values[:, 0], values[:, 1], title, one.unit, folder / name, words, force)
+    say(f"written: {folder} ({len(curves) + len(pairs)} SVG files)")
 
 
 def _cells(series: Series) -> tuple[str, ...]:

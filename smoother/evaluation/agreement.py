@@ -168,6 +168,55 @@ FEWEST_PAIRS = 3
 
 
 @dataclass(frozen=True)
+class AgreementLimits:
+    """Mean difference and limits of agreement, each with its 95 % interval.
+
+    Attributes
+    ----------
+    bias, bias_low, bias_high : float
+        Mean of the differences.
+    low, low_from, low_to, high, high_from, high_to : float
+        Mean -+ 1.96 standard deviations.
+    """
+
+    bias: float
+    bias_low: float
+    bias_high: float
+    low: float
+    low_from: float
+    low_to: float
+    high: float
+    high_from: float
+    high_to: float
+
+
+def limits_of_agreement(difference: FloatArray) -> AgreementLimits:
+    """Limits of agreement with exact intervals (Carkeet, Optometry and Vision Science 92:e71-e80, 2015).
+
+    A normal quantile's estimate has a noncentral t distribution: the intervals hold for few pairs too.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (n,)
+        Independent, three or more.
+    """
+    from scipy.stats import nct
+    from scipy.stats import t as student
+
+    count, bias, spread = len(difference), float(difference.mean()), float(difference.std(ddof=1))
+    tail, of_mean = 0.5 * (1 + CONFIDENCE), spread / np.sqrt(count)
+    half = float(student.ppf(tail, count - 1) * of_mean)
+    near, far = (
+        float(nct.ppf(p, count - 1, LIMITS * np.sqrt(count)) * of_mean) if spread > 0 else 0.0
+        for p in (1 - tail, tail)
+    )
+    low, high = bias - LIMITS * spread, bias + LIMITS * spread
+    return AgreementLimits(
+        bias, bias - half, bias + half, low, bias - far, bias - near, high, bias + near, bias + far
+    )
+
+
+@dataclass(frozen=True)
 class PairAgreement:
     """Agreement of pairs of values, in their unit; None where there are too few pairs.
 
@@ -179,6 +228,8 @@ class PairAgreement:
         Mean of answer minus reference.
     limits_low, limits_high : float or None
         Limits of agreement, bias -+ 1.96 standard deviations.
+    limits_low_from, limits_low_to, limits_high_from, limits_high_to : float or None
+        Their 95 % intervals.
     icc, icc_low, icc_high : float or None
         ICC(2,1) with its 95 % interval.
     sem : float or None
@@ -201,6 +252,10 @@ class PairAgreement:
     mdc95: float | None = None
     mdc95_low: float | None = None
     mdc95_high: float | None = None
+    limits_low_from: float | None = None
+    limits_low_to: float | None = None
+    limits_high_from: float | None = None
+    limits_high_to: float | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
@@ -224,14 +279,18 @@ def pair_agreement(answer: FloatArray, reference: FloatArray) -> PairAgreement:
     count, difference = len(answer), answer - reference
     if count < FEWEST_PAIRS:
         return PairAgreement(count, float(difference.mean()) if count else None)
-    bias, spread = float(difference.mean()), float(difference.std(ddof=1))
+    limits, spread = limits_of_agreement(difference), float(difference.std(ddof=1))
     icc, icc_low, icc_high = icc_a1(np.column_stack([answer, reference]))
     low, high = _sigma_interval(spread, count)
     return PairAgreement(
         pairs=count,
-        bias=bias,
-        limits_low=bias - LIMITS * spread,
-        limits_high=bias + LIMITS * spread,
+        bias=limits.bias,
+        limits_low=limits.low,
+        limits_high=limits.high,
+        limits_low_from=limits.low_from,
+        limits_low_to=limits.low_to,
+        limits_high_from=limits.high_from,
+        limits_high_to=limits.high_to,
         icc=icc,
         icc_low=icc_low,
         icc_high=icc_high,

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..measures.definitions import FEWEST_DRAWS
+from .waveform_change import WaveformChange
 
 #: By the unit of a measure: factor, unit for people, decimals.
 _SHOWN: dict[str, tuple[float, str, int]] = {
@@ -412,6 +413,8 @@ class PersonProgress:
         Recordings that take no part, and why; one sentence each.
     notes : tuple of str
         What a reader must know, one sentence each.
+    waveforms : tuple of WaveformChange
+        Curves over a repetition, the last session against the first.
     """
 
     person: str
@@ -420,6 +423,7 @@ class PersonProgress:
     series: tuple[Series, ...]
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    waveforms: tuple[WaveformChange, ...] = ()
 
     @property
     def main(self) -> tuple[Series, ...]:
@@ -449,6 +453,7 @@ class PersonProgress:
             "compared": len(self.compared),
             "clear": len(self.clear),
             "measures": [each.to_dict() for each in self.series],
+            "waveforms": [each.to_dict() for each in self.waveforms],
             "left_out": list(self.left_out),
             "notes": list(self.notes),
         }

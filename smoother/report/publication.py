@@ -27,7 +27,7 @@ SIGMAS_95 = 1.96
 MOST_POINTS = 6000
 #: Colours that people with any colour vision tell apart, also in grey (Okabe and Ito, 2008).
 COLOURS = ("#0072B2", "#D55E00", "#009E73")
-_STYLE: Any = {"font.size": 8, "axes.linewidth": 0.6, "lines.linewidth": 0.9, "svg.fonttype": "none"}
+STYLE: Any = {"font.size": 8, "axes.linewidth": 0.6, "lines.linewidth": 0.9, "svg.fonttype": "none"}
 
 
 def plot_recovery(
@@ -81,7 +81,7 @@ def plot_recovery(
         )
     if not curves:
         raise UnoccludeError(f"{recovery.name}: there is no answer to draw")
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         size = (width_cm / CM_PER_INCH, (ROW_CM * len(curves) + 1.0) / CM_PER_INCH)
         figure = Figure(figsize=size, dpi=200, layout="constrained")
         rows = figure.subplots(len(curves), 1, sharex=True, squeeze=False)[:, 0]

@@ -17,11 +17,10 @@ from smoother.evaluation.agreement import detectable_change
 from smoother.evaluation.measure_agreement import (
     MeasureComparison,
     MeasurePair,
-    read_detectable,
-    read_pairs,
     same_movements,
     unique_pairs,
 )
+from smoother.evaluation.measure_files import read_detectable, read_pairs
 from smoother.evaluation.validate import validate
 from smoother.measures import Movement
 from smoother.measures.definitions import zone_key

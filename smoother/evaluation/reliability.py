@@ -1,0 +1,224 @@
+"""Reliability and measurement error of a measure over sessions in which nobody changed, in COSMIN's words.
+
+Sources: Mokkink et al., J Clin Epidemiol 63:737-745 (2010), the terms; Shrout and Fleiss, Psychological
+Bulletin 86:420-428 (1979), and McGraw and Wong, Psychological Methods 1:30-46 (1996), ICC(2,1) = ICC(A,1) and
+ICC(3,1) = ICC(C,1) with their intervals; de Vet et al., J Clin Epidemiol 59:1033-1039 (2006), SEM_agreement,
+SEM_consistency and smallest detectable change; Satterthwaite, Biometrics Bulletin 2:110-114 (1946).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ..array_types import FloatArray
+from .agreement import CONFIDENCE, detectable_change, icc_a1, limits_of_agreement, measurement_error
+from .progress import PersonProgress, interval, is_main, quantity
+
+#: Fewer persons have no figures.
+FEWEST_PERSONS = 3
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """How reliable a measure is over repeated sessions, in its unit.
+
+    Attributes
+    ----------
+    side, task, key, name, unit : str
+        What was measured.
+    persons, sessions : int
+        How many, each person with as many sessions.
+    icc_21, icc_21_low, icc_21_high : float or None
+        ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval.
+    icc_31, icc_31_low, icc_31_high : float or None
+        ICC(3,1), two-way mixed effects, consistency, single measurement.
+    sem_agreement, sem_agreement_low, sem_agreement_high : float
+        Standard error of measurement, with systematic differences between sessions, and its 95 % interval.
+    sem_consistency : float
+        Without them.
+    sdc, sdc_group : float
+        Smallest detectable change of one person, 1.96 sqrt(2) SEM_agreement (also called MDC95), and of the
+        mean of so many persons.
+    bias, bias_low, bias_high : float
+        Mean of the second session minus the first, with its interval.
+    limits_low, limits_low_from, limits_low_to, limits_high, limits_high_from, limits_high_to : float
+        Limits of agreement of these two sessions, each with its interval.
+    values : tuple of (float, float)
+        First and second session of each person.
+    """
+
+    side: str
+    task: str
+    key: str
+    name: str
+    unit: str
+    persons: int
+    sessions: int
+    icc_21: float | None
+    icc_21_low: float | None
+    icc_21_high: float | None
+    icc_31: float | None
+    icc_31_low: float | None
+    icc_31_high: float | None
+    sem_agreement: float
+    sem_agreement_low: float
+    sem_agreement_high: float
+    sem_consistency: float
+    sdc: float
+    sdc_group: float
+    bias: float
+    bias_low: float
+    bias_high: float
+    limits_low: float
+    limits_low_from: float
+    limits_low_to: float
+    limits_high: float
+    limits_high_from: float
+    limits_high_to: float
+    values: tuple[tuple[float, float], ...]
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values by name, as `--json` writes them."""
+        return asdict(self)
+
+
+def reliability_of(persons: Sequence[PersonProgress]) -> list[Reliability]:
+    """The main measures over the sessions of persons in whom nothing changed.
+
+    Each arm and task by itself; of persons with more sessions than the others the first ones count.
+
+    Parameters
+    ----------
+    persons : sequence of PersonProgress
+        Those with one session take no part.
+
+    Returns
+    -------
+    found : list of Reliability
+        Of the measures that three persons or more have twice.
+    """
+    values: dict[tuple[str, str, str], list[list[float]]] = {}
+    about: dict[str, tuple[str, str]] = {}
+    for person in persons:
+        for series in person.main:
+            known = [each.value for each in series.values if np.isfinite(each.value)]
+            if len(known) > 1:
+                about[series.key] = series.name, series.unit
+                values.setdefault((series.side, series.task, series.key), []).append(known)
+    found = []
+    for key, own in values.items():
+        if len(own) >= FEWEST_PERSONS and is_main(key[2]):
+            ratings = np.array([each[: min(map(len, own))] for each in own])
+            found.append(_reliability((*key, *about[key[2]]), ratings))
+    return found
+
+
+def _reliability(about: tuple[str, str, str, str, str], ratings: FloatArray) -> Reliability:
+    n, k = ratings.shape
+    sem, low, high = sem_agreement(ratings)
+    limits = limits_of_agreement(ratings[:, 1] - ratings[:, 0])
+    return Reliability(
+        *about,
+        n,
+        k,
+        *icc_a1(ratings),
+        *icc_c1(ratings),
+        sem,
+        low,
+        high,
+        measurement_error(ratings),
+        detectable_change(sem),
+        detectable_change(sem) / float(np.sqrt(n)),
+        limits.bias,
+        limits.bias_low,
+        limits.bias_high,
+        limits.low,
+        limits.low_from,
+        limits.low_to,
+        limits.high,
+        limits.high_from,
+        limits.high_to,
+        tuple((float(first), float(second)) for first, second in ratings[:, :2]),
+    )
+
+
+def _mean_squares(ratings: FloatArray) -> tuple[float, float, float]:
+    """Between persons, between sessions, error."""
+    n, k = ratings.shape
+    rows, columns, grand = ratings.mean(axis=1), ratings.mean(axis=0), ratings.mean()
+    between = k * ((rows - grand) ** 2).sum() / (n - 1)
+    return float(between), float(n * columns.var(ddof=1)), measurement_error(ratings) ** 2
+
+
+def icc_c1(ratings: FloatArray) -> tuple[float | None, float | None, float | None]:
+    """ICC(C,1) = ICC(3,1) and its 95 % interval.
+
+    Parameters
+    ----------
+    ratings : ndarray, shape (n, k)
+        n persons by k sessions.
+    """
+    from scipy.stats import f as f_distribution
+
+    n, k = ratings.shape
+    between, _, error = _mean_squares(ratings)
+    if between + (k - 1) * error <= 0:
+        return None, None, None
+    icc = (between - error) / (between + (k - 1) * error)
+    if error <= 0:
+        return icc, icc, icc
+    tail, freedom = 0.5 * (1 + CONFIDENCE), ((n - 1), (n - 1) * (k - 1))
+    low = between / error / f_distribution.ppf(tail, *freedom)
+    high = between / error * f_distribution.ppf(tail, *freedom[::-1])
+    return icc, float((low - 1) / (low + k - 1)), float((high - 1) / (high + k - 1))
+
+
+def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:
+    """SEM_agreement, sqrt(variance between sessions + error), and its 95 % interval (Satterthwaite).
+
+    Parameters
+    ----------
+    ratings : ndarray, shape (n, k)
+        n persons by k sessions.
+    """
+    from scipy.stats import chi2
+
+    n, k = ratings.shape
+    _, sessions, error = _mean_squares(ratings)
+    parts = [(sessions / n, k - 1), ((n - 1) / n * error, (n - 1) * (k - 1))]
+    if sessions < error:  # the sessions do not differ: a variance is not negative
+        parts = [(error, (n - 1) * (k - 1))]
+    variance = sum(part for part, _ in parts)
+    if variance <= 0:
+        return 0.0, 0.0, 0.0
+    freedom = variance**2 / sum(part**2 / count for part, count in parts)
+    tail = 0.5 * (1 - CONFIDENCE)
+    low, high = (np.sqrt(variance * freedom / chi2.ppf(p, freedom)) for p in (1 - tail, tail))
+    return float(np.sqrt(variance)), float(low), float(high)
+
+
+#: Heads of the table of `reliability_cells`.
+COLUMNS = ("measure", "persons", "ICC(2,1), 95 %", "ICC(3,1), 95 %", "SEM agreement", "SDC", "limits")
+
+
+def reliability_cells(found: Sequence[Reliability]) -> list[tuple[str, ...]]:
+    """Rows of a table for people."""
+    return [
+        (
+            ", ".join(filter(None, (one.name, one.side, one.task))),
+            f"{one.persons} x {one.sessions}",
+            _icc(one.icc_21, one.icc_21_low, one.icc_21_high),
+            _icc(one.icc_31, one.icc_31_low, one.icc_31_high),
+            quantity(one.sem_agreement, one.unit),
+            quantity(one.sdc, one.unit),
+            interval(one.limits_low, one.limits_high, one.unit, signed=True),
+        )
+        for one in found
+    ]
+
+
+def _icc(value: float | None, low: float | None, high: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} ({low:.2f} to {high:.2f})"
