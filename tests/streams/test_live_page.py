@@ -142,6 +142,9 @@ def test_a_patient_trains_with_it(page):
         assert marks == ["pause"]
         page.send(LiveOutput(4.0, LiveState.LOST, doubt=""), FrameRows.none(), None, ())
         until_text(browser, "light", "lost")
+        assert browser.run("document.getElementById('value').textContent") == "–"  # no old angle stays
+        page.send(LiveOutput(4.1, LiveState.CALIBRATING), FrameRows.none(), None, ())
+        browser.wait("document.getElementById('say').textContent.includes('Move your arm slowly')")
         assert not browser.complaints()
         assert all(url.startswith(f"http://127.0.0.1:{page.port}/") for url in browser.loaded())
     finally:

@@ -1,7 +1,8 @@
 """`python -m tools.live_faults [--seeds 1 2] [--only TEXT] [--say]`: faults fed into the live smoother.
 
-Prints for each kind the time with an error beyond three stated sigmas, and ends with 1 where that is longer
-than 0.5 s.
+Prints for each kind the time with an error beyond three stated sigmas, that without an answer, the largest
+error in sigmas with the sigma that was stated, the error of the last five seconds, after how long something
+was said or doubted, and what was done; ends with 1 where it was wrong for longer than 0.5 s.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def main() -> int:
     parser.add_argument("--say", action="store_true", help="print what the session said, too")
     options = parser.parse_args()
     bad = set()
-    print(f"{'kind':42} seed  wrong s   no answer  worst cm  sigma  end cm")
+    print(f"{'kind':51} seed  wrong s   no answer  worst cm  sigma  end cm  said s  done")
     kinds = [kind for kind in KINDS if options.only in kind]
     for seed in options.seeds:
         sound = Sound(simulated(seed, options.duration_s, preset=options.preset), options.at_s)
@@ -42,8 +43,8 @@ def main() -> int:
             mark = " <--" if v.wrong_s > MOST_S else ""
             bad |= {v.kind} if mark else set()
             print(
-                f"{v.kind:42} {v.seed:4} {v.wrong_s:8.2f} {v.silent_s:11.2f} {100 * v.worst_m:9.1f}"
-                f" {100 * v.at_sigma_m:6.1f} {v.sound_cm:7.1f}{mark}",
+                f"{v.kind:51} {v.seed:4} {v.wrong_s:8.2f} {v.silent_s:11.2f} {100 * v.worst_m:9.1f}"
+                f" {100 * v.at_sigma_m:6.1f} {v.sound_cm:7.1f} {v.said_s:7.2f}  {v.ended}{mark}",
                 flush=True,
             )
             if options.say and v.said:

@@ -204,6 +204,10 @@ class Verdict:
         The largest error in sigmas: the error, and the sigma that was stated.
     sound_cm : float, cm
         Error (rms) of the last five seconds where the arm was visible; nan without an answer.
+    said_s : float, s
+        After the fault began, the first sentence about it or answer that calls itself doubtful; nan: never.
+    ended : str
+        What was done, in the order of the first time.
     said : tuple of str
         What was said after the fault began.
     """
@@ -215,7 +219,28 @@ class Verdict:
     worst_m: float
     at_sigma_m: float
     sound_cm: float
+    said_s: float
+    ended: str
     said: tuple[str, ...]
+
+
+#: What a sentence says was done, by words of it.
+DONE = {
+    "the smoother begins anew": "begun anew",
+    "the camera is left out": "camera rejected",
+    "the camera leads": "IMU rejected",
+    "the answer follows it": "clock followed",
+    "were moved": "stamps moved",
+    "later than before": "latency known",
+    "nothing for": "stream missed",
+    "dropped": "dropped",
+}
+
+
+def done(said: Sequence[str]) -> str:
+    """What sentences say was done."""
+    found = [what for text in said for words, what in DONE.items() if words in text]
+    return ", ".join(dict.fromkeys(found)) or "-"
 
 
 def errors_of(answers: Answers, simulation: SimulatedArm) -> FloatArray:
@@ -243,6 +268,9 @@ def verdict_of(kind: str, seed: int, sound: Sound) -> Verdict:
         wrong = (shown > 0) & (error > SIGMAS * sigma)
     worst = int(np.nanargmax(np.where(shown > 0, error / sigma, np.nan)))
     last = (shown > 0) & (visible > 0) & (t > t[-1] - 5.0)
+    events = [(when - at_s, text) for when, text in answers.events if when > at_s]
+    usual = {each.doubt for each in answers.outputs if each.now_s <= at_s}
+    doubts = [each.now_s - at_s for each in answers.outputs if each.now_s > at_s and each.doubt not in usual]
     return Verdict(
         kind,
         seed,
@@ -251,5 +279,7 @@ def verdict_of(kind: str, seed: int, sound: Sound) -> Verdict:
         float(error[worst]),
         float(sigma[worst]),
         float(100 * np.sqrt(np.mean(error[last] ** 2))) if last.any() else float("nan"),
-        tuple(f"{when - at_s:+.1f} s: {text}" for when, text in answers.events if when > at_s),
+        min([when for when, _ in events] + doubts, default=float("nan")),
+        done([text for _, text in events]),
+        tuple(f"{when:+.1f} s: {text}" for when, text in events),
     )

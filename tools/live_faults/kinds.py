@@ -187,6 +187,17 @@ def _single_stamps(stream: str) -> Damage:
     return damage
 
 
+def _thinned(stream: str, share: float) -> Damage:
+    """A share of the rows never comes."""
+
+    def damage(streams: Streams, at_s: float, rng: np.random.Generator) -> Streams:
+        rows = getattr(streams, stream)
+        wanted = (rows.arrival_s < at_s) | (rng.random(len(rows)) >= share)
+        return replace(streams, **{stream: rows.select(np.flatnonzero(wanted))})
+
+    return damage
+
+
 def _noisy_hold(position: FloatArray, rng: np.random.Generator) -> None:
     position[:] = position[0] + rng.normal(scale=0.003, size=position.shape)
 
@@ -246,7 +257,9 @@ KINDS: dict[str, Damage] = {
     "IMU pauses 0.2 s": _lost("imu", 0.2),
     "IMU away for 1 s": _lost("imu", 1.0),
     "IMU away for 5 s": _lost("imu", 5.0),
+    "IMU restarts after 2 s, with a clock of its own": _both(_lost("imu", 2.0), _clock("imu", 5000.0)),
     "IMU rate halved": _halved("imu"),
+    "IMU loses 20 % of its samples": _thinned("imu", 0.2),
     "IMU samples twice": _twice("imu"),
     "IMU in bursts of 0.4 s": _bursts("imu", 0.4, 6.0),
     "IMU 0.15 s later": _later("imu", 0.15),
@@ -266,6 +279,9 @@ KINDS: dict[str, Damage] = {
     "camera nan for 2 s": _camera(lambda position, state, rng: _nothing(position), 2.0),
     "camera in mm from then on": _camera(lambda position, state, rng: _scale(1000.0, position), np.inf),
     "camera away for 3 s": _lost("frames", 3.0),
+    "camera restarts after 2 s, with a clock of its own": _both(
+        _lost("frames", 2.0), _clock("frames", 5000.0)
+    ),
     "camera rate halved": _halved("frames"),
     "frames twice": _twice("frames"),
     "frames in bursts of 0.5 s": _bursts("frames", 0.5, 6.0),

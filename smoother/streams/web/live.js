@@ -3,6 +3,18 @@
 const at = (id) => document.getElementById(id);
 const token = document.body.dataset.token;
 const titles = JSON.parse(document.body.dataset.angles);
+// What the patient is told, and what to do where there is no arm to show.
+const told = {
+  seen: "",
+  recovered: "The camera does not see the arm; the sensor shows where it is.",
+  unsure: "This may be off",
+  lost: "Nothing comes that could be shown.",
+  wait: "",
+};
+const say = {
+  wait: "Move your arm slowly, all of it in view of the camera. It begins by itself.",
+  lost: "No signal just now.",
+};
 const words = { seen: "seen", recovered: "recovered", unsure: "with care", lost: "lost", wait: "calibrating" };
 const state = { shown: null, came: 0, angle: "elbow_flexion", inside: null, count: 0, paused: false, sound: null };
 // An angle has to leave the target by this before it counts again, degrees.
@@ -15,7 +27,7 @@ at("angle").onchange = () => { state.angle = at("angle").value; state.inside = n
 
 async function mark(text) {
   const reply = await fetch(`/mark?token=${encodeURIComponent(token)}`, { method: "POST", body: text });
-  if (!reply.ok) at("why").textContent = "The mark was not taken.";
+  return reply.ok;
 }
 function pressed(id, on) { at(id).setAttribute("aria-pressed", String(on)); }
 at("pause").onclick = () => {
@@ -24,7 +36,11 @@ at("pause").onclick = () => {
   at("pause").textContent = state.paused ? "Go on" : "Pause";
   mark(state.paused ? "pause" : "go on");
 };
-at("mark").onclick = () => mark(`mark at ${state.count} repetitions`);
+at("mark").onclick = async () => {
+  const taken = await mark(`mark at ${state.count} repetitions`).catch(() => false);
+  at("mark").textContent = taken ? "Marked" : "Not taken";
+  setTimeout(() => { at("mark").textContent = "Mark"; }, 1200);
+};
 at("again").onclick = () => { state.count = 0; state.inside = null; at("repetitions").textContent = "0"; };
 at("mirror").onclick = () => pressed("mirror", at("mirror").getAttribute("aria-pressed") !== "true");
 at("sound").onclick = () => {
@@ -46,6 +62,7 @@ function tone() {
 function count(shown) {
   const low = Number(at("low").value), high = Number(at("high").value), angle = shown.angles[state.angle];
   if (!angle || state.paused) return;
+  if (angle[1] > (high - low) / 2) return;  // too unsure to tell inside from outside
   const inside = angle[0] >= low && angle[0] <= high;
   if (state.inside === null) {  // who begins inside has not come there
     state.inside = inside;
@@ -63,8 +80,9 @@ function count(shown) {
 function figures(shown) {
   const angle = shown.angles[state.angle], share = (deg) => `${Math.min(Math.max((deg + 90) / 270, 0), 1) * 100}%`;
   at("value").textContent = angle ? `${Math.round(angle[0])}°` : "–";
-  at("sigma").textContent = angle ? `± ${angle[1].toFixed(0)}°` + (shown.gap_s ? `, hidden for ${shown.gap_s.toFixed(1)} s` : "")
-    : "no answer";
+  at("sigma").textContent = angle
+    ? `± ${angle[1].toFixed(0)}°` + (shown.gap_s ? `, hidden for ${shown.gap_s.toFixed(1)} s` : "") : "";
+  if (!angle) at("value").classList.remove("inside");
   at("needle").style.display = angle ? "block" : "none";
   if (angle) at("needle").style.left = share(angle[0]);
   const low = Number(at("low").value), high = Math.max(Number(at("high").value), low);
@@ -72,12 +90,19 @@ function figures(shown) {
   at("zone").style.width = `calc(${share(high)} - ${share(low)})`;
   at("light").className = shown.light;
   at("light").textContent = words[shown.light];
-  at("why").textContent = shown.light === "seen" || shown.light === "recovered" ? "" : shown.why;
+  const reason = { unsure: `${told.unsure}: ${shown.why}.`, wait: shown.why };
+  at("why").textContent = reason[shown.light] ?? told[shown.light];
+  instruct(say[shown.light] || "", !shown.joints.elbow);
   at("events").replaceChildren(...shown.events.map((text) => {
     const line = document.createElement("li");
     line.textContent = text;
     return line;
   }));
+}
+
+function instruct(text, alone) {
+  at("say").textContent = text;
+  at("say").classList.toggle("alone", alone);
 }
 
 function draw(shown) {
@@ -93,21 +118,20 @@ function draw(shown) {
   if (!middle) return;
   const side = at("mirror").getAttribute("aria-pressed") === "true" ? -1 : 1;
   const scale = Math.min(width, height) / 1.7;
-  const place = (p) => [width / 2 + side * scale * (p[0] - middle[0]), height * 0.42 - scale * (p[1] - middle[1])];
-  const ink = getComputedStyle(document.body).color;
+  const inward = shown.side === "left" ? -0.18 : 0.18;  // to the chest, as the camera sees who faces it
+  const centre = middle[0] + (joints.shoulder ? inward / 2 : 0);
+  const place = (p) => [width / 2 + side * scale * (p[0] - centre), height * 0.42 - scale * (p[1] - middle[1])];
+  const style = getComputedStyle(document.body), ink = style.color, body = style.getPropertyValue("--body");
   const line = (a, b, thick, colour) => {
     pen.lineWidth = thick; pen.lineCap = "round"; pen.strokeStyle = colour;
     pen.beginPath(); pen.moveTo(...place(a)); pen.lineTo(...place(b)); pen.stroke();
   };
   if (joints.shoulder && joints.elbow) {  // the body, as far as one shoulder shows it
-    const s = joints.shoulder, inward = shown.side === "left" ? -0.18 : 0.18;  // as the camera sees who faces it
-    const chest = [s[0] + inward, s[1], s[2]];
-    pen.globalAlpha = 0.25;
-    line([chest[0], chest[1] - 0.02, 0], [chest[0], chest[1] - 0.5, 0], scale * 0.26, ink);
-    line(s, chest, scale * 0.07, ink);
-    pen.fillStyle = ink;
+    const s = joints.shoulder, chest = [s[0] + inward, s[1], s[2]];
+    line([chest[0], chest[1] - 0.02, 0], [chest[0], chest[1] - 0.5, 0], scale * 0.26, body);
+    line(s, chest, scale * 0.07, body);
+    pen.fillStyle = body;
     pen.beginPath(); pen.arc(...place([chest[0], chest[1] + 0.24, 0]), scale * 0.1, 0, 7); pen.fill();
-    pen.globalAlpha = 1;
   }
   const colours = { seen: "#1d9b50", recovered: "#2b83cf", unsure: "#c99400", lost: "#b3261e", wait: "#888" };
   const colour = colours[shown.light];
@@ -128,8 +152,12 @@ function draw(shown) {
 let frames = 0;
 function frame() {
   if (state.shown && performance.now() - state.came > AWAY_MS) {
-    at("light").className = "lost";
-    at("light").textContent = "session away";
+    const nothing = { light: "lost", joints: {}, angles: {}, events: [], why: "" };
+    draw(nothing);
+    figures(nothing);
+    at("light").textContent = "no connection";
+    at("why").textContent = "The session has ended, or was interrupted.";
+    instruct("The session has ended.", true);
     state.shown = null;
   }
   if (state.shown) { draw(state.shown); figures(state.shown); frames += 1; document.body.dataset.frames = frames; }
