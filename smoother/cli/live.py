@@ -107,6 +107,7 @@ def lsl_source(
     side: str | None,
     prefer_side: str | None,
     body: str | None,
+    gyro: str | None,
     wait_s: float,
     stop_request: StopRequest,
     stack: ExitStack,
@@ -114,7 +115,7 @@ def lsl_source(
     """Streams of the Lab Streaming Layer, once both are there; None where it was ended before."""
     from ..streams.lsl_source import LslSource
 
-    source = LslSource(imu, skeleton, side, prefer_side, body)
+    source = LslSource(imu, skeleton, side, prefer_side, body, gyro)
     stack.callback(source.close)
     say(f"looking for the streams, at most {wait_s:g} s")
     return source if source.open(wait_s, stop_request, say) else None
@@ -261,6 +262,12 @@ def live(
             "--skeleton", metavar="STREAM", help="Name of the skeleton's LSL stream; a topic with --replay."
         ),
     ] = None,
+    gyro: Annotated[
+        str | None,
+        typer.Option(
+            "--gyro", metavar="STREAM", help="Name of the gyroscope's LSL stream, if it has one of its own."
+        ),
+    ] = None,
     side: Side = None,
     body: Annotated[
         str | None,
@@ -336,8 +343,9 @@ def live(
     `pip install '.[live]'`.
     """
     side = one_side(side)
+    of_streams = {"--body": body, "--gyro": gyro}
     _check_use(
-        record, then_smooth, replay, body, {"--speed": speed != 1.0, "--latency": latency_s is not None}
+        record, then_smooth, replay, of_streams, {"--speed": speed != 1.0, "--latency": latency_s is not None}
     )
     recovered = recovered_name(record) if record is not None and then_smooth else None
     check_outputs(force, [record, recovered, json_file], [calibration_file, config_file, replay])
@@ -360,7 +368,7 @@ def live(
         if replay is not None:
             source: Source | None = Replay(replay, imu, skeleton, side, prefer, speed, latency_s)
         else:
-            source = lsl_source(imu, skeleton, side, prefer, body, wait_s, stop_request, stack)
+            source = lsl_source(imu, skeleton, side, prefer, body, gyro, wait_s, stop_request, stack)
         if source is None:
             say("ended before the streams were there; nothing was recorded")
             return
@@ -390,7 +398,11 @@ def live(
 
 
 def _check_use(
-    record: Path | None, then_smooth: bool, replay: Path | None, body: str | None, others: dict[str, bool]
+    record: Path | None,
+    then_smooth: bool,
+    replay: Path | None,
+    of_streams: dict[str, str | None],
+    others: dict[str, bool],
 ) -> None:
     """Refuse options that do not go together."""
     if then_smooth and record is None:
@@ -398,8 +410,9 @@ def _check_use(
     for option, given in others.items():
         if given and replay is None:
             raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
-    if replay is not None and body is not None:
-        raise typer.BadParameter("--body is of a stream; a replay takes --skeleton")
+    for option, value in of_streams.items():
+        if replay is not None and value is not None:
+            raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
     if record is not None:
         check_mcap(record)
 

@@ -140,14 +140,15 @@ class ImuChannels:
         stream.check_numbers()
         name = printable(stream.name)
         sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
-        _one_of_each(stream, sensors)
+        check_one_of_each(stream, sensors)
         whole = [sensor for sensor in sensors if {"acc", "gyro"} <= sensor.axes.keys()]
         if not whole:
             kinds = {kind for sensor in sensors for kind in sensor.axes}
             lacks = [f"{kind}_x, {kind}_y, {kind}_z" for kind in ("acc", "gyro") if kind not in kinds]
             raise RecordingError(
                 f"The stream {name} cannot be used as IMU: {stream.shown}; {' and '.join(lacks)} are missing:"
-                " send accelerometer and gyroscope in one stream, with these labels and their units."
+                " send accelerometer and gyroscope with these labels and their units, in one stream or in two"
+                " (--gyro names the second)."
             )
         if len(whole) > 1:
             names = printable(", ".join(sensor.name for sensor in whole))
@@ -156,8 +157,8 @@ class ImuChannels:
                 " own."
             )
         acc, gyro = whole[0].axes["acc"], whole[0].axes["gyro"]
-        acc_unit = _unit(stream, acc, ACCELERATION, "accelerometer", "m/s^2 or g")
-        gyro_unit = _unit(stream, gyro, ANGULAR_VELOCITY, "gyroscope", "rad/s or deg/s")
+        acc_unit = unit_factor(stream, acc, ACCELERATION, "accelerometer", "m/s^2 or g")
+        gyro_unit = unit_factor(stream, gyro, ANGULAR_VELOCITY, "gyroscope", "rad/s or deg/s")
         return cls(acc, gyro, acc_unit, gyro_unit, whole[0].axes.get("mag"))
 
     def values(self, samples: NDArray) -> tuple[FloatArray, FloatArray, FloatArray | None]:
@@ -167,7 +168,7 @@ class ImuChannels:
         return samples[:, self.acc] * self.acc_unit, samples[:, self.gyro] * self.gyro_unit, mag
 
 
-def _one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -> None:
+def check_one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -> None:
     """Refuse a stream with two sensors of a kind of which it does not show which belong together."""
     words = {"acc": "accelerometers", "gyro": "gyroscopes"}
     for kind, several in words.items():
@@ -256,7 +257,7 @@ class SkeletonChannels:
         if axes is None:
             raise RecordingError(f"The stream {name} shows no {chosen} arm: {stream.shown}.")
         unit = next(iter(axes.values()))
-        metres = _unit(stream, unit, METRES, "positions", "m or mm", plain=str.lower)
+        metres = unit_factor(stream, unit, METRES, "positions", "m or mm", plain=str.lower)
         beside = {joint: columns.confidence.get(f"{joint}_{chosen}") for joint in axes}
         known = {joint: at for joint, at in beside.items() if at is not None}
         states = {joint: at for joint, at in known.items() if _STATES & set(words_of(stream.labels[at]))}
@@ -305,7 +306,7 @@ def _of_one_body(stream: StreamLabels, body: str | None) -> StreamLabels:
     return replace(stream, labels=labels)
 
 
-def _unit(
+def unit_factor(
     stream: StreamLabels,
     columns: Axes,
     known: dict[str, float],

@@ -231,6 +231,8 @@ class LslInlet:
         if self.wanted is not None:
             exact = [s for s in self.others if self.wanted in (s.name(), s.source_id())]
             fitting = exact or [stream for stream in self.others if is_wanted(stream, self.wanted)]
+            # some devices give all of their streams one name
+            fitting = [stream for stream in fitting if stream.type().lower() in self._types] or fitting
         else:
             fitting = [stream for stream in self.others if stream.type().lower() in self._types]
         if len({stream.uid() for stream in fitting}) <= 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -13,19 +14,30 @@ from ..io.recording.selection import named_side
 from ..runtime.printable import printable
 from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
 from .channels import ImuChannels, SkeletonChannels, StreamLabels
+from .imu_halves import HalfChannels, ImuHalves, belongs, half_of
 from .lsl import LslInlet, LslSamples, listed, lsl_module
 
 #: Content types by which streams are found that were not named.
-_IMU_TYPES, _SKELETON_TYPES = ("imu", "accelerometer"), ("mocap", "skeleton")
+_IMU_TYPES, _SKELETON_TYPES = ("imu", "accelerometer", "acc"), ("mocap", "skeleton")
+_GYRO_TYPES = ("gyroscope", "gyro", "gyr")
+
+
+#: An IMU of one stream, or an accelerometer, a gyroscope and what joins them.
+_Imu: TypeAlias = ImuChannels | tuple[HalfChannels, HalfChannels, ImuHalves]
 
 
 class LslSource:
-    """Two streams of the lab's network as one source; times count from the session's beginning.
+    """Streams of the lab's network as one source; times count from the session's beginning.
+
+    Where the IMU's stream is an accelerometer alone, the gyroscope's is received beside it.
 
     Parameters
     ----------
     imu, skeleton : str, optional
         Name (or a part of it) or source_id of the streams; None takes the only one of type IMU or MoCap.
+    gyro : str, optional
+        Likewise of the gyroscope, where it has a stream of its own; None takes the one that is named as the
+        accelerometer's is.
     side : str, optional
         "left" or "right": the arm that wears the IMU.
     prefer_side : str, optional
@@ -43,17 +55,20 @@ class LslSource:
         side: str | None = None,
         prefer_side: str | None = None,
         body: str | None = None,
+        gyro: str | None = None,
     ):
         lsl = lsl_module()
         self._something = threading.Event()
-        self._inlets = (
+        self._inlets = [
             LslInlet(imu, _IMU_TYPES, self._something.set),
             LslInlet(skeleton, _SKELETON_TYPES, self._something.set),
-        )
+        ]
+        if gyro is not None:
+            self._inlets.append(LslInlet(gyro, _GYRO_TYPES, self._something.set))
         self._side, self._prefer_side, self._body = side, prefer_side, body
         self._start_s = float(np.floor(lsl.local_clock()))
         self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
-        self._opened: tuple[ImuChannels, SkeletonChannels, SourceInfo] | None = None
+        self._opened: tuple[_Imu, SkeletonChannels, SourceInfo] | None = None
 
     def open(
         self,
@@ -84,7 +99,7 @@ class LslSource:
         RecordingError
             A stream's labels do not say what its channels are.
         """
-        imu_inlet, skeleton_inlet = self._inlets
+        imu_inlet, skeleton_inlet = self._inlets[:2]
         for inlet in self._inlets:
             inlet.start()
         until = time.monotonic() + seconds
@@ -93,8 +108,7 @@ class LslSource:
             for inlet in self._inlets:
                 inlet.check()
             if imu is None and imu_inlet.stream is not None:
-                imu = ImuChannels.of(StreamLabels.of(imu_inlet.stream))
-                say(f"IMU stream {imu_inlet.stream.name()} is there")
+                imu = self._imu_there(say)
             if skeleton is None and skeleton_inlet.stream is not None:
                 side = self._side or named_side("" if imu_inlet.stream is None else imu_inlet.stream.name())
                 labels = StreamLabels.of(skeleton_inlet.stream)
@@ -108,6 +122,31 @@ class LslSource:
             self._something.clear()
         self._opened = imu, skeleton, self._described(skeleton)
         return True
+
+    def _imu_there(self, say: Callable[[str], None]) -> _Imu | None:
+        """What the IMU is made of; None while its second stream is not there."""
+        stream = self._inlets[0].stream
+        labels = StreamLabels.of(stream)
+        if len(self._inlets) == 2 and half_of(labels) == "acc":
+            self._look_for_gyro(stream)
+        if len(self._inlets) == 2:
+            say(f"IMU stream {stream.name()} is there")
+            return ImuChannels.of(labels)
+        gyro = self._inlets[2].stream
+        if gyro is None:
+            return None
+        halves = HalfChannels.of(labels, "acc"), HalfChannels.of(StreamLabels.of(gyro), "gyro")
+        say(f"accelerometer stream {stream.name()} and gyroscope stream {gyro.name()} are there")
+        return (*halves, ImuHalves(stream.name(), gyro.name()))
+
+    def _look_for_gyro(self, stream: Any) -> None:
+        """Receive the one stream that is the gyroscope beside an accelerometer's, by name and type."""
+        beside = [each for each in self._inlets[0].others if each.uid() != stream.uid()]
+        found = [each for each in beside if belongs(each.name(), each.type(), stream.name())]
+        if len(found) == 1:
+            inlet = LslInlet(found[0].name(), (found[0].type().lower(),), self._something.set)
+            self._inlets.append(inlet)
+            inlet.start()
 
     @property
     def info(self) -> SourceInfo:
@@ -131,14 +170,18 @@ class LslSource:
     def arrivals(self) -> Arrivals:
         """What came since the last call."""
         imu_channels, skeleton_channels, _ = self._open
-        imu_batches, frame_batches = (inlet.samples() for inlet in self._inlets)
-        imu = [self._imu(imu_channels, batch) for batch in imu_batches]
+        imu_batches, frame_batches, *gyro_batches = [inlet.samples() for inlet in self._inlets]
+        events = tuple(text for inlet in self._inlets for text in inlet.events())
         frames = [self._frames(skeleton_channels, batch) for batch in frame_batches]
-        return Arrivals(
-            ImuRows.joined(imu) if imu else ImuRows.none(),
-            FrameRows.joined(frames) if frames else FrameRows.none(),
-            tuple(text for inlet in self._inlets for text in inlet.events()),
-        )
+        if isinstance(imu_channels, ImuChannels):
+            imu = _joined([self._imu(imu_channels, batch) for batch in imu_batches])
+        else:
+            acc_channels, gyro_channels, halves = imu_channels
+            acc = _joined([self._half(acc_channels, batch) for batch in imu_batches])
+            gyro = _joined([self._half(gyro_channels, batch) for batch in gyro_batches[0]])
+            imu, said = halves.joined(acc, gyro)
+            events += said
+        return Arrivals(imu, FrameRows.joined(frames) if frames else FrameRows.none(), events)
 
     def close(self) -> None:
         """Let the streams go."""
@@ -146,7 +189,7 @@ class LslSource:
             inlet.close()
 
     @property
-    def _open(self) -> tuple[ImuChannels, SkeletonChannels, SourceInfo]:
+    def _open(self) -> tuple[_Imu, SkeletonChannels, SourceInfo]:
         assert self._opened is not None
         return self._opened
 
@@ -154,16 +197,26 @@ class LslSource:
         acc, gyro, mag = channels.values(batch.values)
         return ImuRows(batch.t_s - self._start_s, acc, gyro, batch.arrival_s - self._start_s, mag)
 
+    def _half(self, channels: HalfChannels, batch: LslSamples) -> ImuRows:
+        """Samples of either half, as both: the joiner takes what counts."""
+        values = channels.values(batch.values)
+        return ImuRows(batch.t_s - self._start_s, values, values, batch.arrival_s - self._start_s)
+
     def _frames(self, channels: SkeletonChannels, batch: LslSamples) -> FrameRows:
         position, state = channels.values(batch.values)
         return FrameRows(batch.t_s - self._start_s, position, state, batch.arrival_s - self._start_s)
 
     def _described(self, skeleton: SkeletonChannels) -> SourceInfo:
-        imu_name, skeleton_name = (printable(inlet.stream.name()) for inlet in self._inlets)
-        notes = [
-            f"LSL's time correction: {imu_name} {1e3 * self._inlets[0].correction_s:+.1f} ms,"
-            f" {skeleton_name} {1e3 * self._inlets[1].correction_s:+.1f} ms."
+        imu_name, skeleton_name, *gyro_names = [printable(inlet.stream.name()) for inlet in self._inlets]
+        corrections = [
+            f"{printable(inlet.stream.name())} {1e3 * inlet.correction_s:+.1f} ms" for inlet in self._inlets
         ]
+        notes = [f"LSL's time correction: {', '.join(corrections)}."]
+        if gyro_names:
+            notes.append(
+                f"Accelerometer {imu_name} and gyroscope {gyro_names[0]} are two streams: the accelerometer"
+                " is interpolated to the gyroscope's stamps."
+            )
         return SourceInfo(
             imu_name,
             skeleton_name,
@@ -176,14 +229,18 @@ class LslSource:
         )
 
     def _missing(self, seconds: float) -> str:
+        types = ("imu", _IMU_TYPES), ("skeleton", _SKELETON_TYPES), ("gyro", _GYRO_TYPES)
         names = [
-            f"--{option} {inlet.wanted}" if inlet.wanted is not None else f"an {option} of type {types[0]}"
-            for option, inlet, types in zip(
-                ("imu", "skeleton"), self._inlets, (_IMU_TYPES, _SKELETON_TYPES), strict=True
-            )
+            f"--{option} {inlet.wanted}" if inlet.wanted is not None else f"an {option} of type {known[0]}"
+            for inlet, (option, known) in zip(self._inlets, types, strict=False)
             if inlet.stream is None
         ]
         there = listed([stream for inlet in self._inlets for stream in inlet.others])
         return (
             f"no stream for {' and '.join(names)} came within {seconds:g} s; streams on the network: {there}"
         )
+
+
+def _joined(rows: list[ImuRows]) -> ImuRows:
+    """One after the other, or none."""
+    return ImuRows.joined(rows) if rows else ImuRows.none()

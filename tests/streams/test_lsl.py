@@ -164,6 +164,32 @@ def test_the_recording_survives_its_program(lab, tmp_path, ending):
     assert others == [name]
 
 
+def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path):
+    outlets = players(lab, "--halves")
+    arguments = ["--imu", "wrist", "--skeleton", "kinect", "--record", "session.mcap"]
+    live = lab.start("live_program.py", "--echo", "live", *arguments)
+    lines_until(live, "calibrating")
+    tell(outlets, "go")
+    lines_until(live, "  visible")
+    time.sleep(2.0)
+    live.send_signal(signal.SIGINT)
+    said, errors = live.communicate(timeout=20)
+    assert (live.returncode, errors) == (0, ""), said
+    recorded, original = read_recording(tmp_path / "session.mcap"), read_recording(DEMO)
+    assert len(recorded.imu.t_s) > 100
+    # by the gyroscope's values, which are only converted, each sample is found in what was sent ..
+    near = np.abs(original.imu.gyro[:, None] - recorded.imu.gyro[None]).sum(axis=2)
+    at = near.argmin(axis=0)
+    assert near.min(axis=0).max() < 1e-9
+    # .. and the accelerometer's stamps are 5 ms earlier: its value is between this sample and the next
+    t = original.imu.t_s
+    inside = at < len(t) - 1
+    expected = np.stack([np.interp(t[at] + 0.005, t, axis) for axis in original.imu.acc.T], axis=1)
+    np.testing.assert_allclose(
+        recorded.imu.acc[inside], expected[inside], atol=0.005
+    )  # LSL corrects each stream by itself
+
+
 def test_streams_that_cannot_be_used(lab, tmp_path):
     players(lab, "--bare")  # never begins: what a stream is shows before its first sample
 

@@ -1,0 +1,146 @@
+"""An accelerometer and a gyroscope with a stream each, as headbands and telephones send them: one IMU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import FloatArray
+from ..errors import RecordingError
+from ..io.tables.columns import find_sensors, kind_of, stem_of
+from ..io.tables.joint_columns import words_of
+from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY
+from ..runtime.printable import printable
+from .arrivals import STEP_OF_IMU_S, ImuRows, StampSteps
+from .channels import Axes, StreamLabels, check_one_of_each, unit_factor
+
+#: Words, units and examples of either half.
+_WORDS = {
+    "acc": ("accelerometer", ACCELERATION, "m/s^2 or g"),
+    "gyro": ("gyroscope", ANGULAR_VELOCITY, "rad/s or deg/s"),
+}
+#: Between samples of the accelerometer farther apart than this nothing is interpolated, s.
+MOST_APART_S = 0.2
+#: A sample waits for the other half no longer than this, s.
+LONGEST_WAIT_S = 2.0
+
+
+def half_of(stream: StreamLabels) -> str:
+    """Which half of an IMU a stream is, `acc` or `gyro`; "" where it is both or neither."""
+    if stream.is_text:
+        return ""
+    sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
+    kinds = {kind for sensor in sensors for kind in sensor.axes} & _WORDS.keys()
+    return kinds.pop() if len(kinds) == 1 else ""
+
+
+def belongs(name: str, kind: str, to_name: str) -> bool:
+    """Whether a stream, by its name and type, may be the gyroscope of an accelerometer's stream."""
+    return kind_of(words_of(f"{name} {kind}")) == "gyro" and stem_of(name) == stem_of(to_name)
+
+
+@dataclass(frozen=True)
+class HalfChannels:
+    """Channels of an accelerometer or a gyroscope.
+
+    Attributes
+    ----------
+    axes : tuple of int
+        Columns of x, y, z.
+    unit : float
+        m/s^2 or rad/s in one of theirs.
+    """
+
+    axes: Axes
+    unit: float
+
+    @classmethod
+    def of(cls, stream: StreamLabels, kind: str) -> HalfChannels:
+        """What a stream holds of a kind, `acc` or `gyro`.
+
+        Raises
+        ------
+        RecordingError
+            A label or a unit is missing; the sentence says which.
+        """
+        stream.check_numbers()
+        what, units, such_as = _WORDS[kind]
+        sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
+        check_one_of_each(stream, sensors)
+        found = [sensor.axes[kind] for sensor in sensors if kind in sensor.axes]
+        if len(found) != 1:
+            problem = "is missing" if not found else "is there several times"
+            raise RecordingError(
+                f"The stream {printable(stream.name)} cannot be used as {what}: {stream.shown}; {kind}_x,"
+                f" {kind}_y, {kind}_z {problem}."
+            )
+        return cls(found[0], unit_factor(stream, found[0], units, what, such_as))
+
+    def values(self, samples: NDArray) -> FloatArray:
+        """In SI units (n, 3), of samples (n, channels)."""
+        return np.asarray(samples.astype(float)[:, self.axes] * self.unit)
+
+
+class ImuHalves:
+    """Joins samples of both halves at the gyroscope's stamps, the accelerometer interpolated to them.
+
+    What the other half has not reached yet waits; steps of each half's clock are taken out before.
+
+    Parameters
+    ----------
+    acc_name, gyro_name : str
+        Of the streams.
+    """
+
+    def __init__(self, acc_name: str, gyro_name: str) -> None:
+        self._steps = {
+            kind: StampSteps[ImuRows](name, STEP_OF_IMU_S, STEP_OF_IMU_S)
+            for kind, name in (("acc", acc_name), ("gyro", gyro_name))
+        }
+        self._acc, self._gyro = ImuRows.none(), ImuRows.none()
+
+    def joined(self, acc: ImuRows, gyro: ImuRows) -> tuple[ImuRows, tuple[str, ...]]:
+        """What both halves reach, and what was done to stamps.
+
+        Parameters
+        ----------
+        acc, gyro : ImuRows
+            As they came: `acc` of the one and `gyro` of the other count.
+        """
+        acc, said_acc = self._steps["acc"].mended(acc)
+        gyro, said_gyro = self._steps["gyro"].mended(gyro)
+        self._acc = _in_order(ImuRows.joined([self._acc, acc]))
+        self._gyro = _in_order(ImuRows.joined([self._gyro, gyro]))
+        events = (*said_acc, *said_gyro)
+        if not len(self._acc) or not len(self._gyro):
+            self._forget()
+            return ImuRows.none(), events
+        t = self._acc.t_s
+        stop = int(np.searchsorted(self._gyro.t_s, t[-1], "right"))
+        due, self._gyro = self._gyro.select(slice(0, stop)), self._gyro.select(slice(stop, None))
+        after = np.clip(np.searchsorted(t, due.t_s), 0, len(t) - 1)
+        before = np.maximum(np.where(t[after] > due.t_s, after - 1, after), 0)
+        held = (t[before] <= due.t_s) & (due.t_s <= t[after]) & (t[after] - t[before] <= MOST_APART_S)
+        force = np.stack([np.interp(due.t_s, t, self._acc.acc[:, axis]) for axis in range(3)], axis=1)
+        # the sample is complete when the later half has come
+        arrival_s = np.maximum(due.arrival_s, self._acc.arrival_s[after])
+        rows = ImuRows(due.t_s, force, due.gyro, arrival_s).select(np.flatnonzero(held))
+        self._forget()
+        return rows, events
+
+    def _forget(self) -> None:
+        """Drop what nothing can be joined with any more."""
+        self._acc, self._gyro = (
+            rows.select(np.flatnonzero(rows.t_s > rows.t_s.max(initial=-np.inf) - LONGEST_WAIT_S))
+            for rows in (self._acc, self._gyro)
+        )
+
+
+def _in_order(rows: ImuRows) -> ImuRows:
+    """Rows in order of their stamps, each stamp once."""
+    if (np.diff(rows.t_s) > 0.0).all():
+        return rows
+    _, first = np.unique(rows.t_s, return_index=True)
+    return rows.select(first)
