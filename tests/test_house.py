@@ -7,6 +7,7 @@ import importlib
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -150,6 +151,16 @@ def python_files(*folders: str) -> list[Path]:
     return sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
 
 
+@cache
+def parsed(text: str) -> ast.Module:
+    """A file's tree; several rules look at each."""
+    return ast.parse(text)
+
+
+def tree_of(path: Path) -> ast.Module:
+    return parsed(path.read_text(encoding="utf-8"))
+
+
 def part_of(path: Path) -> str:
     """The part of the house that a file belongs to."""
     first, *rest = path.relative_to(ROOT).with_suffix("").parts
@@ -187,7 +198,7 @@ def absolute(path: Path, level: int, module: str, names: list[str]) -> list[str]
 def imported_parts(path: Path) -> set[str]:
     """Parts of the house that a file imports, in functions too."""
     found = set()
-    for level, module, names in imports(ast.parse(path.read_text(encoding="utf-8")), inside_functions=True):
+    for level, module, names in imports(tree_of(path), inside_functions=True):
         for name in absolute(path, level, module, names):
             first, *rest = name.split(".")
             if first == "calib":
@@ -197,17 +208,17 @@ def imported_parts(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("path", python_files("smoother", "calib"), ids=lambda p: str(p.relative_to(ROOT)))
-def test_imports_point_down(path: Path):
-    part = part_of(path)
-    wrong = imported_parts(path) - MAY[part] - {part}
-    assert not wrong, f"{path.relative_to(ROOT)} belongs to {part} and imports {', '.join(sorted(wrong))}"
+def test_imports_point_down():
+    for path in python_files("smoother", "calib"):
+        part = part_of(path)
+        wrong = imported_parts(path) - MAY[part] - {part}
+        assert not wrong, f"{path.relative_to(ROOT)} belongs to {part} and imports {', '.join(sorted(wrong))}"
 
 
 def core_imports(path: Path) -> set[str]:
     """Parts of the core that a file imports, in functions too."""
     found = set()
-    for level, module, names in imports(ast.parse(path.read_text(encoding="utf-8")), inside_functions=True):
+    for level, module, names in imports(tree_of(path), inside_functions=True):
         for name in absolute(path, level, module, names):
             first, *rest = name.split(".")
             if first == "smoother" and rest and floor_of(rest[0]) is not None:
@@ -215,20 +226,13 @@ def core_imports(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        p
-        for p in python_files("smoother")
-        if floor_of(p.relative_to(ROOT).with_suffix("").parts[1]) is not None
-    ],
-    ids=lambda p: str(p.relative_to(ROOT)),
-)
-def test_the_core_is_one_stack(path: Path):
-    floor = floor_of(path.relative_to(ROOT).with_suffix("").parts[1])
-    assert floor is not None
-    above = {name for name in core_imports(path) if (floor_of(name) or 0) > floor}
-    assert not above, f"{path.relative_to(ROOT)} imports {', '.join(sorted(above))} from above"
+def test_the_core_is_one_stack():
+    for path in python_files("smoother"):
+        floor = floor_of(path.relative_to(ROOT).with_suffix("").parts[1])
+        if floor is None:
+            continue
+        above = {name for name in core_imports(path) if (floor_of(name) or 0) > floor}
+        assert not above, f"{path.relative_to(ROOT)} imports {', '.join(sorted(above))} from above"
 
 
 def test_every_part_of_the_core_has_a_floor():
@@ -253,7 +257,7 @@ def test_the_rule_finds_what_it_forbids(tmp_path: Path, monkeypatch: pytest.Monk
 def imported_files(path: Path) -> set[Path]:
     """Files of the house that a file imports: in functions and for its annotations too."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if not isinstance(node, ast.ImportFrom):
             continue
         names = [alias.name for alias in node.names]
@@ -309,7 +313,7 @@ def test_a_circle_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 def public_names(path: Path) -> Iterator[str]:
     """Classes, functions, methods and attributes that a module shows."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             yield node.name
         if isinstance(node, ast.ClassDef):
@@ -323,7 +327,7 @@ def public_names(path: Path) -> Iterator[str]:
 def test_no_class_name_twice():
     places: dict[str, list[str]] = {}
     for path in python_files("smoother", "calib"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree_of(path)):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
     assert not {name: where for name, where in places.items() if len(where) > 1}
@@ -349,7 +353,7 @@ def test_words_that_the_glossary_replaced_are_gone():
 def test_names_that_standard_words_replaced_are_gone():
     wrong = []
     for path in python_files("smoother", "calib", "tools"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree_of(path)):
             name = getattr(node, "name", None) or (
                 node.id if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) else None
             )
@@ -361,7 +365,7 @@ def test_names_that_standard_words_replaced_are_gone():
 def test_heavy_packages_wait():
     for path in python_files("smoother", "calib"):
         name = path.relative_to(ROOT).as_posix()
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = tree_of(path)
         top = {module.split(".")[0] for level, module, _ in imports(tree, False) if not level}
         allowed = {package for place, package in AT_THE_TOP.items() if name.startswith(place)}
         assert not top & HEAVY - allowed, f"{name} imports {top & HEAVY - allowed} at its top"
@@ -388,4 +392,4 @@ def test_all_that_a_package_names_is_there(package: str):
 
 def test_no_module_without_a_word_on_it():
     for path in python_files("smoother", "calib", "tools"):
-        assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path
+        assert ast.get_docstring(tree_of(path)), path

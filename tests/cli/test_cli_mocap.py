@@ -33,9 +33,13 @@ def validated(folder: Path, truth: str, *more: object) -> dict:
     return json.loads(json_file.read_text())
 
 
+@pytest.fixture(scope="module")
+def built_in(folder: Path) -> dict:
+    return validated(folder, "a.mcap")
+
+
 @pytest.mark.parametrize("kind", ["c3d", "trc"])
-def test_files_give_the_errors_of_the_built_in_truth(folder, capsys, kind):
-    built_in = validated(folder, "a.mcap")
+def test_files_give_the_errors_of_the_built_in_truth(folder, built_in, capsys, kind):
     with_files = validated(
         folder, f"a.{kind}", "--markers", folder / "a_markers.toml", "--calibration", folder / "cal.toml"
     )

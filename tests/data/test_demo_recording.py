@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from pathlib import Path
 
@@ -66,13 +65,3 @@ def test_the_command_still_makes_the_calibration(again):
 
 def test_small_enough_to_keep():
     assert sum(path.stat().st_size for path in DATA.iterdir()) < 1_000_000
-
-
-def test_the_demo_uses_it(tmp_path, capsys):
-    figures = tmp_path / "figures.json"
-    assert run(["demo", "-o", str(tmp_path / "demo"), "--processes", "1", "--json", str(figures)]) == 0
-    out = capsys.readouterr().out
-    assert f"recording: {DATA / 'demo.mcap'}" in out
-    found = json.loads(figures.read_text(encoding="utf-8"))
-    assert found["validation"]["occluded"]["position_rms_m"] < 0.04
-    assert (tmp_path / "demo" / "demo_report.html").stat().st_size > 10_000

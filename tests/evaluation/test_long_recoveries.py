@@ -164,10 +164,13 @@ def test_advice_does_not_depend_on_the_blocks(
     assert advice(recovery, found_in(recovery)) == said
 
 
-def test_the_page_of_a_long_recording_is_thinned_first(tmp_path: Path, recovery: Recovery) -> None:
+def test_the_page_of_a_long_recording_is_thinned_first(
+    tmp_path: Path, recovery: Recovery, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from smoother.report import write_report
     from smoother.report.style import MOST_POINTS
 
+    monkeypatch.setattr("smoother.result.recovery.BATCH_ROWS", 10**4)
     times = 30
     whole = {
         name: np.concatenate([getattr(recovery, name)] * times)

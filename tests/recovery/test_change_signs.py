@@ -69,12 +69,6 @@ def test_a_strap_that_slips_is_told_and_dated(seed: int, preset: str):
     assert "the strap slipped" in sentence
 
 
-def test_the_answer_is_not_trusted_then():
-    recovery = smooth(slipped(made(), 15.0), config=ALONE)
-    assert recovery.estimates.trusted is False
-    assert "without a turn that its gyroscope felt" in recovery.estimates.verdict
-
-
 def test_a_long_recording_in_batches_and_a_pause():
     """Three arms one after the other with a pause between: no jump at the pause, the slip is found."""
     sound, wrong = made().recording.imu, slipped(made(), 15.0).imu
@@ -165,6 +159,11 @@ def test_a_hand_called_the_wrist_is_asked_for():
     assert "is the hand called the wrist" not in judged_with(calibration=replace(arm, lever_arms=without))[1]
     swapped = replace(arm, lever_arms=without | {"wrist": hand})
     assert "is the hand called the wrist" in judged_with(calibration=swapped)[1]
+
+
+def test_no_answer_is_trusted_over_a_slip():
+    trusted, verdict = judged_with(imu=slipped(made(), 15.0).imu)
+    assert trusted is False and "without a turn that its gyroscope felt" in verdict
 
 
 @pytest.mark.parametrize(("limit", "trusted", "words"), [(13.0, True, "less certain"), (9.0, False, "wider")])

@@ -40,33 +40,11 @@ def mirrored(recording: Recording) -> Recording:
     )
 
 
-def other_accelerometer_sign(recording: Recording) -> Recording:
-    return replace(recording, imu=replace(recording.imu, acc=-recording.imu.acc))
-
-
-def other_gyroscope_sign(recording: Recording) -> Recording:
-    return replace(recording, imu=replace(recording.imu, gyro=-recording.imu.gyro))
-
-
-def left_handed(recording: Recording) -> Recording:
-    axes = np.array([1.0, 1.0, -1.0])
-    imu = replace(recording.imu, acc=recording.imu.acc * axes, gyro=recording.imu.gyro * axes)
-    return replace(recording, imu=imu)
-
-
 def another_skeleton(recording: Recording) -> Recording:
     other = sound(77).arm
     count = min(len(other), len(recording.arm))
     arm = recording.arm.select(slice(0, count))
     return replace(recording, arm=replace(arm, position=other.position[:count], state=other.state[:count]))
-
-
-def degrees_for_radians(recording: Recording) -> Recording:
-    return replace(recording, imu=replace(recording.imu, gyro=np.radians(recording.imu.gyro)))
-
-
-def wrong_frame(recording: Recording) -> Recording:
-    return replace(recording, camera_frame=CameraFrame.OPTICAL)
 
 
 @pytest.mark.parametrize("seed", [0, 3, 5])
@@ -78,16 +56,8 @@ def test_a_sound_recording_is_usable(seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("wrong", "word", "seed"),
-    [  # one draw of most: tests/cli/test_setup_table.py smooths another of each
-        (mirrored, "gravity", 3),
-        (other_accelerometer_sign, "gravity", 0),
-        (other_gyroscope_sign, "beside the", 0),
-        (left_handed, "beside the", 3),
-        (another_skeleton, "beside the", 0),
-        (another_skeleton, "beside the", 3),
-        (degrees_for_radians, "57 times too small", 3),
-        (wrong_frame, "gravity", 0),
-    ],
+    # tests/cli/test_setup_table.py smooths every mistake by the real command, which names its cause
+    [(mirrored, "gravity", 3), (another_skeleton, "beside the", 0)],
 )
 def test_a_wrong_set_up_is_not_to_be_trusted(
     wrong: Callable[[Recording], Recording], word: str, seed: int
@@ -163,12 +133,11 @@ def test_nobody_judged() -> None:
 @pytest.mark.real
 def test_real_recordings_are_usable() -> None:
     """Kinect v1 with synthetic stamps: noisier than any simulation."""
-    for action in (2, 3, 7, 8, 10):
-        for subject in (1, 3):
-            name = f"a{action}_s{subject}_t1"
-            inertial = there("utd_mhad", "Inertial", f"{name}_inertial.mat")
-            recording = import_utd_mhad(inertial, there("utd_mhad", "Skeleton", f"{name}_skeleton.mat"))
-            assert smooth(recording, None, ALONE).estimates.trusted, name
+    for action, subject in ((2, 1), (3, 3), (7, 1), (8, 3), (10, 1)):
+        name = f"a{action}_s{subject}_t1"
+        inertial = there("utd_mhad", "Inertial", f"{name}_inertial.mat")
+        recording = import_utd_mhad(inertial, there("utd_mhad", "Skeleton", f"{name}_skeleton.mat"))
+        assert smooth(recording, None, ALONE).estimates.trusted, name
 
 
 def sentences(gravity: np.ndarray, frame: CameraFrame | None, hint: np.ndarray | None = None) -> list[str]:

@@ -187,7 +187,7 @@ def listening(process: int) -> list[str]:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as a signal")
-@pytest.mark.parametrize("after_s", [0.0, 0.3, 0.9, 2.0])
+@pytest.mark.parametrize("after_s", [0.0, 0.9])
 def test_ctrl_c(recordings, tmp_path, after_s):
     """As a terminal sends it: to the command and to all of its processes, early and late."""
     for copy in range(20):  # more than is done by then

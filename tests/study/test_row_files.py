@@ -13,7 +13,7 @@ from pyarrow import dataset, parquet
 from smoother.study.folder import rows_table, schema
 
 #: So many bytes beside what the child has when it begins: too few for a thread, for some, for all.
-SPARE_MB = (0, 4, 12, 24, 64)
+SPARE_MB = (0, 12, 64)
 SHORT_OF_MEMORY = """
 import resource, sys
 from pathlib import Path

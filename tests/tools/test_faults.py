@@ -1,4 +1,4 @@
-"""One case in 45 of the matrix of faults: none is silent, none unexpected."""
+"""One case in 90 of the matrix of faults: none is silent, none unexpected."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def faults(*options: str) -> str:
 def test_a_sample_of_the_matrix(made: list[Case]):
     containers = [case for case in made if case.family.startswith("MCAP")]
     assert len(made) >= 1200 and len(containers) >= 288
-    last = faults("--first", "7", "--every", "45", "--quick").splitlines()[-1]
+    last = faults("--first", "7", "--every", "90", "--quick").splitlines()[-1]
     count, right, note, sentence, silent, unexpected = (int(number) for number in re.findall(r"\d+", last))
-    assert count == len([case for case in made[7::45] if not case.cpu_s])
+    assert count == len([case for case in made[7::90] if not case.cpu_s])
     assert silent == unexpected == 0
-    assert min(right, note, sentence) > 3  # the sample has all three
+    assert min(right, note, sentence) > 1  # the sample has all three
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="cases run in forked processes")
