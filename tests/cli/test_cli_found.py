@@ -18,7 +18,7 @@ from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, si
 
 def smoothed(recording: Path, folder: Path, *more: object) -> dict:
     arguments = ["smooth", recording, "-o", folder / "out.mcap", "--json", folder / "out.json", "--force"]
-    assert run([str(part) for part in (*arguments, "--processes", 1, "--verbose", *more)]) == 0
+    assert run([str(part) for part in (*arguments, "--processes", 1, "--draws", 0, "--verbose", *more)]) == 0
     return json.loads((folder / "out.json").read_text())
 
 

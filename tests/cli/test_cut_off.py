@@ -22,7 +22,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cut")
     options = ("--protocol", "random", "--duration-s", 20, "--seed", 4)
     assert call("simulate", "arm", *options, "-o", folder / "whole.mcap") == 0
-    assert call("smooth", folder / "whole.mcap", "-o", folder / "result.mcap", "--processes", 1) == 0
+    assert (
+        call("smooth", folder / "whole.mcap", "-o", folder / "result.mcap", "--processes", 1, "--draws", 0)
+        == 0
+    )
     (folder / "study").mkdir()
     for name, to in (("whole", "cut"), ("whole", "study/cut"), ("result", "cut_result")):
         content = (folder / f"{name}.mcap").read_bytes()
@@ -32,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 COMMANDS = (
     ("info", "cut.mcap"),
-    ("smooth", "cut.mcap", "-o", "out.mcap", "--processes", "1"),
+    ("smooth", "cut.mcap", "-o", "out.mcap", "--processes", "1", "--draws", "0"),
     ("gaps", "cut.mcap", "--lengths", "0.5", "--gaps-per-run", "1", "--processes", "1"),
     ("compare", "cut.mcap", "--methods", "hold", "--processes", "1"),
     ("calibrate", "motion", "cut.mcap", "-o", "arm.toml", "--processes", "1"),

@@ -316,13 +316,13 @@ with DiskStore(folder) as store:
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells the peak of the memory")
 def test_peak_of_short_and_long(tmp_path: Path) -> None:
     peaks = []
-    for minutes in (3, 15):
+    for minutes in (3, 9):
         folder = tmp_path / str(minutes)
         folder.mkdir()
         said = program_output(PROGRAM, minutes, folder)
         peaks.append([float(value) for value in said.splitlines()[-1].split()[1:]])
     (short, short_page, _), (long, long_page, page_mb) = peaks
-    # 12 minutes more are 63 MB of columns; what may grow are a few numbers a sample
+    # 6 minutes more are 31 MB of columns; what may grow are a few numbers a sample
     assert long - short < 15
     assert long_page - short_page < 25
     assert long < 150  # MB of its own

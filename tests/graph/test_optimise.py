@@ -126,9 +126,8 @@ def test_a_wrong_minimum_is_refused(first_window: Job) -> None:
     assert optimum.error < straight.error - 20.0
 
 
-@pytest.mark.parametrize(("seed", "preset", "gap_s"), [(100, "white", 5.0), (101, "realistic", 10.0)])
-def test_sound_windows_are_accepted(seed: int, preset: str, gap_s: float) -> None:
-    solved = [job for job in jobs(long_gaps(seed, gap_s, preset).recording, None) if has_long_gap(job.window)]
+def test_sound_windows_are_accepted() -> None:
+    solved = [job for job in jobs(long_gaps(101, 10.0).recording, None) if has_long_gap(job.window)]
     assert len(solved) > 6
     assert all(job.solution.accepted for job in solved)
 
@@ -158,7 +157,7 @@ def errors_in_gaps(recovery: Recovery, recording: Recording) -> list[tuple[float
 
 @pytest.mark.parametrize(
     ("seed", "preset", "gap_s"),
-    [(0, "white", 10.0), (5, "realistic", 10.0), (0, "realistic", 20.0), (5, "realistic", 30.0)],
+    [(0, "white", 10.0), (5, "realistic", 30.0)],
 )
 def test_long_gaps_are_recovered(seed: int, preset: str, gap_s: float) -> None:
     scene = blind(long_gaps(seed, gap_s, preset, max(60.0, 2.5 * gap_s)))

@@ -40,7 +40,7 @@ def recovered(folder: Path) -> Path:
     path, calibration = folder / "recovered.mcap", folder / "cal.toml"
     if not path.exists():
         session = arm_session(folder)
-        page = ("--report", folder / "smooth.html")
+        page = ("--report", folder / "smooth.html", "--draws", 20)
         command("smooth", session, "-o", path, "--calibration", calibration, "--processes", 1, *page)
     return path
 

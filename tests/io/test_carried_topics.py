@@ -87,7 +87,7 @@ def test_from_file_to_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
             )
         writer.finish()
     out = tmp_path / "out.mcap"
-    smooth = ["smooth", str(tmp_path / "rec.mcap"), "-o", str(out), "--processes", "1"]
+    smooth = ["smooth", str(tmp_path / "rec.mcap"), "-o", str(out), "--processes", "1", "--draws", "0"]
     assert run([*smooth, "--json", str(tmp_path / "out.json")]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "Not carried over" in said and "--passthrough-images" in said and "/body_index_map" in said
@@ -103,7 +103,7 @@ def test_from_file_to_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (row,) = json.loads((tmp_path / "study.json").read_text())["rows"]
     assert sentence in row["note_texts"] and row["notes"] == len(row["note_texts"])
     again = tmp_path / "all.mcap"
-    arguments = ["smooth", str(tmp_path / "rec.mcap"), "-o", str(again), "--processes", "1"]
+    arguments = ["smooth", str(tmp_path / "rec.mcap"), "-o", str(again), "--processes", "1", "--draws", "0"]
     assert run([*arguments, "--passthrough-images"]) == 0
     with open(again, "rb") as file:
         topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}

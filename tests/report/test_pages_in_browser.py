@@ -323,7 +323,7 @@ def hostile_command(folder: Path, command: str) -> Path:
     session, page = hostile_session(folder), folder / f"{command}.html"
     if command == "validate":
         result = folder / f"r{report_pages.HOSTILE_NAME}.mcap"
-        report_pages.command("smooth", session, "-o", result, "--processes", 1)
+        report_pages.command("smooth", session, "-o", result, "--processes", 1, "--draws", 0)
         report_pages.command("validate", result, "--truth", session, "--report", page)
     else:
         report_pages.command("compare", session, "--methods", "pchip,hold", "--report", page)

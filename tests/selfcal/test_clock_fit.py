@@ -15,7 +15,6 @@ from smoother.measurements.clock import OFFSET_SIGMA_S, Clock
 from smoother.measurements.timestamps import synthetic_stamps
 from smoother.recording import Recording
 from smoother.selfcal.clock_fit import SYNTHETIC_SIGMA_S, _likeliest, _local_level
-from smoother.simulation import SimulatedArm
 
 
 class Dense:
@@ -111,7 +110,7 @@ def calibrated(*recordings: Recording) -> MotionCalibration:
     return calibrate_motion([replace(each, truth=None) for each in recordings], None, ALONE)
 
 
-@pytest.mark.parametrize(("latency_s", "seed"), [(-0.2, 0), (-0.07, 1), (0.0, 2), (0.12, 3), (0.2, 4)])
+@pytest.mark.parametrize(("latency_s", "seed"), [(-0.2, 0), (0.0, 2), (0.12, 3)])
 def test_a_constant_offset(latency_s: float, seed: int) -> None:
     """Nothing calibrated, white noise: rms 0.8 ms over seeds, as sigma states; and no drift invented."""
     made = arm(seed, repetitions=1, latency_s=latency_s)
@@ -121,10 +120,10 @@ def test_a_constant_offset(latency_s: float, seed: int) -> None:
     assert abs(clock.mean_s + latency_s) < 4 * clock.sigma_s
 
 
-@pytest.fixture(scope="module", params=[1, 2])
-def fast_clock(request: pytest.FixtureRequest) -> tuple[Clock, FloatArray, FloatArray]:
+@pytest.fixture(scope="module")
+def fast_clock() -> tuple[Clock, FloatArray, FloatArray]:
     """300 ppm over five minutes: 9 cs, three frames. The clock, frame times, and its errors there, s."""
-    made, skew = arm(request.param, protocol="random", duration_s=300.0), 300e-6
+    made, skew = arm(1, protocol="random", duration_s=300.0), 300e-6
     tracks = made.recording.arm
     warped = replace(made.recording, arm=replace(tracks, t_s=tracks.t_s * (1.0 + skew)))
     (clock,) = calibrated(warped).self_calibration.clocks
@@ -147,16 +146,9 @@ def test_no_drift_is_invented(realistic_arms: list[Scene]) -> None:
         assert offset.mean() == pytest.approx(-0.020, abs=0.003)
 
 
-def two_recordings(seed: int) -> tuple[SimulatedArm, SimulatedArm]:
-    """One person, twice, with another latency."""
-    one, two = (arm(seed, repetitions=1, latency_s=latency) for latency in (0.06, -0.11))
-    return one, two
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_two_recordings_of_one_person(seed: int) -> None:
+def test_two_recordings_of_one_person() -> None:
     """An offset each, one set of lever arms; the second look makes the arm no worse than the first."""
-    one, two = two_recordings(seed)
+    one, two = (arm(0, repetitions=1, latency_s=latency) for latency in (0.06, -0.11))
     found = calibrated(one.recording, two.recording)
     for offset, latency in zip(found.offsets, (0.06, -0.11), strict=True):
         assert offset.offset_s == pytest.approx(-latency, abs=0.0015)

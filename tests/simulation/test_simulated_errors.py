@@ -132,16 +132,16 @@ def test_slow_errors_by_joint():
 
 
 def test_the_azure_preset_has_the_measured_sizes_and_memory():
-    """Ten minutes of the preset: constant, slow and white errors told apart by their memory."""
+    """Six minutes of the preset: constant, slow and white errors told apart by their memory."""
     quiet = {"noise_m": 0.0, "noise_depth_m": 0.0}
-    settings: dict[str, Any] = {"protocol": "random", "duration_s": 600.0, "occlusion_lengths_s": ()}
+    settings: dict[str, Any] = {"protocol": "random", "duration_s": 360.0, "occlusion_lengths_s": ()}
     settings |= {"latency_s": 0.0, "frame_jitter_s": 0.0, "dropped_frames": 0.0, "strap": True}
     simulated = simulate_arm(ArmSimulation.preset("azure", **settings, **quiet), 0)
     error = residual(simulated)
     off = np.stack([simulated.parameters["joint_bias"][joint] for joint in JOINTS[:4]])
     assert ((np.linalg.norm(off, axis=1) >= 0.013) & (np.linalg.norm(off, axis=1) <= 0.017)).all()
     slow = error - off
-    # 600 s hold about 500 independent values an axis at this memory.
+    # 360 s hold about 300 independent values an axis at this memory.
     size = np.sqrt((slow**2).sum(axis=2).mean(axis=0))
     np.testing.assert_allclose(size, [0.017, 0.023, 0.054, 0.054], rtol=0.1)
     scaled = (slow / size[:, None]).reshape(-1, 12) * np.sqrt(3)

@@ -12,7 +12,7 @@ from smoother.config import Config
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.study.inputs import InputSelection, config_hash
-from smoother.study.job import Job
+from smoother.study.job import Job, run_job
 from smoother.study.run import study_folder
 
 
@@ -45,3 +45,11 @@ def job(made: Path, tmp_path: Path) -> Job:
     config, choice = Config(), InputSelection()
     source, hashed = str(made / NAMES[0]), config_hash(config, choice)
     return Job(NAMES[0], source, str(folder.path), word, config, choice, hashed)
+
+
+@pytest.fixture
+def in_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do a study's jobs here: what is tested is not the processes."""
+    monkeypatch.setattr(
+        "smoother.study.cluster.run_local", lambda jobs, processes: (run_job(job) for job in jobs)
+    )

@@ -16,7 +16,6 @@ from smoother import __version__
 from smoother.calibration import ArmCalibration, Length
 from smoother.cli.run import run
 from smoother.study.inputs import file_hash
-from smoother.study.job import run_job
 
 
 def test_a_study_and_what_is_done_again(recordings, tmp_path, capsys):
@@ -82,8 +81,7 @@ def check_page(page):
     assert "4 of 5 recordings were recovered, 1 failed" in page
 
 
-def test_other_settings_are_other_results(made, tmp_path, monkeypatch):
-    monkeypatch.setattr("smoother.study.cluster.run_local", lambda jobs, processes: map_here(jobs))
+def test_other_settings_are_other_results(in_here, made, tmp_path):
     (tmp_path / "list.txt").write_text(f"{made / NAMES[0]}\n")
     (tmp_path / "c.toml").write_text("[windows]\nmargin_s = 1.0\n")
     (tmp_path / "processes.toml").write_text("[windows]\nprocesses = 7\n")
@@ -110,12 +108,6 @@ def test_other_settings_are_other_results(made, tmp_path, monkeypatch):
     assert len({row[0] for row in query(out, "calibration_hash")}) == 2
 
 
-def map_here(jobs):
-    """Do the jobs in this process."""
-    for job in jobs:
-        yield run_job(job)
-
-
 def test_wrong_use(made, tmp_path, capsys):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").touch()
@@ -140,7 +132,7 @@ def test_wrong_use(made, tmp_path, capsys):
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["thesis.txt"]
 
 
-def test_a_page_that_somebody_else_wrote_is_kept(recordings, tmp_path, capsys):
+def test_a_page_that_somebody_else_wrote_is_kept(in_here, recordings, tmp_path, capsys):
     for name in (*NAMES[1:], BROKEN):
         (recordings / name).unlink()
     page, figures = tmp_path / "mine.html", tmp_path / "mine.json"
@@ -156,7 +148,7 @@ def test_a_page_that_somebody_else_wrote_is_kept(recordings, tmp_path, capsys):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
-def test_what_is_no_file_stops_no_other(recordings, tmp_path, capsys):
+def test_what_is_no_file_stops_no_other(in_here, recordings, tmp_path, capsys):
     """With a page or figures to write, a pipe called x.mcap stopped the whole study."""
     folder = tmp_path / "study"
     folder.mkdir()

@@ -27,14 +27,6 @@ from smoother.study.run import study_folder
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.fixture
-def in_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do a study's jobs here: what is tested is not the processes."""
-    monkeypatch.setattr(
-        "smoother.study.cluster.run_local", lambda jobs, processes: (run_job(job) for job in jobs)
-    )
-
-
 def only_the_first(recordings: Path) -> None:
     for name in (*NAMES[1:], BROKEN):
         (recordings / name).unlink()

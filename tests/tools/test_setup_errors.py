@@ -150,24 +150,22 @@ def test_a_sound_recording_is_answered():
     assert 0 < outcome.error_m < 0.1 and 0 < outcome.sigma_m < 0.1
 
 
-@pytest.mark.parametrize("trusted", [True, False, None])
-def test_the_results_own_verdict_is_read(monkeypatch: pytest.MonkeyPatch, trusted: bool | None):
-    right = setup_errors.smooth
-
-    def with_verdict(*arguments: object) -> Recovery:
-        recovery = right(*arguments)  # type: ignore[arg-type]
+def test_the_results_own_verdict_is_read(monkeypatch: pytest.MonkeyPatch):
+    one = job()
+    setup = one.setup()
+    recovery = setup_errors.smooth(
+        replace(setup.recording, truth=None), setup.calibration, setup_errors.ONE_PROCESS
+    )
+    for trusted, verdict in ((True, "trusted"), (False, "not trusted"), (None, "no verdict yet")):
         reasons, cautions = ((), ("slow",)) if trusted else (("clocks",), ())
         estimates = SimpleNamespace(trusted=trusted, reasons=reasons, cautions=cautions)
         object.__setattr__(recovery, "estimates", estimates)
-        return recovery
-
-    monkeypatch.setattr(setup_errors, "smooth", with_verdict)
-    outcome = run(job())
-    assert outcome.trusted is trusted
-    expected = {True: "trusted", False: "not trusted", None: "no verdict yet"}
-    assert outcome.verdict == expected[trusted]
-    if trusted is not None:
-        assert outcome.reasons == (("slow",) if trusted else ("clocks",))
+        monkeypatch.setattr(setup_errors, "smooth", lambda *_: recovery)
+        outcome = run(one)
+        assert (outcome.trusted, outcome.verdict) == (trusted, verdict)
+        if trusted is not None:
+            assert outcome.reasons == (("slow",) if trusted else ("clocks",))
+        monkeypatch.undo()
 
 
 def test_errors_end_as_their_sentence(monkeypatch: pytest.MonkeyPatch):

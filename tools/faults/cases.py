@@ -138,8 +138,9 @@ def _quiet(words: list[str]) -> None:
             raise RuntimeError(f"{words} failed")
 
 
-SMOOTH = tuple(
-    ["smooth", "IN/rec.mcap", "-o", "OUT/out.mcap", "--calibration", "IN/cal.toml", "--processes", "1"]
+SMOOTH = (
+    *("smooth", "IN/rec.mcap", "-o", "OUT/out.mcap", "--calibration", "IN/cal.toml"),
+    *("--processes", "1", "--draws", "0"),
 )
 
 
