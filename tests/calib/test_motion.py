@@ -15,7 +15,7 @@ from calib.file import sigma_factors_of
 from calib.forearm.forearm_frame import forearm_frame
 from calib.motion import hidden_gaps
 from calib.motion.hidden_gaps import hidden_gap_factors, short_recordings
-from calib.motion.motion_calibration import calibrate_motion, motion_answer, names_given
+from calib.motion.motion_calibration import MotionCalibration, calibrate_motion, motion_answer, names_given
 from calib.motion.motion_summary import (
     ClockOffset,
     Evidence,
@@ -368,23 +368,28 @@ def test_only_many_short_recordings_count(trials: list[Recording]) -> None:
     assert short_recordings([long] * 30) == []
 
 
+@pytest.fixture(scope="module")
+def calibrated(trials: list[Recording]) -> MotionCalibration:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hidden_gaps, "ENOUGH_GAPS", FEW)
+        return calibrate_motion(trials)
+
+
 def test_errors_that_are_larger_than_stated_ask_for_more(
-    trials: list[Recording], monkeypatch: pytest.MonkeyPatch
+    trials: list[Recording], calibrated: MotionCalibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hidden_gaps, "ENOUGH_GAPS", FEW)
-    calibration = calibrate_motion(trials).calibration
-    sound = calibration.sigma_factors
-    assert sound is None or all(row.factor < 2.0 for row in sound.by_length)
-    calibration = replace(calibration, sigma_factors=None)
+    sound = calibrated.calibration.sigma_factors
+    assert sound is not None and all(row.factor < 2.0 for row in sound.by_length)
+    calibration = replace(calibrated.calibration, sigma_factors=None)
     wrong = hidden_gap_factors([displaced(one, 0.12) for one in trials], calibration, Config())
     assert wrong is not None and [row.length_s for row in wrong.by_length] == [0.5, 1.0]
     assert all(row.factor > 2.0 and row.gaps == FEW for row in wrong.by_length)
 
 
-def test_the_calibration_keeps_them(trials: list[Recording], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hidden_gaps, "ENOUGH_GAPS", FEW)
-    found = calibrate_motion([displaced(one, 0.12) for one in trials])
-    factors = found.calibration.sigma_factors
-    assert factors is not None and factors.at(1.0) > 1.2
-    kept = sigma_factors_of(motion_answer(found).table)
+def test_the_calibration_keeps_them(calibrated: MotionCalibration) -> None:
+    factors = calibrated.calibration.sigma_factors
+    assert factors is not None and factors.at(1.0) > 1.0
+    assert {row.gaps for row in factors.by_length} == {FEW}
+    kept = sigma_factors_of(motion_answer(calibrated).table)
     assert kept is not None and kept.at(1.0) == pytest.approx(factors.at(1.0), abs=1e-4)

@@ -7,13 +7,18 @@ import pytest
 from scenes import ALONE
 
 import smoother
-from smoother import JointState, Recording, UnoccludeError, smooth
+from smoother import JointState, Recording, Recovery, UnoccludeError, smooth
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 
 @pytest.fixture(scope="module")
 def made() -> SimulatedArm:
     return simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=12.0), 4)
+
+
+@pytest.fixture(scope="module")
+def recovery(made: SimulatedArm) -> Recovery:
+    return smooth(made.recording, made.calibration, ALONE)
 
 
 def arrays(made: SimulatedArm) -> dict:
@@ -31,12 +36,11 @@ def arrays(made: SimulatedArm) -> dict:
     }
 
 
-def test_arrays_give_the_same_answer_as_the_recording(made: SimulatedArm) -> None:
+def test_arrays_give_the_same_answer_as_the_recording(made: SimulatedArm, recovery: Recovery) -> None:
     built = Recording.from_arrays(**arrays(made))
     again = smooth(built, made.calibration, ALONE)
-    expected = smooth(made.recording, made.calibration, ALONE)
-    np.testing.assert_array_equal(again.position, expected.position)
-    assert again.gaps == expected.gaps
+    np.testing.assert_array_equal(again.position, recovery.position)
+    assert again.gaps == recovery.gaps
 
 
 def test_without_states_a_finite_position_is_tracked(made: SimulatedArm) -> None:
@@ -71,17 +75,15 @@ def test_times_must_increase(made: SimulatedArm) -> None:
         Recording.from_arrays(**(arrays(made) | {"imu_t_s": t}))
 
 
-def test_short_words_for_long_objects(made: SimulatedArm) -> None:
-    recovery = smooth(made.recording, made.calibration, ALONE)
+def test_short_words_for_long_objects(made: SimulatedArm, recovery: Recovery) -> None:
     assert len(repr(recovery)) < 400 and len(repr(made.recording)) < 300
     assert f"{len(recovery.gaps)} gap" in repr(recovery) and "80.0 Hz" in repr(made.recording)
     page = recovery._repr_html_()
     assert page.count("<tr>") == 1 + len(recovery.gaps) and len(page) < 60_000
 
 
-def test_a_table_has_the_columns_of_the_export(made: SimulatedArm) -> None:
+def test_a_table_has_the_columns_of_the_export(recovery: Recovery) -> None:
     pytest.importorskip("pandas")
-    recovery = smooth(made.recording, made.calibration, ALONE)
     table = recovery.to_dataframe()
     assert len(table) == len(recovery)
     expected = ["t_s", "occluded", "imu_x", "imu_qw", "sigma_x", "sigma_deg", "wrist_x", "wrist_sigma_z"]
