@@ -120,6 +120,13 @@ def test_outliers_are_rejected_and_the_rest_is_kept() -> None:
     assert kept.used[:, forearm][(tracked & ~wrong)[:, forearm]].mean() > 0.93
 
 
+def test_a_left_arm_in_another_frame() -> None:
+    rms, worst, degrees, _ = pooled([blind(arm(1, side="left", camera_frame="optical"))])
+    assert rms <= WHITE_RMS_M
+    assert worst <= WHITE_MAX_M
+    assert degrees <= WHITE_DEG
+
+
 def test_an_arm_that_hangs_still_for_twenty_seconds() -> None:
     scene = blind(arm(0, still_start_s=20.0))
     rms, worst, degrees, _ = pooled([scene])
