@@ -103,7 +103,8 @@ def _with_joints(t):
 
 class TestValidation:
     @pytest.fixture(scope="class")
-    def found(self):
+    @staticmethod
+    def found():
         recovery = make_recovery(make_recording(), error_m=0.004, sigma_m=0.004)
         recovery = replace(
             recovery, calibration=replace(recovery.calibration or ArmCalibration(), R_F_A=np.eye(3))

@@ -187,7 +187,8 @@ def test_values_that_are_not_finite_survive_the_file(tmp_path: Path):
 
 class TestCommand:
     @pytest.fixture(scope="class")
-    def folder(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    @staticmethod
+    def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         """A simulated arm, recovered with a few draws."""
         where = tmp_path_factory.mktemp("validated")
         simulate = ["simulate", "arm", "--protocol", "random", "--duration-s", 8, "--seed", 4]
