@@ -338,7 +338,7 @@ _FEWEST_ROWS = 4
 _LEVEL_ROWS, _SAME = 50, 0.3
 
 
-def increasing(stamp_ns: IntArray) -> BoolArray:
+def increasing(stamp_ns: IntArray | FloatArray) -> BoolArray:
     """Samples (N,) to keep so that stamps increase strictly.
 
     A stamp that jumps back makes the later sample the wrong one, a stamp that jumps ahead the

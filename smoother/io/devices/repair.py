@@ -23,6 +23,8 @@ from ..tables.protocol import ImuTable, SkeletonTable, amount
 
 #: Rows at the start with a stamp of zero are no times where the next stamp lies this far on, s.
 _FAR_S = 3600.0
+#: A stamp farther than this from the others is none, s: files keep nanoseconds in 64 bits, +-292 years.
+_FARTHEST_S = 4e9
 #: A counter holds the samples' numbers where so much of its steps is one.
 _COUNTS = 0.5
 #: Rows are out of order where, sorted, this share of the steps lies within these parts of the usual one.
@@ -184,8 +186,11 @@ def _order(t_s: FloatArray) -> IntArray | None:
 
 
 def _timed(t_s: FloatArray) -> BoolArray:
-    """Rows with a time: finite, and not zeros before the clock was set."""
+    """Rows with a time: finite, near enough to the others, and not zeros before the clock was set."""
     timed = np.isfinite(t_s)
+    if timed.any():
+        with np.errstate(invalid="ignore"):
+            timed &= np.abs(t_s - np.median(t_s[timed])) < _FARTHEST_S
     zero = t_s == 0
     if zero[:1].any():
         first = int(np.argmin(zero)) if not zero.all() else 0
@@ -218,7 +223,7 @@ def _repeated(table: ImuTable) -> BoolArray:
 def _increasing(t_s: FloatArray, source: str) -> BoolArray:
     """Rows to keep so that times increase strictly; of two ways to do it the one that loses less."""
     # Stamps are written in ns: two that agree to it are one.
-    keep = increasing(np.rint((t_s - t_s[0]) * 1e9).astype(np.int64))
+    keep = increasing(np.rint((t_s - t_s[0]) * 1e9))
     lost = int((~keep).sum())
     if lost > _LOST * len(keep):
         raise RecordingError(

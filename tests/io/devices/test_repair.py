@@ -135,6 +135,20 @@ def test_stamps_before_the_clock_was_set():
     assert repaired_imu(table(t_s=stamps), "a.csv").t_s[0] == 1.7e9 + T[3]
 
 
+@pytest.mark.parametrize("row", [0, 700, N - 1])
+@pytest.mark.parametrize("stamp", [1e11, -1e11, 1e300])
+def test_a_stamp_that_no_file_can_hold_is_left_out(row: int, stamp: float):
+    """As nanoseconds it would wrap: a first one like that made every other stamp wrong."""
+    stamps = T.copy()
+    stamps[row] = stamp
+    mended = repaired_imu(table(t_s=stamps), "a.csv")
+    assert np.array_equal(mended.t_s, np.delete(T, row)) and len(mended.acc) == N - 1
+    assert mended.notes == ["1 sample without a time was left out."]
+    position = {"wrist_right": ACC.copy()}
+    frames = repaired_skeleton(SkeletonTable("", stamps, position, {}), "a.csv")
+    assert np.array_equal(frames.t_s, np.delete(T, row))
+
+
 def test_what_cannot_be_mended_is_said():
     with pytest.raises(RecordingError, match=r"neither times nor a rate.*import describe a.csv"):
         repaired_imu(table(t_s=None), "a.csv")
