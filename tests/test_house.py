@@ -68,7 +68,7 @@ MAY: dict[str, set[str]] = {
     "evaluation": {"calib", "io", "baselines", "measures"},
     "study": {"calib", "io", "evaluation", "measures"},
     "report": {"calib", "io", "evaluation", "measures", "strap_search", "benchmark"},
-    "manuscript": {"evaluation"},
+    "manuscript": {"baselines", "evaluation"},
     "benchmark": {"calib", "io", "evaluation"},
     "streams": {"calib", "io"},
     "app": {"io"},

@@ -29,6 +29,8 @@ class BaselineEntry:
     ----------
     name : str
         As users call it; the function is the module's of that name, with underscores.
+    words : str
+        What it is, and whose, in a paper's sentence; keys as in `manuscript.references`.
     needs_orientation : bool
         The answer depends on the orientation filter.
     options : frozenset of str
@@ -38,6 +40,7 @@ class BaselineEntry:
     """
 
     name: str
+    words: str = ""
     needs_orientation: bool = True
     options: frozenset[str] = frozenset()
     module: str = ""
@@ -53,15 +56,39 @@ class BaselineEntry:
 BASELINES: dict[str, BaselineEntry] = {
     entry.name: entry
     for entry in (
-        BaselineEntry("rts"),
-        BaselineEntry("ukf"),
-        BaselineEntry("gaussian-process"),
-        BaselineEntry("multirate-kalman", module="kalman"),
-        BaselineEntry("kalman"),
-        BaselineEntry("linear-drift", options=frozenset({"boundary_s"}), module="simple"),
-        BaselineEntry("camera-only", needs_orientation=False, module="simple"),
-        BaselineEntry("pchip", module="simple"),
-        BaselineEntry("hold", module="simple"),
+        BaselineEntry(
+            "rts", "an iterated error-state Kalman filter with Rauch-Tung-Striebel smoothing [@bell1994]"
+        ),
+        BaselineEntry("ukf", "an unscented Kalman filter after [@tian2015], with one IMU"),
+        BaselineEntry(
+            "gaussian-process",
+            "Gaussian-process regression of positions and accelerations after [@feng2014]",
+        ),
+        BaselineEntry(
+            "multirate-kalman",
+            "a multi-rate Kalman filter of positions and accelerations after [@feng2014]",
+            module="kalman",
+        ),
+        BaselineEntry("kalman", "a Kalman filter of position, velocity and acceleration after [@le2017]"),
+        BaselineEntry(
+            "linear-drift",
+            "double integration of the accelerometer through each gap, its error spread linearly in time"
+            " [@jatesiktat2017]",
+            options=frozenset({"boundary_s"}),
+            module="simple",
+        ),
+        BaselineEntry(
+            "camera-only",
+            "the camera's own skeleton alone, its guesses included [@jatesiktat2017]",
+            needs_orientation=False,
+            module="simple",
+        ),
+        BaselineEntry(
+            "pchip",
+            "shape-preserving cubic interpolation of the camera's points [@fritsch1980]",
+            module="simple",
+        ),
+        BaselineEntry("hold", "the last visible value carried forward", module="simple"),
     )
 }
 

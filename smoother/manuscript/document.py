@@ -7,10 +7,11 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from ..baselines.registry import BASELINES
 from ..error_radius import in_cm, within_words
 from ..result.verdict import SelfCheck
 from .facts import ArmFacts
-from .references import BASELINE_WORDS, ORIENTATION_WORDS, REFERENCES, Reference
+from .references import ORIENTATION_WORDS, REFERENCES, Reference
 
 #: Who cites what: "[@forster2017]".
 CITATION = re.compile(r"\[@([a-z]+\d*)\]")
@@ -153,10 +154,10 @@ def _method(facts: ArmFacts) -> Iterator[str]:
             " with Cauchy's loss; start values of the orientation came from the filter VQF [@laidig2023]."
         )
     else:
-        words = BASELINE_WORDS.get(facts.method)
+        entry = BASELINES.get(facts.method)
         yield (
             f"Its motion was computed offline with {program} by the method '{facts.method}'"
-            f"{f': {words}' if words else ''}."
+            f"{f': {entry.words}' if entry else ''}."
         )
         if facts.orientation:
             whose = ORIENTATION_WORDS.get(facts.orientation, facts.orientation)

@@ -80,20 +80,7 @@ REFERENCES = {
         Reference("comotti2013", "Comotti. 2013 (orientation filter)."),
     )
 }
-#: Methods beside the graph: what they are, and whose.
-BASELINE_WORDS = {
-    "rts": "an iterated error-state Kalman filter with Rauch-Tung-Striebel smoothing [@bell1994]",
-    "ukf": "an unscented Kalman filter after [@tian2015], with one IMU",
-    "gaussian-process": "Gaussian-process regression of positions and accelerations after [@feng2014]",
-    "multirate-kalman": "a multi-rate Kalman filter of positions and accelerations after [@feng2014]",
-    "kalman": "a Kalman filter of position, velocity and acceleration after [@le2017]",
-    "linear-drift": "double integration of the accelerometer through each gap, its error spread linearly in"
-    " time [@jatesiktat2017]",
-    "camera-only": "the camera's own skeleton alone, its guesses included [@jatesiktat2017]",
-    "pchip": "shape-preserving cubic interpolation of the camera's points [@fritsch1980]",
-    "hold": "the last visible value carried forward",
-}
-#: Orientation filters of those methods, and whose.
+#: Orientation filters of the methods beside the graph, and whose.
 ORIENTATION_WORDS = {
     "vqf": "VQF [@laidig2023]",
     "madgwick": "Madgwick's [@madgwick2010]",
