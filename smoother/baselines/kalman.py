@@ -1,35 +1,6 @@
 """Kalman filters of points: the linear filter and smoother; the baselines `kalman` and `multirate-kalman`.
 
-Baseline `kalman`: Le (thesis, Texas A&M 2017), a Kalman filter [p v a] an axis behind low-passes.
-
-At its best within what was published: the work was done offline in MATLAB and says nothing of the direction
-of filtering, so the low-passes run forwards and backwards and delay nothing. The Kalman filter itself is a
-filter: inside a gap it has seen the camera only up to the gap, and it jumps where the camera comes back.
-The gyroscope's low-pass belongs to the orientation, which the scene gives. While the camera sees, he
-recommends to trust it much more than the IMU: gravity that a wrong orientation leaves does not show at
-rest, so it is added to the IMU's deviation.
-
-Order of the method: what is left of a movement by a low-pass of 2 Hz; on error-free sensors centimetres at
-the pace of a reaching arm (each Hz of its motion weakened by 1/(1 + (f/2)^4)), millimetres at half of it.
-
-The linear Kalman filter and the Rauch-Tung-Striebel smoother, for the baselines that stand on them.
-
 Measurements come in their information form, so that a step takes any number of them at one price.
-
-Baseline `multirate-kalman`: Feng (Glasgow thesis, 2014), chapter 3, a Kalman filter fed at two rates.
-
-A Wiener-process acceleration model an axis, fed with positions when there is a frame and with accelerations
-when there is an IMU sample. At its best within what was published: every measurement at its own time. It is
-a filter: inside a gap it has seen the camera only up to the gap, and it jumps where the camera comes back.
-
-Published: q = 2000 mm^2/s^5, 8 mm, 10 mm/s^2 for a hand at rest and 100 mm/s^2 above 150 mm/s, where the
-process noise grows too, to a value that is not given: here the likeliest of `Q_MOVING` on the camera's
-samples of this segment. The camera's noise is the scene's; gravity that the scene's orientation may leave in
-the accelerations is added to theirs. The switch follows the speed of a first pass of the filter (the
-published one that of its last state).
-
-Order of the method: on error-free sensors millimetres, what a constant acceleration between samples and the
-sensor's averaging over its interval leave.
 """
 
 from __future__ import annotations
@@ -169,7 +140,17 @@ LEAST_SIGMA_ACC = 1e-3
 
 
 def kalman(scene: Scene) -> Path:
-    """Recover one segment; nan before the camera first sees the arm.
+    """Recover one segment; nan before the camera first sees the arm (Le, thesis, Texas A&M 2017).
+
+    A Kalman filter [p v a] per axis behind low-passes, at its best within what was published: the work was
+    done offline in MATLAB and says nothing of the direction of filtering, so the low-passes run forwards and
+    backwards and delay nothing. The Kalman filter itself is a filter: inside a gap it has seen the camera
+    only up to the gap, and it jumps where the camera comes back. The gyroscope's low-pass belongs to the
+    orientation, which the scene gives. While the camera sees, he recommends to trust it much more than the
+    IMU: gravity that a wrong orientation leaves does not show at rest, so it is added to the IMU's deviation.
+
+    Order: what is left of a movement by a low-pass of 2 Hz; on error-free sensors centimetres at the pace of
+    a reaching arm (each Hz of its motion weakened by 1/(1 + (f/2)^4)), millimetres at half of it.
 
     Parameters
     ----------
@@ -346,7 +327,20 @@ class Events:
 
 
 def multirate_kalman(scene: Scene) -> Path:
-    """Recover one segment; nan before the camera first sees the arm.
+    """Recover one segment; nan before the camera first sees the arm (Feng, Glasgow thesis 2014, chapter 3).
+
+    A Wiener-process acceleration model per axis, fed with positions when there is a frame and with
+    accelerations when there is an IMU sample: a filter at two rates, at its best within what was published,
+    every measurement at its own time. Inside a gap it has seen the camera only up to the gap.
+
+    Published: q = 2000 mm^2/s^5, 8 mm, 10 mm/s^2 for a hand at rest and 100 mm/s^2 above 150 mm/s, where the
+    process noise grows too, to a value that is not given: here the likeliest of `Q_MOVING` on the camera's
+    samples of this segment. The camera's noise is the scene's; gravity that the scene's orientation may leave
+    in the accelerations is added to theirs. The switch follows the speed of a first pass of the filter (the
+    published one that of its last state).
+
+    Order: on error-free sensors millimetres, what a constant acceleration between samples and the sensor's
+    averaging over its interval leave.
 
     Parameters
     ----------

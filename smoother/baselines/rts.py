@@ -6,13 +6,11 @@ as states. Each round linearises about the last one's answer and weighs the came
 loss: Gauss-Newton on the whole segment (Bell, SIAM J. Optimization 1994, for the iterated smoother; Sola
 2017 for the error state). What the graph has beyond it: lever arms solved along, and a quiet arm's prior.
 
-Order of the method: on error-free sensors tenths of a millimetre, what the integration leaves.
-
-The arm's IMU as an inertial navigation state with errors to estimate: what `rts` linearises.
-
 State at a node: position p, velocity v (m, m/s in {K}), `R_K_A`, accelerometer and gyroscope bias in {A},
 gravity g and the shoulder s in {K}. The error is additive, of the orientation a rotation vector in {K}:
 R = Exp(theta) R_hat.
+
+Order of the method: on error-free sensors tenths of a millimetre, what the integration leaves.
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
-"""What every baseline gets, and what it gives back.
+"""From a recording to the scenes that a baseline gets, and from its paths to a `Recovery`.
 
-A baseline gets the graph's calibration, clock and accepted samples, so that a comparison is of methods and of
-nothing else. `Scene` is one segment of the recording (between pauses of the IMU); a baseline is a function
-from a scene to a `Path`.
-
-From a recording to the scenes that a baseline gets, and from its paths to a `Recovery`.
-
-A baseline gets the graph's calibration, its clock (wander included), the samples it accepted, its gravity and
-its gaps, so that a comparison is of the methods. It gets nothing of the graph's path.
+A `Scene` is one segment of the recording (between pauses of the IMU); a baseline is a function from a scene
+to a `Path`. It gets the graph's calibration, its clock (wander included), the samples it accepted, its
+gravity and its gaps, so that a comparison is of the methods. It gets nothing of the graph's path.
 """
 
 from __future__ import annotations

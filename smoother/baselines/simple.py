@@ -1,13 +1,7 @@
-"""Baselines in a few lines: `hold`, `pchip`, `camera-only`, `linear-drift`; two that see only the past.
+"""Baselines in a few lines: `hold`, `pchip`, `camera-only`, `linear-drift`, and two that see only the past.
 
-The baselines `hold`, `pchip` and `camera-only`: what needs no more than the camera's points.
-
-`linear-drift`: double integration over the gap, its error spread linearly (Jatesiktat and Ang 2017).
-
-What could be shown live without this program: baselines that see only what has arrived.
-
-They answer for the present from frames that arrive a latency late: Feng's autoregressive predictor (thesis,
-Glasgow 2014, section 4.3) and a display that lets the last velocity go on.
+Those two are what could be shown live without this program: they answer for the present from frames that
+arrive a latency late.
 """
 
 from __future__ import annotations
@@ -301,8 +295,9 @@ VELOCITY_WALK = 1.0
 def autoregressive(scene: Scene, latency_s: float = LATENCY_S) -> Path:
     """Feng's online predictor: the last frames that have arrived, and the accelerations up to now.
 
-    The hyper-parameters are the likeliest over the whole segment, and the orientation behind the
-    accelerations is the offline filter's: better than a live predictor would have them.
+    Feng, thesis, Glasgow 2014, section 4.3. The hyper-parameters are the likeliest over the whole segment,
+    and the orientation behind the accelerations is the offline filter's: better than a live predictor would
+    have them.
 
     Parameters
     ----------

@@ -1,20 +1,15 @@
 """Calibrations of clocks, sensors and the forearm on simulated data: `clock`, `imu` and `forearm`.
 
-How good the clocks are: `clock [sound|broadcast|motion|skew]`.
-
-Everything is simulated, with its truth: beeps in rooms with a voice, broadcasts with missing and late
+`clock [sound|broadcast|motion|skew]`: beeps in rooms with a voice, broadcasts with missing and late
 receptions (steps of 0.3125 ms), the realistic arm, and 15 minutes of it with a clock that runs 390 ppm fast.
 
-Accuracy of the sensors' calibration on simulated sensors: `imu`.
-
-Accelerometer: offsets of 0.5 m/s^2, scale 3 %, cross-axis 1 %, twelve poses held for two seconds each, turned
-by hand between. Magnetometer: hard iron 0.5, soft iron 20 % (of the field), 3,000 samples, noise 1 %.
+`imu`. Accelerometer: offsets of 0.5 m/s^2, scale 3 %, cross-axis 1 %, twelve poses held for two seconds each,
+turned by hand between. Magnetometer: hard iron 0.5, soft iron 20 % (of the field), 3,000 samples, noise 1 %.
 Noise figures: white noise, and bias that wanders, over a rest.
 
-The held pose and the strap on simulated data: `forearm [pose|strap]`.
-
-`pose`: realistic arms; whether pose and motion agree, and whether lever arms and roll are as good as stated.
-`strap`: rendered images with joints 8 mm off, markers beside the strap, a body before the arm.
+`forearm [pose|strap]`. `pose`: realistic arms; whether pose and motion agree, and whether lever arms and roll
+are as good as stated. `strap`: rendered images with joints 8 mm off, markers beside the strap, a body before
+the arm.
 """
 
 from __future__ import annotations

@@ -1,18 +1,14 @@
 """How well measures hold, and changes of them between sessions: `measures` and `progress`.
 
-How well measures and their intervals hold on simulated arms: `measures`.
+`measures`, for each preset: how often the 95 % interval of a measure holds the truth's, its rms error and its
+bias; occlusions are those of the simulated body. The truth is measured by the same functions over the same
+samples. The elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to 7
+degrees). Then the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from
+recovered samples: movements in a gap against the same movements with the camera's view whole.
 
-For each preset: how often the 95 % interval of a measure holds the truth's, its rms error and its bias;
-occlusions are those of the simulated body. The truth is measured by the same functions over the same samples.
-The elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to 7 degrees).
-Then the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from recovered
-samples: movements in a gap against the same movements with the camera's view whole.
-
-Whether changes between sessions are called rightly: `progress`.
-
-Simulated persons, each with three sessions: the same motion twice (other sensor errors, another mounting of
-the sensor, other errors of the camera), then with the elbow bending less. Each session is recovered from its
-recording and measured; a change is called as `unocclude progress` calls it.
+`progress`: simulated persons, each with three sessions: the same motion twice (other sensor errors, another
+mounting of the sensor, other errors of the camera), then with the elbow bending less. Each session is
+recovered from its recording and measured; a change is called as `unocclude progress` calls it.
 
 - False alarms: calls between the first two sessions, though their motion is the same.
 - Found: calls of the elbow's range between the first and the third session.

@@ -1,8 +1,6 @@
-"""More IMUs than the one on the wrist: on the upper arm (`short`, `arm --imus 2`) and on the trunk (`trunk`).
+"""More IMUs than the one on the wrist, on the same simulated arms with them and without.
 
-One and two IMUs on the same simulated arms: `arm --imus 2` and `short`.
-
-Shoulder angles relative to the trunk, with an IMU on it and without: `trunk`.
+On the upper arm: `short` and `arm --imus 2`. On the trunk, for shoulder angles relative to it: `trunk`.
 """
 
 from __future__ import annotations

@@ -1,26 +1,22 @@
-"""Which camera and IMU belong together: `pairing` and `match`.
+"""Which camera and IMU belong together, `pairing`, and which IMU is on whom, `match`.
 
-How surely camera and IMU are paired: `pairing [PART ..]`.
-
-Right pairs, and wrong ones (the skeleton of one recording, the IMU of another). For each kind: how many are
-proved as files with unrelated clocks, how many are accepted as streams of one recorder, and whether the clock
-is found within 0.2 s. Nothing is smoothed.
+`pairing [PART ..]`: right pairs, and wrong ones (the skeleton of one recording, the IMU of another). For each
+kind: how many are proved as files with unrelated clocks, how many are accepted as streams of one recorder,
+and whether the clock is found within 0.2 s. Nothing is smoothed.
 
 Parts: `simulated` takes random motion of 8 to 60 s; `exercise` the same scripted exercise in every recording,
 of 30 and 75 s; `setups` drifting clocks, a mirrored skeleton, a wrong down and the other arm; `utd` real
 Kinect v1 of 2 to 6 s, wrong pairs of the same activity; `azure` real Azure Kinect of 4 to 17 s, cut by hand,
 where a clock is known if inclination and turning rate agree on it to 0.1 s (data sets: `UNOCCLUDE_DATASETS`).
 
-Which IMU is on whom: `match [utd|scenes] [--methods motion,..] [--develop]`.
-
-`utd`: all trials of an action in UTD-MHAD at once (four people who do the same, one IMU on each right
-wrist; needs UNOCCLUDE_DATASETS), whole trials and their first 2 s, with four wrists and four upper arms to
-choose from. `scenes`: simulated scenes of two people with four nameless IMUs, one of them on the table;
-half of the scenes random motion, half a clinical protocol; in half of them everybody moves in time. Both
-print a table of methods and how often pairs of a stated probability are right. `assigned` is the share that
-is right where each worn IMU has to be on a limb (in `utd` on one of the four wrists), which is what the
-published methods answer. Reported are trials 3 and 4 and seeds from 0 on; `--develop` takes those that the
-constants were set on: trials 1 and 2, seeds from 1000 on.
+`match [utd|scenes] [--methods motion,..] [--develop]`. `utd`: all trials of an action in UTD-MHAD at once
+(four people who do the same, one IMU on each right wrist; needs UNOCCLUDE_DATASETS), whole trials and their
+first 2 s, with four wrists and four upper arms to choose from. `scenes`: simulated scenes of two people with
+four nameless IMUs, one of them on the table; half of the scenes random motion, half a clinical protocol; in
+half of them everybody moves in time. Both print a table of methods and how often pairs of a stated
+probability are right. `assigned` is the share that is right where each worn IMU has to be on a limb (in `utd`
+on one of the four wrists), which is what the published methods answer. Reported are trials 3 and 4 and seeds
+from 0 on; `--develop` takes those that the constants were set on: trials 1 and 2, seeds from 1000 on.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """Calibrations with the panel: `panel` and `world`.
 
-How good `calibrate panel` is: `panel [rendered|real]`.
-
-`rendered` draws panels, finds the camera by them and compares with the truth: one pose a trial, eight poses,
-and eight with a wrong depth and a bright distractor. `real` needs the folder of data sets in
-UNOCCLUDE_DATASETS (`kinect_calib`: a real panel in real Kinect depth, with a published calibration).
-
-`calibrate world` on rendered sessions, camera from base IMU, tilt, mounting, sigmas: `world`.
+`panel [rendered|real]`: `rendered` draws panels, finds the camera by them and compares with the truth: one
+pose a trial, eight poses, and eight with a wrong depth and a bright distractor. `real` needs the folder of
+data sets in UNOCCLUDE_DATASETS (`kinect_calib`: a real panel in real Kinect depth, with a published
+calibration). `world`: camera from base IMU, tilt, mounting and their sigmas on rendered sessions.
 """
 
 from __future__ import annotations

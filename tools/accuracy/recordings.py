@@ -1,10 +1,9 @@
-"""The smoother on data sets of others and on simulated arms: `broad`, `utd`, `arm`.
+"""The smoother on data sets of others and on simulated arms: `broad`, `utd`, `arm`, `magnetometer`.
 
-What a magnetometer brings on BROAD: `magnetometer`.
-
-Needs the data sets' folder in UNOCCLUDE_DATASETS. The magnetometer is calibrated on one trial and used in
-all. The strap alone is seen (30 Hz, 8 mm of noise), so that the heading comes from accelerations otherwise.
-Of every trial: orientation and heading of the whole recovery while the body moves, and error in hidden gaps.
+The data sets' folder is in UNOCCLUDE_DATASETS. `magnetometer` is what one brings on BROAD: calibrated on one
+trial and used in all. The strap alone is seen (30 Hz, 8 mm of noise), so that the heading comes from
+accelerations otherwise. Of every trial: orientation and heading of the whole recovery while the body moves,
+and error in hidden gaps.
 """
 
 from __future__ import annotations

@@ -1,17 +1,15 @@
 """Whether the stated uncertainty holds: `coverage` and `draws`.
 
-Stated uncertainty against error in gaps: `coverage SOURCE ..`.
+`coverage SOURCE ..`, for position, orientation and elbow flexion in gaps: squared error over variance, and
+how many samples lie inside the regions that should hold 50 and 95 of 100. Sources are simulated presets and
+data sets of others; of UTD-MHAD, whose only truth is its camera, the wrist's hidden samples count, with the
+camera's noise added.
 
-For position, orientation and elbow flexion: squared error over variance, and how many samples lie inside the
-regions that should hold 50 and 95 of 100. Sources are simulated presets and data sets of others; of UTD-MHAD,
-whose only truth is its camera, the wrist's hidden samples count, with the camera's noise added.
-
-Where the truth ranks among motions drawn from the posterior: `draws --gaps 200`.
-
-Simulation-based calibration (Talts et al., arXiv:1804.06788, 2018): if the posterior is right, the truth's
-rank among the draws is uniform. One sample a gap, at a random time and along a random direction, so that the
-ranks are nearly independent. A spread below 1 means that sigma is too wide (ranks pile up in the middle),
-above 1 that it is too narrow.
+`draws --gaps 200`: where the truth ranks among motions drawn from the posterior. Simulation-based calibration
+(Talts et al., arXiv:1804.06788, 2018): if the posterior is right, the truth's rank among the draws is
+uniform. One sample a gap, at a random time and along a random direction, so that the ranks are nearly
+independent. A spread below 1 means that sigma is too wide (ranks pile up in the middle), above 1 that it is
+too narrow.
 """
 
 from __future__ import annotations

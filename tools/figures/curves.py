@@ -1,8 +1,6 @@
-"""Error against gap length: what is measured, and how it is drawn and tabled.
+"""Error against gap length: jobs by data set and method, run, kept, summed up, tabled and drawn.
 
-Error against gap length, drawn: a panel a data set, every method a line, quartiles as its spread.
-
-What the curves are measured on: jobs by data set and method, run, kept, summed up and tabled.
+The drawing has a panel a data set, every method as a line, and quartiles as its spread.
 """
 
 from __future__ import annotations

@@ -1,15 +1,12 @@
 """The pictures of the documents, drawn from real runs.
 
-docs/picture.svg: one occlusion of data/demo.mcap before and after. (The README's picture,
+docs/picture.svg: one occlusion of data/demo.mcap before and after, with nothing calibrated. The SVG is
+written by hand, so that the picture needs no plotting library. (The README's picture,
 docs/pictures/body.webp, is the animation in that recording's report at 5.25 s.)
 
-Drawn from a real run with nothing calibrated. The SVG is written by hand, so that the picture needs no
-plotting library.
-
-The pictures of the tutorial, docs/pictures: how to set up, what to do in view, and what comes out.
-
-`setup.svg` and `movements.svg` are drawings; `gap.svg` and `sigma.svg` are of a real run on the recording
-that the tutorial simulates; `report.webp` is a photograph of its report, where Chromium is installed.
+docs/pictures, for the tutorial: how to set up, what to do in view, and what comes out. `setup.svg` and
+`movements.svg` are drawings; `gap.svg` and `sigma.svg` are of a real run on the recording that the tutorial
+simulates; `report.webp` is a photograph of its report, where Chromium is installed.
 """
 
 from __future__ import annotations
