@@ -170,17 +170,24 @@ class AppFolder:
         return sorted(self.models.glob("*.task"), key=lambda each: (-each.stat().st_mtime_ns, each.name))
 
     def keep_model(self, file: Path) -> None:
-        """Keep a dropped model for the other recordings too, without a copy where the disk allows."""
-        beside = self.models / f".{secrets.token_hex(8)}.part"
-        try:
-            try:
-                os.link(file, beside)
-            except OSError:
-                shutil.copyfile(file, beside)
-            os.replace(beside, self.models / file.name)
-        finally:
-            with suppress(OSError):
-                beside.unlink()
+        """Keep a dropped model for the other recordings too."""
+        _second_name(file, self.models / file.name)
+
+    def take_up(self, name: str) -> str:
+        """Make a recording of a loose MCAP file, which stays where it is; its name on disk.
+
+        Raises
+        ------
+        AppError
+            There is no such file.
+        """
+        file = next((path for path in self.loose_files() if path.name == name), None)
+        if file is None:
+            raise AppError("There is no such file in the folder, or a recording has it already.", 404)
+        kept_name = file_name(file.name)
+        made = self.add(KeptRecording(name=one_line(file.stem[:200]) or "Recording"))
+        _second_name(file, self.path / made / "files" / kept_name)
+        return made
 
     def template_files(self) -> list[Path]:
         """All templates, by name."""
@@ -191,6 +198,23 @@ class AppFolder:
         for each in sorted(self.path.iterdir()):
             if _ID.fullmatch(each.name) and (each / "app.json").is_file():
                 yield each.name
+
+    def loose_files(self) -> list[Path]:
+        """MCAP files that lie in the folder itself and are in no recording yet, by name."""
+        loose = [
+            path
+            for path in sorted(self.path.iterdir())
+            if path.suffix == ".mcap" and not path.name.startswith(".") and path.is_file()
+        ]
+        if not loose:
+            return []
+        used = {
+            (about.st_dev, about.st_ino)
+            for name in self.recordings()
+            for file in (self.path / name / "files").glob("*.mcap")
+            for about in (file.stat(),)
+        }
+        return [path for path in loose if (path.stat().st_dev, path.stat().st_ino) not in used]
 
     def comparisons(self) -> Iterator[str]:
         """Names on disk of all comparisons."""
@@ -245,6 +269,20 @@ class AppFolder:
         place = removed / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
         os.replace(folder, place)
         return place
+
+
+def _second_name(file: Path, target: Path) -> None:
+    """A file under a second name, without a copy where the disk allows; whole or not at all."""
+    beside = target.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        try:
+            os.link(file.resolve(), beside)
+        except OSError:
+            shutil.copyfile(file, beside)
+        os.replace(beside, target)
+    finally:
+        with suppress(OSError):
+            beside.unlink()
 
 
 def slug(text: str) -> str:

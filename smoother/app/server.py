@@ -91,6 +91,7 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
             Route("/texts/{language}.json", _texts),
             Route("/api/state", _answer(_state)),
             Route("/api/recordings", _answer(_add), methods=["POST"]),
+            Route("/api/loose", _answer(_take_up), methods=["POST"]),
             Route(one, _answer(_one), methods=["GET"]),
             Route(one, _answer(_change), methods=["PATCH"]),
             Route(one, _answer(_remove), methods=["DELETE"]),
@@ -200,6 +201,14 @@ async def _add(request: Request) -> Any:
     kept = KeptRecording(name=one_line(wish.get("name", "")), person=one_line(wish.get("person", "")))
     kept.name = kept.name or "Recording"
     return {"id": _folder(request).add(kept)}
+
+
+async def _take_up(request: Request) -> Any:
+    """Make a recording of an MCAP file of the folder, and look at it."""
+    folder, wish = _folder(request), await _body(request)
+    name = await anyio.to_thread.run_sync(folder.take_up, str(wish.get("name", "")))
+    begin(folder, _desk(request), folder.of(name), "describe", {})
+    return {"id": name}
 
 
 async def _one(request: Request) -> Any:

@@ -89,7 +89,7 @@ def import_steps(folder: AppFolder, place: Path) -> list[Step]:
         raise AppError("There is no file of a camera or an IMU yet; drop them.")
     steps: list[Step] = []
     if _is_described(files):
-        words = ["import", "csv", "files", "-o", target, "--force"]
+        words = ["import", "csv", "files", *_templates(folder), "-o", target, "--force"]
         steps.append({"name": "import", "argv": words})
     elif film:
         words = _video_words(folder, film, files, kept.choices)
@@ -125,8 +125,8 @@ def sensor_keys(files: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def camera_video(files: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-    """The video that stands for the camera: where no file holds a skeleton or a whole recording."""
-    if any(each["format"] == "mcap" or s["kind"] == "skeleton" for each in files for s in each["streams"]):
+    """The video that stands for the camera: where no file holds a skeleton."""
+    if any(stream["kind"] == "skeleton" for each in files for stream in each["streams"]):
         return None
     return next((each for each in files if each["kind"] == "video"), None)
 
@@ -198,10 +198,37 @@ def _imu_words(files: Sequence[dict[str, Any]], choices: Choices, every: bool = 
                 halves.setdefault(worn, []).append((sensor["holds"][0], file))
         if every and not each["streams"] and each["kind"] not in _NO_STREAM:
             words += ["--imu", _local(each)]
-    for worn, parts in halves.items():
+    for worn, parts in _whole(halves).items():
         sources = ",".join(file for _, file in sorted(parts))  # the accelerometer's first
         words += ["--imu", f"{worn}={sources}" if worn else sources]
     return words
+
+
+def _whole(halves: dict[str, list[tuple[str, str]]]) -> dict[str, list[tuple[str, str]]]:
+    """Accelerometers and gyroscopes in files of their own, by where they are worn, put together.
+
+    What was chosen for one file of an IMU counts for its other one too, where there is one answer.
+
+    Raises
+    ------
+    AppError
+        There are several answers.
+    """
+    parts = {worn: list(files) for worn, files in halves.items()}
+    for holds, file in halves.get("", []):
+        lacking = [w for w, own in parts.items() if w and holds not in [each for each, _ in own]]
+        if len(lacking) == 1:
+            parts[lacking[0]].append((holds, file))
+            parts[""].remove((holds, file))
+    for own in parts.values():
+        names = [holds for holds, _ in own]
+        if len(set(names)) < len(names):
+            listed = ", ".join(Path(file).name for _, file in own)
+            raise AppError(
+                f"Accelerometer and gyroscope are in files of their own, and there are several: {listed}."
+                " Choose where each of them is worn, the same for the two of one IMU."
+            )
+    return {worn: own for worn, own in parts.items() if own}
 
 
 def sensor_key(file: str, sensor: dict[str, Any], count: int) -> str:

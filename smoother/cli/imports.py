@@ -30,6 +30,16 @@ if TYPE_CHECKING:
     from ..recording import Recording
 
 
+Templates = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--template",
+        metavar="FILE.toml",
+        help="How tables of a layout of your own are read; asked before all formats.",
+    ),
+]
+
+
 def csv(
     folder: Annotated[
         Path,
@@ -43,16 +53,19 @@ def csv(
             help="Also read files outside FOLDER that recording.toml, or a link in FOLDER, names.",
         ),
     ] = False,
+    template: Templates = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
     """Import recording.toml with skeleton and IMU tables."""
     from ..io import open_csv
+    from ..io.plain.template import read_templates
 
     check_mcap(output)
     inputs = [path for path in folder.glob("*") if path.is_file()]
-    check_outputs(force, [output, json_file], inputs)
-    _finish(open_csv(folder, outside=outside), output, json_file, force)
+    check_outputs(force, [output, json_file], [*inputs, *(template or [])])
+    templates = read_templates(template or [])
+    _finish(open_csv(folder, outside=outside, templates=templates), output, json_file, force)
 
 
 def broad(
@@ -141,16 +154,6 @@ def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path 
 
     print_topics(about)
     print_notes(recording.notes, imported=True)
-
-
-Templates = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--template",
-        metavar="FILE.toml",
-        help="How tables of a layout of your own are read; asked before all formats.",
-    ),
-]
 
 
 def files(

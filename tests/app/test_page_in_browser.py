@@ -15,10 +15,14 @@ from urllib.parse import urlsplit
 
 import pytest
 from browser import Browser, chromium
-from local_page import own_table
+from local_page import DAY_S, own_table, write_session
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(chromium() is None, reason="Chromium is not installed (apt install chromium)")
+
+
+#: A recovery on a machine that others use, s.
+PATIENCE_S = 400.0
 
 
 class Program:
@@ -124,10 +128,16 @@ def elsewhere(browser: Browser, program: Program) -> list[str]:
     return [url.geturl() for url in asked if url.scheme not in own and url.netloc != home]
 
 
+def children_s() -> float:
+    """Processor time of processes that have ended, and of theirs, s."""
+    used = os.times()
+    return used.children_user + used.children_system
+
+
 def test_from_files_to_a_playing_report(browser: Browser, program: Program, session_files: dict[str, Path]):
     """On a phone's width; files as devices export them; nothing goes elsewhere."""
     opened(browser, program, width=390)
-    begin = time.monotonic()
+    begin, used_s = time.monotonic(), children_s()
     drop(browser, session_files["skeleton"], session_files["imu"])
     browser.wait("document.querySelectorAll('.plots svg').length === 3")
     plots = "[...document.querySelectorAll('.plots svg')]"
@@ -157,6 +167,8 @@ def test_from_files_to_a_playing_report(browser: Browser, program: Program, sess
     browser.run("document.querySelector('.player [data-do=play]').click()")
     browser.wait(f"Number({slider}.value) !== {before}")
     assert not elsewhere(browser, program) and not browser.complaints()
+    program.close()
+    assert 3 < children_s() - used_s < 60, "processor time: less passes without other work"
 
 
 def test_a_killed_server_a_closed_tab_and_a_cancel(
@@ -215,6 +227,65 @@ def test_a_table_that_nobody_knows_is_described_in_place(
     browser.wait("document.querySelectorAll('.plots svg').length === 2")
     (template,) = (program.folder / ".unocclude" / "templates").iterdir()
     assert 'ax = "F1"' in template.read_text()
+
+
+def patiently(browser: Browser, condition: str) -> None:
+    """Wait for what takes longer than a page does."""
+    end = time.monotonic() + PATIENCE_S
+    while not browser.run(condition):
+        assert time.monotonic() < end, f"never came true: {condition}"
+        time.sleep(0.3)
+
+
+def test_a_batch_and_the_comparison_of_a_person(browser: Browser, program: Program, tmp_path: Path):
+    """Two folders are dropped; both are recovered with the choices of one; then what changed is shown."""
+    for name, start_s in (("first", 0.0), ("later", 9 * DAY_S)):
+        write_session(tmp_path / name, start_s=start_s, repetitions=1)
+    opened(browser, program)
+    drop(browser, tmp_path / "first", tmp_path / "later")
+    browser.wait("document.querySelectorAll('table.list tbody tr').length === 2")
+    idle = "fetch('/api/state').then(each => each.json()).then(({recordings}) => recordings.every("
+    browser.wait(idle + "each => each.files === 2 && each.job?.state === 'done'))")
+    links = browser.run("[...document.querySelectorAll('table.list a')].map(each => [each.text, each.hash])")
+    for name, place in links:
+        browser.run(f"location.hash = {place!r}")
+        browser.wait(f"document.querySelector('h1')?.textContent === {name!r}")
+        browser.wait("!!document.querySelector('.plots svg') && !!document.querySelector('#f-person')")
+        for key, value in (("person", "p1"), ("task", "drink")):
+            browser.run(f"document.querySelector('#f-{key}').value = {value!r}")
+        browser.run("document.querySelector('form').requestSubmit()")
+        browser.wait("document.querySelector('#said').textContent === 'Saved.'")
+        browser.run("document.querySelector('#said').textContent = ''")
+        if name == "first":
+            browser.wait("!!document.querySelector('select[id^=worn]')")
+            change = "each.value = 'forearm_right'; each.dispatchEvent(new Event('change'));"
+            browser.run(f"(each => {{ {change} }})(document.querySelector('select[id^=worn]'))")
+    browser.run("location.hash = '#/'")
+    browser.wait("document.querySelectorAll('table.list input').length === 2")
+    dates = browser.run(
+        "[...document.querySelectorAll('table.list td:nth-child(4)')].map(n => n.textContent)"
+    )
+    assert sorted(dates) == ["2026-03-12", "2026-03-21"]
+    browser.run("document.querySelectorAll('table.list input').forEach(each => each.click())")
+    like = dict(links)["first"].rpartition("/")[2]
+    browser.run(f"document.querySelector('#like').value = {like!r}")
+    press(browser, "#batch")
+    browser.wait("document.querySelector('#said').textContent.startsWith('2 ')")
+    patiently(browser, idle + "each => each.recovered && each.job.state === 'done'))")
+    for each in program.folder.glob("*/app.json"):
+        chosen = json.loads(each.read_text())["choices"]["places"]
+        assert chosen == {"shimmer.csv": "forearm_right"}, "those of the first"
+        words = json.dumps([job.read_text() for job in each.parent.glob("jobs/*/job.json")])
+        assert "forearm_right=files/shimmer.csv" in words
+    browser.wait("document.querySelectorAll('.chip.good, .chip.care').length === 2")
+    press(browser, "#compare")
+    patiently(browser, "!!document.querySelector('iframe, #ended')")
+    assert browser.run("document.querySelector('#ended')?.textContent ?? ''") == ""
+    address = browser.run("document.querySelector('iframe').src")
+    assert "2026-03-12" in browser.run(f"fetch({address!r}).then(each => each.text())")
+    table = browser.run(f"fetch({address.replace('.html', '.csv')!r}).then(each => each.text())")
+    assert "elbow" in table and "drink" in table
+    assert not elsewhere(browser, program) and not browser.complaints()
 
 
 def test_by_keyboard_and_in_german(browser: Browser, program: Program, session_files: dict[str, Path]):

@@ -14,13 +14,16 @@ import numpy as np
 import pytest
 from local_page import HOST, PORT, TOKEN, Page, own_table, write_session
 from starlette.testclient import TestClient
+from typer.testing import CliRunner
 
 from smoother.app import server
 from smoother.app.folder import PLACES, AppFolder, KeptRecording, write_json
 from smoother.app.jobs import JobDesk
 from smoother.app.server import make_app
 from smoother.app.steps import describe_steps, import_steps, recover_steps
+from smoother.cli.app import app
 from smoother.errors import RecordingError
+from smoother.io import open_csv, open_recording
 from smoother.io.devices.registry import FileReader, format_named
 from smoother.io.plain.template import read_templates
 from smoother.io.tables.protocol import read_head
@@ -336,3 +339,32 @@ def test_a_template_that_cannot_be(tmp_path: Path, change: tuple[str, str], sent
     (tmp_path / "lab.toml").write_text(block.replace(*change))
     with pytest.raises(RecordingError, match=re.escape(sentence)):
         read_templates([tmp_path / "lab.toml"])
+
+
+def test_a_template_reads_the_tables_of_a_described_folder(tmp_path: Path, session_files: dict[str, Path]):
+    """`import csv --template`: recording.toml names the file, the template says what its columns are."""
+    text = (Path(__file__).parents[2] / "docs" / "app.md").read_text("utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "lab.toml").write_text(block)
+    templates = read_templates([tmp_path / "lab.toml"])
+    own_table(tmp_path / "sensor.csv", session_files["imu"])
+    description = tmp_path / "recording.toml"
+    description.write_text('[imu.forearm_right]\nfile = "sensor.csv"\n')
+    (theirs,) = FileReader().read(session_files["imu"], format_named("shimmer"))
+    with pytest.raises(RecordingError, match=r"sensor\.csv"):
+        open_csv(tmp_path)
+    (imu,) = open_csv(tmp_path, templates=templates).imus
+    assert imu.topic == "/imu/forearm_right"
+    assert np.allclose(imu.acc, theirs.acc) and np.allclose(imu.gyro, theirs.gyro)
+    output, template = str(tmp_path / "o.mcap"), str(tmp_path / "lab.toml")
+    words = ["import", "csv", str(tmp_path), "--template", template, "-o", output]
+    assert CliRunner().invoke(app, words).exit_code == 0 and open_recording(output).imus
+    (tmp_path / "linked.mcap").hardlink_to(template)
+    refused = CliRunner().invoke(app, [*words[:-1], str(tmp_path / "linked.mcap"), "--force"])
+    assert "is read by this command" in str(refused.exception) and Path(template).read_text() == block
+    description.write_text(description.read_text() + 'gyroscope_unit = "mdps"\n')
+    (imu,) = open_csv(tmp_path, templates=templates).imus
+    assert np.allclose(1000 * imu.gyro, theirs.gyro), "what recording.toml says itself counts"
+    (tmp_path / "sensor.csv").unlink()
+    with pytest.raises(RecordingError, match=r"sensor\.csv does not exist"):
+        open_csv(tmp_path, templates=templates)

@@ -79,7 +79,9 @@ class Page:
         raise AssertionError(f"still {about['job']}")
 
 
-def write_session(folder: Path, start_s: float = 0.0, mirror: bool = False) -> dict[str, Path]:
+def write_session(
+    folder: Path, start_s: float = 0.0, mirror: bool = False, repetitions: int = 2
+) -> dict[str, Path]:
     """An arm of some 30 s with gaps: a table of joints, and what Shimmer's Consensys exports of an IMU.
 
     Parameters
@@ -90,9 +92,11 @@ def write_session(folder: Path, start_s: float = 0.0, mirror: bool = False) -> d
         After 12 March 2026, of both.
     mirror : bool
         The skeleton's x has the other sign.
+    repetitions : int
+        Of its movements, some 16 s each.
     """
     folder.mkdir(parents=True)
-    recording = simulate_arm(ArmSimulation.preset("realistic", repetitions=2), seed=5).recording
+    recording = simulate_arm(ArmSimulation.preset("realistic", repetitions=repetitions), seed=5).recording
     imu, arm = recording.imu, recording.arm
     stamp = imu.t_s + START_S + start_s
     sensor = folder / "shimmer.csv"

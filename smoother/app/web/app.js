@@ -4,6 +4,7 @@
 const PLACES = ["forearm_right", "forearm_left", "upper_arm_right", "upper_arm_left", "hand_right", "hand_left", "base"];
 const FORMATS = ["csv", "xlsx", "trc", "mot", "c3d", "sto", "parquet", "measures"];
 const JOINTS = ["shoulder", "elbow", "wrist", "hand"];
+const THINGS = { shoulder: "joint_shoulder", elbow: "joint_elbow", wrist: "joint_wrist", hand: "joint_hand", left: "left", right: "right", accelerometer: "t_acc", gyroscope: "t_gyro", magnetometer: "t_mag", accelerometers: "t_acc", gyroscopes: "t_gyro" };
 const BUSY_MS = 400, IDLE_MS = 2500;
 const SVG = "http://www.w3.org/2000/svg";
 let words = {}, english = {}, timer = 0, shownView = null, uploads = null;
@@ -159,10 +160,10 @@ function stem(name) {
 }
 
 function plain(path, taken) {
-  const steps = path.split("/");
-  let name = steps.at(-1).replace(/[\\:*?"<>|]/g, "_");
-  if (taken.has(name)) name = steps.slice(-2).join("_").replace(/[\\:*?"<>|]/g, "_");
-  taken.add(name);
+  const steps = path.split("/").map((each) => each.replace(/[\\:*?"<>|]/g, "_"));
+  let name = steps.at(-1);
+  for (let n = 2; taken.has(name.toLowerCase()); n++) name = n <= steps.length ? steps.slice(-n).join("_") : `${n}_${steps.at(-1)}`;
+  taken.add(name.toLowerCase());
   return name;
 }
 
@@ -256,6 +257,7 @@ const listing = {
     document.title = "unocclude";
     part(view, "head", 0, () => [h("h1", { tabindex: -1 }, t("title")), dropPlace(false, startRecordings)]);
     part(view, "list", state.recordings.map((each) => [each, each.job?.state]), () => recordingTable(view, state));
+    part(view, "loose", state.loose, () => (state.loose.length ? looseFiles(state.loose) : null));
     const people = [...new Set(state.recordings.map((each) => each.person).filter(Boolean))].sort();
     part(view, "many", [people, state.recordings.map((r) => [r.id, r.name])], () => manyForm(view, state, people));
     part(view, "comparisons", state.comparisons, () => state.comparisons.map((each) =>
@@ -275,6 +277,13 @@ async function startRecordings(files) {
     if (groups.length === 1) location.hash = `#/r/${last}`;
     await upload(last, some);
   }
+}
+
+function looseFiles(names) {
+  return h("section", { class: "step" }, h("h2", {}, t("loose_title")), h("ul", { class: "files" }, names.map((name) => h("li", {}, h("span", {}, name),
+    h("button", { type: "button", "aria-label": t("loose_take_name", { name }), onclick: act(async () => {
+      location.hash = `#/r/${(await ask("POST", "/api/loose", { name })).id}`;
+    }) }, t("loose_take"))))));
 }
 
 function recordingTable(view, state) {
@@ -344,6 +353,7 @@ const one = {
   },
   draw(view, about) {
     document.title = `${about.name} - unocclude`;
+    view.revision = Math.max(view.revision ?? 0, about.revision); // an answer may have been overtaken
     const open = Boolean(about.job?.open);
     part(view, "head", about.name, () => [
       h("p", {}, h("a", { href: "#/" }, t("back"))), h("h1", { tabindex: -1 }, about.name)]);
@@ -381,7 +391,7 @@ function jobBox(job, path, again) {
     const text = job.state === "waiting" ? t("waiting") : t("step_of", { at: job.step + 1, n: job.steps, what: name });
     say(text);
     return h("section", { class: "step working" }, h("p", { id: "doing" }, text),
-      h("progress", { id: "bar", max: 1, "aria-label": text }), h("p", { class: "soft small", id: "detail" }),
+      h("progress", { id: "bar", max: 1, "aria-label": text }), h("p", { class: "soft small", id: "detail", lang: "en" }),
       h("button", { type: "button", id: "cancel", onclick: act(() => ask("POST", `${path}/cancel`)) }, t("cancel")));
   }
   const printed = job.printed ? h("details", {}, h("summary", {}, t("printed")), h("pre", { tabindex: 0 }, job.printed)) : null;
@@ -403,8 +413,13 @@ function moveBar(view, job) {
   detail.textContent = job.share >= 0 ? `${Math.round(100 * job.share)} % ${job.text}` : "";
 }
 
-function change(view, about, wish) {
-  return ask("PATCH", `/api/recordings/${view.id}`, { revision: about.revision, ...wish });
+// one after the other, each with what this page has seen last
+function change(view, wish) {
+  const send = async () => {
+    view.revision = (await ask("PATCH", `/api/recordings/${view.id}`, { revision: view.revision, ...wish })).revision;
+  };
+  view.changing = (view.changing || Promise.resolve()).then(send, send);
+  return view.changing;
 }
 
 function aboutForm(view, about, open) {
@@ -412,7 +427,7 @@ function aboutForm(view, about, open) {
   return h("section", { class: "step" }, h("h2", {}, t("about")),
     h("form", { class: "row", onsubmit: act(async (event) => {
       const value = (key) => event.target.querySelector(`#f-${key}`).value;
-      await change(view, about, { name: value("name"), person: value("person"), date: value("date"), task: value("task") });
+      await change(view, { name: value("name"), person: value("person"), date: value("date"), task: value("task") });
       say(t("saved"));
     }) },
     field("name", about.name, { required: true }), field("person", about.person),
@@ -459,7 +474,7 @@ function fileBox(view, about, file, open) {
   const tick = h("label", { class: "tick small" }, h("input", { type: "checkbox", checked: out, disabled: open, id: `out-${file.name}`,
     onchange: act((event) => {
       const others = about.choices.left_out.filter((each) => each !== file.name);
-      return change(view, about, { choices: { left_out: event.target.checked ? [...others, file.name] : others } });
+      return change(view, { choices: { left_out: event.target.checked ? [...others, file.name] : others } });
     }) }), " ", t("leave_out"));
   return h("div", { class: "file" },
     h("h3", {}, file.name, " ", h("span", { class: "soft" }, file.title || t("unknown_file"))),
@@ -479,9 +494,14 @@ function filmBox(view, about, open) {
     film.installed ? null : h("p", { class: "said care", id: "film-extra" }, t("film_no_extra")),
     h("div", { class: "row" },
       h("label", { class: "tick" }, h("input", { type: "checkbox", id: "c-mirrored", checked: about.choices.video_mirrored, disabled: open,
-        onchange: act((event) => change(view, about, { choices: { video_mirrored: event.target.checked } })) }), " ", t("film_mirrored")),
+        onchange: act((event) => change(view, { choices: { video_mirrored: event.target.checked } })) }), " ", t("film_mirrored")),
       labelled(t("film_turn"), select(turns, String(about.choices.video_turn),
-        act((event) => change(view, about, { choices: { video_turn: Number(event.target.value) } })), { id: "c-turn", disabled: open })))];
+        act((event) => change(view, { choices: { video_turn: Number(event.target.value) } })), { id: "c-turn", disabled: open })))];
+}
+
+// a joint or a measure as streams name it ("wrist right", "wrist_right", "accelerometer"), in the page's language
+function thing(name) {
+  return name.replace(/_/g, " ").split(" ").map((each) => (THINGS[each] ? t(THINGS[each]) : each)).join(" ");
 }
 
 // a limb as `match` names it
@@ -493,16 +513,16 @@ function limb(joint) {
 function streamBox(view, about, stream, open) {
   const length = stream.duration_s.toFixed(1);
   const line = t("stream_line", { count: stream.count.toLocaleString(words.locale), rate: stream.rate_hz ?? "?", length });
-  const facts = [line, `${t("holds")}: ${stream.holds.map((each) => each.replace(/_/g, " ")).join(", ")}`, `${t("units")}: ${stream.units || "?"}`];
+  const facts = [line, `${t("holds")}: ${stream.holds.map(thing).join(", ")}`, `${t("units")}: ${stream.units || "?"}`];
   let worn = null;
   if (stream.kind === "imu") {
     const proposal = about.proposals[stream.key];
     worn = h("div", { class: "row" }, labelled(t("worn"), select(
       [["", t("worn_motion")], ...PLACES.map((each) => [each, t(each)]), ["-", t("worn_skip")]],
       about.choices.places[stream.key] || "",
-      act((event) => change(view, about, { choices: { places: { ...about.choices.places, [stream.key]: event.target.value } } })),
+      act((event) => change(view, { choices: { places: { ...about.choices.places, [stream.key]: event.target.value } } })),
       { id: `worn-${stream.key}`, disabled: open })),
-    proposal ? h("p", { class: "small" }, t("proposal", { where: limb(proposal.joint), p: Math.round(100 * proposal.probability) })) : null);
+    proposal ? h("p", { class: "small" }, proposal.joint === "unknown" ? t("proposal_none") : t("proposal", { where: limb(proposal.joint), p: Math.round(100 * proposal.probability) })) : null);
   } else {
     facts.push(`${t("axes")}: ${t(`axes_${stream.axes || "open"}`)}`);
     if (stream.body) facts.push(t("person_n", { n: stream.body }));
@@ -515,11 +535,11 @@ function streamBox(view, about, stream, open) {
 function furtherChoices(view, about, files, open) {
   const choices = about.choices;
   const number = (key, label, value) => labelled(label, h("input", { type: "number", step: "any", id: `c-${key}`, disabled: open, value: value ?? "",
-    onchange: act((event) => change(view, about, { choices: { [key]: event.target.value === "" ? (key === "video_offset_s" ? 0 : null) : Number(event.target.value) } })) }));
+    onchange: act((event) => change(view, { choices: { [key]: event.target.value === "" ? (key === "video_offset_s" ? 0 : null) : Number(event.target.value) } })) }));
   const several = new Set(files.flatMap((each) => each.streams.filter((s) => s.kind === "skeleton").map((s) => s.body))).size > 1;
   return h("details", {}, h("summary", {}, t("more_choices")), h("div", { class: "row" },
     labelled(t("which_arm"), select([["", t("all_arms")], ["left", t("left")], ["right", t("right")]], choices.side,
-      act((event) => change(view, about, { choices: { side: event.target.value } })), { id: "c-side", disabled: open })),
+      act((event) => change(view, { choices: { side: event.target.value } })), { id: "c-side", disabled: open })),
     several || choices.body !== null ? number("body", t("body"), choices.body) : null,
     number("imu_starts_at_s", t("starts_at"), choices.imu_starts_at_s),
     files.some((each) => each.kind === "video" && each.name !== about.camera_video?.file) ? number("video_offset_s", t("video_offset"), choices.video_offset_s) : null));
@@ -535,7 +555,7 @@ function drawPlot(plot) {
   const span = top_ - low || 1;
   const x = (s) => left + (s / (end || 1)) * (wide - left - right);
   const y = (value) => top + (1 - (value - low) / span) * (high - top - bottom);
-  const label = t("plot_label", { title: plot.title, unit: plot.unit, length: end.toFixed(1), low: short(low), high: short(top_) });
+  const label = t("plot_label", { title: thing(plot.title), unit: plot.unit, length: end.toFixed(1), low: short(low), high: short(top_) });
   const picture = svg("svg", { viewBox: `0 0 ${wide} ${high}`, role: "img", "aria-label": label },
     svg("rect", { class: "frame", x: left, y: top, width: wide - left - right, height: high - top - bottom }));
   for (const line of plot.lines) {
@@ -555,7 +575,7 @@ function drawPlot(plot) {
   const text = (content, at) => { const node = svg("text", at); node.textContent = content; return node; };
   picture.append(text(short(top_), { x: left - 4, y: top + 8, "text-anchor": "end" }), text(short(low), { x: left - 4, y: high - bottom, "text-anchor": "end" }),
     text("0", { x: left, y: high - 7 }), text(`${end.toFixed(1)} ${t("seconds")}`, { x: wide - right, y: high - 7, "text-anchor": "end" }));
-  return h("figure", {}, picture, h("figcaption", {}, `${plot.title}, ${plot.unit}`, plot.lines.map((line) => h("b", { class: line.name }, line.name))));
+  return h("figure", {}, picture, h("figcaption", {}, `${thing(plot.title)}, ${plot.unit}`, plot.lines.map((line) => h("b", { class: line.name }, line.name))));
 }
 
 function short(value) {
@@ -567,7 +587,7 @@ function checkSection(view, about, open) {
   return h("section", { class: "step", id: "check-step" }, h("h2", {}, t("s_check")), h("p", { class: "soft" }, t("check_hint")),
     check ? verdictBox(view, about, check, open) : null,
     remedy ? h("p", { class: "said good" }, t("remedy_used", { remedy: remedyWords(remedy) }), " ",
-      h("button", { type: "button", class: "quiet", disabled: open, onclick: act(() => change(view, about, { choices: { remedy: "" } })) }, t("remedy_drop"))) : null,
+      h("button", { type: "button", class: "quiet", disabled: open, onclick: act(() => change(view, { choices: { remedy: "" } })) }, t("remedy_drop"))) : null,
     h("button", { type: "button", id: "check", disabled: open || !about.dropped.length, onclick: act(() => ask("POST", `/api/recordings/${view.id}/jobs`, { kind: "check" })) }, t("check")));
 }
 
@@ -580,7 +600,7 @@ function verdictBox(view, about, verdict, open) {
     verdict.allows?.sentence ? h("p", { lang: "en" }, t("allows", { what: verdict.allows.sentence })) : null,
     (verdict.remedies || []).filter((each) => each !== about.choices.remedy).map((each) => h("p", {}, h("button", { type: "button", class: "remedy", disabled: open,
       onclick: act(async () => {
-        await change(view, about, { choices: { remedy: each } });
+        await change(view, { choices: { remedy: each } });
         await ask("POST", `/api/recordings/${view.id}/jobs`, { kind: "recover" });
       }) }, t("remedy_use", { remedy: remedyWords(each) }), " ", h("code", {}, each)))));
 }
@@ -588,7 +608,7 @@ function verdictBox(view, about, verdict, open) {
 function remedyWords(remedy) {
   return remedy.split("--").filter(Boolean).map((each) => {
     const [what, ...rest] = each.trim().split(" ");
-    return t(`undo_${what}`, { what: rest.join(" ").replace(",", ", ") });
+    return t(`undo_${what}`, { what: rest.join(" ").split(",").map(thing).join(", ") });
   }).join(", ");
 }
 

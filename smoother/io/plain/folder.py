@@ -6,6 +6,7 @@ Recordings of published data sets: BROAD and UTD-MHAD.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Unpack
 
@@ -33,12 +34,9 @@ from ..tables.protocol import SkeletonTable, shown
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES
 from .columns import CameraKeys, ImuKeys, read_imu_columns, read_skeleton_columns
 from .table import imu_columns, read_table, vectors
+from .template import TableTemplate, with_template
 
-_STATES = {
-    "tracked": JointState.TRACKED,
-    "inferred": JointState.INFERRED,
-    "not_tracked": JointState.NOT_TRACKED,
-}
+_STATES = {state.name.lower(): state for state in JointState}
 _LAST_S = 9.2e9  # beyond it, nanoseconds do not fit into 64 bits
 
 
@@ -77,7 +75,9 @@ def import_csv(
     return select_recording(open_csv(folder), prefer_side=prefer_side, **selection)
 
 
-def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> RecordingFile:
+def open_csv(
+    folder: str | os.PathLike[str], *, outside: bool = False, templates: Sequence[TableTemplate] = ()
+) -> RecordingFile:
     """Read all streams of a folder of plain files, for `write_recording` or `select_recording`.
 
     Parameters
@@ -86,6 +86,8 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
         Holds `recording.toml` and the files that it names; or that file itself.
     outside : bool
         Also read files outside the folder: a recording from a stranger could name any file of yours.
+    templates : sequence of TableTemplate
+        How tables are read whose section says nothing of their columns.
 
     Returns
     -------
@@ -102,7 +104,8 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
         folder = folder.parent
     description = _describe(folder)
     _check_places(folder, description, outside)
-    camera = description.camera
+    description.imu = {name: with_template(keys, folder, templates) for name, keys in description.imu.items()}
+    camera = description.camera = with_template(description.camera, folder, templates)
     file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
     if camera is not None and camera.gravity is not None:
         file.gravity_hint = _down(camera.gravity, folder, "camera")

@@ -19,13 +19,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ...errors import RecordingError
 from ...runtime.inputs import check_input, read_toml
-from ..tables.protocol import FileHead, ImuTable, SkeletonTable, shown
+from ..tables.protocol import FileHead, ImuTable, SkeletonTable, read_head, shown
 from ..tables.table_layout import layout_of
 from .columns import CameraKeys, ImuKeys, read_imu_columns, read_skeleton_columns
 
@@ -104,6 +104,38 @@ def read_templates(paths: Sequence[Path]) -> list[TableTemplate]:
         A file is no template; the message names the key to mend.
     """
     return [_read(path) for path in paths]
+
+
+Keys = TypeVar("Keys", ImuKeys, CameraKeys, CameraKeys | None)
+
+
+def with_template(keys: Keys, folder: Path, templates: Sequence[TableTemplate]) -> Keys:
+    """A section of recording.toml that says nothing of its table's columns, with a template for that table.
+
+    Parameters
+    ----------
+    keys : ImuKeys or CameraKeys, optional
+        The section; what it says itself counts before the template.
+    folder : Path
+        Of its table.
+    templates : sequence of TableTemplate
+        Those that may be for it.
+
+    Returns
+    -------
+    keys : ImuKeys or CameraKeys, optional
+        As given where none is for it.
+    """
+    name = keys.file if isinstance(keys, ImuKeys) else keys.skeleton if keys is not None else None
+    if not templates or keys is None or not isinstance(name, str) or not keys.is_plain:
+        return keys
+    kind = "imu" if isinstance(keys, ImuKeys) else "skeleton"
+    head = read_head(folder / name)
+    own = next((each for each in templates if each.kind == kind and each.recognises(head)), None)
+    if own is None:
+        return keys
+    values = {**own.keys, **keys.model_dump(exclude_unset=True)}
+    return _imu_keys(own.path, values) if isinstance(keys, ImuKeys) else _camera_keys(own.path, values)
 
 
 def _read(path: Path) -> TableTemplate:
