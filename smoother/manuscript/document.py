@@ -31,6 +31,8 @@ TO_FILL_IN = (
     "Validation against an independent reference in your laboratory, if there was one.",
     "Availability of data and code.",
 )
+#: Those that a simulation leaves open too: nobody took part in it, and no device.
+OF_ANY = tuple(item for item in TO_FILL_IN if item.startswith(("What was computed", "Availability")))
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def methods_document(arms: Sequence[ArmFacts]) -> Document:
 
 
 def _to_fill_in(arms: Sequence[ArmFacts]) -> Iterator[str]:
-    yield from TO_FILL_IN
+    yield from OF_ANY if all(facts.simulation for facts in arms) else TO_FILL_IN
     if untrusted := sum(facts.untrusted_gaps for facts in arms):
         yield (
             f"What was done with the {_count(untrusted, 'gap')} that the program does not trust (left out, or"
@@ -130,8 +132,8 @@ def _sensors(facts: ArmFacts) -> Iterator[str]:
     whose = "forearm: " if len(imus) > 1 else ""
     yield (
         f"The {facts.arm} was recorded for {facts.length_s:.1f} s by a depth camera {tracking}"
-        f" ({facts.camera_frames} frames, {facts.camera_rate_hz:.1f} Hz) and by {units} on the"
-        f" {_listed(imus)} ({whose}{facts.imu_samples} samples, {facts.imu_rate_hz:.1f} Hz)."
+        f" ({facts.camera_frames} frames, median rate {facts.camera_rate_hz:.1f} Hz) and by {units} on the"
+        f" {_listed(imus)} ({whose}{facts.imu_samples} samples, median rate {facts.imu_rate_hz:.1f} Hz)."
     )
     if names and not strap_alone:
         shares = _listed([f"the {joint.name} in {_percent(joint.tracked)}" for joint in facts.joints])
@@ -200,7 +202,10 @@ def _calibration(facts: ArmFacts) -> Iterator[str]:
     parts += ["the upper arm's length"] if facts.upper_arm_given else []
     parts += ["the forearm's axes in the IMU"] if facts.forearm_axes == "given" else []
     if parts:
-        yield f"Given beforehand were {_listed(parts)}; places and lengths entered with standard deviations."
+        verb = "was" if len(parts) == 1 and facts.forearm_axes != "given" else "were"
+        priors = "; places and lengths entered with standard deviations and were adjusted by the estimate"
+        is_adjusted = bool(given) or facts.upper_arm_given
+        yield f"Given beforehand {verb} {_listed(parts)}{priors if is_adjusted else ''}."
     parts = [f"the place of {_listed(found)} in the IMU's axes"] if found else []
     parts += ["the upper arm's length"] if facts.upper_arm_m is not None and not facts.upper_arm_given else []
     parts += ["the forearm's axes in the IMU"] if facts.forearm_axes == "estimated" else []
@@ -278,7 +283,10 @@ def _uncertainty(facts: ArmFacts) -> Iterator[str]:
         )
         yield "That compares with the camera's own joints, not with an independent reference."
     if facts.draws:
-        yield f"Intervals of measures rest on {facts.draws} motions drawn from the posterior distribution."
+        yield (
+            f"The result holds {facts.draws} motions drawn from the posterior distribution, for intervals of"
+            " what is computed from it."
+        )
 
 
 def _checked(check: SelfCheck) -> str:
@@ -361,7 +369,7 @@ def _was(count: int) -> str:
 
 
 def _origin(given: bool) -> str:
-    return "given beforehand" if given else "estimated"
+    return "given beforehand, adjusted" if given else "estimated"
 
 
 def _vector(values: Sequence[float], factor: float) -> str:

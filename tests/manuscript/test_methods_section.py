@@ -75,8 +75,8 @@ def test_each_figure_of_the_paragraph_is_the_results(result: Path):
     tracked = rejected + int(np.asarray(recovery.residuals.used).sum())
     expected = [
         f"for {t[-1] - t[0]:.1f} s by a depth camera with skeleton tracking ({len(frames)} frames,"
-        f" {1 / np.median(np.diff(frames)):.1f} Hz)",
-        f"on the forearm ({len(t)} samples, {1 / np.median(np.diff(t)):.1f} Hz).",
+        f" median rate {1 / np.median(np.diff(frames)):.1f} Hz)",
+        f"on the forearm ({len(t)} samples, median rate {1 / np.median(np.diff(t)):.1f} Hz).",
         *[
             f"the {joint} in {100 * np.mean(recovery.arm.tracked(joint)):.0f} %"
             for joint in ("shoulder", "elbow", "wrist", "hand")
@@ -93,9 +93,10 @@ def test_each_figure_of_the_paragraph_is_the_results(result: Path):
         f"for {check.length_s:.1f} s (median) where it was visible, and recovered within"
         f" {100 * check.error_95_m:.1f} cm in 95 of 100 cases (stated: {100 * check.stated_95_m:.1f} cm;",
         f"{100 * check.inside_95:.0f} % of the samples inside the stated 95 % region",
-        "Intervals of measures rest on 3 motions",
+        "The result holds 3 motions drawn from the posterior",
         "other than the program's defaults were arm.shoulder_walk = 0.2.",
-        "Given beforehand were the upper arm's length;",
+        "Given beforehand was the upper arm's length; places and lengths entered with standard deviations and"
+        " were adjusted by the estimate.",
     ]
     if rejected:
         expected.append(f"Of {tracked} joint samples that the camera called tracked, {rejected} w")
@@ -130,7 +131,7 @@ def test_rows_are_the_results(result: Path):
     assert rows["Place of the wrist in the IMU's axes, mm"] == f"{text} (estimated)"
     upper = recovery.calibration.upper_arm
     assert rows["Upper arm's length, mm"] == (
-        f"{1e3 * upper.value_m:.1f} ± {1e3 * upper.sigma_m:.1f} (given beforehand)"
+        f"{1e3 * upper.value_m:.1f} ± {1e3 * upper.sigma_m:.1f} (given beforehand, adjusted)"
     )
     bias = np.degrees(recovery.estimates.gyroscope_bias)
     assert rows["Gyroscope's bias, degrees/s"] == ", ".join(f"{value:+.3f}" for value in bias)
@@ -182,6 +183,12 @@ def test_a_result_without_calibration_clock_or_gaps_claims_none():
     ):
         assert words not in text
     assert "The forearm was never occluded." in text
+
+
+def test_a_simulation_asks_for_no_participants():
+    asked = methods_document([arm_facts(made(), simulation="simulated arm, seed 1")]).to_fill_in
+    assert not any(word in item for item in asked for word in ("Participants", "IMU", "camera")) and asked
+    assert any("Participants" in item for item in methods_document([arm_facts(made())]).to_fill_in)
 
 
 def test_a_strap_alone_is_no_skeleton():
