@@ -122,7 +122,12 @@ def lsl_source(
 
 
 def receivers_of(
-    info: SourceInfo, page: int | None, foxglove: int | None, lsl_out: str | None, stack: ExitStack
+    info: SourceInfo,
+    page: int | None,
+    foxglove: int | None,
+    lsl_out: str | None,
+    lsl_network: bool,
+    stack: ExitStack,
 ) -> list[Receiver]:
     """Who is sent the answers, and where they are found."""
     receivers: list[Receiver] = []
@@ -143,10 +148,12 @@ def receivers_of(
         receivers.append(server)
     if lsl_out is not None:
         from ..streams.lsl import LslOutlet
+        from ..streams.lsl_local import LocalLslOutlet
 
-        receivers.append(LslOutlet(lsl_out, info))
+        receivers.append((LslOutlet if lsl_network else LocalLslOutlet)(lsl_out, info))
         stack.callback(receivers[-1].close)
-        say(f"LSL: streams {lsl_out} and {lsl_out}_settled, for all computers of this network")
+        who = "all computers of this network" if lsl_network else "this computer"
+        say(f"LSL: streams {lsl_out} and {lsl_out}_settled, for {who}")
     return receivers
 
 
@@ -330,6 +337,10 @@ def live(
         str | None,
         typer.Option("--lsl-out", metavar="NAME", help="Send the arm as LSL streams NAME and NAME_settled."),
     ] = None,
+    lsl_network: Annotated[
+        bool,
+        typer.Option("--lsl-network", help="Announce them to the whole network, not to this computer alone."),
+    ] = False,
     wait_s: Annotated[
         float, typer.Option("--wait", metavar="S", min=0.0, help="How long to wait for the streams.")
     ] = 30.0,
@@ -344,6 +355,8 @@ def live(
     """
     side = one_side(side)
     of_streams = {"--body": body, "--gyro": gyro}
+    if lsl_network and lsl_out is None:
+        raise typer.BadParameter("--lsl-network is of what --lsl-out sends; give it as well")
     _check_use(
         record, then_smooth, replay, of_streams, {"--speed": speed != 1.0, "--latency": latency_s is not None}
     )
@@ -374,7 +387,7 @@ def live(
             return
         calibration = SessionCalibration.of(calibrations, source.info)
         print_source(source, calibration)
-        receivers = receivers_of(source.info, page, foxglove, lsl_out, stack)
+        receivers = receivers_of(source.info, page, foxglove, lsl_out, lsl_network, stack)
         recording = None
         if record is not None:
             recording = Recorder(SessionRecording(record, source.info, force), patient=not source.speed)

@@ -36,6 +36,14 @@ _SETTINGS = (
 _NO_LOG = "[log]\nlevel = -3\n"
 
 
+def user_settings() -> Path | None:
+    """The file with the user's own settings of liblsl; None without one."""
+    named = os.environ.get("LSLAPICFG")
+    if named:
+        return Path(named)
+    return next((path for path in (Path(file).expanduser() for file in _SETTINGS) if path.exists()), None)
+
+
 @cache
 def lsl_module() -> ModuleType:
     """The package `pylsl`, which keeps silent on the terminal unless the user has settings for it.
@@ -52,8 +60,7 @@ def lsl_module() -> ModuleType:
             "pylsl is installed without the library liblsl; install a wheel of pylsl that brings it"
             " (`pip install -U pylsl`), or liblsl itself, and name its file in PYLSL_LIB"
         ) from error
-    has_settings = os.environ.get("LSLAPICFG") or any(Path(file).expanduser().exists() for file in _SETTINGS)
-    if not has_settings and hasattr(pylsl, "set_config_content"):
+    if user_settings() is None and hasattr(pylsl, "set_config_content"):
         pylsl.set_config_content(_NO_LOG)
     return pylsl
 

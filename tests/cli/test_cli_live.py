@@ -106,6 +106,8 @@ def test_what_a_person_gets_wrong(recording, tmp_path, capsys):
     assert "give --record as well" in sentence(*played, "--then-smooth", code=2)
     assert "--speed is of a replay" in sentence("--imu", "a", "--speed", "2", code=2)
     assert "--latency is of a replay" in sentence("--latency", "0.1", code=2)
+    assert "give it as well" in sentence(*played, "--lsl-network", code=2)
+    assert "--gyro is of a stream" in sentence(*played, "--gyro", "a", code=2)
     assert "--lag" in sentence(*played, "--lag", "2.5", code=2)
     assert "--side is left or right" in sentence(*played, "--side", "both", code=2)
     assert "--foxglove" in sentence(*played, "--foxglove", "kitchen", code=2)

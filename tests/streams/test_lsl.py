@@ -93,7 +93,7 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
     # with the arm's calibration half a minute of motion suffices
     arguments += ["--calibration", str(DEMO.with_name("demo_calibration.toml"))]
     live = lab.start("live_program.py", "live", *arguments, "--json", "session.json")
-    lines_until(live, "LSL: streams arm and arm_settled")
+    lines_until(live, "LSL: streams arm and arm_settled, for this computer")
     tell(outlets, "go")
     lines_until(live, "  visible")
     reader = lab.start("lsl_lab.py", "read", "arm", 6)
