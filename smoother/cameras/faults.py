@@ -48,6 +48,14 @@ class Move:
     shifted_m: float
     misfit_m: float
 
+    def sentence(self, first: str) -> str:
+        """What is said of the camera; `first` is the other one's name."""
+        return (
+            f"from about {self.t_s:.0f} s on it stands {100 * self.shifted_m:.0f} cm and"
+            f" {np.degrees(self.turned_rad):.0f} degrees from where it stood before, against {first}: one of"
+            " the two was moved; cut the recording there"
+        )
+
 
 def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first: str) -> str:
     """Why a camera cannot take part, in words; "" where it can.
@@ -71,12 +79,7 @@ def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first:
         )
     moves = [move for each, together in found if (move := moved(each, together)) is not None]
     if moves:
-        move = min(moves, key=lambda each: each.misfit_m)
-        return (
-            f"from about {move.t_s:.0f} s on it stands {100 * move.shifted_m:.0f} cm and"
-            f" {np.degrees(move.turned_rad):.0f} degrees from where it stood before, against {first}: one of"
-            " the two was moved; cut the recording there"
-        )
+        return min(moves, key=lambda each: each.misfit_m).sentence(first)
     if best.misfit_m > OTHER_M and best.misfit_m > OTHER_SHARE * best.spread_m:
         return (
             f"its joints are {100 * best.misfit_m:.0f} cm from {first}'s wherever it stands, and whatever"
@@ -87,13 +90,33 @@ def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first:
 
 def moved(placement: Placement, together: Overlap) -> Move | None:
     """Whether and when a camera was moved against the other one; None where nothing shows it."""
-    parts = _parts(together)
+    parts = parts_of(together)
     if len(parts) < 2:
         return None
-    shifts = [_shift(placement, together.rows(part)) for part in parts]
+    return move_between([_shift(placement, together.rows(part)) for part in parts], parts, together.t)
+
+
+def move_between(
+    shifts: Sequence[tuple[FloatArray, FloatArray, float]],
+    parts: Sequence[slice],
+    t: FloatArray,
+    placed_m: float = PLACED_M,
+) -> Move | None:
+    """The time that parts the parts' places best, if they differ by more than chance.
+
+    Parameters
+    ----------
+    shifts : sequence of (ndarray, ndarray, float)
+        Turn and shift (6,) of each part against the whole, rad and m, their variances, and its misfit, m.
+    parts : sequence of slice
+        Rows of each part.
+    t : ndarray, shape (n,), s
+    placed_m : float, m
+        Parts that fit worse by themselves say nothing.
+    """
     values, variances = np.array([each[0] for each in shifts]), np.array([each[1] for each in shifts])
     misfit_m = float(np.median([each[2] for each in shifts]))
-    if misfit_m > PLACED_M:
+    if misfit_m > placed_m:
         return None  # no place makes it the same arm
     best: Move | None = None
     most = MOVED_SIGMAS
@@ -105,12 +128,13 @@ def moved(placement: Placement, together: Overlap) -> Move | None:
         sigmas = float(np.sqrt(np.mean(apart**2 / (var_before + var_after))))
         turned, shifted = float(np.linalg.norm(apart[:3])), float(np.linalg.norm(apart[3:]))
         if sigmas > most and (turned > MOVED_RAD or shifted > MOVED_M):
-            t = 0.5 * float(together.t[parts[cut - 1].stop - 1] + together.t[parts[cut].start])
-            best, most = Move(t, turned, shifted, misfit_m), sigmas
+            at_s = 0.5 * float(t[parts[cut - 1].stop - 1] + t[parts[cut].start])
+            best, most = Move(at_s, turned, shifted, misfit_m), sigmas
     return best
 
 
-def _parts(together: Overlap) -> list[slice]:
+def parts_of(together: Overlap) -> list[slice]:
+    """Rows of parts that are placed by themselves."""
     count = min(int(len(together) * together.step_s / PART_S), MOST_PARTS)
     edges = np.linspace(0, len(together), max(count, 1) + 1).astype(int)
     return [slice(a, b) for a, b in pairwise(edges.tolist())]

@@ -6,17 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..errors import SolveError
-from ..recording import FIRST_CAMERA, JOINTS, Camera, JointTracks, Recording
+from ..recording import FIRST_CAMERA, JOINTS, Camera, CameraPose, JointTracks, Recording
 from ..runtime.store import Store, batches
 from .clocks import candidate_offsets
 from .faults import LEAST_S, fault_of, moved_from
-from .overlap import Overlap
+from .keypoint_places import clock_of_known_place, placed_keypoints
+from .lifting import depth_by_points, depth_by_rays, lifted
+from .overlap import Overlap, overlap
 from .placing import Placement, place
 from .rig import CameraRig, RelativeClock, RigCamera, first_camera, joint_centre
 
 #: Where the joints are nearer than this, as a share of how far they move, no other clock is tried.
 SURE_SHARE = 0.25
+#: Rays of cameras whose places are known pass each other by no more than this, m, if both see one arm.
+RAYS_M = 0.1
 
 
 def join_cameras(recording: Recording, store: Store | None = None) -> tuple[Recording, CameraRig | None]:
@@ -38,8 +43,8 @@ def join_cameras(recording: Recording, store: Store | None = None) -> tuple[Reco
     rig : CameraRig or None
         Where they stand and which were left out; None where there is one camera.
     """
-    if any(arm.pixel_rad is not None for arm in (recording.arm, *(c.arm for c in recording.cameras))):
-        raise SolveError(f"{recording.name}: keypoints of a camera without depth cannot be solved yet")
+    if recording.arm.pixel_rad is not None:
+        return _of_pixels(recording, store or Store())
     if not recording.cameras:
         return recording, None
     placed = [placed_camera(camera, recording.arm) for camera in recording.cameras]
@@ -69,6 +74,8 @@ def placed_camera(camera: Camera, first: JointTracks, name: str = FIRST_CAMERA) 
     row : RigCamera
         With its pose as a prior where it was measured beforehand, unless the joints contradict that.
     """
+    if camera.arm.pixel_rad is not None:
+        return placed_keypoints(camera, first, name)
     row = _placed(camera, first, name)
     if camera.pose is None:
         return row
@@ -116,7 +123,12 @@ def _joined(first: JointTracks, further: list[tuple[Camera, RigCamera]], store: 
     position = store.array((len(t), len(JOINTS), 3))
     state = np.zeros((len(t), len(JOINTS)), np.int8)
     camera = np.zeros(len(t), np.int8)
-    mean_m = joint_centre([row.joint_offset_m for _, row in further])
+    # of what joints of cameras with depth are off by
+    mean_m = joint_centre([row.joint_offset_m for camera, row in further if camera.arm.pixel_rad is None])
+    further = [
+        (camera if camera.arm.pixel_rad is None else _with_depths(camera, row, first), row)
+        for camera, row in further
+    ]
     begin = 0
     for number, (arm, row) in enumerate([(first, None), *((c.arm, row) for c, row in further)]):
         for part in batches(len(arm)):
@@ -130,4 +142,86 @@ def _joined(first: JointTracks, further: list[tuple[Camera, RigCamera]], store: 
             state[rows] = arm.state[part]
             camera[rows] = number
         begin += len(arm)
-    return JointTracks(first.name, t[order], position, state, camera)
+    origins = [np.full(3, np.nan), *(_origin(c.arm, row) for c, row in further)]
+    rays = np.array(origins) if np.isfinite(origins).any() else None
+    return JointTracks(first.name, t[order], position, state, camera, ray_origin_m=rays)
+
+
+def _with_depths(camera: Camera, row: RigCamera, first: JointTracks) -> Camera:
+    """A camera without depth whose joints take their depths from the first one's."""
+    assert row.pose is not None
+    return camera.with_arm(lifted(camera.arm, depth_by_points(camera.arm, row.pose, row.clock, first)))
+
+
+def _origin(arm: JointTracks, row: RigCamera) -> FloatArray:
+    """Where a camera's rays begin in {K}, nan of one with depth."""
+    if arm.ray_origin_m is None or row.pose is None:
+        return np.full(3, np.nan)
+    return row.pose.p_K_C_m
+
+
+def _of_pixels(recording: Recording, store: Store) -> tuple[Recording, CameraRig | None]:
+    """A recording whose first camera has no depth: by the rays of several."""
+    first, alone = recording.arm, replace(recording, cameras=())
+    rows, together = [], []
+    for camera in recording.cameras:
+        row = _by_rays(camera, first)
+        rows.append(row)
+        if row.takes_part:
+            together.append((camera, row))
+    rig = CameraRig((first_camera(FIRST_CAMERA), *rows)) if recording.cameras else None
+    if not together:
+        raise SolveError(_alone(recording.name, rows))
+    here = CameraPose(np.eye(3), np.zeros(3), 0.0, 0.0)
+    camera, row = together[0]
+    assert row.pose is not None
+    own, _ = depth_by_rays(first, here, _inverse(row.clock), camera.arm, row.pose)
+    deep_first = lifted(first, own)
+    lifted_cameras = []
+    for camera, row in together:
+        assert row.pose is not None
+        depth, _ = depth_by_rays(camera.arm, row.pose, row.clock, first, here)
+        lifted_cameras.append((camera.with_arm(lifted(camera.arm, depth)), row))
+    arm = _joined(deep_first, lifted_cameras, store)
+    origins = np.array([np.zeros(3), *(_origin(c.arm, row) for c, row in lifted_cameras)])
+    return replace(alone, arm=replace(arm, ray_origin_m=origins)), rig
+
+
+def _alone(name: str, rows: list[RigCamera]) -> str:
+    """Why keypoints of one camera are not solved."""
+    left_out = "".join(f"; {row.name} was left out: {row.reason}" for row in rows)
+    return (
+        f"{name}: keypoints of one camera without depth are read and not solved yet, for nothing says how far"
+        f" away the arm is; add a camera with depth, or a second one whose place is known{left_out}"
+    )
+
+
+def _inverse(clock: RelativeClock) -> RelativeClock:
+    """From the first camera's clock to the camera's own."""
+    return RelativeClock(-clock.offset_s, sigma_s=clock.sigma_s)
+
+
+def _by_rays(camera: Camera, first: JointTracks) -> RigCamera:
+    """A camera beside a first one without depth: its place has to be known, its clock is found."""
+    if camera.arm.pixel_rad is None:
+        return RigCamera(
+            camera.name, reason="it sees depth and the first camera does not: name it as the first one"
+        )
+    if camera.pose is None:
+        return RigCamera(
+            camera.name,
+            reason="where it stands is not known, and cameras without depth do not tell it",
+        )
+    clock, misfit_m = clock_of_known_place(camera, first)
+    if not np.isfinite(misfit_m):
+        return RigCamera(
+            camera.name, camera.pose, reason=f"it never sees the arm together with {FIRST_CAMERA}"
+        )
+    reason = ""
+    if misfit_m > RAYS_M:
+        reason = (
+            f"its rays pass {FIRST_CAMERA}'s by {100 * misfit_m:.0f} cm, whatever its clock: it was moved"
+            " since the calibration, is mirrored, or saw somebody else"
+        )
+    together_s = overlap(first, camera.arm, clock).length_s
+    return RigCamera(camera.name, camera.pose, clock, misfit_m=misfit_m, together_s=together_s, reason=reason)

@@ -118,4 +118,4 @@ class CameraRig:
 
 def joint_centre(offsets_m: Sequence[FloatArray]) -> FloatArray:
     """The mean over cameras of what their joints (5, 3) lie off the first one's, m."""
-    return np.asarray(np.mean([np.zeros_like(offsets_m[0]), *offsets_m], axis=0))
+    return np.asarray(np.mean([np.zeros((len(JOINTS), 3)), *offsets_m], axis=0))

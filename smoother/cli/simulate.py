@@ -211,8 +211,7 @@ def arm_settings() -> dict[str, FieldInfo]:
     """Every setting of the simulation by name."""
     from ..simulation import ArmSimulation, MocapSimulation
 
-    arms = {name: field for name, field in ArmSimulation.model_fields.items() if not name.startswith("rgb")}
-    return {**arms, **MocapSimulation.model_fields}
+    return {**ArmSimulation.model_fields, **MocapSimulation.model_fields}
 
 
 def parsed_setting(name: str, value: Any) -> Any:

@@ -138,12 +138,13 @@ class CameraBlocks:
         for factors in all_rows:
             if factors.joint == "shoulder":
                 continue
-            weight = factors.weight.reshape(-1, 3)
+            whitened = factors.whitened(np.tile(np.eye(3), (len(factors.nodes), 1, 1))).reshape(-1, 3, 3)
             rows = np.arange(factors.rows.start, factors.rows.stop).reshape(-1, 3)
             cell = self.cells.of(window.t[factors.nodes], factors.camera)
             mine = np.flatnonzero(cell >= 0)
             for axis in range(3):
-                columns[rows[mine, axis], 3 * cell[mine] + axis] = weight[mine, axis]
+                for of_shift in range(3):
+                    columns[rows[mine, axis], 3 * cell[mine] + of_shift] = whitened[mine, axis, of_shift]
         return columns
 
     def shifts(self, system: LinearSystem) -> tuple[BlockShift, ...]:

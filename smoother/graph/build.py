@@ -23,6 +23,8 @@ from gtsam.symbol_shorthand import S
 
 from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
+from ..linalg import unit
+from ..measurements.rays import squashed
 from ..window.problem import JointMeasurements, SegmentRun, Window
 from .factors import (
     IMU_ROWS,
@@ -34,6 +36,7 @@ from .factors import (
     knot_walk,
     length_factor,
     robust,
+    robust_across,
 )
 from .shared_prior import shared_factors
 from .variables import keys_of
@@ -179,11 +182,32 @@ def _add_joints(built: WindowGraph, window: Window) -> None:
         keys, known = keys_of(measured.segment), window.priors.layout.levers(measured.segment)
         lever = keys.lever_of(measured.joint) if measured.joint in known else None
         nodes, positions, sigmas = stacked_measurements(measured, cauchy)
+        roots = ray_roots(measured, nodes, sigmas)
+        models = (
+            (robust(sigma, cauchy) for sigma in sigmas.tolist())
+            if roots is None
+            else (robust_across(root, cauchy) for root in roots)
+        )
         factors = [
-            joint_factor(keys.pose + node, lever, position, robust(sigma, cauchy))
-            for node, position, sigma in zip(nodes.tolist(), positions, sigmas.tolist(), strict=True)
+            joint_factor(keys.pose + node, lever, position, model)
+            for node, position, model in zip(nodes.tolist(), positions, models, strict=True)
         ]
         built.add("camera", measured.joint, factors, POINT_ROWS, nodes, measured.camera)
+
+
+def ray_roots(measured: JointMeasurements, nodes: IntArray, sigmas: FloatArray) -> FloatArray | None:
+    """Square roots of information (m, 3, 3) of a joint's stacked samples; None of a camera with depth.
+
+    Samples that share a node are milliseconds apart and share a ray, the mean of theirs.
+    """
+    rays = measured.rays
+    if rays is None:
+        return None
+    if len(nodes) < len(rays):
+        total = np.zeros((len(nodes), 3))
+        np.add.at(total, np.searchsorted(nodes, measured.node), rays)
+        rays = unit(total)
+    return squashed(rays, sigmas)
 
 
 def stacked_measurements(
@@ -235,8 +259,15 @@ def _add_shoulder(built: WindowGraph, window: Window) -> None:
     for k, start in enumerate(shoulder.start):
         built.values.insert(S(k), start)
     seen = np.flatnonzero(np.isfinite(shoulder.position[:, 0]))
+    roots = shoulder.root_information
     positions = (
-        gtsam.PriorFactorPoint3(S(k), shoulder.position[k], robust(float(shoulder.sigma_m[k]), noise.cauchy))
+        gtsam.PriorFactorPoint3(
+            S(k),
+            shoulder.position[k],
+            robust(float(shoulder.sigma_m[k]), noise.cauchy)
+            if roots is None
+            else robust_across(roots[k], noise.cauchy),
+        )
         for k in seen.tolist()
     )
     built.add("camera", "shoulder", positions, POINT_ROWS, nodes[seen])

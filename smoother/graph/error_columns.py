@@ -21,7 +21,7 @@ from ..measurements.outliers import noise_key
 from ..recording import JOINTS
 from ..window.problem import JointMeasurements, States, Window
 from ..window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, ErrorEvidence
-from .build import FactorGroup, stacked_measurements
+from .build import FactorGroup, ray_roots, stacked_measurements
 from .factors import IMU_ROWS, POINT_ROWS
 from .linear_system import Jacobian, LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
@@ -74,7 +74,7 @@ def constant_error_columns(
         block[:, :, error : error + 3] = R[factors.nodes] if is_place(factors.joint, window) else np.eye(3)
         if factors.joint in window.priors.layout.joints:
             block[:, :, STRAP_ERRORS] = _strap(window, factors.joint, R[factors.nodes])
-        every[factors.rows] = factors.weight[:, None] * block.reshape(-1, SIZE)
+        every[factors.rows] = factors.whitened(block)
     return every
 
 
@@ -98,6 +98,8 @@ class CameraRows:
         How a shift of the joint counts in each.
     camera : int
         The camera whose samples they are.
+    roots : ndarray, shape (m, 3, 3), 1/m, or None
+        Of a camera without depth: how a shift counts in the three rows, in place of the weights.
     """
 
     joint: str
@@ -105,6 +107,13 @@ class CameraRows:
     rows: slice
     weight: FloatArray
     camera: int = 0
+    roots: FloatArray | None = None
+
+    def whitened(self, shift: FloatArray) -> FloatArray:
+        """Rows (3 m, q) of the whitened Jacobian for quantities that shift the joint by (m, 3, q)."""
+        if self.roots is None:
+            return np.asarray(self.weight[:, None] * shift.reshape(-1, shift.shape[2]))
+        return np.asarray((self.roots @ shift).reshape(-1, shift.shape[2]))
 
     @property
     def key(self) -> str:
@@ -130,7 +139,27 @@ def camera_rows(jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup
     for group in groups:
         if group.kind == "camera":
             weight = _weight(jacobian, group.rows, group.of, window)
-            yield CameraRows(group.of, group.nodes, group.rows, weight, group.camera)
+            roots = _roots(weight, group, window)
+            yield CameraRows(group.of, group.nodes, group.rows, weight, group.camera, roots)
+
+
+def _roots(weight: FloatArray, group: FactorGroup, window: Window) -> FloatArray | None:
+    """Square roots of information on rays, each less where its loss is: the weights of its rows show it."""
+    if group.of == "shoulder":
+        shoulder = window.shoulder
+        if shoulder is None or shoulder.root_information is None:
+            return None
+        roots = shoulder.root_information[np.isfinite(shoulder.position[:, 0])]
+    else:
+        key = noise_key(group.of, group.camera)
+        measured = next(each for each in window.joint_measurements if each.key == key)
+        nodes, _, sigmas = stacked_measurements(measured, window.noise.cauchy)
+        found = ray_roots(measured, nodes, sigmas)
+        if found is None:
+            return None
+        roots = found
+    share = np.linalg.norm(weight.reshape(-1, 3), axis=1) / np.linalg.norm(roots, axis=(1, 2))
+    return np.asarray(share[:, None, None] * roots)
 
 
 def _means(window: Window) -> tuple[FloatArray, FloatArray]:
@@ -236,7 +265,7 @@ def offset_column(
             mean, _ = _velocity_at_nodes(measured, states[measured.segment], window.noise.cauchy)
             rows = np.zeros((factors.rows.stop, 1))
             rows[: len(column)] = column
-            rows[factors.rows] = factors.weight[:, None] * mean.reshape(-1, 1)
+            rows[factors.rows] = factors.whitened(mean[:, :, None])
             column = rows
     return column
 
@@ -310,8 +339,11 @@ def _velocity_at_nodes(
     And the information 1/s^2 in how samples that share a node differ in velocity, which no state follows.
     """
     node, _, _ = stacked_measurements(measured, cauchy)
-    velocity = states.v[measured.node] + measured.velocity
+    velocity, rays = states.v[measured.node] + measured.velocity, measured.rays
     group = np.searchsorted(node, measured.node)
     total = np.stack([np.bincount(group, velocity[:, axis]) for axis in range(3)], axis=1)
     mean = total / np.bincount(group)[:, None]
-    return mean, float(np.sum((velocity - mean[group]) ** 2 / measured.sigma_m[:, None] ** 2))
+    apart = velocity - mean[group]
+    if rays is not None:
+        apart = apart - np.sum(apart * rays, axis=1, keepdims=True) * rays
+    return mean, float(np.sum(apart**2 / measured.sigma_m[:, None] ** 2))

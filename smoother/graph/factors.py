@@ -177,6 +177,12 @@ def isotropic(dimension: int, sigma: float) -> noiseModel.Isotropic:
     return noiseModel.Isotropic.Sigma(dimension, sigma)
 
 
+def robust_across(root_information: FloatArray, cauchy: float) -> noiseModel.Robust:
+    """Cauchy's loss on a point of a camera without depth, whose square root of information is (3, 3)."""
+    loss = noiseModel.mEstimator.Cauchy.Create(cauchy)
+    return noiseModel.Robust.Create(loss, noiseModel.Gaussian.SqrtInformation(root_information))
+
+
 @lru_cache(maxsize=4096)
 def robust(sigma_m: float, cauchy: float) -> noiseModel.Robust:
     """Cauchy's loss on a point of the camera: what is far off pulls less the farther it is."""

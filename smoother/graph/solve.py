@@ -438,5 +438,8 @@ def _residuals(values: gtsam.Values, window: Window, states: Mapping[str, States
         lever = values.atPoint3(keys.lever_of(measured.joint)) if measured.joint in known else np.zeros(3)
         own = states[measured.segment]
         answer = own.p[measured.node] + own.R[measured.node] @ lever
-        residuals[measured.key] = measured.position - measured.shift - answer
+        residual, rays = measured.position - measured.shift - answer, measured.rays
+        if rays is not None:
+            residual = residual - np.sum(residual * rays, axis=1, keepdims=True) * rays
+        residuals[measured.key] = residual
     return residuals

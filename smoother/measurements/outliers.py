@@ -19,6 +19,7 @@ from ..linalg import runs, unit
 from ..recording import JOINTS
 from .alignment import Alignment, align, pairs
 from .clock import Clock
+from .rays import across
 from .segment import Segment
 from .visibility import Rejection
 
@@ -154,6 +155,7 @@ def reject_by_camera(segment: Segment) -> Segment:
                 accepted=segment.accepted[own],
                 reason=segment.reason[own],
                 camera=None,
+                ray_origin_m=None if segment.ray_origin_m is None else segment.ray_origin_m[number][None],
             )
         )
         accepted[own], reason[own] = alone.accepted, alone.reason
@@ -161,6 +163,7 @@ def reject_by_camera(segment: Segment) -> Segment:
 
 
 def _reject_by_one_camera(segment: Segment) -> Segment:
+    flat = segment.ray_origin_m is not None and bool(np.isfinite(segment.ray_origin_m).all())
     with np.errstate(over="ignore", invalid="ignore"):
         segment = _reject(segment, np.linalg.norm(segment.position, axis=2) > FARTHEST_M, Rejection.FAR)
     for column in range(len(JOINTS)):
@@ -172,6 +175,8 @@ def _reject_by_one_camera(segment: Segment) -> Segment:
         segment = _reject(segment, _only(filled, column), Rejection.INTERPOLATED)
     for column in range(len(JOINTS)):
         segment = _reject(segment, _only(_jumps(segment, column), column), Rejection.JUMP)
+    if flat:
+        return segment  # lengths on rays are what their depths were made of
     both = segment.accepted[:, ELBOW] & segment.accepted[:, WRIST]
     if both.sum() >= 10:
         length = np.linalg.norm(segment.position[:, WRIST] - segment.position[:, ELBOW], axis=1)
@@ -207,6 +212,7 @@ def reject_by_attitude(
     both = segment.accepted[:, ELBOW] & segment.accepted[:, WRIST]
     if not both.any():
         return segment
+    both &= segment.with_depth[:, ELBOW] & segment.with_depth[:, WRIST]
     inertial = (alignment.at(frame_t_imu) * segment.attitude.at(frame_t_imu)).apply(along_A)
     by_camera = unit(segment.position[:, WRIST] - segment.position[:, ELBOW])
     ray = unit(segment.position[:, WRIST] + segment.position[:, ELBOW])
@@ -238,7 +244,7 @@ def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, 
     segment : Segment
         With fewer accepted samples, their reasons noted.
     """
-    length = np.linalg.norm(residual, axis=2)
+    length = np.linalg.norm(across(residual, segment.position, segment.frame_origins), axis=2)
     cameras = 1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1
     limit = np.array(
         [
@@ -342,7 +348,7 @@ def reject_by_direction(
     if along_A is None:
         return segment, None
     frame_t = segment.frame_t_imu(clock)
-    vectors = pairs(segment, frame_t, segment.accepted, calibration)
+    vectors = pairs(segment, frame_t, segment.with_depth, calibration)
     if not vectors:
         return segment, None
     alignment = align(vectors, segment.start_s, segment.end_s, segment.down)

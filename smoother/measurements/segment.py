@@ -11,6 +11,7 @@ from ..array_types import BoolArray, CameraNumbers, FloatArray
 from ..recording import ImuStream, JointState, JointTracks, Recording
 from .clock import LARGEST_OFFSET_S, Clock
 from .inertial import ImuRun, InertialAttitude, InertialSignal, inertial_attitude
+from .rays import of_rays, origins_of
 from .timestamps import dejitter, split_at_pauses, synthetic_stamps
 from .visibility import MISSING_S, accepted_samples, enough_joints, joints_needed, seen_by_any
 
@@ -62,6 +63,8 @@ class Segment:
         Of IMUs on other segments, on this one's clock, between their pauses.
     camera : ndarray of int8, shape (f,), or None
         Which camera each frame is of; None where all are of one.
+    ray_origin_m : ndarray, shape (c, 3), m, or None
+        Where the rays of each camera without depth begin (`JointTracks.ray_origin_m`).
     """
 
     signal: InertialSignal
@@ -82,6 +85,7 @@ class Segment:
     core_end_s: float = np.inf
     further: tuple[ImuRun, ...] = ()
     camera: CameraNumbers | None = None
+    ray_origin_m: FloatArray | None = None
 
     def between(self, start_s: float, end_s: float) -> Segment:
         """The same segment with a narrower time range (IMU clock), and the frames in and around it.
@@ -110,6 +114,19 @@ class Segment:
             start_s=start_s,
             end_s=end_s,
         )
+
+    @property
+    def frame_origins(self) -> FloatArray | None:
+        """Where the rays of the frames begin, (f, 3) m in {K}; nan or None of cameras with depth."""
+        return origins_of(self.ray_origin_m, self.camera, len(self.frame_t_camera))
+
+    @property
+    def with_depth(self) -> BoolArray:
+        """Accepted samples (f, 5) whose depth counts: of cameras with depth where there are any."""
+        if self.ray_origin_m is None or np.isfinite(self.ray_origin_m[:, 0]).all():
+            return self.accepted
+        flat = of_rays(self.frame_origins, len(self.frame_t_camera))
+        return np.asarray(self.accepted & ~flat[:, None])
 
     def frame_t_imu(self, clock: Clock) -> FloatArray:
         """The frames (f,) on the IMU's clock, s."""
@@ -211,6 +228,7 @@ def make_segment(
         synthetic_stamps=traits.synthetic_stamps,
         down_sigma_rad=traits.down_sigma_rad,
         camera=arm.camera,
+        ray_origin_m=arm.ray_origin_m,
     )
 
 

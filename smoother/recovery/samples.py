@@ -15,6 +15,7 @@ from ..linalg import interpolate, rotate_covariance, unit
 from ..measurements.alignment import located
 from ..measurements.clock import Clock
 from ..measurements.inertial import InertialSignal
+from ..measurements.rays import across
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS
@@ -136,7 +137,11 @@ def sample_section(
             gap for gap in prepared.gaps if gap.end_s > prepared.start_s and gap.start_s < prepared.end_s
         ),
         frames=slice(segment.frames.start + own.start, segment.frames.start + own.stop),
-        residual=frame_residuals(position, frame_t[own], prepared, trajectory, calibration),
+        residual=across(
+            frame_residuals(position, frame_t[own], prepared, trajectory, calibration),
+            position,
+            None if (origin := segment.frame_origins) is None else origin[own],
+        ),
         used=segment.accepted[own] & located(calibration),
         reason=segment.reason[own],
         gravity=trajectory.forearm.gravity.mean(axis=0),

@@ -18,6 +18,7 @@ from ..error_radius import pooled_radius
 from ..errors import SolveError
 from ..graph.solve import solve
 from ..measurements.outliers import noise_key
+from ..measurements.rays import across, directions, of_rays, origins_of
 from ..measurements.visibility import MISSING_S, Gap, enough_joints, seen_by_any
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..result import Draws, Recovery, SelfCheck
@@ -268,6 +269,9 @@ def _recovered(
         [model.joint_noise[key].sample_m if key in model.joint_noise else 0.01 for key in keys]
     )
     covariance = covariance + samples[cameras, None, None] ** 2 * np.eye(3)
+    origin = origins_of(prepared.ray_origin_m, prepared.camera, len(t))
+    position = prepared.position[rows, column]
+    error, covariance = _across(error, covariance, position, None if origin is None else origin[rows])
     squared = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     finite = np.isfinite(squared)
     if not finite.any():
@@ -285,6 +289,29 @@ def _recovered(
         stated_95_m=pooled_radius(covariance[finite]) or float("nan"),
         contradicting=tuple(_contradicting(squared[finite], lengths, cameras[finite])),
     )
+
+
+def _across(
+    error: FloatArray, covariance: FloatArray, position: FloatArray, origin_m: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Errors (n, 3) and covariances as seen across rays, where a camera has no depth.
+
+    A third direction with the mean square of the two gives three normal numbers again.
+    """
+    if origin_m is None:
+        return error, covariance
+    flat = of_rays(origin_m, len(error))
+    ray = directions(position[flat], origin_m[flat])
+    seen = across(error, position, origin_m)
+    outer = ray[:, :, None] * ray[:, None, :]
+    project = np.eye(3) - outer
+    covariance = covariance.copy()
+    own = project @ covariance[flat] @ project
+    mean = 0.5 * np.trace(own, axis1=1, axis2=2)
+    covariance[flat] = own + mean[:, None, None] * outer
+    size = np.sqrt(0.5 * np.sum(seen[flat] ** 2, axis=1, keepdims=True))
+    seen[flat] += size * ray
+    return seen, covariance
 
 
 def _contradicting(squared: FloatArray, lengths: FloatArray, cameras: IntArray) -> Iterator[int]:

@@ -9,6 +9,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..linalg import nonnegative_pair
 from ..measurements.outliers import JointNoise, noise_key
+from ..measurements.rays import OF_THREE
 from ..recording import JOINTS
 from ..window.problem import Window
 from ..window.solution import Solution
@@ -32,7 +33,10 @@ def joint_noise(windows: list[Window], solutions: list[Solution]) -> dict[str, J
     times: dict[str, list[FloatArray]] = {}
     for window, solution in zip(windows, solutions, strict=True):
         for measured in window.joint_measurements:
-            found.setdefault(measured.key, []).append(solution.residuals[measured.key])
+            residual = solution.residuals[measured.key]
+            if measured.origin_m is not None:  # across the ray it has two directions of three
+                residual = np.sqrt(OF_THREE) * residual
+            found.setdefault(measured.key, []).append(residual)
             times.setdefault(measured.key, []).append(measured.t_s)
     memory = _memory(found, times)
     return {joint: _noise(np.vstack(found[joint]), memory) for joint in found}

@@ -178,7 +178,9 @@ def _joint_scores(window: Window, solution: Solution) -> Iterator[tuple[FloatArr
     """Times, slopes, and information where the states would not follow, joint by joint."""
     for measured in window.joint_measurements:
         velocity = solution.of(measured.segment).states.v[measured.node] + measured.velocity
-        residual = solution.residuals[measured.key]
+        residual, rays = solution.residuals[measured.key], measured.rays
+        if rays is not None:
+            velocity = velocity - np.sum(velocity * rays, axis=1, keepdims=True) * rays
         size = np.linalg.norm(residual, axis=1) / measured.sigma_m
         weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / measured.sigma_m**2
         slope = weight * np.einsum("ni,ni->n", residual, velocity)

@@ -94,7 +94,7 @@ def _seen(segments: list[Segment]) -> list[str]:
     return [
         joint
         for joint in FOREARM_JOINTS
-        if sum(segment.accepted[:, JOINTS.index(joint)].sum() for segment in segments) >= 8
+        if sum(segment.with_depth[:, JOINTS.index(joint)].sum() for segment in segments) >= 8
     ]
 
 
@@ -103,7 +103,7 @@ def _both(segment: Segment) -> BoolArray:
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     inside = (segment.frame_t_camera >= segment.start_s) & (segment.frame_t_camera <= segment.end_s)
     apart = (segment.position[:, elbow] != segment.position[:, wrist]).any(axis=1)
-    rows = inside & apart & segment.accepted[:, elbow] & segment.accepted[:, wrist]
+    rows = inside & apart & segment.with_depth[:, elbow] & segment.with_depth[:, wrist]
     cell = np.floor(segment.frame_t_camera * DIRECTION_RATE_HZ).astype(int)
     first = np.concatenate(([True], np.diff(cell) > 0))
     return rows & first if len(rows) > 200 else rows
@@ -213,14 +213,14 @@ def _aligned(segment: Segment, offset_s: float, along: FloatArray | None) -> Ali
     frame_t = segment.frame_t_camera + offset_s
     pairs = []
     elbow, wrist, strap = (JOINTS.index(joint) for joint in ("elbow", "wrist", "strap"))
-    both = segment.accepted[:, elbow] & segment.accepted[:, wrist]
+    both = segment.with_depth[:, elbow] & segment.with_depth[:, wrist]
     if along is not None and both.any():
         position = segment.position[both]
         pairs.append(
             direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], segment.attitude, along)
         )
-    if segment.accepted[:, strap].sum() >= 8:
-        rows = segment.accepted[:, strap]
+    if segment.with_depth[:, strap].sum() >= 8:
+        rows = segment.with_depth[:, strap]
         found = acceleration_pairs(
             frame_t[rows], segment.position[rows, strap], segment.attitude, segment.signal, GRAVITY
         )
@@ -235,7 +235,7 @@ def _difference(segments: list[Segment], frames: list[Alignment], joint: str, re
     rows = []
     a, b = JOINTS.index(joint), JOINTS.index(reference)
     for segment, frame in zip(segments, frames, strict=True):
-        both = segment.accepted[:, a] & segment.accepted[:, b]
+        both = segment.with_depth[:, a] & segment.with_depth[:, b]
         if both.any():
             t = segment.frame_t_camera[both]
             R_K_A = frame.at(t) * segment.attitude.at(t)
@@ -251,7 +251,7 @@ def _by_acceleration(
     information = np.eye(3) / LEVER_SIGMA_M**2
     vector = information @ expected
     for segment, frame in zip(segments, frames, strict=True):
-        rows = segment.accepted[:, column]
+        rows = segment.with_depth[:, column]
         if rows.sum() < 8:
             continue
         t = segment.frame_t_camera[rows] + offset_s[segment.recording]
@@ -447,7 +447,7 @@ def _length(excerpts: Sequence[Segment], first: str, second: str) -> float | Non
     one, other = JOINTS.index(first), JOINTS.index(second)
     lengths: list[FloatArray] = []
     for segment in excerpts:
-        both = segment.accepted[:, one] & segment.accepted[:, other]
+        both = segment.with_depth[:, one] & segment.with_depth[:, other]
         lengths.append(np.linalg.norm(segment.position[both, one] - segment.position[both, other], axis=1))
     known = np.concatenate(lengths) if lengths else np.zeros(0)
     return float(np.median(known)) if len(known) >= FEWEST_FRAMES else None

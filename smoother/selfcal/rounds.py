@@ -177,6 +177,7 @@ def self_calibrate(
         config.arm.upper_arm_flex_m,
     )
     cameras = max(1 if each.camera is None else int(each.camera.max(initial=0)) + 1 for each in excerpts)
+    with_depth = any((origin := each.frame_origins) is None or np.isnan(origin).any() for each in excerpts)
     errors = ConstantErrors()
     trajectories: dict[int, Trajectory] = {}
     solve_once = partial(
@@ -220,7 +221,7 @@ def self_calibrate(
             SYNTHETIC_SIGMA_S if any(synthetic) else 0.0,
         )
         clocks = refined_clocks(clocks, synthetic, windows, solutions, current.recording_of_window)
-        prior = _recentred(estimate, start, given)
+        prior = _recentred(estimate, start, given, with_depth)
         if numbers == everything and _settled(before, (estimate, errors.joints, clocks)):
             break
         numbers = everything
@@ -302,8 +303,14 @@ def _settled(before: Settling, after: Settling) -> bool:
     return all(move < max(SETTLED_M, limit) for move, limit in zip(moves_m, limits_m, strict=True))
 
 
-def _recentred(estimate: ArmCalibration, start: ArmCalibration, given: ArmCalibration) -> ArmCalibration:
-    """The next round's prior: the estimate, as uncertain as before; what was given stays."""
+def _recentred(
+    estimate: ArmCalibration, start: ArmCalibration, given: ArmCalibration, with_depth: bool
+) -> ArmCalibration:
+    """The next round's prior: the estimate, as uncertain as before; what was given stays.
+
+    So does the upper arm where no camera has depth: its length and the shoulder's depth move together, and
+    round by round they would walk away.
+    """
     levers = {
         joint: given.lever_arms[joint]
         if joint in given.lever_arms
@@ -312,5 +319,6 @@ def _recentred(estimate: ArmCalibration, start: ArmCalibration, given: ArmCalibr
     }
     upper_arm = given.upper_arm
     if upper_arm is None and estimate.upper_arm is not None and start.upper_arm is not None:
-        upper_arm = replace(estimate.upper_arm, sigma_m=start.upper_arm.sigma_m)
+        value = estimate.upper_arm if with_depth else start.upper_arm
+        upper_arm = replace(value, sigma_m=start.upper_arm.sigma_m)
     return replace(start, lever_arms=levers, upper_arm=upper_arm)

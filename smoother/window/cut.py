@@ -7,9 +7,10 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from ..array_types import FloatArray
+from ..array_types import FloatArray, IntArray
 from ..linalg import interpolate
 from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
+from ..measurements.rays import SHOULDER_ALONG_M, directions, of_rays, origins_of, squashed
 from ..measurements.visibility import MISSING_S, Gap, enough_joints, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
 from .nodes import propagate
@@ -263,7 +264,14 @@ def _of_run(
                 motion.velocity(lever)[rows],
                 run.segment,
                 camera,
+                _ray_origin(prepared, camera),
             )
+
+
+def _ray_origin(prepared: PreparedSegment, camera: int) -> FloatArray | None:
+    """Where a camera's rays begin, (3,) m; None of one with depth."""
+    origins = prepared.ray_origin_m
+    return None if origins is None or not np.isfinite(origins[camera]).all() else origins[camera]
 
 
 def _shoulder(prepared: PreparedSegment, lo: int, hi: int) -> ShoulderMeasurements | None:
@@ -289,4 +297,30 @@ def _shoulder(prepared: PreparedSegment, lo: int, hi: int) -> ShoulderMeasuremen
         position = total / count[:, None]
         sigma = np.sqrt(variance) / count
     start = interpolate(visible_t, prepared.position[visible, column], t[node])
+    if prepared.ray_origin_m is not None:
+        return _shoulder_on_rays(prepared, node, visible[near], owner, start)
     return ShoulderMeasurements(node, position, sigma, np.where(count[:, None] > 0, position, start))
+
+
+def _shoulder_on_rays(
+    prepared: PreparedSegment, node: IntArray, frames: IntArray, owner: IntArray, start: FloatArray
+) -> ShoulderMeasurements:
+    """The same where a camera sees no depth: every frame adds what it knows, across its ray or in all."""
+    column, count = JOINTS.index("shoulder"), len(node)
+    position, sigma = prepared.position[frames, column], prepared.sigma_m[frames, column]
+    camera = None if prepared.camera is None else prepared.camera[frames]
+    origin = origins_of(prepared.ray_origin_m, camera, len(frames))
+    assert origin is not None
+    flat = of_rays(origin, len(frames))
+    root = np.eye(3) / sigma[:, None, None]
+    root[flat] = squashed(directions(position[flat], origin[flat]), sigma[flat], SHOULDER_ALONG_M)
+    each = root @ root
+    information, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(information, owner, each)
+    np.add.at(vector, owner, np.einsum("nij,nj->ni", each, position))
+    seen = np.bincount(owner, minlength=count) > 0
+    mean, roots, sigmas = np.full((count, 3), np.nan), np.zeros((count, 3, 3)), np.full(count, np.nan)
+    mean[seen] = np.linalg.solve(information[seen], vector[seen][..., None])[..., 0]
+    roots[seen] = np.swapaxes(np.linalg.cholesky(information[seen]), 1, 2)
+    sigmas[seen] = np.sqrt(3.0 / np.trace(information[seen], axis1=1, axis2=2))
+    return ShoulderMeasurements(node, mean, sigmas, np.where(seen[:, None], mean, start), roots)

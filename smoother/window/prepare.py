@@ -104,6 +104,8 @@ class PreparedSegment:
         What the answer is wanted for; nodes beyond only support it.
     camera : ndarray of int8, shape (f,), or None
         Which camera each frame is of; None where all are of one.
+    ray_origin_m : ndarray, shape (c, 3), m, or None
+        Where the rays of each camera without depth begin.
     """
 
     t: FloatArray
@@ -118,6 +120,7 @@ class PreparedSegment:
     start_s: float
     end_s: float
     camera: CameraNumbers | None = None
+    ray_origin_m: FloatArray | None = None
 
     @property
     def forearm(self) -> PreparedRun:
@@ -189,7 +192,7 @@ def prepare(
         1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1,
     )
     if alignment is None:
-        vectors = pairs(segment, frame_t_imu, accepted, calibration)
+        vectors = pairs(segment, frame_t_imu, accepted & segment.with_depth, calibration)
         if not vectors:
             return None
         alignment = align(vectors, start_s, end_s, segment.down)
@@ -215,6 +218,7 @@ def prepare(
         start_s=core_start_s,
         end_s=core_end_s,
         camera=None if segment.camera is None else segment.camera[rows],
+        ray_origin_m=segment.ray_origin_m,
     )
     return prepared, alignment
 

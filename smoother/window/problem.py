@@ -13,6 +13,7 @@ import numpy as np
 from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
 from ..measurements.outliers import noise_key
+from ..measurements.rays import directions
 from .shared import Considered, Gaussian, SharedLayout
 
 
@@ -91,6 +92,8 @@ class JointMeasurements:
         The segment whose IMU it is tied to.
     camera : int
         Number of the camera that saw it.
+    origin_m : ndarray, shape (3,), m, or None
+        Where that camera's rays begin, if it sees no depth (`measurements.rays`).
     """
 
     joint: str
@@ -102,6 +105,12 @@ class JointMeasurements:
     velocity: FloatArray
     segment: str = FOREARM.name
     camera: int = 0
+    origin_m: FloatArray | None = None
+
+    @property
+    def rays(self) -> FloatArray | None:
+        """Unit vectors (k, 3) along the samples' rays; None of a camera with depth."""
+        return None if self.origin_m is None else directions(self.position, self.origin_m)
 
     @property
     def key(self) -> str:
@@ -121,6 +130,7 @@ class JointMeasurements:
             np.concatenate([part.velocity for part in parts]),
             parts[0].segment,
             parts[0].camera,
+            parts[0].origin_m,
         )
 
 
@@ -138,12 +148,15 @@ class ShoulderMeasurements:
         Standard deviation an axis.
     start : ndarray, shape (k, 3), m
         Initial value in {K}.
+    root_information : ndarray, shape (k, 3, 3), 1/m, optional
+        Square root of each knot's information where a camera sees no depth; `sigma_m` says it all where None.
     """
 
     node: IntArray
     position: FloatArray
     sigma_m: FloatArray
     start: FloatArray
+    root_information: FloatArray | None = None
 
 
 @dataclass(frozen=True)

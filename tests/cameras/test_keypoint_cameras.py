@@ -1,0 +1,124 @@
+"""Cameras without depth: placed, where their rays meet, and the arm that they give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from smoother.cameras import join_cameras
+from smoother.cameras.keypoint_places import clock_of_known_place, placed_keypoints
+from smoother.cameras.lifting import depth_by_rays
+from smoother.cameras.rig import RelativeClock
+from smoother.errors import SolveError
+from smoother.recording import JOINTS, CameraPose
+from smoother.result import Recovery
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
+
+FIRST = CameraPose(np.eye(3), np.zeros(3), 0.0, 0.0)
+
+
+@cache
+def made(rgb: str, preset: str = "realistic", seed: int = 930, **changes: Any) -> SimulatedArm:
+    settings = {"protocol": "random", "duration_s": 30.0, "rgb": rgb, "camera_clock_s": 0.35} | changes
+    if rgb != "first":
+        settings["cameras"] = (75.0,)
+    return simulate_arm(ArmSimulation.preset(preset, **settings), seed)
+
+
+def test_beside_a_camera_with_depth_pose_and_clock_are_found() -> None:
+    simulated = made("further", "clean", rgb_noise_px=0.0)
+    row = placed_keypoints(simulated.recording.cameras[0], simulated.recording.arm, "camera")
+    true = simulated.parameters["cameras"]["camera_2"]
+    assert row.pose is not None
+    turned = Rotation.from_matrix(row.pose.R_K_C @ true["R_K_C"].T).magnitude()
+    # frames lie between each other: straight lines between them are off by some tenths of a millimetre
+    assert np.degrees(turned) < 0.05
+    assert np.linalg.norm(row.pose.p_K_C_m - true["p_K_C_m"]) < 0.005
+    assert abs(row.clock.offset_s - true["offset_s"]) < 5e-4
+    assert row.takes_part
+
+
+def test_realistic_joints_place_it_to_a_degree() -> None:
+    simulated = made("further")
+    row = placed_keypoints(simulated.recording.cameras[0], simulated.recording.arm, "camera")
+    true = simulated.parameters["cameras"]["camera_2"]
+    assert row.pose is not None
+    assert np.degrees(Rotation.from_matrix(row.pose.R_K_C @ true["R_K_C"].T).magnitude()) < 1.2
+    assert abs(row.clock.offset_s - true["offset_s"]) < 0.005
+
+
+def test_another_person_is_left_out_and_named() -> None:
+    simulated = made("further", camera_fault="other_person")
+    _, rig = join_cameras(simulated.recording)
+    assert rig is not None
+    (caution,) = rig.cautions
+    assert caution.startswith("camera_2 was left out: its rays pass")
+
+
+def test_rays_of_two_cameras_meet_in_the_joints() -> None:
+    simulated = made("all", "clean", rgb_noise_px=0.0)
+    recording, (camera,) = simulated.recording, simulated.recording.cameras
+    true = simulated.parameters["cameras"]["camera_2"]
+    pose = CameraPose(true["R_K_C"], true["p_K_C_m"], 0.0, 0.0)
+    clock = RelativeClock(-true["offset_s"])
+    depth, met = depth_by_rays(recording.arm, FIRST, clock, camera.arm, pose)
+    assert recording.truth is not None
+    t = recording.arm.t_s + simulated.parameters["clock_offset_s"]
+    for joint in ("shoulder", "elbow", "wrist"):
+        column = JOINTS.index(joint)
+        there = [np.interp(t, recording.truth.t_s, recording.truth.joints[joint][:, k]) for k in range(3)]
+        rows = met[:, column]
+        assert rows.mean() > 0.5
+        np.testing.assert_allclose(depth[rows, column], there[2][rows], atol=0.01)  # between frames
+
+
+def test_the_clock_of_a_camera_whose_place_is_known() -> None:
+    simulated = made("all")
+    clock, misfit_m = clock_of_known_place(simulated.recording.cameras[0], simulated.recording.arm)
+    assert abs(clock.offset_s - simulated.parameters["cameras"]["camera_2"]["offset_s"]) < 0.005
+    assert misfit_m < 0.04
+
+
+def test_a_camera_that_moved_is_named_with_the_time() -> None:
+    simulated = made("further", camera_fault="moved", seed=932)
+    _, rig = join_cameras(simulated.recording)
+    assert rig is not None
+    (caution,) = rig.cautions
+    assert caution.startswith("camera_2 was left out: from about 15 s on it stands")
+
+
+def test_one_whose_place_is_not_known_is_refused() -> None:
+    recording = made("all").recording
+    unknown = replace(recording, cameras=(replace(recording.cameras[0], pose=None),))
+    with pytest.raises(SolveError, match="camera_2 was left out: where it stands is not known"):
+        join_cameras(unknown)
+
+
+def test_one_camera_alone_is_refused() -> None:
+    with pytest.raises(SolveError, match="one camera without depth are read and not solved yet"):
+        smooth(made("first").recording)
+
+
+def gaps(recovery: Recovery, simulated: SimulatedArm) -> tuple[float, float]:
+    """The wrist's rms error in gaps, m, and its squared sigmas / 3."""
+    truth = simulated.recording.truth
+    assert truth is not None
+    error = (recovery.joints["wrist"] - truth.joints["wrist"])[recovery.occluded]
+    covariance = recovery.joint_covariance["wrist"][recovery.occluded]
+    squared = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(squared.mean()) / 3.0
+
+
+def test_two_cameras_without_depth_are_as_good_as_cameras_with_it() -> None:
+    simulated = made("all")
+    recovery = smooth(replace(simulated.recording, truth=None), processes=1)
+    rms_m, nees = gaps(recovery, simulated)
+    assert rms_m < 0.02
+    assert nees < 2.0
+    assert [camera.takes_part for camera in recovery.estimates.cameras] == [True, True]
