@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..runtime.packages import OPEN3D
 from .arm_output import say_untrusted_parts, say_verdict
 from .options import ConfigFile, Force, Json, Processes
 from .output import (
@@ -160,7 +161,6 @@ PACKAGES = (
     "plotly",
     "opencv-python-headless",
 )
-OPEN3D = "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d"
 
 
 def doctor(json_file: Json = None, force: Force = False) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 import typer
 
 from ..errors import DEBUG, UnoccludeError, debugging, is_out_of_memory
+from ..runtime.packages import missing_package
 from ..runtime.printable import printable
 
 
@@ -125,6 +126,8 @@ def explain(error: BaseException) -> tuple[str, int]:
             "the computer's memory does not suffice for this recording; cut it, or use a larger machine",
             FAILED,
         )
+    if isinstance(error, ImportError) and (sentence := missing_package(error)):
+        return sentence, FAILED
     kind = type(error).__name__
     return f"an unexpected error, {kind}: {error} (set {DEBUG}=1 to see where it comes from)", FAILED
 

@@ -3,12 +3,39 @@
 from __future__ import annotations
 
 import ctypes
+import platform
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from types import ModuleType
 
 from ..errors import UnoccludeError
+
+#: Open3D without CUDA, where there is a wheel of it.
+OPEN3D = "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d"
+#: Modules that the light installation (.ci/light.txt) leaves out, and the packages that hold them.
+LEFT_OUT = {
+    "cv2": "opencv-python-headless",
+    "open3d": OPEN3D,
+    "libusb_package": "libusb-package",
+    "dask": "dask",
+    "distributed": "distributed",
+}
+
+
+def missing_package(error: ImportError) -> str:
+    """One sentence on a module that is not there; "" where the program never leaves it out.
+
+    Parameters
+    ----------
+    error : ImportError
+    """
+    module = (error.name or "").partition(".")[0]
+    if not isinstance(error, ModuleNotFoundError) or module not in LEFT_OUT:
+        return ""
+    return (
+        f"this needs {LEFT_OUT[module]}, which is not installed; get it with `pip install {LEFT_OUT[module]}`"
+    )
 
 
 def extra_module(
