@@ -202,6 +202,44 @@ def test_a_killed_server_a_closed_tab_and_a_cancel(
     assert not elsewhere(browser, program)
 
 
+def test_a_missing_file_two_sessions_and_a_mirror(
+    browser: Browser, program: Program, session_files: dict[str, Path], tmp_path: Path
+):
+    """Each is said in the command's sentence; the files stay, and the step is repeated or undone in place."""
+    ended = "document.querySelector('#ended')?.textContent ?? ''"
+    opened(browser, program)
+    choose(browser, session_files["imu"])
+    browser.wait("document.querySelectorAll('.plots svg').length === 2")
+    press(browser, "#recover")
+    browser.wait(f"({ended}).includes('skeleton')")
+    choose(browser, session_files["other_skeleton"])
+    browser.wait("document.querySelectorAll('.plots svg').length === 3")
+    press(browser, "#recover")
+    browser.wait(f"({ended}).includes('mixes sessions')")
+    sentence = browser.run(ended)
+    assert "files/shimmer.csv (2026-03-12)" in sentence and "2026-03-21" in sentence
+    press(browser, "#repeat")
+    browser.wait("!!document.querySelector('#bar')")
+    browser.wait(f"({ended}).includes('mixes sessions')")
+    press(browser, 'button[aria-label="Remove kinect.csv"]')
+    browser.wait("!document.querySelector('button[aria-label=\"Remove kinect.csv\"]')")
+    mirrored = write_session(tmp_path / "mirrored", mirror=True)["skeleton"]
+    browser.wait("!!document.querySelector('#recover:not(:disabled)')")
+    choose(browser, mirrored)
+    browser.wait("document.querySelectorAll('.plots svg').length === 3")
+    press(browser, "#recover")
+    patiently(browser, f"({ended}).includes('see step 3')")
+    assert not browser.run("!!document.querySelector('#report')")
+    press(browser, ".remedy")
+    browser.wait("!!document.querySelector('#cancel')")
+    press(browser, "#cancel")
+    browser.wait(f"({ended}).startsWith('Cancelled')")
+    (job,) = sorted(program.only().glob("jobs/*/job.json"))[-1:]
+    steps = [each["argv"] for each in json.loads(job.read_text())["steps"]]
+    assert all("--mirror x" in " ".join(words) for words in steps if words[0] in ("check", "smooth"))
+    assert json.loads((program.only() / "app.json").read_text())["choices"]["remedy"] == "--mirror x"
+
+
 def test_a_table_that_nobody_knows_is_described_in_place(
     browser: Browser, program: Program, session_files: dict[str, Path], tmp_path: Path
 ):

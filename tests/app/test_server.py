@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from local_page import HOST, PORT, TOKEN, Page, own_table, write_session
+from local_page import HOST, PORT, TOKEN, Page, own_table
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
@@ -20,7 +20,7 @@ from smoother.app import server
 from smoother.app.folder import PLACES, AppFolder, KeptRecording, write_json
 from smoother.app.jobs import JobDesk
 from smoother.app.server import make_app
-from smoother.app.steps import describe_steps, import_steps, recover_steps
+from smoother.app.steps import describe_steps, import_steps
 from smoother.cli.app import app
 from smoother.errors import RecordingError
 from smoother.io import open_csv, open_recording
@@ -54,26 +54,6 @@ def test_two_files_become_a_recording(page: Page, session_files: dict[str, Path]
     about = page.wait(name)
     assert about["job"]["state"] == "cancelled" and about["imported"] and about["check"] is None
     assert not list(page.folder.of(name).glob(".*")), "nothing half written is left"
-
-
-def test_a_missing_file_is_named_by_the_command(page: Page, session_files: dict[str, Path]):
-    name = page.add([session_files["imu"]])
-    page.begin(name, "recover")
-    about = page.wait(name)
-    assert about["job"]["state"] == "failed" and "skeleton" in about["job"]["sentence"]
-    path = f"/api/recordings/{name}/files/kinect.csv"
-    page.ask("PUT", path, content=session_files["skeleton"].read_bytes())
-    page.begin(name, "describe")
-    about = page.wait(name)
-    assert about["job"]["state"] == "done" and len(about["looked_at"]) == 2, "the step is repeatable"
-
-
-def test_two_sessions_are_not_mixed(page: Page, session_files: dict[str, Path]):
-    name = page.add([session_files["imu"], session_files["other_skeleton"]])
-    page.begin(name, "check")
-    job = page.wait(name)["job"]
-    assert job["state"] == "failed" and "mixes sessions" in job["sentence"]
-    assert "files/shimmer.csv (2026-03-12)" in job["sentence"] and "2026-03-21" in job["sentence"]
 
 
 def test_what_is_no_recording_keeps_its_sentence(page: Page, tmp_path: Path):
@@ -295,19 +275,6 @@ def test_the_page_names_no_other_host():
     for path in server.WEB.iterdir():
         text = path.read_text("utf-8").replace("http://www.w3.org/2000/svg", "")
         assert "http://" not in text and "https://" not in text and "//cdn" not in text
-
-
-def test_the_same_session_mirrored(page: Page, tmp_path: Path):
-    """The check holds the recovery, and proposes what undoes it."""
-    files = write_session(tmp_path / "mirrored", mirror=True)
-    name = page.add(list(files.values()))
-    page.begin(name, "recover")
-    about = page.wait(name)
-    assert about["job"]["state"] == "held" and about["result"] is None
-    assert about["check"]["trusted"] is False and "--mirror x" in about["check"]["remedies"]
-    page.change(name, choices={"remedy": "--mirror x"})
-    *_, check, recover = recover_steps(page.folder, page.folder.of(name))
-    assert "--mirror x" in " ".join(check["argv"]) and "--mirror x" in " ".join(recover["argv"])
 
 
 def test_the_template_of_the_document(tmp_path: Path, session_files: dict[str, Path]):

@@ -79,11 +79,16 @@ function act(work) {
   };
 }
 
+// a number as the page's language writes it
+function num(value, digits = 1) {
+  return value.toLocaleString(words.locale, { maximumFractionDigits: digits });
+}
+
 function size(bytes) {
   const units = ["B", "kB", "MB", "GB", "TB"];
   let at = 0;
   for (; bytes >= 1000 && at < units.length - 1; at++) bytes /= 1000;
-  return `${bytes < 10 && at ? bytes.toFixed(1) : Math.round(bytes)} ${units[at]}`;
+  return `${num(bytes, bytes < 10 && at ? 1 : 0)} ${units[at]}`;
 }
 
 function select(options, value, onchange, more = {}) {
@@ -511,8 +516,8 @@ function limb(joint) {
 }
 
 function streamBox(view, about, stream, open) {
-  const length = stream.duration_s.toFixed(1);
-  const line = t("stream_line", { count: stream.count.toLocaleString(words.locale), rate: stream.rate_hz ?? "?", length });
+  const rate = stream.rate_hz === null ? "?" : num(stream.rate_hz);
+  const line = t("stream_line", { count: num(stream.count), rate, length: num(stream.duration_s) });
   const facts = [line, `${t("holds")}: ${stream.holds.map(thing).join(", ")}`, `${t("units")}: ${stream.units || "?"}`];
   let worn = null;
   if (stream.kind === "imu") {
@@ -555,7 +560,7 @@ function drawPlot(plot) {
   const span = top_ - low || 1;
   const x = (s) => left + (s / (end || 1)) * (wide - left - right);
   const y = (value) => top + (1 - (value - low) / span) * (high - top - bottom);
-  const label = t("plot_label", { title: thing(plot.title), unit: plot.unit, length: end.toFixed(1), low: short(low), high: short(top_) });
+  const label = t("plot_label", { title: thing(plot.title), unit: plot.unit, length: num(end), low: short(low), high: short(top_) });
   const picture = svg("svg", { viewBox: `0 0 ${wide} ${high}`, role: "img", "aria-label": label },
     svg("rect", { class: "frame", x: left, y: top, width: wide - left - right, height: high - top - bottom }));
   for (const line of plot.lines) {
@@ -574,12 +579,12 @@ function drawPlot(plot) {
   }
   const text = (content, at) => { const node = svg("text", at); node.textContent = content; return node; };
   picture.append(text(short(top_), { x: left - 4, y: top + 8, "text-anchor": "end" }), text(short(low), { x: left - 4, y: high - bottom, "text-anchor": "end" }),
-    text("0", { x: left, y: high - 7 }), text(`${end.toFixed(1)} ${t("seconds")}`, { x: wide - right, y: high - 7, "text-anchor": "end" }));
+    text("0", { x: left, y: high - 7 }), text(`${num(end)} ${t("seconds")}`, { x: wide - right, y: high - 7, "text-anchor": "end" }));
   return h("figure", {}, picture, h("figcaption", {}, `${thing(plot.title)}, ${plot.unit}`, plot.lines.map((line) => h("b", { class: line.name }, line.name))));
 }
 
 function short(value) {
-  return Math.abs(value) >= 100 ? value.toFixed(0) : Number(value.toPrecision(2)).toString();
+  return Math.abs(value) >= 100 ? num(value, 0) : num(Number(value.toPrecision(2)), 6);
 }
 
 function checkSection(view, about, open) {
