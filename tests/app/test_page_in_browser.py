@@ -281,6 +281,7 @@ def test_a_batch_and_the_comparison_of_a_person(browser: Browser, program: Progr
         write_session(tmp_path / name, start_s=start_s, repetitions=1)
     opened(browser, program)
     drop(browser, tmp_path / "first", tmp_path / "later")
+    press(browser, "#folders_several")
     browser.wait("document.querySelectorAll('table.list tbody tr').length === 2")
     idle = "fetch('/api/state').then(each => each.json()).then(({recordings}) => recordings.every("
     browser.wait(idle + "each => each.files === 2 && each.job?.state === 'done'))")

@@ -236,7 +236,7 @@ function dropPlace(small, take) {
     h("div", { class: "row" },
       h("button", { type: "button", onclick: () => files.click() }, t("choose_files")),
       h("button", { type: "button", onclick: () => folder.click() }, t("choose_folder"))),
-    files, folder, h("div", { id: "upload" }));
+    files, folder, small ? null : h("div", { id: "folders", role: "group" }), h("div", { id: "upload" }));
   place.addEventListener("dragover", (event) => { event.preventDefault(); place.classList.add("over"); });
   place.addEventListener("dragleave", () => place.classList.remove("over"));
   place.addEventListener("drop", (event) => {
@@ -274,14 +274,28 @@ const listing = {
 };
 
 async function startRecordings(files) {
-  const groups = grouped(files);
+  let groups = grouped(files);
   if (!groups.length) return;
+  if (groups.length > 1 && !(await areSeveral(groups))) {
+    groups = [{ name: files[0].path.split("/")[0], files: groups.flatMap((each) => each.files) }];
+  }
   let last = "";
   for (const { name, files: some } of groups) {
     last = (await ask("POST", "/api/recordings", { name })).id;
     if (groups.length === 1) location.hash = `#/r/${last}`;
     await upload(last, some);
   }
+}
+
+// whether folders are a recording each, or together one (a folder for each device): asked, since no rule can tell
+function areSeveral(groups) {
+  const place = document.getElementById("folders"), n = groups.length;
+  return new Promise((done) => {
+    const answer = (id, several) => h("button", { type: "button", id, onclick: () => { place.replaceChildren(); done(several); } }, t(id, { n }));
+    place.replaceChildren(h("p", {}, t("folders_are", { n, names: groups.map((each) => each.name).join(", ") })),
+      h("div", { class: "row" }, answer("folders_several", true), answer("folders_one", false)));
+    place.querySelector("button").focus();
+  });
 }
 
 function looseFiles(names) {
@@ -482,12 +496,12 @@ function fileBox(view, about, file, open) {
       return change(view, { choices: { left_out: event.target.checked ? [...others, file.name] : others } });
     }) }), " ", t("leave_out"));
   return h("div", { class: "file" },
-    h("h3", {}, file.name, " ", h("span", { class: "soft" }, file.title || t("unknown_file"))),
+    h("h3", {}, file.name, " ", file.title ? h("span", { class: "soft", lang: "en" }, file.title) : h("span", { class: "soft" }, t("unknown_file"))),
     file.name === about.camera_video?.file ? filmBox(view, about, open)
       : ["video", "model", "calibration", "description"].includes(file.kind) ? h("p", {}, t(`kind_${file.kind}`)) : null,
     file.error && !file.guess ? h("p", { class: "said", lang: "en" }, file.error) : null,
     out ? null : file.streams.map((stream) => streamBox(view, about, stream, open)),
-    file.notes.map((note) => h("p", { class: "soft small" }, note)),
+    file.notes.map((note) => h("p", { class: "soft small", lang: "en" }, note)),
     file.guess && !out ? templateForm(view, file, open) : null, tick);
 }
 
