@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -327,12 +329,29 @@ def test_a_batch_and_the_comparison_of_a_person(browser: Browser, program: Progr
     assert not elsewhere(browser, program) and not browser.complaints()
 
 
-def test_by_keyboard_and_in_german(browser: Browser, program: Program, session_files: dict[str, Path]):
+def test_by_keyboard_and_in_german(
+    browser: Browser, program: Program, session_files: dict[str, Path], tmp_path: Path
+):
     """Every control has a name, focus goes with the view, contrast holds in the light and the dark scheme."""
+    for kind in ("imu", "skeleton"):  # a folder for each device, and files of one name in them
+        (tmp_path / "Montag" / kind).mkdir(parents=True)
+        shutil.copy(session_files[kind], tmp_path / "Montag" / kind / "data.csv")
     opened(browser, program)
-    choose(browser, session_files["imu"])
-    browser.wait("!!document.querySelector('.plots svg')")
-    assert browser.run("document.activeElement.tagName") == "H1"
+    drop(browser, tmp_path / "Montag")
+    press(browser, "#folders_one")
+    browser.wait("document.querySelectorAll('.plots svg').length === 3")
+    files = browser.run(
+        "[...document.querySelectorAll('ul.files li > span:first-child')].map(e => e.textContent)"
+    )
+    assert (
+        len(files) == 2
+        and "data.csv" in files
+        and set(files) < {"data.csv", "imu_data.csv", "skeleton_data.csv"}
+    )
+    assert browser.run("[document.activeElement.tagName, document.activeElement.textContent]") == [
+        "H1",
+        "Montag",
+    ]
     controls = "'button, select, input:not([type=file]), a, progress, iframe'"
     nameless = browser.run(
         f"[...document.querySelectorAll({controls})].filter(each => !(each.getAttribute('aria-label')"
@@ -351,6 +370,10 @@ def test_by_keyboard_and_in_german(browser: Browser, program: Program, session_f
     browser.run(f"(each => {{ {change} }})(document.querySelector('#language'))")
     browser.wait("document.querySelector('#check')?.textContent === 'Prüfen'")
     assert browser.run("document.documentElement.lang") == "de"
+    plots = browser.run("[...document.querySelectorAll('figcaption')].map(e => e.textContent).join()")
+    assert "Handgelenk rechts, m" in plots and "Drehrate, rad/s" in plots
+    page = browser.run("document.querySelector('[data-part=streams]').textContent")
+    assert re.search(r"Hz, 3[0-9],[0-9] s", page), "decimal comma"
     browser.run("localStorage.clear()")
     assert not browser.complaints()
 
