@@ -15,6 +15,7 @@ from .options import (
     Calibration,
     Force,
     Json,
+    Lenses,
     Output,
     Outputs,
     RecordingPath,
@@ -207,6 +208,7 @@ def files(
             help="When the first IMU sample was taken, seconds after the camera's first frame.",
         ),
     ] = None,
+    intrinsics: Lenses = None,
     template: Templates = None,
     one_session: Annotated[
         bool,
@@ -219,6 +221,8 @@ def files(
     force: Force = False,
 ) -> None:
     """Import files as exported by devices and camera programs."""
+    from calib.lens_files import read_camera_file
+
     from ..io.devices.files import import_files
     from ..io.devices.folder import add_truth, sort_files
     from ..io.devices.registry import FileReader
@@ -228,7 +232,7 @@ def files(
     named_skeletons = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
     skeletons, imus = [path for _, path in named_skeletons], [imu_files(text) for text in imu or []]
     check_mcap(output)
-    named = [*skeletons, *(p for files in imus for p in files.paths), truth, *(paths or [])]
+    named = [*skeletons, *(p for files in imus for p in files.paths), truth, intrinsics, *(paths or [])]
     beside = [
         path for folder in paths or [] if folder.is_dir() for path in folder.glob("*") if path.is_file()
     ]
@@ -241,6 +245,7 @@ def files(
         reader=reader,
         one_session=one_session or bool(paths),
         cameras=[name for name, _ in named_skeletons],
+        lenses=None if intrinsics is None else read_camera_file(intrinsics),
     )
     if truth is not None:
         reports.append(add_truth(file, truth))

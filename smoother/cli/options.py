@@ -123,6 +123,15 @@ IntrinsicsFile = Annotated[
         help="width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3].",
     ),
 ]
+Lenses = Annotated[
+    Path | None,
+    typer.Option(
+        "--intrinsics",
+        metavar="FILE",
+        help="Lenses, and places, of cameras whose files hold keypoints in images: OpenCV or ROS (YAML,"
+        " JSON), Kalibr's camchain, Pose2Sim's Calib.toml; its names are the NAMEs of --skeleton.",
+    ),
+]
 PanelFile = Annotated[
     Path | None,
     typer.Option(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
+from calib.lens_files import CameraFile
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
@@ -19,9 +21,10 @@ from ..recording.clean import clean_arm, clean_imu
 from ..recording.decode import JointRows, joint_code
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, states_of_scores
 from ..recording.selection import named_side, role
-from ..recording.streams import CameraStream, ImuSamples, RecordingFile
+from ..recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
 from ..tables.imu_checks import paired
 from ..tables.protocol import DeviceFormat, ImuTable, SkeletonTable
+from .image_keypoints import PIXELS
 from .registry import FileReader
 from .repair import Timed, check_one_session, count_from_zero, repaired_imu, repaired_skeleton, shifts
 
@@ -89,6 +92,7 @@ def import_files(
     reader: FileReader | None = None,
     one_session: bool = False,
     cameras: Sequence[str] = (),
+    lenses: Mapping[str, CameraFile] | None = None,
 ) -> tuple[RecordingFile, list[FileReport]]:
     """Make a recording of device files.
 
@@ -109,6 +113,8 @@ def import_files(
     cameras : sequence of str
         Names of the skeletons' cameras, "" where none was given; a named one beyond the first skeleton is a
         further camera that saw the same person.
+    lenses : mapping of str to CameraFile, optional
+        Of cameras whose files hold keypoints in images, by name; "" is of the one without a name.
 
     Returns
     -------
@@ -149,13 +155,43 @@ def import_files(
             file.cameras[topic] = CameraStream(name, tables[0].frame, tables[0].gravity_hint)
         else:
             topic, name = "/skeleton" if number == 0 else f"/skeleton_{number + 1}", "camera"
+        known = None
+        if tables[0].units == PIXELS:
+            known = _known_lens(report.path, number, cameras, lenses or {})
+            stream = file.cameras.pop(topic, None)
+            topic = TOPIC if stream is None else NAMED_TOPIC.format(name)
+            if stream is not None:
+                file.cameras[topic] = stream
+            file.lenses[topic] = known
         report.topics.append(topic)
-        add_skeleton(file, tables, report.path, topic, shift[number], name)
+        add_skeleton(file, tables, report.path, topic, shift[number], name, known)
     for (topic, table, report), moved_s in zip(sensors, shift[len(bodies) :], strict=True):
         add_imu(file, topic, table, report.path, moved_s)
         report.topics.append(topic)
     file.notes = [note for report in reports for note in report.notes] + file.notes
     return file, reports
+
+
+def _known_lens(
+    source: str, number: int, cameras: Sequence[str], lenses: Mapping[str, CameraFile]
+) -> KnownLens:
+    """The lens of the camera whose file has that number, and its place in the first camera's frame."""
+
+    def of(name: str) -> CameraFile | None:
+        return lenses.get(name) or (next(iter(lenses.values())) if len(lenses) == 1 else None)
+
+    name = cameras[number] if number < len(cameras) else ""
+    camera = of(name)
+    if camera is None:
+        named = f", {name}" if name else ""
+        held = f" (it holds {', '.join(map(repr, lenses))})" if lenses else ""
+        raise RecordingError(
+            f"{source} holds keypoints in the image, which need the camera's lens{named}: give"
+            f" --intrinsics FILE{held}, or triangulate them (Pose2Sim) and give the file that makes."
+        )
+    first = lenses.get(cameras[0] if cameras else "")
+    pose = camera.seen_from(first) if number and first is not None else None
+    return KnownLens(camera.lens, pose)
 
 
 def _skeleton(
@@ -273,6 +309,7 @@ def add_skeleton(
     topic: str,
     shift_s: float,
     camera: str = "camera",
+    known: KnownLens | None = None,
 ) -> None:
     """Put the arms of a file's bodies into a recording; all of them share its frames.
 
@@ -290,6 +327,8 @@ def add_skeleton(
         What to add to the times.
     camera : str
         Whose frame the joints are in.
+    known : KnownLens, optional
+        Of a file with keypoints in images.
 
     Raises
     ------
@@ -312,7 +351,10 @@ def add_skeleton(
             rows.add_joints(frame, body, side, joint, state, np.array(position, dtype=float))
     first = tables[0]
     arms = rows.arms(frames, topic, camera, first.frame)
+    if first.units == PIXELS and known is None:
+        raise RecordingError(f"{source} holds keypoints in the image; use `unocclude import files`.")
     for arm in arms:
+        arm.lens = None if known is None else known.lens
         if arm.tracked:
             clean_arm(arm, source)
     if not any(arm.tracked for arm in arms):
@@ -321,7 +363,8 @@ def add_skeleton(
             " read); record again with the arm in view."
         )
     file.arms += arms
-    _add_image_points(file, tables, stamps, frames, camera)
+    if known is None:
+        _add_image_points(file, tables, stamps, frames, camera)
     if file.camera_frame is None and file.gravity_hint is None and camera == "camera":
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
 

@@ -25,6 +25,7 @@ from ..tables.skeleton_formats import (
     landmarks_in_metres,
     share_states,
 )
+from .image_keypoints import keypoint_rows, keypoint_table
 
 
 def read_json(path: Path, expected: str) -> Any:
@@ -295,7 +296,7 @@ _POSE_TIMES = (
 _NUMBERS = ("frame", "frame_number", "frameNumber", "frame_index", "frame_id", "frame_idx", "index")
 _RATES = ("fps", "frame_rate", "frameRate", "framerate", "sampling_rate", "video_fps")
 _MARK = re.compile(
-    r'"(pose_?)?world_?landmarks"|"pose_keypoints_[23]d"|"keypoints_?3d"'
+    r'"(pose_?)?world_?landmarks"|"pose_keypoints_[23]d"|"keypoints_?3d"|"keypoints":\s*\[\s*[-\d]'
     r'|"[^"]{0,40}(right|left|r|l)[_ .]?wrist"|"[^"]{0,20}wrist[_ .]?(right|left|r|l)"|"(pose_?)?landmarks?"',
     re.IGNORECASE,
 )
@@ -340,21 +341,31 @@ class PoseJson:
             The file breaks off, the landmarks are parts of the image, or no arm is in it.
         """
         value = read_json(path, _POSE_EXPECTED)
-        frames = _Frames()
-        for key, frame in _frames_of(value):
+        frames, listed = _Frames(), _frames_of(value)
+        for key, frame in listed:
             _add(frames, key, frame, path)
+        contents = [frame for _, frame in listed]
+        rows = keypoint_rows(value, list(zip(frames.frame, frames.time, contents, strict=True)))
+        if rows is not None:
+            return [keypoint_table(path, rows, frames.scale, _rate(value))]
         if not any(frames.points):
             raise RecordingError(
                 f"{path} should be {_POSE_EXPECTED}, and no frame of it has points in space."
             )
         raw = _raw_landmarks(path, frames)
-        if isinstance(value, Mapping):
-            rate = next((number(value[name]) for name in _RATES if name in value), float("nan"))
-            raw.rate_hz = rate if 1.0 <= rate <= 1000.0 else None
+        raw.rate_hz = _rate(value)
         names = {_flat(name) for frame in frames.points for name in frame}
         if frames.world or {"rightpinky", "leftpinky"} & names or about_hips(raw):
             return landmarks_in_metres(raw, frames.world)
         return raw.skeletons(Conventions())
+
+
+def _rate(value: Any) -> float | None:
+    """Frames a second that a file states."""
+    if not isinstance(value, Mapping):
+        return None
+    rate = next((number(value[name]) for name in _RATES if name in value), float("nan"))
+    return rate if 1.0 <= rate <= 1000.0 else None
 
 
 def _flat(name: str) -> str:
@@ -404,11 +415,6 @@ def _add(frames: _Frames, key: str, frame: Any, path: Path) -> None:
         name, scale = next(((name, scale) for name, scale in _POSE_TIMES if name in frame), ("", None))
         time = number(frame.get(name))
         count = next((number(frame[name]) for name in _NUMBERS if name in frame), float("nan"))
-        if "pose_keypoints_2d" in frame and "pose_keypoints_3d" not in frame:
-            raise RecordingError(
-                f"{path} holds keypoints in the image (pose_keypoints_2d), which are no place in space;"
-                " triangulate them (Pose2Sim, OpenPose with --3d) and give the file that makes."
-            )
     digits = re.search(r"\d+(\.\d+)?", key)
     value, world = _points_in(frame, path)
     frames.time.append(time)
@@ -433,8 +439,6 @@ def _points_in(frame: Any, path: Path, depth: int = 0) -> tuple[Any, bool]:
         people = frame.get("people", frame.get("persons", frame.get("instances")))
         if isinstance(people, list):
             if people and isinstance(people[0], Mapping):
-                if "pose_keypoints_2d" in people[0] and not people[0].get("pose_keypoints_3d"):
-                    _add(_Frames(), "", people[0], path)  # refuses
                 return _points_in(people[0], path, depth + 1)
             return None, False
         for name in _POINTS:

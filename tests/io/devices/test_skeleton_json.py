@@ -125,9 +125,36 @@ def test_openpose_in_space(tmp_path: Path) -> None:
     assert_allclose(table.position["wrist_right"], made.expected("wrist_right", FRAMES), atol=1e-12)
 
 
-def test_openpose_in_the_image_is_refused(tmp_path: Path) -> None:
-    value = [{"people": [{"pose_keypoints_2d": [100.0] * 75}]}] * 5
-    with pytest.raises(RecordingError, match=r"keypoints in the image.*triangulate"):
+def test_openpose_in_the_image_is_read_as_pixels(tmp_path: Path) -> None:
+    row = [value for at in range(25) for value in (10.0 * at, 5.0 * at, 0.8)]
+    row[3 * 4 : 3 * 4 + 3] = [0.0, 0.0, 0.0]  # the right wrist was not found
+    value = {"fps": 25, "frames": [{"people": [{"pose_keypoints_2d": row}]}, {"people": []}] * 3}
+    (table,) = read(write(tmp_path / "a.json", value), "pose-json")
+    assert (table.units, table.frame) == ("pixels", CameraFrame.OPTICAL)
+    assert_allclose(table.t_s, np.arange(6) / 25)
+    assert_allclose(table.position["elbow_right"][0], [30.0, 15.0, 0.8])
+    assert np.isnan(table.position["elbow_right"][1]).all()
+    assert np.isnan(table.position["wrist_right"]).all()
+    assert table.state["elbow_right"].tolist() == [2, 0] * 3
+
+
+def test_coco_takes_the_surest_person_and_its_visibilities(tmp_path: Path) -> None:
+    def person(image: int, at: float, **more: float) -> dict[str, object]:
+        return {"image_id": image, "keypoints": [v for k in range(17) for v in (at + k, at, k % 3)], **more}
+
+    listed = [person(2, 50.0, area=10), person(1, 100.0, area=5), person(1, 200.0, area=9)]
+    value = {"images": [{"id": 1}, {"id": 2}, {"id": 3}], "annotations": listed}
+    (table,) = read(write(tmp_path / "a.json", value), "pose-json")
+    elbow = table.position["elbow_left"]  # COCO's eighth: 7 % 3 = 1, labelled and hidden
+    assert_allclose(elbow[:2], [[207.0, 200.0, 0.3], [57.0, 50.0, 0.3]])
+    assert np.isnan(elbow[2]).all()
+    assert table.state["elbow_left"].tolist() == [1, 1, 0]
+    assert "30 frames a second" in " ".join(table.notes)
+
+
+def test_a_number_of_keypoints_that_is_no_known_set(tmp_path: Path) -> None:
+    value = [{"people": [{"pose_keypoints_2d": [1.0] * 33}]}] * 5
+    with pytest.raises(RecordingError, match="11 keypoints a person are of no known set"):
         read(write(tmp_path / "a.json", value), "pose-json")
 
 

@@ -1,0 +1,124 @@
+"""Calibration files of other programs: lenses and places, against OpenCV and rotations worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.lens_files import read_camera_file
+from smoother.errors import CalibrationError
+
+MATRIX = np.array([[910.5, 0.0, 633.0], [0.0, 905.0, 362.5], [0.0, 0.0, 1.0]])
+TERMS = (-0.12, 0.03, 1e-3, -2e-3, 0.004)
+
+
+def check(lens: object) -> None:
+    assert (lens.fx, lens.fy, lens.cx, lens.cy) == (910.5, 905.0, 633.0, 362.5)  # type: ignore[attr-defined]
+    assert (lens.width, lens.height) == (1280, 720)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(lens.distortion, TERMS)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["lens.yml", "lens.json"])
+def test_opencvs_own_files(tmp_path: Path, name: str) -> None:
+    """As cv2.FileStorage writes them."""
+    path = tmp_path / name
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 1280)
+    storage.write("image_height", 720)
+    storage.write("camera_matrix", MATRIX)
+    storage.write("distortion_coefficients", np.array([TERMS]))
+    storage.release()
+    cameras = read_camera_file(path)
+    assert list(cameras) == [""]
+    check(cameras[""].lens)
+    assert cameras[""].R is None
+
+
+def test_ros_and_plain_json(tmp_path: Path) -> None:
+    ros = tmp_path / "ros.yaml"
+    ros.write_text(
+        "image_width: 1280\nimage_height: 720\ncamera_name: front  # the left one\ncamera_matrix:\n"
+        "  rows: 3\n  cols: 3\n  data: [910.5, 0., 633., 0., 905.,\n     362.5, 0., 0., 1.]\n"
+        "distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n"
+        f"  data: {list(TERMS)}\n"
+    )
+    check(read_camera_file(ros)[""].lens)
+    plain = tmp_path / "plain.json"
+    plain.write_text(json.dumps({"K": MATRIX.tolist(), "dist": [TERMS], "image_size": [1280, 720]}))
+    check(read_camera_file(plain)[""].lens)
+
+
+def test_kalibrs_chain_of_cameras(tmp_path: Path) -> None:
+    turn = Rotation.from_euler("y", 60, degrees=True).as_matrix()
+    steps = [np.eye(4), np.eye(4)]
+    for step in steps:
+        step[:3, :3], step[:3, 3] = turn, [0.1, 0.2, 0.3]
+    text = ""
+    for number in range(3):
+        text += (
+            f"cam{number}:\n  cam_overlaps: [0, 1]\n  camera_model: pinhole\n  distortion_coeffs:"
+            f" {list(TERMS[:4])}\n  distortion_model: radtan\n  intrinsics: [910.5, 905.0, 633.0, 362.5]\n"
+            f"  resolution: [1280, 720]\n  rostopic: /cam{number}/image\n"
+        )
+        if number:
+            text += "  T_cn_cnm1:\n" + "".join(f"  - {row.tolist()}\n" for row in steps[number - 1])
+    path = tmp_path / "camchain.yaml"
+    path.write_text(text)
+    cameras = read_camera_file(path)
+    assert list(cameras) == ["cam0", "cam1", "cam2"]
+    np.testing.assert_allclose(cameras["cam2"].lens.distortion, TERMS[:4])
+    pose = cameras["cam2"].seen_from(cameras["cam0"])
+    assert pose is not None
+    back = np.linalg.inv(steps[1] @ steps[0])  # from the third camera to the first
+    np.testing.assert_allclose(pose.R_K_C, back[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(pose.p_K_C_m, back[:3, 3], atol=1e-12)
+
+
+def test_pose2sims_calibration(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    turns, shifts = rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
+    text = "".join(
+        f'[cam_{at}]\nname = "view{at}"\nsize = [1280.0, 720.0]\nmatrix = {MATRIX.tolist()}\n'
+        f"distortions = {list(TERMS[:4])}\nrotation = {turns[at].tolist()}\n"
+        f"translation = {shifts[at].tolist()}\nfisheye = false\n\n"
+        for at in range(2)
+    )
+    path = tmp_path / "Calib.toml"
+    path.write_text(text + "[metadata]\nadjusted = false\nerror = 0.0\n")
+    cameras = read_camera_file(path)
+    assert list(cameras) == ["view0", "view1"]
+    pose = cameras["view1"].seen_from(cameras["view0"])
+    assert pose is not None
+    world = rng.normal(size=3)
+    in_first, in_other = (
+        Rotation.from_rotvec(turn).apply(world) + t for turn, t in zip(turns, shifts, strict=True)
+    )
+    np.testing.assert_allclose(pose.to_first(in_other), in_first, atol=1e-12)
+    # OpenCV agrees on where the point appears
+    pixel = cv2.projectPoints(world[None], turns[1], shifts[1], MATRIX, np.array(TERMS[:4]))[0].ravel()
+    np.testing.assert_allclose(cameras["view1"].lens.pixels(in_other[None])[0], pixel, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("a: 1\n", "holds no lens"),
+        ("camera_matrix:\n  data: [1.0, 2.0]\n", "not whole"),
+        ("camera_matrix: [-9, 0, 1, 0, 9, 1, 0, 0, 1]\n", "above zero"),
+        ("cam0:\n  camera_model: pinhole\n  distortion_model: equidistant\n  intrinsics: [9, 9, 4, 4]\n"
+         "  distortion_coeffs: [0.1, 0, 0, 0]\n  resolution: [8, 8]\n", "only pinhole lenses"),
+        ("- 1\n", "no calibration that can be read"),
+        ("{", "no calibration that can be read"),
+        ("camera_matrix: [1, 2\n", "no calibration that can be read"),
+    ],
+)  # fmt: skip
+def test_what_is_refused(tmp_path: Path, text: str, why: str) -> None:
+    path = tmp_path / "lens.yaml"
+    path.write_text(text)
+    with pytest.raises(CalibrationError, match=why):
+        read_camera_file(path)
