@@ -270,12 +270,14 @@ def alpha_volume(points: FloatArray, alpha_m: float) -> float:
         corners = points[Delaunay(points).simplices]
     except (QhullError, ValueError):
         return float("nan")
-    edges = corners[:, 1:] - corners[:, :1]
-    six_volumes = np.abs(np.linalg.det(edges))
+    a, b, c = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
+    bc, ca, ab = np.cross(b, c), np.cross(c, a), np.cross(a, b)
+    six_volumes = np.abs(np.einsum("ni,ni->n", a, bc))
     solid = six_volumes > 1e-15
-    # the centre c of the ball is as far from all corners: 2 edges c = |edges|^2
-    centre = np.linalg.solve(2.0 * edges[solid], (edges[solid] ** 2).sum(axis=2)[..., None])[..., 0]
-    inside = np.linalg.norm(centre, axis=1) <= alpha_m
+    # the centre of the ball through all corners is (|a|^2 b x c + |b|^2 c x a + |c|^2 a x b) / (2 a . b x c)
+    squares = ((edge**2).sum(axis=1)[:, None] for edge in (a, b, c))
+    centre = sum(square * normal for square, normal in zip(squares, (bc, ca, ab), strict=True))[solid]
+    inside = np.linalg.norm(centre, axis=1) <= 2.0 * alpha_m * six_volumes[solid]
     return float(six_volumes[solid][inside].sum() / 6.0)
 
 
