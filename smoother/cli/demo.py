@@ -69,7 +69,7 @@ def demo(
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
     left_out = write_recovery([recovery], result, source=source, force=True)
     truth = recording.truth
-    validation = None if truth is None else validate(recovery, truth)
+    validation = None if truth is None else validate(recovery, truth, processes=config.windows.processes)
     write_report(recovery, report, recording=recording, validation=validation, truth=truth, force=True)
     figures = {
         "recovery": smooth_figures(recording, recovery),

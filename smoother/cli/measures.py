@@ -12,7 +12,7 @@ import typer
 
 from .arm_output import arms_figures, say_arm
 from .load import damage, load_recoveries
-from .options import NO_FILES, Body, Outputs, Result, Side, one_side
+from .options import NO_FILES, Body, Outputs, Processes, Result, Side, one_side
 from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
@@ -150,6 +150,7 @@ def measures(
         Path | None,
         typer.Option("--csv", metavar="FILE", help="Also write every measure as a row of a table."),
     ] = None,
+    processes: Processes = None,
     to: Outputs = NO_FILES,
 ) -> None:
     """Measure range of motion, reach, speed, smoothness.
@@ -164,7 +165,7 @@ def measures(
     check_outputs(to.force, [csv_file, to.report, to.json_file], [result, config_file])
     settings = read_settings(config_file, MeasureSettings)
     recoveries = load_recoveries(result, one_side(side), body)
-    rows, pairs = measured(recoveries, settings)
+    rows, pairs = measured(recoveries, settings, processes or 0)
     if to.report is not None:
         from ..report.measures import write_measures_page
 
@@ -182,7 +183,9 @@ def measures(
     say_written(csv_file, to.report, to.json_file)
 
 
-def measured(recoveries: list[Recovery], settings: MeasureSettings) -> tuple[list[Measures], list[BothArms]]:
+def measured(
+    recoveries: list[Recovery], settings: MeasureSettings, processes: int
+) -> tuple[list[Measures], list[BothArms]]:
     """The measures of each arm, and the comparison of each person's two arms."""
     from ..measures.measuring import Measuring, measures_of
     from ..measures.symmetry import both_arms
@@ -192,7 +195,7 @@ def measured(recoveries: list[Recovery], settings: MeasureSettings) -> tuple[lis
     with progress_bar("measuring") as progress:
         for number, recovery in enumerate(recoveries):
             progress(number / len(recoveries), recovery.arm_label)
-            done.append(Measuring.of(recovery, settings))
+            done.append(Measuring.of(recovery, settings, processes))
         progress(1.0, "done")
     pairs = []
     for body in dict.fromkeys(one.recovery.body for one in done):

@@ -12,7 +12,7 @@ import typer
 from ..errors import UnoccludeError
 from .arm_output import arms_figures, say_arm, warn
 from .load import camera_frame_of, damage, load_recoveries
-from .options import NO_FILES, Align, Body, Outputs, Result, Side, Verbose, one_side
+from .options import NO_FILES, Align, Body, Outputs, Processes, Result, Side, Verbose, one_side
 from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -110,6 +110,7 @@ def validate(
     ] = None,
     side: Side = None,
     body: Body = None,
+    processes: Processes = None,
     verbose: Verbose = False,
     to: Outputs = NO_FILES,
 ) -> None:
@@ -134,7 +135,7 @@ def validate(
         truth, alignment = read_reference(
             truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
         )
-        validation = validate(recovery, truth, alignment, pooled)
+        validation = validate(recovery, truth, alignment, pooled, processes or 0)
         if validation.measures is not None:
             pooled = validation.measures.together
         results.append((recovery, validation, truth))

@@ -258,7 +258,7 @@ class MeasureComparison:
 
 
 def compare_measures(
-    recovery: Recovery, reference: Truth, pooled: Sequence[MeasurePair] = ()
+    recovery: Recovery, reference: Truth, pooled: Sequence[MeasurePair] = (), processes: int = 1
 ) -> MeasureComparison | None:
     """Measure the answer and the reference by the same functions over the same samples.
 
@@ -270,6 +270,8 @@ def compare_measures(
         At the recovery's times, in the camera's frame.
     pooled : sequence of MeasurePair
         Of earlier validations (`measure_files.read_pairs`).
+    processes : int
+        Worker processes for the drawn motions, 0 = one a core.
 
     Returns
     -------
@@ -281,7 +283,7 @@ def compare_measures(
     answer, motion = same_samples(recovery, reference)
     if not is_measurable(motion):
         return None
-    mine, theirs = measure(answer), measure(motion)
+    mine, theirs = measure(answer, processes=processes), measure(motion)
     pairs = tuple(pairs_of(mine, theirs, recovery.name))
     return MeasureComparison(pairs, tuple(pooled), tuple(_notes(mine, theirs, pairs, pooled)))
 

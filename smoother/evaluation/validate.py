@@ -345,6 +345,7 @@ def validate(
     truth: Truth,
     alignment: ReferenceAlignment | None = None,
     pooled: Sequence[MeasurePair] = (),
+    processes: int = 1,
 ) -> Validation:
     """Compare a recovery with a reference on the same clock and in the same frame.
 
@@ -359,6 +360,8 @@ def validate(
         How the truth was brought there; None where it came so.
     pooled : sequence of MeasurePair
         Measures of earlier validations, whose agreement is stated together with this one's.
+    processes : int
+        Worker processes that measure the drawn motions, 0 = one a core.
 
     Returns
     -------
@@ -397,7 +400,7 @@ def validate(
         lag_s=_lag(recovery, truth, errors),
         table=table_one(recovery, errors.reference, errors.scored, errors.distance_m, errors.angle_deg),
         alignment=alignment,
-        measures=compare_measures(recovery, errors.reference, pooled),
+        measures=compare_measures(recovery, errors.reference, pooled, processes),
     )
 
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from ..array_types import FloatArray
 from ..linalg import rotate_covariance
 from ..result import Recovery
+from ..runtime.pool import Pool
 from .angles import PERCENTILES
 from .definitions import FEWEST_DRAWS, definition_of, interval
 from .layout import SESSION, Figures, Layout, Place
@@ -18,8 +19,16 @@ from .measure import UNKNOWN, Figure, Measure, Measures
 from .motion import ElbowBend, Motion, grid_of, motion_of, nearest_rows
 from .settings import MeasureSettings
 
+#: A drawn motion takes as long to measure as so many camera frames to recover, or longer.
+FRAMES_A_DRAW = 200
 #: A shoulder turns about its long axis by some 180 degrees; a wider range is one of the angles' definition.
 WIDE_ROTATION_DEG = 180.0
+
+
+def _figures_of(task: tuple[Layout, Motion]) -> dict[Place, Figures]:
+    """Everything that is measured of a drawn motion: a job for a worker."""
+    layout, motion = task
+    return layout.figures(motion)
 
 
 class DrawnFigures:
@@ -33,6 +42,8 @@ class DrawnFigures:
         Where to measure.
     motion : Motion
         The answer's, whose grid they share.
+    processes : int
+        Worker processes, 0 = one a core; the figures are the same with any number.
 
     Attributes
     ----------
@@ -42,7 +53,7 @@ class DrawnFigures:
         By how much; None where too few motions were drawn.
     """
 
-    def __init__(self, recovery: Recovery, layout: Layout, motion: Motion) -> None:
+    def __init__(self, recovery: Recovery, layout: Layout, motion: Motion, processes: int = 1) -> None:
         self.count = 0 if recovery.draws is None else len(recovery.draws)
         self._by_place: dict[Place, dict[str, FloatArray]] = {}
         cutoff_hz = layout.settings.smoothing.cutoff_hz
@@ -50,21 +61,26 @@ class DrawnFigures:
         def drawn_of(k: int) -> Motion:
             return motion_of(drawn_motion(recovery, k), motion.grid, cutoff_hz)
 
-        self.bend = None
-        if recovery.draws is not None and self.count >= FEWEST_DRAWS:
-            self.bend = ElbowBend.of(motion, (drawn_of(k) for k in range(FEWEST_DRAWS)))
-        self.answer = motion if self.bend is None else self.bend.corrected(motion)
-        for k in range(self.count):
-            drawn = drawn_of(k)
-            if self.bend is not None and recovery.draws is not None:
-                rng = np.random.default_rng([recovery.draws.seed, k, 1])
-                drawn = self.bend.corrected_draw(drawn, float(rng.uniform()))
-            for place, figures in layout.figures(drawn).items():
-                of_place = self._by_place.setdefault(place, {})
-                for key, figure in figures.items():
-                    if key not in of_place:  # a zone in which no motion before ever was
-                        of_place[key] = np.full(self.count, 0.0 if "_zone_" in key else np.nan)
-                    of_place[key][k] = figure.value
+        self.bend = bend = None
+        if self.count >= FEWEST_DRAWS:
+            self.bend = bend = ElbowBend.of(motion, map(drawn_of, range(FEWEST_DRAWS)))
+        self.answer = motion if bend is None else bend.corrected(motion)
+
+        def corrected(k: int) -> Motion:
+            if bend is None or recovery.draws is None:
+                return drawn_of(k)
+            rng = np.random.default_rng([recovery.draws.seed, k, 1])
+            return bend.corrected_draw(drawn_of(k), float(rng.uniform()))
+
+        with Pool(processes, FRAMES_A_DRAW * self.count) as workers:
+            done = workers.map(_figures_of, ((layout, corrected(k)) for k in range(self.count)))
+            for k, by_place in enumerate(done):
+                for place, figures in by_place.items():
+                    of_place = self._by_place.setdefault(place, {})
+                    for key, figure in figures.items():
+                        if key not in of_place:  # a zone in which no motion before ever was
+                            of_place[key] = np.full(self.count, 0.0 if "_zone_" in key else np.nan)
+                        of_place[key][k] = figure.value
 
     def values(self, place: Place, key: str) -> FloatArray:
         """(count,) of a measure; nan where a motion has none."""
@@ -141,12 +157,12 @@ class Measuring:
     untrusted: dict[Place, Figures]
 
     @classmethod
-    def of(cls, recovery: Recovery, settings: MeasureSettings) -> Measuring:
-        """Measure a recovery and its draws."""
+    def of(cls, recovery: Recovery, settings: MeasureSettings, processes: int = 1) -> Measuring:
+        """Measure a recovery and its draws, these on so many worker processes (0 = one a core)."""
         grid = grid_of(recovery, settings.smoothing)
         motion = motion_of(recovery, grid, settings.smoothing.cutoff_hz)
         layout = Layout.of(motion, settings)
-        drawn = DrawnFigures(recovery, layout, motion)
+        drawn = DrawnFigures(recovery, layout, motion, processes)
         untrusted = {}
         if len(grid.t_s) and not recovery.trusted.all():
             # a figure's share is of the samples that the motion has as occluded
@@ -245,7 +261,7 @@ def _keys_of(angle: str) -> list[str]:
     return [*(f"{angle}_{what}_deg" for what in whats), f"{angle}_peak_speed_deg_s"]
 
 
-def measure(recovery: Recovery, settings: MeasureSettings | None = None) -> Measures:
+def measure(recovery: Recovery, settings: MeasureSettings | None = None, processes: int = 1) -> Measures:
     """Measure a recovered motion: joints, hand, smoothness, movements, repetitions.
 
     Parameters
@@ -254,13 +270,15 @@ def measure(recovery: Recovery, settings: MeasureSettings | None = None) -> Meas
         With draws (`smooth(.., draws=64)`) for the intervals; without them there are none.
     settings : MeasureSettings, optional
         Thresholds and sizes.
+    processes : int
+        Worker processes for the drawn motions, 0 = one a core; the measures are the same with any number.
 
     Returns
     -------
     measures : Measures
         Of the session, each movement and each repetition; formulas and sources in docs/measures.md.
     """
-    return measures_of(Measuring.of(recovery, settings or MeasureSettings()))
+    return measures_of(Measuring.of(recovery, settings or MeasureSettings(), processes))
 
 
 def measures_of(measuring: Measuring) -> Measures:

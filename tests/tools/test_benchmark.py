@@ -5,20 +5,25 @@ from __future__ import annotations
 import json
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from mcap.reader import make_reader
 
+from smoother.cli.app import app
 from smoother.io import read_recording
 from tools.benchmark import __main__ as program
 from tools.benchmark.isolated import PrivatePeak, Stopped, isolated
 from tools.benchmark.profile import PARTS, READ, WRITE, profile
-from tools.benchmark.tables import growth, table
+from tools.benchmark.tables import growth, table, waiting
+from tools.benchmark.waiting import Waited, commands
 from tools.benchmark.whole import IMAGE_TOPIC, Made, make, read_truth, run_method, run_smooth
 
 MINUTES, IMAGE_KB = 0.3, 2.0
+TIMES = {"check": 1.0, "smooth": 5.0, "gaps": 20.0}
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +122,20 @@ def test_the_whole_program(monkeypatch, capsys, tmp_path):
     assert f"{run['length_s'] / run['seconds']:.0f}" in said and run["main_mb"] > 50
     assert 0 < run["exact"]["rms_cm"] < 1.0 and run["exact"]["gaps"] > 0
     assert "second pass" in said
+
+
+def test_what_a_person_waits_for():
+    commands = [asdict(Waited(name, seconds, name == "smooth")) for name, seconds in TIMES.items()]
+    lines = waiting(commands, 5.0)
+    assert lines[-1].endswith(": gaps.")  # it alone is slow and says nothing
+    assert ["check", "1.0", "0.20", "no"] in [line.split() for line in lines]
+
+
+def test_every_command_a_person_waits_for_is_one(made, tmp_path):
+    group = typer.main.get_command(app)
+    for name, arguments in commands(made, tmp_path):
+        command = group.commands[arguments[0]]
+        command.make_context(name, arguments[1:])
 
 
 def test_another_installation_beside(monkeypatch, capsys, tmp_path):

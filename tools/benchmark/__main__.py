@@ -3,7 +3,8 @@
 Simulates recordings (80 Hz IMU, 30 Hz camera, an occlusion of 2 s about every 10 s) and runs `unocclude
 smooth` on them, file to file, with nothing calibrated: how many times faster than real time, how much memory,
 how far off in the gaps; where the time goes and how each part grows with the length; and beside it, on the
-same recordings, one plain graph over the whole, `rts` and `linear-drift`. Let nothing else run meanwhile.
+same recordings, one plain graph over the whole, `rts` and `linear-drift`. On the shortest recording also what
+a person waits for, command by command. Let nothing else run meanwhile.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ from tools.benchmark.whole import METHODS, Beside, exactness_of_file, run_method
 from . import tables
 from .isolated import Stopped, isolated
 from .profile import READ, WRITE, profile
+from .waiting import waited
 from .whole import Made, against, end_to_end, help_seconds, make
 
-MEASURES = ("whole", "parts", "rest", "beside")
+MEASURES = ("whole", "parts", "rest", "beside", "waiting")
 #: Numerical libraries on one thread, so that idle ones do not spin processor time away.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -38,7 +40,7 @@ def main() -> None:
     options = _options()
     cores = options.processes or len(os.sched_getaffinity(0))
     figures: dict[str, Any] = {"machine": _machine(cores), "whole": [], "parts": {}, "rest": [], "beside": {}}
-    figures["against"] = {}
+    figures |= {"against": {}, "waiting": []}
     print("\n".join(_heading(figures["machine"], options)), flush=True)
     lengths_s: dict[float, float] = {}
     figures["help_s"] = help_seconds()
@@ -73,6 +75,9 @@ def _measure(
     if "rest" in options.only and made.minutes in options.rest:
         _say(f"{made.minutes:g} min: its parts on one process, GTSAM listened to")
         figures["rest"].append(_rest(made, result, cores, figures["whole"]))
+    if "waiting" in options.only and made.minutes == options.minutes[0]:
+        _say(f"{made.minutes:g} min: every command")
+        figures["waiting"] = [asdict(each) for each in waited(made, folder)]
     if "beside" in options.only and made.minutes in options.beside:
         figures["beside"][made.minutes] = _beside(made, folder / "settings.pickle", options)
 
@@ -89,6 +94,8 @@ def _print(figures: dict[str, Any], lengths_s: dict[float, float], cores: int) -
     for minutes, found in figures["beside"].items():
         command_s = _command_s(minutes, figures["whole"])
         lines += tables.beside(minutes, found, command_s, lengths_s[minutes])
+    if figures["waiting"]:
+        lines += tables.waiting(figures["waiting"], min(lengths_s))
     print("\n".join(lines))
 
 

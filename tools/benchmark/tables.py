@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .profile import PARTS, READ, WRITE
+from .waiting import PATIENCE_S
 
 #: What the project aims at; printed beside.
 AIM_TIMES_REAL = 100.0
@@ -134,6 +135,24 @@ def rest(measured: dict[str, Any], cores: int) -> list[str]:
     if spent["missing"]:
         lines.append(f"  not found, so their time is in the part around them: {', '.join(spent['missing'])}")
     return lines
+
+
+def waiting(commands: list[dict[str, Any]], minutes: float) -> list[str]:
+    """What a person waits for, each beside `smooth`, and what lets them wait too long without a word."""
+    (smooth_s,) = (each["seconds"] for each in commands if each["name"] == "smooth")
+    rows = [
+        (
+            each["name"],
+            number(each["seconds"]),
+            number(each["seconds"] / smooth_s, 2),
+            "yes" if each["shows_progress"] else "no",
+        )
+        for each in commands
+    ]
+    mute = [each["name"] for each in commands if each["seconds"] > PATIENCE_S and not each["shows_progress"]]
+    said = f"Longer than {PATIENCE_S:g} s without a word of how far they are: {', '.join(mute) or 'none'}."
+    title = f"What a person waits for, {minutes:g} minutes"
+    return [*table(title, ("unocclude", "s", "of smooth", "progress"), rows), said]
 
 
 def beside(minutes: float, found: dict[str, Any], command_s: float | None, length_s: float) -> list[str]:
