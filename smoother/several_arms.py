@@ -13,9 +13,9 @@ from .measurements.clock import Clock
 from .recording import Recording
 from .result import Recoveries, Recovery
 from .result.draws import USUAL_DRAWS
-from .runtime.pool import WORTH_FRAMES, Pool
+from .runtime.pool import WORTH_FRAMES, Pool, Progress
 from .runtime.store import Store
-from .smoothing import Progress, smooth
+from .smoothing import smooth
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from .recovery.task import Task
 from .recovery.trunk import with_trunk
 from .recovery.trust import with_gap_verdicts, with_verdict
 from .result import Recovery
-from .runtime.pool import Pool, one_blas_thread
+from .runtime.pool import Pool, Progress, one_blas_thread
 from .runtime.store import Store
 from .selfcal.excerpts import informative_excerpts
 from .selfcal.further_imu import calibrate_further_imus, joined, without_joints_of
@@ -36,8 +36,6 @@ from .selfcal.pairing import pair
 from .selfcal.rounds import self_calibrate
 from .window.priors import with_measured_noise, with_measured_shoulder
 
-#: Called with a fraction (0..1) and a word for the step.
-Progress = Callable[[float, str], None]
 Answer = TypeVar("Answer")
 
 

@@ -69,7 +69,11 @@ def demo(
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
     left_out = write_recovery([recovery], result, source=source, force=True)
     truth = recording.truth
-    validation = None if truth is None else validate(recovery, truth, processes=config.windows.processes)
+    with progress_bar("measuring") as progress:
+        validation = None
+        if truth is not None:
+            worker_count = config.windows.processes
+            validation = validate(recovery, truth, processes=worker_count, progress=progress)
     write_report(recovery, report, recording=recording, validation=validation, truth=truth, force=True)
     figures = {
         "recovery": smooth_figures(recording, recovery),

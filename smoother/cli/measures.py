@@ -194,8 +194,11 @@ def measured(
     done: list[Measuring] = []
     with progress_bar("measuring") as progress:
         for number, recovery in enumerate(recoveries):
-            progress(number / len(recoveries), recovery.arm_label)
-            done.append(Measuring.of(recovery, settings, processes))
+
+            def advanced(share: float, text: str, before: int = number) -> None:
+                progress((before + share) / len(recoveries), text)
+
+            done.append(Measuring.of(recovery, settings, processes, advanced))
         progress(1.0, "done")
     pairs = []
     for body in dict.fromkeys(one.recovery.body for one in done):

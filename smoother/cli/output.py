@@ -10,7 +10,7 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,6 +20,8 @@ from ..runtime.printable import plain, printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+    from ..runtime.pool import Progress
 
 
 Cells = Sequence[Sequence[str]]
@@ -141,9 +143,6 @@ def _paragraphs(columns: Sequence[str], cells: Cells) -> Iterator[RenderableType
             yield Text(f"  {name}: {text}".rstrip())
 
 
-Progress = Callable[[float, str], None]
-
-
 @contextmanager
 def progress_bar(text: str) -> Iterator[Progress]:
     """Yield a function (part done 0 to 1, what is being done) that moves the bar.
@@ -157,9 +156,10 @@ def progress_bar(text: str) -> Iterator[Progress]:
         yield lambda fraction, text: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
 
-    bar = Progress(
+    bar = Bar(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:3.0f} %"),

@@ -13,7 +13,16 @@ from ..errors import UnoccludeError
 from .arm_output import arms_figures, say_arm, warn
 from .load import camera_frame_of, damage, load_recoveries
 from .options import NO_FILES, Align, Body, Outputs, Processes, Result, Side, Verbose, one_side
-from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
+from .output import (
+    centimetres,
+    check_outputs,
+    percent,
+    print_notes,
+    print_table,
+    progress_bar,
+    say,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from ..evaluation.agreement import Agreement
@@ -135,7 +144,8 @@ def validate(
         truth, alignment = read_reference(
             truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
         )
-        validation = validate(recovery, truth, alignment, pooled, processes or 0)
+        with progress_bar("measuring") as progress:
+            validation = validate(recovery, truth, alignment, pooled, processes or 0, progress)
         if validation.measures is not None:
             pooled = validation.measures.together
         results.append((recovery, validation, truth))

@@ -22,8 +22,8 @@ from ..live.buffers import ImuBatch, SkeletonFrame
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, Recording, Truth
 from ..result import Recovery
-from ..runtime.pool import Pool
-from .gaps import Method, Progress
+from ..runtime.pool import Pool, Progress
+from .gaps import Method
 from .metrics import Figures, lag_s, truth_at
 from .reference import ReferenceAlignment
 from .truth import truth_notes

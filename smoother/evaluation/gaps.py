@@ -13,14 +13,12 @@ from ..cameras import join_cameras
 from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..result import Recovery
-from ..runtime.pool import Pool
+from ..runtime.pool import Pool, Progress
 from .gap_table import GapFigures, GapRow, GapTable, pooled, table_of
 from .hidden_gaps import GapErrors, HiddenGap, place_gaps, score_gap
 
 #: A method: recording in, recovery out.
 Method = Callable[[Recording], Recovery]
-#: Called with the part done (0 to 1) and what is being done.
-Progress = Callable[[float, str], None]
 
 
 @dataclass
@@ -291,7 +289,7 @@ def try_gaps(
     recording: Recording,
     recover: Callable[[Recording], Recovery],
     not_determined: Sequence[str] = (),
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> TriedGaps:
     """Hide visible seconds and see how uncertain they become.
 

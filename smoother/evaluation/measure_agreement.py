@@ -13,6 +13,7 @@ from ..array_types import FloatArray
 from ..measures import Measure, Measures, Movement
 from ..recording import Truth
 from ..result import Recovery
+from ..runtime.pool import Progress
 from .agreement import PairAgreement, pair_agreement
 from .progress import interval, is_main, quantity
 
@@ -258,7 +259,11 @@ class MeasureComparison:
 
 
 def compare_measures(
-    recovery: Recovery, reference: Truth, pooled: Sequence[MeasurePair] = (), processes: int = 1
+    recovery: Recovery,
+    reference: Truth,
+    pooled: Sequence[MeasurePair] = (),
+    processes: int = 1,
+    progress: Progress | None = None,
 ) -> MeasureComparison | None:
     """Measure the answer and the reference by the same functions over the same samples.
 
@@ -272,6 +277,8 @@ def compare_measures(
         Of earlier validations (`measure_files.read_pairs`).
     processes : int
         Worker processes for the drawn motions, 0 = one a core.
+    progress : callable, optional
+        Is told how many of them are measured.
 
     Returns
     -------
@@ -283,7 +290,7 @@ def compare_measures(
     answer, motion = same_samples(recovery, reference)
     if not is_measurable(motion):
         return None
-    mine, theirs = measure(answer, processes=processes), measure(motion)
+    mine, theirs = measure(answer, processes=processes, progress=progress), measure(motion)
     pairs = tuple(pairs_of(mine, theirs, recovery.name))
     return MeasureComparison(pairs, tuple(pooled), tuple(_notes(mine, theirs, pairs, pooled)))
 

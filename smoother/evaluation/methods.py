@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recovery
+    from ..runtime.pool import Progress
     from ..runtime.store import Store
     from .compare import LivePlay
 
     Method = Callable[[Recording], Recovery]
-    Progress = Callable[[float, str], None]
 
 
 GRAPH = "graph"

@@ -13,6 +13,7 @@ from ..errors import RecordingError
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, Truth
 from ..result import Recovery
+from ..runtime.pool import Progress
 from .agreement import Agreement, AngleComparison, compare_angles
 from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
 from .metrics import (
@@ -346,6 +347,7 @@ def validate(
     alignment: ReferenceAlignment | None = None,
     pooled: Sequence[MeasurePair] = (),
     processes: int = 1,
+    progress: Progress | None = None,
 ) -> Validation:
     """Compare a recovery with a reference on the same clock and in the same frame.
 
@@ -362,6 +364,8 @@ def validate(
         Measures of earlier validations, whose agreement is stated together with this one's.
     processes : int
         Worker processes that measure the drawn motions, 0 = one a core.
+    progress : callable, optional
+        Is told how many of them are measured.
 
     Returns
     -------
@@ -400,7 +404,7 @@ def validate(
         lag_s=_lag(recovery, truth, errors),
         table=table_one(recovery, errors.reference, errors.scored, errors.distance_m, errors.angle_deg),
         alignment=alignment,
-        measures=compare_measures(recovery, errors.reference, pooled, processes),
+        measures=compare_measures(recovery, errors.reference, pooled, processes, progress),
     )
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ..array_types import FloatArray
 from ..linalg import rotate_covariance
 from ..result import Recovery
-from ..runtime.pool import Pool
+from ..runtime.pool import Pool, Progress
 from .angles import PERCENTILES
 from .definitions import FEWEST_DRAWS, definition_of, interval
 from .layout import SESSION, Figures, Layout, Place
@@ -44,6 +44,8 @@ class DrawnFigures:
         The answer's, whose grid they share.
     processes : int
         Worker processes, 0 = one a core; the figures are the same with any number.
+    progress : callable, optional
+        Is told how much is done.
 
     Attributes
     ----------
@@ -53,7 +55,14 @@ class DrawnFigures:
         By how much; None where too few motions were drawn.
     """
 
-    def __init__(self, recovery: Recovery, layout: Layout, motion: Motion, processes: int = 1) -> None:
+    def __init__(
+        self,
+        recovery: Recovery,
+        layout: Layout,
+        motion: Motion,
+        processes: int = 1,
+        progress: Progress | None = None,
+    ) -> None:
         self.count = 0 if recovery.draws is None else len(recovery.draws)
         self._by_place: dict[Place, dict[str, FloatArray]] = {}
         cutoff_hz = layout.settings.smoothing.cutoff_hz
@@ -75,6 +84,8 @@ class DrawnFigures:
         with Pool(processes, FRAMES_A_DRAW * self.count) as workers:
             done = workers.map(_figures_of, ((layout, corrected(k)) for k in range(self.count)))
             for k, by_place in enumerate(done):
+                if progress is not None:
+                    progress(k / self.count, f"drawn motion {k + 1} of {self.count}")
                 for place, figures in by_place.items():
                     of_place = self._by_place.setdefault(place, {})
                     for key, figure in figures.items():
@@ -157,12 +168,18 @@ class Measuring:
     untrusted: dict[Place, Figures]
 
     @classmethod
-    def of(cls, recovery: Recovery, settings: MeasureSettings, processes: int = 1) -> Measuring:
+    def of(
+        cls,
+        recovery: Recovery,
+        settings: MeasureSettings,
+        processes: int = 1,
+        progress: Progress | None = None,
+    ) -> Measuring:
         """Measure a recovery and its draws, these on so many worker processes (0 = one a core)."""
         grid = grid_of(recovery, settings.smoothing)
         motion = motion_of(recovery, grid, settings.smoothing.cutoff_hz)
         layout = Layout.of(motion, settings)
-        drawn = DrawnFigures(recovery, layout, motion, processes)
+        drawn = DrawnFigures(recovery, layout, motion, processes, progress)
         untrusted = {}
         if len(grid.t_s) and not recovery.trusted.all():
             # a figure's share is of the samples that the motion has as occluded
@@ -261,7 +278,12 @@ def _keys_of(angle: str) -> list[str]:
     return [*(f"{angle}_{what}_deg" for what in whats), f"{angle}_peak_speed_deg_s"]
 
 
-def measure(recovery: Recovery, settings: MeasureSettings | None = None, processes: int = 1) -> Measures:
+def measure(
+    recovery: Recovery,
+    settings: MeasureSettings | None = None,
+    processes: int = 1,
+    progress: Progress | None = None,
+) -> Measures:
     """Measure a recovered motion: joints, hand, smoothness, movements, repetitions.
 
     Parameters
@@ -272,13 +294,15 @@ def measure(recovery: Recovery, settings: MeasureSettings | None = None, process
         Thresholds and sizes.
     processes : int
         Worker processes for the drawn motions, 0 = one a core; the measures are the same with any number.
+    progress : callable, optional
+        Is told how much is done (0 to 1), and of what.
 
     Returns
     -------
     measures : Measures
         Of the session, each movement and each repetition; formulas and sources in docs/measures.md.
     """
-    return measures_of(Measuring.of(recovery, settings or MeasureSettings(), processes))
+    return measures_of(Measuring.of(recovery, settings or MeasureSettings(), processes, progress))
 
 
 def measures_of(measuring: Measuring) -> Measures:

@@ -155,6 +155,9 @@ def _wake() -> None:
     """Nothing: a worker that has run it has loaded its libraries."""
 
 
+#: What is told how much is done, 0 to 1, and of what.
+Progress = Callable[[float, str], None]
+
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 

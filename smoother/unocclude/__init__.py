@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from smoother import write_recovery as write_recovery
     from smoother.io.recording.selection import Selection
     from smoother.measurements.clock import Clock
+    from smoother.runtime.pool import Progress
     from smoother.runtime.store import Store
-    from smoother.smoothing import Progress
 
 __all__ = sorted([*smoother.__all__, "measures", "simulation"])
 

@@ -7,7 +7,7 @@ landmarker: lite, full or heavy).
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -20,6 +20,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError, UnoccludeError
 from ...runtime.packages import extra_module
+from ...runtime.pool import Progress
 from ..tables.joint_columns import BLAZEPOSE
 from .video import Video
 
@@ -29,7 +30,6 @@ MODEL_WORDS = (
     "MediaPipe's pose landmarker needs its model, a file that you download once: pose_landmarker_full.task"
     " (or _lite, _heavy) from https://ai.google.dev/edge/mediapipe/solutions/vision/pose_landmarker"
 )
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
