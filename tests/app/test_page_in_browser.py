@@ -6,9 +6,6 @@ import json
 import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,54 +15,13 @@ from urllib.parse import urlsplit
 import pytest
 from browser import Browser, chromium
 from local_page import DAY_S, own_table, write_session
+from local_program import Program
 
-ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(chromium() is None, reason="Chromium is not installed (apt install chromium)")
 
 
 #: A recovery on a machine that others use, s.
 PATIENCE_S = 400.0
-
-
-class Program:
-    """`unocclude app` as a user starts it; `close` ends it and what it runs."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.start()
-
-    def start(self) -> None:
-        code = "from smoother.cli import main; main()"
-        words = ["app", "--folder", str(self.folder), "--no-browser"]
-        path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", code, *words],
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONPATH": path},
-        )
-        assert self._process.stdout is not None
-        self.address = self._process.stdout.readline().strip()
-        assert self.address.startswith("http://127.0.0.1:"), self.address
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait(20)
-
-    def close(self) -> int:
-        self._process.send_signal(signal.SIGINT)
-        try:
-            return self._process.wait(30)
-        finally:
-            self._process.kill()
-            for job in self.folder.glob("*/jobs/*/state.json"):
-                state = json.loads(job.read_text())
-                if state["state"] == "running":  # of a server that was killed
-                    (job.parent / "stopped").touch()
-
-    def only(self) -> Path:
-        (place,) = (path.parent for path in self.folder.glob("*/app.json"))
-        return place
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +43,9 @@ def program(tmp_path: Path) -> Iterator[Program]:
 def opened(browser: Browser, program: Program, width: int = 1280) -> None:
     """The first page, as by a click on the address."""
     browser.size(width, 900, phone=width < 500)
-    browser.events.clear()
     browser.call("Page.navigate", url="about:blank")
+    browser.wait("location.href === 'about:blank'")  # an earlier page asks no more
+    browser.events.clear()
     browser.call("Page.navigate", url=program.address)
     browser.wait("document.documentElement?.dataset.drawn === 'yes' && !!document.querySelector('.drop')")
     assert "token" not in browser.run("location.href")

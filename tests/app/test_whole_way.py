@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from itertools import pairwise
@@ -17,7 +16,7 @@ from test_server import upload
 
 from smoother.app import server
 from smoother.app.folder import write_json
-from smoother.app.steps import IMPORTED, MATCHES, import_steps
+from smoother.app.steps import IMPORTED, MATCHES, import_steps, recover_steps
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
 
@@ -43,7 +42,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_a_video_is_the_camera_where_there_is_no_other(
     page: Page, film: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ):
-    """It says what it needs; with the model it goes the whole way, and the model stays for the next one."""
+    """It says what it needs; with the model the arm is found, and the model stays for the next one."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(STAND_IN), os.environ.get("PYTHONPATH", "")]))
     with mediapipe_stand_in():
         name = page.add([film["video"], film["imu"]])
@@ -57,11 +56,13 @@ def test_a_video_is_the_camera_where_there_is_no_other(
         page.look(name)
         page.change(name, choices={"places": {"shimmer.csv": "forearm_right"}})
         assert page.ask("GET", f"/api/recordings/{name}")["camera_video"]["model"] == model.name
-        page.begin(name, "recover", anyway=True)
+        page.begin(name, "check")
         about = page.wait(name, patience_s=PATIENCE_S)
         assert about["job"]["state"] == "done", about["job"]
-        assert about["report"] and "phone.mp4: video, MediaPipe" in about["job"]["printed"]
-        assert json.loads((page.folder.of(name) / "smooth.json").read_text())["pairing"]["proved"] is True
+        assert "phone.mp4: video, MediaPipe" in about["job"]["printed"]
+        assert about["check"]["pairing"]["proved"] is True
+        recover = recover_steps(page.folder, page.folder.of(name))[-1]["argv"]
+        assert "--video" not in recover, "a film that is the camera is no picture beside it"
         again = page.add([film["video"], film["imu"]])
         assert page.ask("GET", f"/api/recordings/{again}")["camera_video"]["model"] == model.name
         page.change(again, choices={"video_mirrored": True, "video_turn": 90})
