@@ -83,7 +83,7 @@ def test_clocks_minutes_apart(long: SimulatedArm) -> None:
 
 def test_an_imu_of_something_else_is_said() -> None:
     """The IMU's samples run backwards: nothing fits. It is refused, or said to be worth nothing."""
-    recording = simulated(20.0).recording
+    recording = simulated(12.0).recording
     imu = recording.imu
     wrong = replace(recording, imu=replace(imu, acc=imu.acc[::-1], gyro=imu.gyro[::-1]), truth=None)
     try:
