@@ -189,7 +189,7 @@ def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
     """
     if max_sigma_m is None:
         return recovery
-    from ..io.result.usable import certain
+    from ..result.untrusted import certain
 
     answered = int(certain(recovery).sum())
     marked = replace(recovery, estimates=replace(recovery.estimates, max_sigma_m=float(max_sigma_m)))

@@ -195,7 +195,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
 
     from ..evaluation.advice import advice, rejected
     from ..evaluation.summary import recovery_figures, verdict_figures
-    from ..io.result.usable import usable
+    from ..result.untrusted import usable
 
     found, cameras = found_in(recovery, recording), recovery.estimates.cameras
     return recovery_figures(recovery) | {

@@ -7,8 +7,7 @@ IMU's stamps keep their own clocks (t_imu = t_camera + offset). Frames: `{K}` is
 
 from __future__ import annotations
 
-from .camera import FIRST_CAMERA, Camera, CameraPose
-from .camera_frame import CameraFrame
+from .camera import FIRST_CAMERA, Camera, CameraFrame, CameraPose
 from .imu_stream import ImuStream
 from .joint_tracks import FOREARM_JOINTS, JOINTS, JointState, JointTracks
 from .recording import ImportNote, Recording, TrunkSensors, arm_words

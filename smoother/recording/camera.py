@@ -1,17 +1,34 @@
-"""A further camera that saw the same arm, and where it stands."""
+"""Conventions for a depth camera's axes; a further camera that saw the same arm, and where it stands."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
 from ..array_types import FloatArray
-from .camera_frame import CameraFrame
 from .joint_tracks import JointTracks
 
 #: What the recording's own camera is called beside others.
 FIRST_CAMERA = "camera"
+
+
+class CameraFrame(StrEnum):
+    """Conventions for the camera's axes."""
+
+    KINECT = "kinect"  # x left, y up, z forward
+    OPTICAL = "optical"  # x right, y down, z forward
+    ZUP = "zup"  # any frame with z up
+
+    @property
+    def down(self) -> FloatArray:
+        """Direction of gravity in a camera that stands level, unit vector (3,)."""
+        return {
+            CameraFrame.KINECT: np.array([0.0, -1.0, 0.0]),
+            CameraFrame.OPTICAL: np.array([0.0, 1.0, 0.0]),
+            CameraFrame.ZUP: np.array([0.0, 0.0, -1.0]),
+        }[self]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from .camera_frame import CameraFrame
+from .camera import CameraFrame
 from .imu_stream import ImuStream
 from .joint_tracks import JOINTS, JointState, JointTracks
 

@@ -13,8 +13,7 @@ from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..linalg import runs
 from ..sketch import Line, about_median, card_html, even_rows, lines_svg, lines_text
-from .camera import Camera
-from .camera_frame import CameraFrame
+from .camera import Camera, CameraFrame
 from .given_arrays import camera_frame_of, check_imu, direction_of, imu_of, joints_of, times_of
 from .imu_stream import ImuStream
 from .joint_tracks import JointTracks

@@ -17,8 +17,8 @@ from ..evaluation.measure_agreement import agreement_cells, pair_cells
 from ..evaluation.metrics import Figures
 from ..evaluation.summary import GapSummary, error_figures, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
-from ..io.result.usable import certain
 from ..result import Estimates, Recovery
+from ..result.untrusted import certain
 from .chart import NOT_TRUSTED, badge
 from .sheet import Html, bullets, headed, in_cm, table
 from .summary import WIDE_M

@@ -1,12 +1,37 @@
-"""In words, what of a result is not to be trusted: a line for a terminal, sentences for a list."""
+"""What of a result is not to be trusted: which samples, a line for a terminal, sentences for a list."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from ..array_types import BoolArray
 from .recovery import Recovery
 from .verdict import UntrustedInterval
 
 #: More gaps than this are counted in a line, not named.
 MOST_NAMED = 6
+
+
+def usable(recovery: Recovery) -> BoolArray:
+    """(N,) samples with an answer that is to be trusted and is certain enough.
+
+    Of a result that nobody judged every sample counts as trusted.
+    """
+    return certain(recovery) & recovery.trusted
+
+
+def certain(recovery: Recovery) -> BoolArray:
+    """(N,) samples with an answer that is certain enough by what it states of itself.
+
+    Without a limit every answer counts. With one, the standard deviation of the position has to be below
+    it on every axis; an answer that states none is not known to be.
+    """
+    limit = recovery.estimates.max_sigma_m
+    if limit is None:
+        return recovery.answered
+    with np.errstate(invalid="ignore"):
+        below: BoolArray = recovery.worst_sigma_m <= limit  # nan where one axis is
+    return recovery.answered & below
 
 
 def partly_untrusted(recovery: Recovery) -> bool:

@@ -131,7 +131,7 @@ def test_marks_of_uncertain_answers():
     from arms import make_recording, make_recovery
 
     from smoother.cli.methods import limit_sigma
-    from smoother.io.result.usable import usable
+    from smoother.result.untrusted import usable
 
     recovery = make_recovery(make_recording(4.0), sigma_m=0.01)
     position, covariance = recovery.position.copy(), recovery.pose_covariance.copy()

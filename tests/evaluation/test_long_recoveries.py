@@ -16,10 +16,10 @@ from calib.motion.motion_calibration import found_in
 from calib.motion.motion_summary import AXIAL_S, _turn_between, gather_from
 from smoother.evaluation.advice import advice, rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
-from smoother.io.result.usable import usable
 from smoother.measurements.visibility import REASONS, Gap, Reason
 from smoother.recording import JOINTS
 from smoother.result import Estimates, Recovery
+from smoother.result.untrusted import usable
 
 
 @pytest.fixture

@@ -15,10 +15,9 @@ from results import made, read_mot
 
 from smoother.io import export_csv, prepare_export, read_recovery, write_recovery
 from smoother.io.result.drawing import RECOVERED, UNTRUSTED, VISIBLE
-from smoother.io.result.usable import usable
 from smoother.io.wire.schemas import message_class
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
-from smoother.result.untrusted import standing, untrusted_gaps, untrusted_sentences
+from smoother.result.untrusted import standing, untrusted_gaps, untrusted_sentences, usable
 
 BODY = UntrustedInterval(9.0, 12.0, ("another person's joints",))
 SEEN = UntrustedInterval(15.0, 15.5, ("the camera was pushed",))

@@ -19,8 +19,8 @@ from ...errors import UnoccludeError
 from ...linalg import median_rate_hz
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, Recording
 from ...result import Recovery
+from ...result.untrusted import usable
 from ...runtime.outputs import writing
-from ..result.usable import usable
 from .csv import column_groups
 
 BIDS_VERSION = "1.10.0"

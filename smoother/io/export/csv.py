@@ -11,9 +11,9 @@ from ...array_types import FloatArray
 from ...body import SEGMENTS, BodySegment
 from ...result import Recovery
 from ...result.segment_motion import SegmentMotion, TrunkMotion
+from ...result.untrusted import usable
 from ...runtime.outputs import writing
 from ..mcap.messages import nanoseconds
-from ..result.usable import usable
 
 _ROWS = 20_000
 _JOINTS = ("elbow", "wrist", "shoulder")

@@ -18,9 +18,8 @@ from ...errors import UnoccludeError
 from ...joint_angles import torso_axes
 from ...recording import JOINTS, JointState
 from ...result import Recovery
-from ...result.untrusted import untrusted_sentences
+from ...result.untrusted import untrusted_sentences, usable
 from ...runtime.outputs import locked, writing
-from ..result.usable import usable
 from .grid import Grid, at_grid, constant_step, frames_at_grid, nearest
 
 #: Millimetres in the file, with so many decimals: a nanometre.

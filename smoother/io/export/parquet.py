@@ -13,11 +13,11 @@ from ...errors import UnoccludeError
 from ...recording import JOINTS
 from ...result import Draws, Recovery
 from ...result.draws import turned_by
+from ...result.untrusted import usable
 from ...runtime.outputs import writing
 from ...runtime.printable import plain
 from ..mcap.messages import nanoseconds
 from ..result.metadata import recovery_values
-from ..result.usable import usable
 from .csv import column_groups
 
 if TYPE_CHECKING:

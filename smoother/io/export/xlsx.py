@@ -15,9 +15,9 @@ import numpy as np
 
 from ...errors import UnoccludeError
 from ...result import Recovery
+from ...result.untrusted import usable
 from ...runtime.outputs import writing
 from ...runtime.packages import extra_module
-from ..result.usable import usable
 from .csv import column_groups
 
 #: Rows of a sheet, the header's with them.
