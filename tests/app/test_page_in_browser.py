@@ -197,6 +197,11 @@ def test_a_missing_file_two_sessions_and_a_mirror(
     steps = [each["argv"] for each in json.loads(job.read_text())["steps"]]
     assert all("--mirror x" in " ".join(words) for words in steps if words[0] in ("check", "smooth"))
     assert json.loads((program.only() / "app.json").read_text())["choices"]["remedy"] == "--mirror x"
+    browser.size(390, 900, phone=True)
+    browser.run("location.hash = '#/'")
+    browser.wait("document.querySelector('table.list')?.textContent.includes('mirrored')")
+    assert browser.run("document.querySelector('.chip').getBoundingClientRect().height") < 40
+    assert browser.run("document.documentElement.scrollWidth") <= 390
 
 
 def test_a_table_that_nobody_knows_is_described_in_place(

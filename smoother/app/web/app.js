@@ -541,7 +541,7 @@ function streamBox(view, about, stream, open) {
       about.choices.places[stream.key] || "",
       act((event) => change(view, { choices: { places: { ...about.choices.places, [stream.key]: event.target.value } } })),
       { id: `worn-${stream.key}`, disabled: open })),
-    proposal ? h("p", { class: "small" }, proposal.joint === "unknown" ? t("proposal_none") : t("proposal", { where: limb(proposal.joint), p: Math.round(100 * proposal.probability) })) : null);
+    proposal ? h("p", { class: "small" }, proposal.joint === "unknown" ? t("proposal_none") : t("proposal", { where: limb(proposal.joint), p: Math.min(Math.round(100 * proposal.probability), 99) })) : null);
   } else {
     facts.push(`${t("axes")}: ${t(`axes_${stream.axes || "open"}`)}`);
     if (stream.body) facts.push(t("person_n", { n: stream.body }));
