@@ -28,14 +28,25 @@ from tools.accuracy.check import Check, option, rms, seeds_option
 LATENCY_S, OFFSET_S = 0.1, -0.02
 #: Borders of the time since the last frame, s.
 BORDERS_S = (0.0, 0.25, 0.5, 1.0, 1.5, 2.2)
+#: The first answers are those of so long, s: until about the second calibration.
+FIRST_S = 7.0
 
 
 @dataclass
 class Errors:
-    """Errors in m, squared error over variance / 3, time since the last frame (0 where visible), step ms."""
+    """Errors of all answers.
 
-    now: list[tuple[float, float, float]] = field(default_factory=list)
-    settled: list[tuple[float, float, float]] = field(default_factory=list)
+    Attributes
+    ----------
+    now, settled : list of tuple of float
+        Time since the last frame (s, 0 where visible), error (m), squared error over variance / 3, time since
+        the first answer (s).
+    step_ms : list of float, ms
+    lags_s : list of float, s
+    """
+
+    now: list[tuple[float, float, float, float]] = field(default_factory=list)
+    settled: list[tuple[float, float, float, float]] = field(default_factory=list)
     step_ms: list[float] = field(default_factory=list)
     lags_s: list[float] = field(default_factory=list)
 
@@ -48,7 +59,7 @@ class Errors:
                 off = estimate.position - place
                 nees = float(off @ np.linalg.solve(estimate.pose_covariance[:3, :3], off)) / 3.0
                 since = 0.0 if estimate.since_s is None else estimate.t_s - estimate.since_s
-                rows.append((since, float(np.linalg.norm(off)), nees))
+                rows.append((since, float(np.linalg.norm(off)), nees, estimate.t_s - estimates[0].t_s))
             if kind == "now":
                 t = np.array([e.t_s for e in estimates])
                 shown = np.array([e.position for e in estimates])
@@ -65,13 +76,19 @@ class Errors:
             yield (
                 f"{kind}, visible: {100 * rms(rows[visible, 1]):.2f} cm, NEES {rows[visible, 2].mean():.2f}"
             )
-            for first, last in pairwise(BORDERS_S):
-                part = ~visible & (rows[:, 0] >= first) & (rows[:, 0] < last)
+            for least, most in pairwise(BORDERS_S):
+                part = ~visible & (rows[:, 0] >= least) & (rows[:, 0] < most)
                 if part.any():
                     yield (
-                        f"  gap since {first:g} to {last:g} s: {100 * rms(rows[part, 1]):.2f} cm,"
+                        f"  gap since {least:g} to {most:g} s: {100 * rms(rows[part, 1]):.2f} cm,"
                         f" NEES {rows[part, 2].mean():.2f}, {part.sum()} answers"
                     )
+            first = visible & (rows[:, 3] < FIRST_S)
+            if first.any():
+                yield (
+                    f"  visible, first {FIRST_S:g} s: {100 * rms(rows[first, 1]):.2f} cm,"
+                    f" NEES {rows[first, 2].mean():.2f}"
+                )
             hidden = ~visible
             if hidden.any():
                 yield (f"  all gaps: {100 * rms(rows[hidden, 1]):.2f} cm, NEES {rows[hidden, 2].mean():.2f}")
@@ -96,6 +113,11 @@ def play(simulation: SimulatedArm, lag_s_: float = 0.2) -> list[LiveOutput]:
                 live.add_frame(frame)
             outputs.append(live.step(now_s))
     return outputs
+
+
+def step_ms(output: LiveOutput) -> float:
+    """Processor time of its step."""
+    return output.step_ms
 
 
 def memory(simulation: SimulatedArm, hours: float) -> Iterator[str]:
@@ -133,7 +155,10 @@ def live(options: argparse.Namespace) -> Iterator[str]:
     errors = Errors()
     for seed in options.seeds:
         simulation = simulate_arm(config, seed)
-        errors.add(simulation, play(simulation))
+        outputs = play(simulation)
+        for _ in range(1, options.plays):
+            outputs = [min(pair, key=step_ms) for pair in zip(outputs, play(simulation), strict=True)]
+        errors.add(simulation, outputs)
         yield f"seed {seed} done"
     yield from errors.show()
 
@@ -146,6 +171,12 @@ CHECKS = (
             seeds_option("1:11"),
             option("--gap-s", type=float, nargs="+", default=[1.0]),
             option("--duration-s", type=float, default=60.0),
+            option(
+                "--plays",
+                type=int,
+                default=1,
+                help="play each arm so often: a step's time is the least, as on a quiet machine",
+            ),
             option(
                 "--hours", type=float, default=0.0, help="play the arm over and over and print the memory"
             ),
