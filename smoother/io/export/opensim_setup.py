@@ -74,11 +74,16 @@ def opensim_files(
     # Scale turns the forearm as the angles say, so that it finds where the hand's markers are
     turned = ("pro_sup",) if "pro_sup" in angles.angles else ()
     placed = [name for name in names if name in measures.places]
+    # Scale would place every marker that it may move, also one of which this arm's model knows nothing
+    adult = replace(
+        GENERIC,
+        side=side,
+        places={name: place for name, place in GENERIC.places.items() if name in placed},
+        turns=measures.turns,
+    )
     texts = {
         MODEL: osim_text(measures, f"{side}_arm", camera=True),
-        GENERIC_MODEL: osim_text(
-            replace(GENERIC, side=side), f"generic_{side}_arm", ("hand", "imu"), camera=True
-        ),
+        GENERIC_MODEL: osim_text(adult, f"generic_{side}_arm", placed, camera=True),
         SCALE: scale_text(known, pose, placed, turned),
         IK: ik_text((float(t_s[0]), float(t_s[-1])), [*_JOINTS, *placed, ANCHOR]),
     }

@@ -64,7 +64,7 @@ def test_the_set_ups_name_files_and_markers_that_are_there(tmp_path: Path):
         for each in ET.parse(folder / "scale.xml").iter("IKMarkerTask")
         if each.findtext("apply") == "false"
     }
-    assert idle <= free == {"hand", "imu"}
+    assert idle == free == {"imu"}  # this arm has no hand
 
 
 def test_scale_is_given_times_without_blanks(tmp_path: Path):
@@ -85,6 +85,21 @@ def test_one_imu_has_no_opensense(tmp_path: Path):
     files, notes = opensim_files(made())
     assert "imu_ik.xml" not in files and "arm.sto" not in files
     assert any("OpenSense needs IMUs on forearm and upper arm" in note for note in notes)
+
+
+def without_axes(recovery: Recovery) -> Recovery:
+    assert recovery.calibration is not None
+    return replace(recovery, calibration=replace(recovery.calibration, R_F_A=None))
+
+
+def test_without_the_forearm_s_axes_no_model_has_the_imu(tmp_path: Path):
+    folder = folder_of(without_axes(two_imus()), tmp_path / "arm")
+    for name in ("arm.osim", "generic.osim"):
+        model = ET.parse(folder / name)
+        markers = {each.get("name") for each in model.iter("Marker")}
+        assert markers == {"shoulder", "elbow", "wrist", "camera"}, name
+        [turn] = [each for each in model.iter("Coordinate") if each.get("name") == "pro_sup"]
+        assert turn.findtext("locked") == "true", name
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -120,8 +135,22 @@ def test_opensim_solves_with_the_set_ups(tmp_path: Path, side: str):
     np.testing.assert_allclose(lengths, [UPPER_M, FORE_M], atol=1e-6)
     # The pose that places the markers is a mean over half a second of motion.
     assert max(figures["scaled_minus_exported_m"].values()) < 0.01, figures
+    assert figures["scaled_minus_exported_m"].keys() == {"shoulder", "elbow", "wrist", "imu", "camera"}
     # What the tool's accuracy leaves of exact markers and orientations.
     for name, most in (("ik", 0.001), ("imu_ik", 0.05)):
         off = figures[f"{name}_minus_mot_deg"]
         assert set(off) == {"elv_angle", "shoulder_elv", "shoulder_rot", "elbow_flexion", "pro_sup"}
         assert max(each["max"] for each in off.values()) < most, (name, off)
+
+
+@needs_opensim
+def test_opensim_solves_without_the_forearm_s_axes(tmp_path: Path):
+    folder = folder_of(without_axes(two_imus("right", 40)), tmp_path / "arm")
+    command = [str(opensim_python()), str(TOOL), "--folder", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    figures = json.loads(done.stdout[done.stdout.index("{") :])
+    for name in ("ik", "ik_scaled"):
+        off = figures[f"{name}_minus_mot_deg"]
+        assert set(off) == {"elv_angle", "shoulder_elv", "shoulder_rot", "elbow_flexion"}
+        assert max(each["max"] for each in off.values()) < 0.001, (name, off)
