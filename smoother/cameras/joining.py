@@ -20,8 +20,9 @@ from .rig import CameraRig, RelativeClock, RigCamera, first_camera, joint_centre
 
 #: Where the joints are nearer than this, as a share of how far they move, no other clock is tried.
 SURE_SHARE = 0.25
-#: Rays of cameras whose places are known pass each other by no more than this, m, if both see one arm.
-RAYS_M = 0.1
+#: Rays of cameras whose places are known pass each other by no more than this, m (root mean square), if both
+#: see one arm: those of seven that did by 11 to 19 mm, of nine wrong cameras by 48 to 183.
+RAYS_M = 0.04
 
 
 def join_cameras(recording: Recording, store: Store | None = None) -> tuple[Recording, CameraRig | None]:

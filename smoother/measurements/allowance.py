@@ -36,6 +36,8 @@ TOO_SLOW_HZ, SLOW_HZ, CAMERA_SLOW_HZ = 15.0, 38.0, 8.0
 NOTHING = "nothing determines"
 #: Least time in view, s, and rms turn rate about the two liveliest axes, rad/s, that show the mounting.
 IN_VIEW_S, FIRST_AXIS, SECOND_AXIS = 5.0, 0.2, 0.1
+#: Rays of a camera without depth are points a metre away; arms are about so far, m.
+USUAL_DISTANCE_M = 2.0
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,10 @@ def allowance(recording: Recording) -> Allowance:
     if obstacles:
         return Allowance(None, ASKED_M[-1], obstacles)
     joint = next(name for name in ("strap", "wrist", "hand", "elbow") if name in arm.present)
-    noise_m, speed = _noise_and_speed(arm.t_s[arm.tracked(joint)], arm.joint(joint)[arm.tracked(joint)])
+    position = arm.joint(joint)[arm.tracked(joint)]
+    if arm.pixel_rad is not None:
+        position = USUAL_DISTANCE_M * position
+    noise_m, speed = _noise_and_speed(arm.t_s[arm.tracked(joint)], position)
     floor_m = float(np.hypot(noise_m, speed * (SYNTHETIC_S if synthetic_stamps(arm.t_s) else DATED_S)))
     growth = GROWTH_WITH_SHOULDER if {"shoulder", "elbow"} <= set(arm.present) else GROWTH_ALONE
     growth *= max(FULL_RATE_HZ / imu.rate_hz, 1.0)
@@ -117,6 +122,11 @@ def _obstacles(recording: Recording) -> Iterator[str]:
         yield f"the camera has {arm.rate_hz:.2g} frames a second, where 15 are needed"
     if not any(joint in arm.present for joint in JOINTS if joint != "shoulder"):
         yield "the forearm is never tracked"
+    if arm.pixel_rad is not None and all(camera.pose is None for camera in recording.cameras):
+        yield (
+            "keypoints of one camera without depth do not say how far away the arm is; a camera with depth or"
+            " a second one whose place is known does"
+        )
     start_s, end_s = max(arm.t_s[0], imu.t_s[0]), min(arm.t_s[-1], imu.t_s[-1])
     if end_s - start_s < 2.0:
         yield (

@@ -93,6 +93,13 @@ def test_a_camera_that_moved_is_named_with_the_time() -> None:
     assert caution.startswith("camera_2 was left out: from about 15 s on it stands")
 
 
+@pytest.mark.parametrize("fault", ["other_person", "mirrored", "moved"])
+def test_a_wrong_one_of_two_without_depth_is_refused_by_name(fault: str) -> None:
+    simulated = made("all", camera_fault=fault, seed=932)
+    with pytest.raises(SolveError, match="camera_2 was left out: its rays pass camera's by"):
+        join_cameras(simulated.recording)
+
+
 def test_one_whose_place_is_not_known_is_refused() -> None:
     recording = made("all").recording
     unknown = replace(recording, cameras=(replace(recording.cameras[0], pose=None),))

@@ -88,3 +88,12 @@ def test_info_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         values, printed = json.loads((tmp_path / "i.json").read_text()), capsys.readouterr().out
         assert values["ready"] is ready and values["allows"] in printed
         assert ("not ready for `unocclude smooth`" in printed) is not ready
+
+
+def test_one_camera_without_depth_is_not_enough_and_two_are() -> None:
+    settings = {"protocol": "random", "duration_s": 20.0, "rgb": "all", "cameras": (75.0,)}
+    recording = simulate_arm(ArmSimulation.preset("realistic", **settings), 5).recording
+    both, alone = allowance(recording), allowance(replace(recording, cameras=()))
+    assert both.ready
+    assert not alone.ready
+    assert "one camera without depth do not say how far away the arm is" in alone.sentence
