@@ -101,7 +101,7 @@ def checked_section(section: object, where: str, path: Path) -> ArmSection:
     Raises
     ------
     CalibrationError
-        It is no table, or a value is wrong; the text names the key.
+        It is not a table, or a value is wrong; the text names the key.
     """
     if not isinstance(section, dict):
         raise CalibrationError(f"Calibration {path}: {where} must be a table, [{where}].")
@@ -264,12 +264,12 @@ class CalibrationFile:
             if section in self.arms:
                 return self.arms[section]
         if not self.arms:
-            raise CalibrationError(f"{self.source} holds no arm; add one with `unocclude calibrate forearm`.")
+            raise CalibrationError(f"{self.source} has no arm; add one with `unocclude calibrate forearm`.")
         if side in ("", "any"):
             if len(self.arms) == 1:
                 return next(iter(self.arms.values()))
             raise CalibrationError(
-                f"{self.source} holds both arms and the recording does not say which; give --side."
+                f"{self.source} has both arms and the recording does not show which is meant; give --side."
             )
         (other,) = self.arms
         raise CalibrationError(
@@ -301,7 +301,7 @@ def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
     Raises
     ------
     CalibrationError
-        It cannot be read, is no calibration or a newer one, or a value is wrong; the text names the key.
+        It cannot be read, is not a calibration or a newer one, or a value is wrong; the text names the key.
     """
     path = Path(path)
     document = _load(path)

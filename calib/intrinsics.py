@@ -117,7 +117,7 @@ def _ray_image(lens: Intrinsics) -> FloatArray:
 
 @dataclass(frozen=True)
 class PlacedCamera:
-    """A lens and where it stands in {K}.
+    """A lens and where it is in {K}.
 
     Attributes
     ----------

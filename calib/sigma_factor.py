@@ -20,7 +20,7 @@ from smoother.array_types import FloatArray
 
 #: Levels of the regions that are asked for.
 LEVELS = (0.5, 0.95)
-#: So many gaps are needed for the last level (K / (K + 1) must reach it).
+#: This many gaps are needed for the last level (K / (K + 1) must reach it).
 ENOUGH_GAPS = 19
 #: A factor below 1 needs this many gaps, and holds with this probability over gaps drawn again.
 FIRM_GAPS, FIRM = 60, 0.95

@@ -169,7 +169,7 @@ def silhouette_middle(
 SEARCH = (0.05, 1.03)
 #: Samples along the line, and lines side by side over this half width, m.
 SAMPLES, LINES, BAND_M = 400, 5, 0.006
-#: So many dark places are looked at, the darkest first.
+#: This many dark places are looked at, the darkest first.
 CANDIDATES = 6
 #: A strap is this much darker than the arm (a part of its brightness), and so wide, m.
 CONTRAST = 0.3
@@ -204,7 +204,7 @@ class Sighting:
     along : float
         Part of the way from elbow to wrist, of the seen point.
     in_profile : float
-        Part of the way at which the dark place lies in the profile: the strap's surface, as seen from the
+        Part of the way at which the dark place is in the profile: the strap's surface, as seen from the
         side, is not over the same place of the line.
     contrast, width_m, off_line_m : float
         How dark, how wide, how far from the elbow-wrist line.

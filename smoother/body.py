@@ -34,7 +34,7 @@ class BodySegment:
     camera_joints : tuple of str
         Joints whose camera samples are tied to it rather than to its parent, where it has an IMU.
     remedy : str
-        What to do where its motion does not tell how its IMU sits.
+        What to do where its motion does not show how its IMU sits.
     letters : str
         Of its variables in a graph: pose, velocity, bias, lever arm, and the shared joint's position.
     as_forearm : mapping of str to str

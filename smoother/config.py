@@ -25,7 +25,7 @@ class CameraNoise(_Section):
     """Noise of the camera's joints before the recording itself shows it."""
 
     joint_sigma_m: float = Field(
-        default=0.010, gt=0, description="white noise of a joint, m an axis; start value"
+        default=0.010, gt=0, description="white noise of a joint, m per axis; start value"
     )
     cauchy: float = Field(
         default=2.8, gt=0, description="length of a residual, in sigmas, where its weight is halved"
@@ -65,7 +65,7 @@ class Windows(_Section):
 
     margin_s: float = Field(default=2.5, gt=0, description="visible time on both sides of a gap, s")
     length_s: float = Field(default=12.0, gt=0, description="length aimed at where no gap decides, s")
-    processes: int = Field(default=0, ge=0, description="worker processes; 0 = one a core")
+    processes: int = Field(default=0, ge=0, description="worker processes; 0 = one per core")
 
 
 class Config(_Section):

@@ -19,7 +19,7 @@ from .array_types import FloatArray
 
 #: The probability of which pages and sentences speak.
 SHARE = 0.95
-#: A pooled distance is that of so many equally likely errors of each sample, of so many samples at most.
+#: A pooled distance is that of this many equally likely errors of each sample, of this many samples at most.
 _LEVELS, _MOST_SAMPLES = 64, 4000
 
 
@@ -51,7 +51,7 @@ def error_radius(covariance: FloatArray, probability: float = SHARE) -> FloatArr
 
 
 def pooled_radius(covariance: FloatArray, probability: float = SHARE) -> float | None:
-    """Distance within which so many of the errors of many samples lie; None where none is known.
+    """Distance within which this many of the errors of many samples lie; None where none is known.
 
     It is to the covariances what a percentile of distances is to errors against a truth.
 

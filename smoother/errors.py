@@ -17,7 +17,7 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 class UnoccludeError(Exception):
-    """Something the user can mend; the command line prints its text and exits with 1."""
+    """Something the user can correct; the command line prints its text and exits with 1."""
 
 
 class RecordingError(UnoccludeError):

@@ -13,7 +13,7 @@ mirrored to a right one first. In degrees:
 - `shoulder_elevation`: 0 = arm hanging, 90 = level (ISB's beta_TH with its sign turned).
 - `shoulder_rotation`: axial rotation of the humerus, internal positive.
 
-A skeleton of one arm does not show the thorax. It counts as upright and facing the camera:
+A skeleton of one arm does not show the thorax. It is treated as upright and facing the camera:
 shoulder angles are relative to gravity and the camera.
 """
 
@@ -169,7 +169,7 @@ def arm_angles(
     R_K_F : ndarray, shape (count, 3, 3), optional
         Forearm axes (y elbow to wrist, x to the back of the hand).
     side : {"right", "left", ""}
-        "" counts as right.
+        "" is treated as right.
     down : ndarray, shape (3,), optional
         Direction of gravity in {K}.
     forward : ndarray, shape (3,), optional

@@ -200,7 +200,7 @@ def peaks(y: FloatArray, height: float, distance: int, count: int) -> IntArray:
     distance : int
         Samples.
     count : int
-        At most so many.
+        At most this many.
 
     Returns
     -------

@@ -56,7 +56,7 @@ class Rotation:
         unit = np.array(quaternion, float)
         length = np.linalg.norm(unit, axis=-1, keepdims=True)
         if (length == 0.0).any():
-            raise ValueError("a quaternion of length zero is no rotation")
+            raise ValueError("a quaternion of length zero is not a rotation")
         unit /= length
         return cls(_matrix_of(unit if scalar_first else np.roll(unit, 1, axis=-1)))
 

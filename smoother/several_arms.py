@@ -54,7 +54,7 @@ def smooth_arms(
     """Recover several arms, each as `smooth` recovers it alone.
 
     Every arm has its own IMU, clock and shoulder; nothing of one arm's answer goes into another's, so each
-    is what `smooth` gives for it. Short recordings are worked on side by side, an arm a process; a long one
+    is what `smooth` gives for it. Short recordings run side by side, one arm per process; a long one
     keeps all processes busy by its sections, arm after arm. The answer depends on neither.
 
     Parameters
@@ -101,7 +101,7 @@ def smooth_arms(
 def _side_by_side(
     jobs: Sequence[ArmJob], processes: int, progress: Progress | None
 ) -> list[Recovery | UnoccludeError]:
-    """An arm a process: none has enough frames to keep several busy."""
+    """One arm per process: none has enough frames to keep several busy."""
     answers = []
     with Pool(processes, sum(len(job.recording.arm) for job in jobs)) as workers:
         for number, answer in enumerate(workers.map(recover_arm, jobs), start=1):

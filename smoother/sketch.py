@@ -115,7 +115,7 @@ def card_html(lines: Sequence[str], *parts: str) -> str:
 
 
 def even_rows(count: int) -> slice:
-    """At most some hundred of so many rows, evenly."""
+    """At most some hundred of this many rows, evenly."""
     return slice(0, count, max(-(-count // MOST_POINTS), 1))
 
 

@@ -71,12 +71,12 @@ def smooth(
     store : Store, optional
         Where what grows with the recording's length lives; in memory where None.
     processes : int, optional
-        Worker processes, 0 for one a core; as the configuration says where None.
+        Worker processes, 0 for one per core; as the configuration says where None.
     clock : Clock, optional
-        The camera's against the IMU's as it was measured, with its sigma: a prior. The motion tells it where
+        The camera's against the IMU's as it was measured, with its sigma: a prior. The motion gives it where
         there is none.
     draws : int
-        So many whole motions drawn from the posterior (`Recovery.draws`); the answer is the same with and
+        This many whole motions drawn from the posterior (`Recovery.draws`); the answer is the same with and
         without. `unocclude.smooth` and the command draw 64.
     seed : int
         Of the draws' random numbers, 0 or more: the same one gives the same motions.
@@ -149,7 +149,7 @@ def _solved(
 ) -> Solved:
     """Steps 2 to 6: calibrate, solve every section twice, and join the answers."""
     timeline = Timeline.of(recording)
-    # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
+    # 2. Self-calibration on the excerpts that are most informative: lever arms, clock, camera noise.
     excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
     if not excerpts:
         raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")

@@ -6,7 +6,7 @@ import numpy as np
 
 from .array_types import FloatArray
 
-#: So many unknowns of a tridiagonal system are solved as a dense one.
+#: This many unknowns of a tridiagonal system are solved as a dense one.
 FEW_UNKNOWNS = 12
 
 

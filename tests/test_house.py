@@ -77,7 +77,7 @@ MAY: dict[str, set[str]] = {
 }
 #: Packages that make a command slow to start, or that need system libraries: imported where they are used.
 HEAVY = {"open3d", "cv2", "plotly", "vqf", "libusb_package", "rich", "gtsam", "pylsl", "foxglove"}
-#: What may stand at the top of a module all the same: the graph's own files, and the report's plots.
+#: What may be at the top of a module all the same: the graph's own files, and the report's plots.
 AT_THE_TOP = {"smoother/graph": "gtsam", "smoother/report": "plotly"}
 #: Words that the glossary replaced: no public name is made of them.
 REPLACED = set(
@@ -334,7 +334,7 @@ def test_no_class_name_twice():
 
 
 def test_no_module_name_twice_in_a_subject():
-    """The core and `calib`: one name, one module, whatever folder it lies in."""
+    """The core and `calib`: one name, one module, whatever folder it is in."""
     for subject in ([p for p in python_files("smoother") if part_of(p) == "core"], python_files("calib")):
         names = [path.stem for path in subject if path.stem != "__init__"]
         assert not {name for name in names if names.count(name) > 1}

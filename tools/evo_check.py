@@ -1,6 +1,6 @@
 """Position and orientation figures of `validate` held against evo's (github.com/MichaelGrupp/evo).
 
-evo is no dependency: install it into an environment of its own (`python -m venv evo; evo/bin/pip install
+evo is not a dependency: install it into an environment of its own (`python -m venv evo; evo/bin/pip install
 evo`) and name that environment's Python. Both get the same samples; they must agree to rounding.
 
     .venv/bin/python tools/evo_check.py recovered.mcap --truth session.mcap --evo-python evo/bin/python

@@ -64,7 +64,7 @@ class SourceFile:
         return len(self._changes)
 
     def sample(self, most: int, seed: int) -> list[Mutant]:
-        """At most so many mutants, drawn from a seed; each another program than the file and all others."""
+        """At most this many mutants, drawn from a seed; each another program than the file and all others."""
         order = list(range(len(self)))
         random.Random(f"{seed} {self.path}").shuffle(order)
         drawn: dict[str, tuple[int, Mutant]] = {}

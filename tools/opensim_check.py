@@ -226,7 +226,7 @@ def motion_file(path: str):
 
 
 def truth_angles(result: str):
-    """The same of the truth that lies in a result; nan near postures that do not define an angle."""
+    """The same of the truth that is in a result; nan near postures that do not define an angle."""
     from smoother.evaluation.truth import read_truth_mcap
     from smoother.io import read_recovery
     from smoother.joint_angles import arm_angles, defined, forearm_axes, wrapped_deg

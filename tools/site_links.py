@@ -65,7 +65,7 @@ def faults(folder: Path) -> list[str]:
     pages = {path: Page() for path in files}
     for path, page in pages.items():
         page.feed(path.read_text(encoding="utf-8"))
-    sentences = [] if pages else [f"{folder} holds no page"]
+    sentences = [] if pages else [f"{folder} has no page"]
     for path, page in pages.items():
         name = path.relative_to(folder.resolve())
         outside = [target for target in page.loaded if urlsplit(target).scheme in ("http", "https")]

@@ -91,8 +91,8 @@ def main() -> None:
     print(f"{platform.machine()}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
     for length, spent in ((1.0, short_s), (minutes, spent_s)):
         print(f"{length:g} minutes: {spent:.2f} s of a processor, {60 * length / spent:.0f} times real time")
-    print(f"recording: {row['input_bytes'] / minutes / 1e6:.2f} MB a minute")
-    print(f"output: {row['output_bytes'] / minutes / 1e6:.2f} MB a minute")
+    print(f"recording: {row['input_bytes'] / minutes / 1e6:.2f} MB per minute")
+    print(f"output: {row['output_bytes'] / minutes / 1e6:.2f} MB per minute")
     print(f"row of results: {row_bytes:.0f} bytes; taken up again in {1e6 * again_s:.0f} us")
     print(f"{count:,} recordings of {minutes:g} minutes ({count * minutes / 60:,.0f} h):")
     print(

@@ -16,7 +16,7 @@ from smoother.recording import FIRST_CAMERA, CameraPose, Recording
 from ..file import CalibrationFile
 from ..protocol import Answer, Verdict
 
-#: The top-level table of a calibration file, a table a camera.
+#: The top-level table of a calibration file, one table per camera.
 TABLE = "cameras"
 #: A pose is good for the answer where its sigmas, an axis, are below these, degrees and m.
 GOOD_DEG, GOOD_M = 0.5, 0.01
@@ -35,7 +35,7 @@ class CameraSetUp:
     cameras : dict of str to RigCamera
         As all recordings together place them, by name.
     clocks_s : dict of str to tuple of float
-        Each camera's offset to the first one's clock, a number a recording that it takes part in.
+        Each camera's offset to the first one's clock, one number per recording that it takes part in.
     left_out : tuple of str
         A sentence for each camera that a recording shows to be wrong.
     """
@@ -68,7 +68,7 @@ def calibrate_cameras(recordings: Sequence[Recording]) -> CameraSetUp:
     """
     if not any(recording.cameras for recording in recordings):
         all_names = ", ".join(recording.name for recording in recordings)
-        raise CalibrationError(f"{all_names}: there is one camera only; nothing is to be placed.")
+        raise CalibrationError(f"{all_names}: there is only one camera, so there is no pose to find.")
     cameras: dict[str, RigCamera] = {}
     clocks: dict[str, tuple[float, ...]] = {}
     left_out: list[str] = []
@@ -146,7 +146,7 @@ def camera_poses(file: CalibrationFile) -> dict[str, CameraPose]:
     """
     table = file.tables.get(TABLE, {})
     if not isinstance(table, Mapping):
-        raise CalibrationError(f"{file.source}: {TABLE} is no table; make it with `calibrate cameras`.")
+        raise CalibrationError(f"{file.source}: {TABLE} is not a table; make it with `calibrate cameras`.")
     return {str(name): _pose(f"{file.source}: [{TABLE}.{name}]", each) for name, each in table.items()}
 
 

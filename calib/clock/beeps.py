@@ -169,7 +169,7 @@ def fit_fall(
     # a few steps from everywhere, the rest of the way from the two best places
     tried = sorted((fit(start, 6) for start in starts), key=lambda each: float(each.cost))
     best = min((fit(each.x, 40) for each in tried[:2]), key=lambda each: float(each.cost))
-    # neighbouring values of the envelope share the kernel: so many of them are worth one
+    # neighbouring values of the envelope share the kernel: this many of them are worth one
     worth = max(1.5 * len(kernel) / 2, 1.0)
     variance = 2 * best.cost * worth / max(2 * len(envelope) - 7 * worth, 1.0)
     spread = np.linalg.pinv(best.jac.T @ best.jac) * variance
@@ -193,7 +193,7 @@ SHORTEST_S = 0.03
 LOUD_DB = 18.0
 FALL_DB = 8.0
 KNEE_DB = 3.0
-#: The quiet shows in so many frames in a row.
+#: The quiet shows in this many frames in a row.
 QUIET_FRAMES = 12
 #: Two beeps nearer than this are one, s.
 PAUSE_S = 0.05

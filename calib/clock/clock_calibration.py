@@ -17,9 +17,9 @@ from .network import solve_clocks
 
 #: A link no better than this is said to be weak, s: at 1 m/s it is 5 mm.
 WEAK_S = 0.005
-#: A link whose sources disagree by so many sigmas.
+#: A link whose sources disagree by this many sigmas.
 DISAGREE = 4.0
-#: One late reception among fewer rounds than this cannot be told.
+#: One late reception among fewer rounds than this cannot be detected.
 FEW_ROUNDS = 4
 SKEW_KNOWN_PPM = 20.0
 
@@ -206,7 +206,7 @@ def open_questions(calibration: ClockCalibration) -> list[str]:
     for each in receptions:
         lost = sorted(set(each.node) - set(network.nodes))
         sentences += [
-            f"{name} never heard what another clock heard too: it is linked to nothing" for name in lost
+            f"{name} received nothing that another clock received: it is not linked" for name in lost
         ]
     parts = [
         [name for name, own in zip(network.nodes, network.group, strict=True) if own == number]
@@ -230,13 +230,13 @@ def open_questions(calibration: ClockCalibration) -> list[str]:
             sentences.append(f"{pair} are known to {1e3 * link.sigma_s:.0f} ms only")
         common = _common(receptions, link)
         if 0 < common < FEW_ROUNDS and not any(beep.sigma_s < WEAK_S for beep in beeps):
-            sentences.append(f"{pair} heard {common} rounds together: a late reception would not show")
+            sentences.append(f"{pair} heard {common} rounds together: a late reception would go unnoticed")
     weak = [link for link in network.links() if link.skew_sigma_ppm > SKEW_KNOWN_PPM]
     if weak:
         pairs = ", ".join(f"{link.from_clock}-{link.to_clock}" for link in weak[:4])
         sentences.append(
             f"the skew of {pairs}{' and others' if len(weak) > 4 else ''} is not measured: the offset may"
-            f" drift by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms a minute away from the"
+            f" drift by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms per minute from the"
             " time that it is stated for"
         )
     sentences += [
@@ -258,7 +258,7 @@ def next_time(calibration: ClockCalibration) -> list[str]:
     sentences = []
     links = calibration.network.links()
     if receptions and not beeps and any(0 < _common(receptions, link) < 2 * FEW_ROUNDS for link in links):
-        sentences.append("broadcast twenty rounds; every pair of nodes needs several that both heard")
+        sentences.append("broadcast twenty rounds; every pair of nodes needs several that both received")
     if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in links):
         sentences.append(
             "measure once at the start and once at the end of the session: the two give the skew"

@@ -26,7 +26,7 @@ class Receptions:
     event : ndarray of int, shape (M,)
         Number of the event; rows of one event were heard at the same instant.
     node : sequence of str
-        (M,) names, one a row.
+        (M,) names, one per row.
     t_s : ndarray, shape (M,), s
         On the node's clock.
     sigma_s : ndarray, shape (M,), s
@@ -150,7 +150,7 @@ class ClockNetwork:
         u, v, n = self.nodes.index(from_clock), self.nodes.index(to_clock), len(self.nodes)
         if self.group[u] != self.group[v]:
             raise CalibrationError(
-                f"nothing links the clocks {from_clock} and {to_clock}; let both hear the same event"
+                f"nothing links the clocks {from_clock} and {to_clock}; let both receive the same event"
             )
         pick = np.zeros((2, 2 * n))
         for row, first in enumerate((0, n)):
@@ -189,7 +189,7 @@ SOUND_M_S = 343.0
 
 
 class SoundTrack(Protocol):
-    """Sound without a pause in it: samples (N,), samples a second, time of the first sample in s."""
+    """Sound without a pause in it: samples (N,), samples per second, time of the first sample in s."""
 
     @property
     def samples(self) -> FloatArray:

@@ -30,10 +30,10 @@ from .links import SKEW_SIGMA, ClockLink
 
 #: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.
 COARSE_S = 0.75 * LARGEST_OFFSET_S
-#: Length of an excerpt, s, and at most so many of them.
+#: Length of an excerpt, s, and at most this many of them.
 EXCERPT_S = 20.0
 MOST = 24
-#: An excerpt needs so many frames with a visible forearm.
+#: An excerpt needs this many frames with a visible forearm.
 FEWEST_FRAMES = 60
 #: What no excerpt is better than, s: frames are stamped that well at most.
 FLOOR_S = 0.0005

@@ -14,7 +14,7 @@ from .links import SKEW_SIGMA, ClockLink, ClockNetwork, Leftover, Receptions
 
 #: A pair's skew is looked for where its events lie so far apart, s.
 SKEW_SPAN_S = 2.0
-#: Up to so many events every line through two of them is tried; what is wrong is far wrong, s.
+#: Up to this many events every line through two of them is tried; what is wrong is far wrong, s.
 FEW = 12
 NEAR_S = 0.0005
 USUAL_SKEW = 3e-4
@@ -143,9 +143,9 @@ def _consensus(dt: FloatArray, difference: FloatArray) -> tuple[float, float]:
     return float(slope[k]), float(level[k][near].mean())
 
 
-#: The stated noise of a source counts as so many samples when its noise is measured.
+#: The stated noise of a source is treated as this many samples when its noise is measured.
 PRIOR_SAMPLES = 4.0
-#: What is farther off than so many sigmas is rejected.
+#: What is farther off than this many sigmas is rejected.
 OUTLIER = 5.0
 ROUNDS = 40
 #: No crystal is off by more, s/s.
@@ -175,7 +175,7 @@ def solve_clocks(receptions: Sequence[Receptions], links: Sequence[ClockLink] = 
     """
     rows = _Rows.of(receptions)
     if not len(rows.t) and not links:
-        raise CalibrationError("no event was heard by two clocks, so nothing links them; broadcast again")
+        raise CalibrationError("no event was received by two clocks, so nothing links them; broadcast again")
     nodes = list(
         dict.fromkeys([*(n for each in links for n in (each.from_clock, each.to_clock)), *rows.nodes])
     )

@@ -14,7 +14,7 @@ import numpy as np
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, LeverArm
 
-#: Nearer to the elbow-wrist line than this the IMU does not tell which way the back of the hand is, m.
+#: Nearer to the elbow-wrist line than this the IMU does not show which way the back of the hand is, m.
 NEAREST_M = 0.015
 #: Axes that are known no better than this are not written down, rad: roll, and the forearm's direction.
 WORST_ROLL_RAD = np.radians(15.0)
@@ -25,7 +25,7 @@ WORST_DIRECTION_RAD = np.radians(6.0)
 class ForearmFrame:
     """The forearm's axes as far as the lever arms give them.
 
-    Of a lever arm only the sigma an axis is known, not how the errors of two go together. What they have in
+    Of a lever arm only the sigma per axis is known, not how the errors of two go together. What they have in
     common moves the line (for the distance and the roll they are taken to be in common) and cancels in its
     length and direction (for these they are taken as independent), so that the sigmas are rather too large.
 

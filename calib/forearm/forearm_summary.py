@@ -14,7 +14,7 @@ from ..protocol import Answer, Verdict
 from .forearm_frame import forearm_frame
 from .held_pose import PLACED_SIGMA_RAD, ForearmCalibration
 
-#: Farther apart than so many sigmas counts as disagreement.
+#: Farther apart than this many sigmas is treated as disagreement.
 AGREE = 2.5
 #: The pose asked for: arms about across the camera's ray, the sensor still, rad and rad/s.
 CORONAL_RAD = np.radians(35.0)
@@ -30,7 +30,7 @@ _BROKEN = {
     " measured wrongly",
     "strap to elbow": "the strap slid along the arm between the pose and the motion, or its place was"
     " measured wrongly",
-    "radius": "the forearm is no straight line through its core, or the strap's place was found beside"
+    "radius": "the forearm is not a straight line through its core, or the strap's place was found beside"
     " the arm",
     "direction": "the sensor turned on the arm between the pose and the motion, or the arm was not still"
     " in the pose",
@@ -72,7 +72,7 @@ class Compared:
 
 
 def compare(calibration: ForearmCalibration) -> list[Compared]:
-    """Every measure that both the pose and the motion told; empty where the motion told nothing."""
+    """Every measure that both the pose and the motion showed; empty where the motion showed nothing."""
     if calibration.motion is None:
         return []
     m, motion, rows = calibration.measured, calibration.motion, []
@@ -192,7 +192,7 @@ def verdict(calibration: ForearmCalibration, rows: list[Compared]) -> list[str]:
     pose = calibration.pose
     said = [f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s"]
     if not rows:
-        why = calibration.why_not or "the motion told nothing of the forearm"
+        why = calibration.why_not or "the motion showed nothing of the forearm"
         return [*said, f"there is no motion to hold it against: {why}"]
     broken = [row for row in rows if not row.agrees]
     if not broken:

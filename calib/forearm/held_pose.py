@@ -25,7 +25,7 @@ STILL_S = 0.25
 #: A pose that was named is refused above this, rad/s (rms): simulated poses that are held reach 0.13.
 MOVING_RAD_S = np.radians(30.0)
 #: The gyroscope's bias is its median over this share of the recording, the quietest; what is larger than the
-#: second is no bias, rad/s.
+#: second is not a bias, rad/s.
 QUIET_SHARE, LARGEST_BIAS_RAD_S = 0.3, np.radians(30.0)
 #: The forearm points up within this angle; neither part of the arm points this near to the camera.
 UPRIGHT_RAD = np.radians(45.0)
@@ -206,7 +206,7 @@ USUAL_STRAP_TO_WRIST = Length(0.05, 0.020)
 USUAL_RADIUS = Length(0.035, 0.008)
 #: A length by ruler, m.
 RULER_SIGMA_M = 0.004
-#: Constant error of a camera's joint where the recording does not tell it, m an axis.
+#: Constant error of a camera's joint where the recording does not show it, m per axis.
 USUAL_JOINT_BIAS_M = 0.008
 #: A sensor whose orientation in the pose is not known better than this gives no lever arms, rad.
 LARGEST_ATTITUDE_SIGMA_RAD = np.radians(12.0)
@@ -217,7 +217,7 @@ SOLVED_S = 90.0
 
 @dataclass(frozen=True)
 class Measured:
-    """Measures of the forearm in the pose, m, each with its sigma; None where the pose does not tell.
+    """Measures of the forearm in the pose, m, each with its sigma; None where the pose does not show.
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class ForearmCalibration:
-    """What the held pose told.
+    """What the held pose showed.
 
     Attributes
     ----------
@@ -369,7 +369,7 @@ def _solve(recording: Recording, pose: HeldPose, config: Config | None) -> tuple
         return None, str(error)
     arm = recovery.calibration
     if arm is None or arm.forearm_direction is None:
-        return None, "the motion does not tell how the sensor sits on the forearm"
+        return None, "the motion does not show how the sensor sits on the forearm"
     return recovery, ""
 
 

@@ -76,7 +76,7 @@ def axis_words(direction: FloatArray) -> str:
 #: Stillness is judged over so long, s, and a rest lasts so long at least.
 LOOK_S = 0.5
 SHORTEST_S = 0.8
-#: Still is what varies less than so many times the quietest part of the recording ..
+#: Still is what varies less than this many times the quietest part of the recording ..
 TIMES_QUIETEST = 3.0
 QUIETEST_PERCENT = 2.0
 #: .. or less than this in any case (m/s^2, rad/s), so that a sensor without noise has rests too ..
@@ -232,7 +232,7 @@ def _none() -> Rests:
     return Rests(np.zeros((0, 2), int), nothing, nothing, np.zeros(3), np.zeros(3), np.zeros(0, int))
 
 
-#: Unknowns, and so many different poses at least.
+#: Unknowns, and this many different poses at least.
 FEWEST_POSES = 9
 #: What a pose's mean is worth at best, m/s^2: a table that gives, a breath of air.
 POSE_SIGMA = 0.002
@@ -316,9 +316,8 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
     """
     if rests.poses < FEWEST_POSES:
         raise CalibrationError(
-            f"{_poses_words(rests)}, and offset, scale and cross-axis are nine unknowns: {FEWEST_POSES} poses"
-            " at least, twelve for comfort; lay the sensor still for three seconds on each of its six sides"
-            " and on six edges between them."
+            f"{_poses_words(rests)}; at least {FEWEST_POSES} poses are needed, better twelve: lay the sensor"
+            " still for three seconds on each of its six sides and on six edges between them."
         )
     answer = least_squares(
         _misfit,

@@ -147,7 +147,7 @@ def imu_verdict(calibration: ImuCalibration) -> list[str]:
         )
     else:
         said.append(
-            "this is one long rest: it tells the noise and the gyroscope's bias, not the accelerometer"
+            "this is one long rest: it gives the noise and the gyroscope's bias, not the accelerometer"
         )
     degrees = np.degrees(calibration.gyroscope.offset)
     source = (

@@ -35,7 +35,7 @@ LARGEST_RESIDUAL = 0.15
 LARGE_RESIDUAL = 0.04
 #: Residuals farther off than this many scaled median deviations pull no more than one there.
 _FAR = 3.0
-#: Samples so many scaled median deviations off are strays, and so large a share of them is worth a word.
+#: Samples this many scaled median deviations off are strays, and so large a share of them is worth a word.
 _STRAY = 6.0
 STRAY_SHARE = 0.005
 
@@ -133,7 +133,7 @@ def fit_ellipsoid(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     Raises
     ------
     CalibrationError
-        The surface that fits best is no ellipsoid.
+        The surface that fits best is not an ellipsoid.
     """
     x, y, z = points.T
     design = np.stack([x * x, y * y, z * z, 2 * y * z, 2 * x * z, 2 * x * y, 2 * x, 2 * y, 2 * z], axis=1)

@@ -115,7 +115,7 @@ def _affine(table: dict[str, Any], where: str) -> tuple[FloatArray, FloatArray] 
         return None
     matrix = np.eye(3) if matrix is None else matrix
     if abs(np.linalg.det(matrix)) < 1e-12 * np.linalg.norm(matrix) ** 3:
-        raise CalibrationError(f"{where}.matrix has no inverse; mend it or calibrate again.")
+        raise CalibrationError(f"{where}.matrix has no inverse; correct it or calibrate again.")
     return (np.zeros(3) if offset is None else offset), matrix
 
 
@@ -191,7 +191,7 @@ def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tu
     Parameters
     ----------
     streams : sequence of ImuStream
-        One a pose; one that stands there several times is corrected once and stays one.
+        One a pose; one that is there several times is corrected once and stays one.
     file : CalibrationFile
         Its tables `imu` are looked at.
 

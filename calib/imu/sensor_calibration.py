@@ -103,9 +103,9 @@ def allan_deviation(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, Fl
 
 #: Still samples that a mean needs (Le et al. take the first 200).
 STILL_SAMPLES = 200
-#: Neighbours that differ by less than this on every axis count as stable (Jatesiktat and Ang, II-E.2).
+#: Neighbours that differ by less than this on every axis are treated as stable (Jatesiktat and Ang, II-E.2).
 STABLE_RAD_S = np.radians(3.0)
-#: The running mean forgets over so many stable samples.
+#: The running mean forgets over this many stable samples.
 RUNNING_SAMPLES = 500
 #: Largest bias that a turning sensor's running mean counts, rad/s.
 _LARGEST_BIAS = np.radians(15.0)
@@ -166,7 +166,7 @@ def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
 def running_bias(gyro: FloatArray) -> tuple[FloatArray, np.ndarray]:
     """The slow running mean of Jatesiktat and Ang (II-E.2) after each stable sample.
 
-    Two consecutive samples that differ by less than 3 degrees/s on every axis count as a sensor that is
+    Two consecutive samples that differ by less than 3 degrees/s on every axis are treated as a sensor that is
     considerably stable: the later one goes into the mean, which changes slowly.
 
     Returns
@@ -272,7 +272,7 @@ def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
     Raises
     ------
     CalibrationError
-        The recording tells neither; the text says what to record.
+        The recording shows neither; the text says what to record.
     """
     rests = find_rests(imu)
     noise: tuple[SensorNoise | None, SensorNoise | None] = (None, None)

@@ -39,7 +39,7 @@ from .motion_summary import (
 
 @dataclass(frozen=True)
 class JointError:
-    """Errors of the camera's samples of one joint, m an axis.
+    """Errors of the camera's samples of one joint, m per axis.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class JointError:
 
 @dataclass(frozen=True)
 class ArmEstimates:
-    """What one or several recordings told of the arm, the sensor and the clocks.
+    """What one or several recordings showed of the arm, the sensor and the clocks.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
     recovery : Recovery
         Its `estimates.given` names what was given beforehand (`names_given`); nothing is said of that.
     recording : Recording, optional
-        What it was made of; tells how far the clock wandered.
+        What it was made of; shows how far the clock wandered.
 
     Returns
     -------
@@ -243,7 +243,7 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
 
 
 def _drift(recovery: Recovery, recording: Recording | None) -> float:
-    """How far the offset wandered, s; nan where that cannot be told."""
+    """How far the offset wandered, s; nan where that cannot be determined."""
     if recording is None or not 0 < len(recording.arm) == len(recovery.arm):
         return float("nan")
     return float(np.ptp(recovery.arm.t_s - recording.arm.t_s))
@@ -257,7 +257,7 @@ ALONE_S = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class MotionCalibration(ArmEstimates):
-    """What the recordings told, and what it was solved from.
+    """What the recordings showed, and what it was solved from.
 
     Attributes
     ----------
@@ -353,7 +353,7 @@ def _require_one_mounting(
     for number, name in enumerate(names):
         own = [replace(segment, recording=0) for segment in segments if segment.recording == number]
         if sum(segment.end_s - segment.start_s for segment in own) >= ALONE_S:
-            with suppress(CalibrationError):  # one that tells nothing alone contradicts nobody
+            with suppress(CalibrationError):  # one that shows nothing alone contradicts nobody
                 label = name if names.count(name) == 1 else f"{name} ({number + 1})"
                 alone[label] = self_calibrate(own, known, config, pool).estimate
     groups = mountings(alone)

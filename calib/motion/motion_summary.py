@@ -52,7 +52,7 @@ class ClockOffset:
     recording : str
         Its name.
     offset_s, sigma_s : float, s
-        Mean offset and its standard deviation; nan where the recording told nothing.
+        Mean offset and its standard deviation; nan where the recording showed nothing.
     drift_s : float, s
         How far the offset wandered.
     """
@@ -192,7 +192,7 @@ def _axial(t: FloatArray, angle: FloatArray, seen: BoolArray) -> float:
     return best
 
 
-#: From here on something counts as not determined.
+#: From here on something is treated as not determined.
 LEVER_SIGMA_M = 0.010
 UPPER_ARM_SIGMA_M = 0.020
 DIRECTION_SIGMA_RAD = np.radians(3.0)
@@ -265,7 +265,7 @@ def motion_verdict(calibration: ArmCalibration, left_open: Sequence[str]) -> Ver
     if not calibration.lever_arms:
         return Verdict("not good enough", "no lever arm was found", (), (MOVE,))
     worst_m = max(float(np.max(lever.sigma_m)) for lever in calibration.lever_arms.values())
-    sentence = f"lever arms are known to {1e3 * worst_m:.0f} mm an axis at worst (one sigma)"
+    sentence = f"lever arms are known to {1e3 * worst_m:.0f} mm per axis at worst (one sigma)"
     return Verdict("usable" if left_open else "good", sentence, (), (MOVE,) if left_open else ())
 
 
@@ -409,7 +409,7 @@ def clocks_not_determined(offsets: Sequence[ClockOffset]) -> list[str]:
     for each in offsets:
         if not np.isfinite(each.offset_s):
             sentences.append(
-                f"{each.recording}: IMU and visible forearm never came together; it told nothing"
+                f"{each.recording}: IMU and visible forearm never came together; it showed nothing"
             )
         elif each.sigma_s > CLOCK_SIGMA_S:
             sentences.append(

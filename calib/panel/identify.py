@@ -17,7 +17,7 @@ from .images import Blobs, View
 FIT_M, FIT_SHARE = 0.005, 0.006
 #: All distances may be this much too long or too short together: the depth's error, the focal length's.
 SCALE = 0.04
-#: Another reading is as good where its misfit is below so many times the best one's, and this much more, m.
+#: Another reading is as good where its misfit is below this many times the best one's, and this much more, m.
 AS_GOOD, MORE_M = 3.0, 0.0015
 #: Steeper against the line of sight than this a panel is edge-on, degrees between normal and line of sight.
 EDGE_ON_DEG = 65.0
@@ -52,7 +52,7 @@ class NotSeen(CalibrationError):
 
 
 class NotIdentified(NotSeen):
-    """The four markers could not be told; a picture of what was seen helps."""
+    """The four markers could not be identified; a picture of what was seen helps."""
 
 
 class MirrorImage(NotSeen):

@@ -146,7 +146,7 @@ def read_view(depth_png: str | os.PathLike[str], infrared_png: str | os.PathLike
     Raises
     ------
     CalibrationError
-        A file is missing, is no image, or the depth is not of 16 bit.
+        A file is missing, is not an image, or the depth is not of 16 bit.
     """
     depth = _read(depth_png)
     if depth.dtype != np.uint16 or depth.ndim != 2:
@@ -200,11 +200,11 @@ def _read(path: str | os.PathLike[str]) -> NDArray:
 
 #: Brightness over the surroundings from which a spot counts, as fractions of the brightest; tried in turn.
 LEVELS = (0.5, 0.25, 0.12, 0.06)
-#: A spot is at least so many times as bright as its surroundings.
+#: A spot is at least this many times as bright as its surroundings.
 CONTRAST = 1.35
 #: Not more spots than this are looked at, the strongest ones.
 MOST = 12
-#: A spot is no longer than so many times its width, and no larger than this share of the image.
+#: A spot is no longer than this many times its width, and no larger than this share of the image.
 ELONGATION, LARGEST = 3.5, 0.004
 #: Window of the median that the surroundings are taken from, as a share of the image's width.
 SURROUNDINGS = 0.08
@@ -357,7 +357,7 @@ def drawn_spots(infrared: FloatArray, blobs: Blobs, markers: tuple[int, ...] = (
     blobs : Blobs
         All bright spots.
     markers : tuple of int
-        Which of them are the panel's, in its order; empty where they could not be told.
+        Which of them are the panel's, in its order; empty where they could not be identified.
 
     Returns
     -------

@@ -28,7 +28,7 @@ from .panel_graph import PanelSolution, PoseData, solve
 from .plane import Plane, Regions, fit_plane, panel_regions
 from .plane import regions_on_plane as on_plane
 
-#: Noise of a mocap marker where nothing else is said, m an axis.
+#: Noise of a mocap marker where nothing else is said, m per axis.
 MOCAP_SIGMA_M = 0.0002
 #: Less of the panel than this with depth is as good as none.
 LEAST_COVERED = 0.15
@@ -137,7 +137,7 @@ def calibrate_panel(
     Raises
     ------
     CalibrationError
-        The panel cannot be found in a view, or its pose cannot be told; one sentence says why. A
+        The panel cannot be found in a view, or its pose cannot be determined; one sentence says why. A
         `NotSeen` knows the view and its bright spots, for a picture.
     """
     chosen = [choose_markers(each, panel, view.name) for each, view in zip(markers, views, strict=True)]
@@ -242,7 +242,7 @@ def _spots(view: View, panel: Panel, lens: Intrinsics) -> tuple[Blobs, Reading, 
             said.append((len(blobs), error))
             if error.final:
                 break
-    # of all thresholds the one that came nearest to four spots tells best what is wrong
+    # of all thresholds the one that came nearest to four spots shows best what is wrong
     raise min(said, key=lambda item: abs(item[0] - 4))[1]
 
 

@@ -25,9 +25,9 @@ OFFSET_SIGMA_M = 0.01
 ON_PLANE_SIGMA_M = 0.0002
 #: Huber's bound in sigmas, of a vector of 2 or 3 residuals: touches ordinary noise hardly at all.
 HUBER = 3.5
-#: The stated noise weighs like so many residuals against those found.
+#: The stated noise weighs like this many residuals against those found.
 PRIOR_RESIDUALS = 12.0
-#: A depth error of one pose alone is believed from so many sigmas on if with it the misfit is below this.
+#: A depth error of one pose alone is believed from this many sigmas on if with it the misfit is below this.
 #: One marker that is off looks like a wrong depth too, but leaves residuals.
 CLEAR, EXPLAINED = 4.0, 3.0
 

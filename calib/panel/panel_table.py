@@ -108,7 +108,7 @@ def _findings(calibration: PanelCalibration) -> list[str]:
         )
     else:
         sentences.append(
-            "A constant error of the camera's depth is taken for none: one pose tells it from the markers'"
+            "A constant depth error of the camera is ignored: one pose separates it from the markers'"
             f" spacing only as {1e3 * solution.offset_apart_m:+.1f} +-"
             f" {1e3 * solution.offset_apart_sigma_m:.1f} mm, and it would pass into the distance; several"
             " poses would tell it."
@@ -127,7 +127,7 @@ def _findings(calibration: PanelCalibration) -> list[str]:
     if shape > DEFINITION_M:
         sentences.append(
             f"The mocap markers' distances differ from the panel's definition by {1e3 * shape:.1f} mm rms;"
-            " the definition only tells which marker is which, so that the answer does not suffer."
+            " the definition only shows which marker is which, so that the answer does not suffer."
         )
     tilted = [
         name for name, each in zip(calibration.names, calibration.seen, strict=True) if each.tilt_deg > 45
@@ -248,7 +248,7 @@ def calibration_table(calibration: PanelCalibration) -> dict[str, Any]:
     """Plain values of the answer: p_camera = R p_mocap + t, m; camera optical, x right, y down, z forward.
 
     Sigmas are one standard deviation; the covariance is of a small rotation about the camera's axes (rad) and
-    the translation (m). The published method's answer stands beside in `published`.
+    the translation (m). The published method's answer is beside in `published`.
     """
     found, said, solution = accuracy(calibration), verdict(calibration), calibration.solution
     table: dict[str, Any] = transform_values(solution.camera_from_mocap)

@@ -18,7 +18,7 @@ from .images import Blobs
 OUTLIER = 3.5
 #: Nothing nearer to the plane than this is an outlier, m: a camera counts in millimetres.
 LEAST_OUTLIER_M = 0.004
-#: A start is tried on so many triples of pixels.
+#: A start is tried on this many triples of pixels.
 TRIPLES = 200
 #: Fewer pixels than this, or than this share of those given, make no plane.
 FEWEST, LEAST_SHARE = 60, 0.3
@@ -126,8 +126,8 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
         rough = noise > LARGEST_NOISE * float(np.median(depth_m))
         if rough or within.sum() < max(FEWEST, LEAST_SHARE * len(within)):
             raise CalibrationError(
-                f"{what}: the depth under the panel is no plane ({within.sum()} of {len(within)} pixels agree"
-                f" to {1e3 * noise:.0f} mm); see that nothing stands before it."
+                f"{what}: the depth under the panel is not a plane ({within.sum()} of {len(within)} pixels"
+                f" agree to {1e3 * noise:.0f} mm); see that nothing stands before it."
             )
         theta = _least_squares(full[within], depth_m[within], theta)
         if (within == inliers).all():

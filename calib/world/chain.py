@@ -169,7 +169,7 @@ def _run_about(still: np.ndarray) -> np.ndarray:
 FREE_RAD = 2.0
 #: What scale and cross-axis errors of an accelerometer leave of a direction, rad.
 TILT_RAD = np.radians(0.05)
-#: Bias of an accelerometer as its maker calibrated it, and of one calibrated by rest poses, m/s^2 an axis.
+#: Bias of an accelerometer as its maker calibrated it, and of one calibrated by rest poses, m/s^2 per axis.
 BIAS_M_S2, CORRECTED_M_S2 = 0.03, 0.012
 #: Magnetometers: iron on the sensor (a share of the field), and iron in the room, which differs from place to
 #: place, rad.
@@ -220,7 +220,7 @@ class Attitudes:
     R_K_B, R_P_I : Rotation
         Camera from base IMU, panel from its IMU.
     R_W_B, R_W_I : Rotation
-        The IMUs in the world (z up), one a pose.
+        The IMUs in the world (z up), one per pose.
     rest : ndarray, shape (14,)
         Biases: accelerometers of base and panel (m/s^2), magnetometers of both (shares of the field),
         magnetic dip at both (rad).

@@ -114,7 +114,7 @@ def view_panel(view: View, t_s: float, panel: Panel, lens: Intrinsics) -> PanelV
 def rotation_covariance(seen: SeenPanel, lens: Intrinsics) -> FloatArray:
     """Covariance (3, 3) of the panel's rotation vector, rad^2 in {K}.
 
-    The plane tells the tilt, n = theta / |theta|; the markers' pixels tell the turn about n.
+    The plane gives the tilt, n = theta / |theta|; the markers' pixels tell the turn about n.
     """
     theta = seen.plane.theta
     size = float(np.linalg.norm(theta))

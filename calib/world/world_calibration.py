@@ -17,11 +17,11 @@ from .chain import BIAS_M_S2, Attitudes, Problem, WorldPose, rest_at, turn_betwe
 
 #: Rounds of Wahba's problem for one and the other rotation.
 _GUESS_ROUNDS = 25
-#: Answers nearer than this are one; so many are followed up.
+#: Answers nearer than this are one; this many are followed up.
 _APART_RAD, _MOST = 0.3, 4
 #: Mean square (rad^2 a pose) by which a guess may fit worse than the best and still lead to the answer.
 _HOPELESS = 0.01
-#: A turn between poses counts as a direction where it is larger than this, rad.
+#: A turn between poses is treated as a direction where it is larger than this, rad.
 _TURN_RAD = 0.1
 _DIP_RAD = 0.8
 
@@ -215,7 +215,7 @@ BY_EYE_RAD = np.radians(3.0)
 CONTRADICTS_SIGMA = 5.0
 #: Another answer that costs less than this more is as likely (two degrees of freedom, 99 %).
 AS_LIKELY = 9.2
-#: So many poses must remain.
+#: This many poses must remain.
 FEWEST = 3
 
 
@@ -286,7 +286,7 @@ def world_poses(
     views : sequence of PanelView
         One a pose.
     panel, base : sequence of ImuStream
-        The IMUs' samples, one a pose. The same stream for every pose where the session was recorded in one
+        The IMUs' samples, one per pose. The same stream for every pose where the session was recorded in one
         go: then the gyroscopes link the poses.
 
     Returns

@@ -92,7 +92,7 @@ def _findings(calibration: WorldCalibration, sigma: WorldAccuracy) -> tuple[str,
     if sigma.heading_free:
         sentences.append(
             "The heading between camera and base IMU is free: neither a magnetometer nor a turn of the "
-            "camera tells it. Gravity holds as long as the camera stands about as it stood in these poses."
+            "camera shows it. Gravity is valid while the camera stands about as in these poses."
         )
     else:
         sentences.append(
@@ -100,7 +100,7 @@ def _findings(calibration: WorldCalibration, sigma: WorldAccuracy) -> tuple[str,
         )
     if calibration.by_eye:
         sentences.append(
-            "The poses do not tell how the IMU sits on the panel: it was taken as lined up with the panel's "
+            "The poses do not show how the IMU sits on the panel: it was taken as lined up with the panel's "
             "axes to 3 degrees, as in the published method."
         )
     else:
@@ -273,7 +273,7 @@ def read_table(file: CalibrationFile) -> CameraFromBase | None:
     sound = finite and abs(np.linalg.norm(q) - 1) < 1e-3 and np.linalg.eigvalsh(covariance)[0] > -1e-9
     if not sound:
         raise CalibrationError(
-            f"{file.source}: [{NAME}] holds no unit quaternion [qw, qx, qy, qz] with its covariance; "
+            f"{file.source}: [{NAME}] has no unit quaternion [qw, qx, qy, qz] with its covariance; "
             "run `unocclude calibrate world` again."
         )
     R_K_B = Rotation.from_quat(np.roll(q, -1)).as_matrix()
@@ -309,9 +309,7 @@ def with_gravity(recording: Recording, file: CalibrationFile) -> Recording:
     if known is None or recording.base_imu is None or len(recording.base_imu) == 0:
         return recording
     if recording.camera_frame not in _FROM_OPTICAL:
-        return _noted(
-            recording, "The base IMU was not used: the recording does not say how its camera's axes lie."
-        )
+        return _noted(recording, "The base IMU was not used: the camera's axes of the recording are unknown.")
     sensor = sensor_of(file, recording.base_imu.name)
     if (sensor is not None and sensor.accelerometer is not None) != known.accelerometer_corrected:
         return _noted(
@@ -329,7 +327,7 @@ def with_gravity(recording: Recording, file: CalibrationFile) -> Recording:
 
 
 def down_of(known: CameraFromBase, base: ImuStream) -> tuple[FloatArray, float, float]:
-    """Down in {K} (3,) by the base IMU, its sigma (rad an axis), and how far the camera tilted (rad)."""
+    """Down in {K} (3,) by the base IMU, its sigma (rad per axis), and how far the camera tilted (rad)."""
     means = _means(base)
     acc = np.median(means, axis=0) - known.accelerometer_bias
     each = (means - known.accelerometer_bias) / np.linalg.norm(means, axis=1)[:, None]

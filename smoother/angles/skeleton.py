@@ -2,8 +2,8 @@
 
 Sigma is by first-order propagation through `joint_angles.arm_angles` itself, of the pose of the forearm's IMU
 (it moves the elbow and turns the forearm), of the shoulder's position, and of how the forearm lies in the
-IMU's axes. The shoulder's errors count as independent of the IMU's, as a recovery keeps no covariance between
-them; of what both add up to, a measured part counts (`UPPER_ARM_SHARE`).
+IMU's axes. The shoulder's errors are treated as independent of the IMU's, as a recovery keeps no covariance
+between them; of what both add up to, a measured part counts (`UPPER_ARM_SHARE`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .forearm_mounting import ForearmMounting
 
 Angles = dict[str, FloatArray]
 
-#: How far skin and strap turn the IMU on the forearm, rad an axis (2.3 degrees rms about all three on
+#: How far skin and strap turn the IMU on the forearm, rad per axis (2.3 degrees rms about all three on
 #: realistic simulated arms; real straps turn by 1 to 3).
 STRAP_RAD = np.radians(1.1)
 #: What an upper arm's direction is off by, as a part of the variance that shoulder and elbow state together.
@@ -121,7 +121,7 @@ def widened_elevation(
 
 
 def direction_variance(arm: MovingArm) -> float:
-    """How far the forearm's direction may be off in the IMU's axes, rad^2 an axis.
+    """How far the forearm's direction may be off in the IMU's axes, rad^2 per axis.
 
     By the lever arms of elbow and wrist without what both have in common, and by strap and skin.
     """

@@ -25,7 +25,8 @@ def wrist_angles(samples: MovingArm, mounting: ForearmMounting) -> tuple[Angles,
     Of the unit vector d from wrist to hand in the forearm's axes {F} (x to the back of the hand, y elbow to
     wrist, z to the thumb of a right arm) flexion is atan2(-d_x, d_y) and deviation asin(d_z). Errors of both
     IMUs' orientations, of the lever arms that d and {F} come from, of the forearm's roll and of soft tissue
-    go through the derivatives of both; they count as independent, which overstates what both IMUs share.
+    go through the derivatives of both; they are treated as independent, which overstates what both IMUs
+    share.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The app's folder on disk: recordings, their files, and what the page was told of them.
+"""The app's folder on disk: recordings, their files, and what the page sent about them.
 
     FOLDER/ID/app.json          name, person, date, choices
     FOLDER/ID/files/            files as they were dropped
@@ -80,7 +80,7 @@ class Choices:
     video_mirrored : bool
         The video that stands for the camera is a mirror image.
     video_turn : int
-        Its pictures are turned clockwise by so many degrees (0, 90, 180, 270).
+        Its pictures are turned clockwise by this many degrees (0, 90, 180, 270).
     """
 
     places: dict[str, str] = field(default_factory=dict)

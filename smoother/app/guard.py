@@ -28,9 +28,9 @@ _HEADERS = {
     b"cross-origin-opener-policy": b"same-origin",
     b"cache-control": b"no-store",
 }
-NO_TOKEN = "Open the address that `unocclude app` printed: it holds the token of this page.\n"
+NO_TOKEN = "Open the address that `unocclude app` printed; it contains the token of this page.\n"
 WRONG_HOST = "This page is served to this computer alone, under 127.0.0.1.\n"
-OTHER_SITE = "Another site asked for this; nothing was done.\n"
+OTHER_SITE = "Refused: the request came from another site.\n"
 
 
 class Guard:

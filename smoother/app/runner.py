@@ -23,7 +23,7 @@ from filelock import FileLock, Timeout
 
 #: So often it looks whether it is to stop, s.
 _LOOK_S = 0.1
-#: A command that is told to stop has so long to take its outputs away, s.
+#: A command that has to stop has so long to take its outputs away, s.
 _GRACE_S = 10.0
 #: Whoever looks whether a job is locked holds its lock for a moment, s.
 _LOCK_S = 5.0

@@ -168,7 +168,7 @@ async def _body(request: Request) -> dict[str, Any]:
     except ValueError:
         values = None
     if not isinstance(values, dict):
-        raise AppError("The request holds no object.")
+        raise AppError("The request has no object.")
     return values
 
 
@@ -336,7 +336,7 @@ async def _template(request: Request) -> Any:
     columns, keys = wish.get("columns"), wish.get("keys")
     kind = wish.get("kind")
     if not isinstance(columns, dict) or not isinstance(keys, dict) or kind not in ("imu", "skeleton"):
-        raise AppError("A template says what the columns are.")
+        raise AppError("A template defines the columns.")
     title = one_line(wish.get("title", "")) or "Table"
     text = template_text(title, kind, names, width, columns, keys)
     trial = folder.hidden / f".{secrets.token_hex(8)}.toml"

@@ -17,7 +17,7 @@ ADDRESS = "127.0.0.1"
 
 
 def serve(folder: AppFolder, port: int | None, ready: Callable[[str], None]) -> None:
-    """Serve a folder until the process is told to stop.
+    """Serve a folder until the process is stopped.
 
     Where another server has the folder already, its address is given instead, and this one ends.
 

@@ -66,7 +66,7 @@ def described(place: Path) -> list[dict[str, Any]]:
 
 @lru_cache(maxsize=256)
 def _found(path: Path, mtime_ns: int, size: int) -> list[dict[str, Any]]:
-    """The files of `streams.json`, read once: a page asks for it several times a second."""
+    """The files of `streams.json`, read once: a page asks for it several times per second."""
     found: list[dict[str, Any]] = read_json(path).get("files", [])
     return found
 
@@ -74,7 +74,7 @@ def _found(path: Path, mtime_ns: int, size: int) -> list[dict[str, Any]]:
 def describe_steps(folder: AppFolder, place: Path) -> list[Step]:
     """Look at all files."""
     if not files_of(place):
-        raise AppError("There is no file yet; drop those of the camera and of the IMU.")
+        raise AppError("There are no files yet; drop those of the camera and of the IMU.")
     words = ["import", "describe", "files", *_templates(folder), "--json", STREAMS, "--force"]
     return [{"name": "describe", "argv": words}]
 

@@ -1,4 +1,4 @@
-"""What the page is told: recordings in a list, one recording with all that is known of it, comparisons."""
+"""What the page is sent: recordings in a list, one recording with all that is known of it, comparisons."""
 
 from __future__ import annotations
 

@@ -130,7 +130,8 @@ HIGHEST_RATE_HZ = 110.0
 MARGIN_S = 1.25
 WINDOW_S = 4.0
 LONGEST_S = 20.0
-#: Maximum likelihood: at most so many excerpts of so many seconds, accelerations averaged to this rate, Hz.
+#: Maximum likelihood: at most this many excerpts of this many seconds, accelerations averaged to this rate,
+#: Hz.
 TRAINING_EXCERPTS = 5
 TRAINING_S = 3.0
 TRAINING_RATE_HZ = 55.0
@@ -183,7 +184,7 @@ def measurements(scene: Scene) -> Measurements:
 
 
 def _averaged(t: FloatArray, values: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
-    """Means over so many neighbours; what is left over at the end goes."""
+    """Means over this many neighbours; what is left over at the end goes."""
     count = len(t) // size
     if size == 1 or not count:
         return t, values

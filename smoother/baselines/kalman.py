@@ -130,9 +130,9 @@ def rts_smoother(chain: Chain) -> FilterEstimates:
 
 ACCELEROMETER_HZ = 6.0
 CAMERA_HZ = 2.0
-#: Standard deviations come from so many samples at rest.
+#: Standard deviations come from this many samples at rest.
 REST_SAMPLES = 200
-#: Frames farther apart than so many periods are not filtered together.
+#: Frames farther apart than this many periods are not filtered together.
 LONGEST_STEP_FRAMES = 4.5
 #: Sensors without noise: the filter needs some, m and m/s^2.
 LEAST_SIGMA_M = 1e-4

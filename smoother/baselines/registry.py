@@ -147,7 +147,9 @@ def recover(
     if method not in entries:
         raise UnoccludeError(f"there is no method '{method}'; baselines: {', '.join(entries)}")
     if orientation not in ORIENTATIONS:
-        raise UnoccludeError(f"there is no orientation '{orientation}'; there are: {', '.join(ORIENTATIONS)}")
+        raise UnoccludeError(
+            f"there is no orientation '{orientation}'; choose one of: {', '.join(ORIENTATIONS)}"
+        )
     entry = entries[method]
     if unknown := options.keys() - entry.options:
         raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")

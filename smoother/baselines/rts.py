@@ -109,7 +109,7 @@ def turned(R: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def white_sigma(scene: Scene) -> float:
-    """Noise of the scene's point for a method of independent samples, m an axis."""
+    """Noise of the scene's point for a method of independent samples, m per axis."""
     effective = scene.point_effective_sigma_m
     return float(effective) if np.isfinite(effective) else scene.point_sigma_m
 
@@ -232,7 +232,7 @@ def at_samples(states: InertialTrajectory, signal: InertialSignal, t: FloatArray
     return at_times(motion, signal, t)
 
 
-#: Rounds end when no node moved more than this, m, and at the latest after so many.
+#: Rounds end when no node moved more than this, m, and at the latest after this many.
 SETTLED_M = 0.0005
 MOST_ROUNDS = 6
 #: What is known before the first frame: m, m/s, rad beside the filter's own, and of gravity across and along.
@@ -241,7 +241,7 @@ START_SIGMA_SPEED = 3.0
 ATTITUDE_SIGMA_RAD = np.radians(2.0)
 GRAVITY_SIGMA_RAD = np.radians(1.0)
 GRAVITY_SIZE_SIGMA = 0.01
-#: The upper arm's length counts as measured anew no more often than this, s, and varies at most so much, m.
+#: The upper arm's length is measured anew no more often than this, s, and varies at most so much, m.
 RANGE_EVERY_S = 0.09
 LARGEST_FLEX_M = 0.04
 #: The least noise of a joint, m.

@@ -325,7 +325,7 @@ def _point(
 
 
 def _point_sigma(sigma_m: dict[str, float] | None, used: BoolArray) -> float:
-    """Noise of the mean over the joints that are usually seen, m an axis."""
+    """Noise of the mean over the joints that are usually seen, m per axis."""
     default = CameraNoise().joint_sigma_m
     usual = [joint for joint in FOREARM_JOINTS if used[:, JOINTS.index(joint)].mean() > 0.25]
     variances = [(sigma_m or {}).get(joint, default) ** 2 for joint in usual] or [default**2]

@@ -97,7 +97,7 @@ def camera_only(scene: Scene) -> Path:
     published, so it is off by the sensor's distance from that axis (some centimetres). Where the camera
     states nothing, the last and the next statement are joined by a straight line. A recording with a
     `strap` alone has the strap itself; with a wrist alone, the wrist. No orientation is given: elbow and
-    wrist do not tell how the forearm is rolled.
+    wrist do not show how the forearm is rolled.
 
     Order: without noise exact at the frames but for the distance from the axis; between frames linear,
     off by acceleration x (frame period)^2 / 8.
@@ -186,7 +186,7 @@ def boundary(
 ) -> Boundary | None:
     """Position and velocity at the later (or earlier) of two times, by a line through what lies between.
 
-    One visible point alone gives no velocity: zero stands for it. None without any point.
+    One visible point alone gives no velocity: zero is used instead. None without any point.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """How a method that is not ours takes part: its tasks as plain files, and its answers read.
 
-A task is a folder, `DATASET/TRIAL` where gaps of all lengths lie in one copy, else `DATASET/TRIAL_LENGTHs`.
+A task is a folder, `DATASET/TRIAL` where gaps of all lengths are in one copy, else `DATASET/TRIAL_LENGTHs`.
 It holds a recording as `unocclude import csv` takes it (`recording.toml`, `skeleton.csv`, `imu_forearm.csv`),
 hidden frames as `not_tracked`, and `task.json`. An answer is a file of the task's name and `.csv` with the
 columns `t_s, x, y, z` and, where sigma is stated, `sigma_x, sigma_y, sigma_z` (one standard deviation),
@@ -36,7 +36,7 @@ PlacedGaps = Sequence[tuple[float, HiddenGap]]
 
 
 def task_name(trial: BenchmarkTrial, lengths_s: Sequence[float]) -> str:
-    """`DATASET/TRIAL_LENGTHs`, or `DATASET/TRIAL` where several lengths lie in one copy."""
+    """`DATASET/TRIAL_LENGTHs`, or `DATASET/TRIAL` where several lengths are in one copy."""
     return trial.key if len(lengths_s) > 1 else f"{trial.key}_{lengths_s[0]:g}s"
 
 
@@ -96,7 +96,7 @@ def parse_answers(texts: Sequence[str], taken: Sequence[str]) -> list[Answers]:
         if name in (*taken, *(each.method for each in found)):
             raise UnoccludeError(f"--answers {text}: there is a method '{name}' already; give another name")
         if not Path(folder).is_dir():
-            raise UnoccludeError(f"--answers {text}: {folder} is no folder")
+            raise UnoccludeError(f"--answers {text}: {folder} is not a folder")
         found.append(Answers(name, Path(folder)))
     return found
 

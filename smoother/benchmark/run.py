@@ -26,7 +26,7 @@ from .trials import BenchmarkTrial
 
 #: The methods are as they come: their settings by default, on one process.
 _CONFIG = {"windows": {"processes": 1}}
-#: Frames that the pool is told of: a trial is always worth a process.
+#: Frames that the pool counts: a trial is always worth a process.
 _MANY_FRAMES = 1_000_000
 Progress = Callable[[float, str], None]
 
@@ -51,7 +51,7 @@ class BenchmarkOptions:
     seed : int
         0 is the published benchmark.
     processes : int
-        0 = one a core.
+        0 = one per core.
     tasks : Path or None
         Write the tasks to this folder, and answer none.
     """
@@ -121,7 +121,7 @@ def find_trials(
             found += here
     if not found:
         raise UnoccludeError(
-            f"{folder}: no trial of {', '.join(datasets)} is there; wanted are folders "
+            f"{folder} has no trial of {', '.join(datasets)}; expected are "
             + "; ".join(DATASETS[key].layout for key in datasets)
         )
     return found, notes

@@ -1,4 +1,4 @@
-"""The benchmark's figures: plain values, a Markdown table, and a row a gap."""
+"""The benchmark's figures: plain values, a Markdown table, and one row per gap."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class BenchmarkData:
     gaps : int
         Most gaps of a length in a trial.
     together : bool
-        Gaps of all lengths lie in one copy of a trial, as long recordings allow; else a copy a length.
+        Gaps of all lengths are in one copy of a trial, as long recordings allow; else a copy a length.
     find : callable
         From the data set's folder to its trials that are there, in a fixed order; those of which a file is
         missing are left out.

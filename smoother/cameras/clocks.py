@@ -16,7 +16,7 @@ HOLE_S = 0.12
 LEAST_S, LEAST_SHARE = 8.0, 0.3
 #: So much of a long recording is read, s.
 READ_S = 1200.0
-#: So many offsets are tried.
+#: This many offsets are tried.
 CANDIDATES = 6
 
 

@@ -171,7 +171,7 @@ def _shift(placement: Placement, together: Overlap) -> tuple[FloatArray, FloatAr
     return np.concatenate([turned, shifted]), _variances(there, together), float(np.median(distance))
 
 
-#: Errors of a skeleton last so long, s: of so many samples as lie in it one counts.
+#: Errors of a skeleton last so long, s: of this many samples as are in it one counts.
 MEMORY_S = 1.0
 
 

@@ -211,7 +211,7 @@ def _by_rays(camera: Camera, first: JointTracks) -> RigCamera:
     if camera.pose is None:
         return RigCamera(
             camera.name,
-            reason="where it stands is not known, and cameras without depth do not tell it",
+            reason="its pose is unknown, and cameras without depth do not show it",
         )
     clock, misfit_m = clock_of_known_place(camera, first)
     if not np.isfinite(misfit_m):

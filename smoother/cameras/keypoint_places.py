@@ -241,7 +241,7 @@ def _step(
     np.add.at(vectors, block, vectors_of)
     vectors -= vectors.mean(axis=0)
     meat = vectors.T @ vectors
-    # neighbours share their errors: so many of them count as one, which the prior is weighed against
+    # neighbours share their errors: this many of them count as one, which the prior is weighed against
     pose = np.arange(6)
     alike = float(np.clip(np.mean(meat[pose, pose] / np.maximum(information[pose, pose], 1e-9)), 1.0, 100.0))
     information, meat, vector = information / alike, meat / alike**2, vectors_of.sum(axis=0) / alike

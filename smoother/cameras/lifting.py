@@ -15,7 +15,7 @@ from ..recording import JOINTS, CameraPose, JointTracks
 from .overlap import APART_S
 from .rig import RelativeClock
 
-#: Rays with a smaller angle between them, rad, do not tell a depth.
+#: Rays with a smaller angle between them, rad, do not determine a depth.
 PARALLEL = 0.05
 
 

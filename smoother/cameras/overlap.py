@@ -12,7 +12,7 @@ from .rig import RelativeClock
 
 #: Frames of the other camera that a moment lies between are no farther apart than this, s.
 APART_S = 0.12
-#: Velocities are differences over so many frames on both sides.
+#: Velocities are differences over this many frames on both sides.
 BESIDE = 2
 #: More moments than this say no more of a pose.
 MOST_MOMENTS = 12_000

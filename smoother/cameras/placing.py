@@ -19,17 +19,17 @@ from ..rotation import Rotation
 from .overlap import Overlap, overlap
 from .rig import RelativeClock
 
-#: A joint's constant error against the other camera's, m an axis, before the recording speaks.
+#: A joint's constant error against the other camera's, m per axis, before the recording speaks.
 OFFSET_M = 0.013
 #: How far clocks drift before it speaks, s/s.
 SKEW = 50e-6
 #: Samples of one block share their error, s.
 BLOCK_S = 3.0
-#: No more samples than this count as one.
+#: No more samples than this are treated as one.
 MOST_ALIKE = 100.0
 #: Length of a residual, in sigmas, where its weight is halved.
 CAUCHY = 2.5
-#: At most so many steps; a step that moves the clock, s, and the joints, m, by less is the last.
+#: At most this many steps; a step that moves the clock, s, and the joints, m, by less is the last.
 STEPS = 20
 SETTLED_S, SETTLED_M = 1e-4, 2e-4
 
@@ -136,7 +136,7 @@ def start(together: Overlap, clock: RelativeClock, known: CameraPose | None = No
 def step(placement: Placement, together: Overlap, known: CameraPose | None = None) -> Placement:
     """A robust Gauss-Newton step on everything."""
     information, vector, meat, curvature = _normal_equations(placement, together)
-    # neighbours share their errors: so many of them count as one, which the prior is weighed against
+    # neighbours share their errors: this many of them are treated as one, which the prior is weighed against
     alike = float(np.mean(np.diag(meat)[POSE] / np.maximum(np.diag(information)[POSE], 1e-9)))
     alike = min(max(alike, 1.0), MOST_ALIKE)
     information, vector, meat = information / alike, vector / alike, meat / alike**2

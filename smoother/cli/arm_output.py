@@ -138,12 +138,12 @@ def print_camera(estimates: ArmEstimates) -> None:
     if not estimates.camera:
         return
     noise = ", ".join(f"{joint} {1e3 * each.sample_m:.1f}" for joint, each in estimates.camera.items())
-    say(f"noise of the camera's joints, mm an axis: {noise}")
+    say(f"noise of the camera's joints, mm per axis: {noise}")
     off = [f"{joint} {1e3 * each.bias_m:.1f}" for joint, each in estimates.camera.items() if each.bias_m > 0]
     if off:
         say(
-            f"constant errors of the joints against each other, mm: {', '.join(off)}; their common part"
-            f" counts as {1e3 * estimates.joint_bias_sigma_m:.1f} an axis"
+            f"constant errors of the joints against each other, mm: {', '.join(off)}; "
+            f"shared component: {1e3 * estimates.joint_bias_sigma_m:.1f} mm per axis"
         )
 
 

@@ -133,7 +133,7 @@ _FIGURES_MARKS = b'"recordings"', b'"done_before"'
 
 
 class BatchCommand(GroupedCommand):
-    """Lets `--report` stand alone: the page then lies in the study's folder."""
+    """Lets `--report` stand alone: the page then is in the study's folder."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Give a `--report` that no page's name follows an empty one."""
@@ -230,7 +230,7 @@ def batch(
 ) -> None:
     """Recover many recordings; run again to continue.
 
-    Results lie in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
+    Results are in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
     One failing recording does not stop the others; the exit code is 1 then. With --strict it is 3 where all
     were recovered, and a result is not to be trusted.
     """
@@ -271,7 +271,7 @@ def batch(
     entries = find_entries(source, folder.path)
     inside = page is not None and page.resolve().is_relative_to(folder.path.resolve())
     recordings = (Path(entry.path) for entry in entries if page or json_file)
-    # what is no file, such as a pipe, fails by itself and stops no other
+    # what is not a file, such as a pipe, fails by itself and stops no other
     inputs = [calibration_file, config_file, *(path for path in recordings if os.path.isfile(path))]
     check_outputs(True, [None if inside else page, json_file], inputs)
     for path in (page, json_file):
@@ -326,7 +326,7 @@ def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> N
     folder : Path
         The study's.
     processes : int
-        Worker processes, 0 = one a core.
+        Worker processes, 0 = one per core.
     anew : bool
         Write all of them.
     """
@@ -394,7 +394,7 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
 
 
 def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row an arm, untrusted ones first, then the least certain; of several the name says which."""
+    """One row per arm, untrusted ones first, then the least certain; of several the name says which."""
     from ..recording import arm_words
     from ..study.folder import arms_of, least_trusted
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 #: Where the data sets lie, unless `--data` says.
 VARIABLE = "UNOCCLUDE_DATASETS"
 _FILES = ("benchmark.json", "benchmark.md", "benchmark.html", "gaps.csv")
-#: Notes on the terminal; all stand in the page.
+#: Notes on the terminal; all are in the page.
 _MOST_NOTES = 6
 
 
@@ -75,7 +75,7 @@ def benchmark(
     The folder of --data holds broad/, utd_mhad/, smartfallmm/ and sevivi/ as they are published; those
     that are not there are left out and named. Splits and gaps are frozen: they hang on a trial's name and the
     seed alone. Writes benchmark.json, benchmark.md (the table), benchmark.html (the page) and gaps.csv (a
-    row a gap). Other methods take part by files: --tasks writes what they are given, --answers scores what
+    row per gap). Other methods take part by files: --tasks writes what they are given, --answers scores what
     they answer.
     """
     from .. import __version__
@@ -89,7 +89,7 @@ def benchmark(
     if folder is None:
         raise typer.BadParameter(f"name the folder of the data sets with --data, or in {VARIABLE}")
     if not folder.is_dir():
-        raise UnoccludeError(f"{folder} is no folder; the data sets are to lie in it, a folder each")
+        raise UnoccludeError(f"{folder} is not a folder; name the folder that holds the data sets")
     keys = _chosen("--datasets", datasets, tuple(DATASETS))
     splits = _chosen("--split", split, SPLITS)
     names = tuple(choose(method))
@@ -117,7 +117,7 @@ def benchmark(
     held = [note for table in run.tables.values() for note in table.notes]
     print_notes([*notes, *held[:_MOST_NOTES]])
     if len(held) > _MOST_NOTES:
-        say(f"{len(held) - _MOST_NOTES} notes more stand in {output / 'benchmark.html'}")
+        say(f"{len(held) - _MOST_NOTES} notes more are in {output / 'benchmark.html'}")
     say(f"{len(found)} trials in {(time.perf_counter() - began) / 60:.1f} minutes")
     say_written(*files, json_file)
 
@@ -129,7 +129,7 @@ def _chosen(option: str, text: str, known: tuple[str, ...]) -> list[str]:
         return list(known)
     unknown = [name for name in wanted if name not in known]
     if unknown or not wanted:
-        raise typer.BadParameter(f"{option} is of {', '.join(known)}, or all; not '{', '.join(unknown)}'")
+        raise typer.BadParameter(f"{option} takes {', '.join(known)} or all, not '{', '.join(unknown)}'")
     return list(dict.fromkeys(wanted))
 
 

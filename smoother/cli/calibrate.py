@@ -128,7 +128,7 @@ def motion(
     output: CalibrationOutput,
     known_file: Annotated[
         Path | None,
-        typer.Option("--known", metavar="CAL.toml", help="What is measured already; it counts as given."),
+        typer.Option("--known", metavar="CAL.toml", help="What is known already; used as given."),
     ] = None,
     solving: Solving = AS_USUAL,
     json_file: Json = None,
@@ -313,7 +313,7 @@ def forearm(
     """Lever arms, lengths, mounting, from a held pose.
 
     The forearm raised beside the head, palm to the camera, still for a second or more; motion in the same
-    recording says how the sensor is turned against the camera, and is held against what the pose tells. A
+    recording says how the sensor is turned against the camera, and is held against the pose. A
     calibration that exists is added to, without --force.
     """
     from calib.forearm.forearm_summary import compare, forearm_answer

@@ -58,7 +58,7 @@ def panel(
 ) -> None:
     """The camera's pose in motion capture, from a marker panel.
 
-    Hold the panel still in each pose; --depth, --infrared and --markers are given once a pose, in the same
+    Hold the panel still in each pose; --depth, --infrared and --markers are given once per pose, in the same
     order. The answer is added to the calibration file, with its sigma and a verdict.
     """
     from calib.panel.definition import read_panel
@@ -67,7 +67,7 @@ def panel(
 
     depths, infrareds, marked = depth or [], infrared or [], markers or []
     if panel_file is None:
-        raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
+        raise typer.BadParameter("give --panel (marker positions and outline of the panel)")
     inputs = [*depths, *infrareds, *marked, panel_file, intrinsics_file, recording]
     load_existing_calibration(output, to, inputs)
     known = read_panel(panel_file)
@@ -104,10 +104,10 @@ def _session(
 
         return read_panel_session(recording, positions, lens, notes)
     if not depths:
-        raise typer.BadParameter("give --depth, --infrared and --markers once a pose, or a recording")
+        raise typer.BadParameter("give --depth, --infrared and --markers once per pose, or a recording")
     if not len(depths) == len(infrareds) == len(marked):
         raise typer.BadParameter(
-            f"--depth, --infrared and --markers must be given alike often, once a pose; they are given"
+            f"--depth, --infrared and --markers must be given alike often, once per pose; they are given"
             f" {len(depths)}, {len(infrareds)} and {len(marked)} times"
         )
     if lens is None:
@@ -122,7 +122,7 @@ def _session(
 
 @contextmanager
 def pictured(path: Path) -> Iterator[None]:
-    """Where the markers could not be told, write a picture of what was seen, and say where it lies."""
+    """Where the markers could not be identified, write a picture of what was seen, and say where it lies."""
     from calib.panel.identify import NotIdentified
 
     try:
@@ -205,7 +205,7 @@ def world(
 
     images = (depth or [], infrared or [], panel_imu or [], base_imu or [])
     if panel_file is None:
-        raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
+        raise typer.BadParameter("give --panel (marker positions and outline of the panel)")
     inputs = [*(path for paths in images for path in paths), panel_file, intrinsics_file, recording]
     held = load_existing_calibration(output, to, inputs)
     known = read_panel(panel_file)
@@ -239,11 +239,11 @@ def _from_files(
     counts = [len(each) for each in (depths, infrareds, panels, bases)]
     if not depths:
         raise typer.BadParameter(
-            "give --depth, --infrared, --panel-imu and --base-imu once a pose, or a recording"
+            "give --depth, --infrared, --panel-imu and --base-imu once per pose, or a recording"
         )
     if len(set(counts)) > 1:
         raise typer.BadParameter(
-            "--depth, --infrared, --panel-imu and --base-imu must be given alike often, once a pose; they "
+            "--depth, --infrared, --panel-imu and --base-imu must be given alike often, once per pose; they "
             f"are given {', '.join(map(str, counts[:-1]))} and {counts[-1]} times"
         )
     views = [read_view(d, i) for d, i in zip(depths, infrareds, strict=True)]
@@ -265,7 +265,7 @@ def _from_recording(
     lens = lens or session.lens
     if lens is None:
         raise CalibrationError(
-            f"{path} holds no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
+            f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
         )
     print_notes(session.notes)
     count, notes = len(session.views), tuple(session.notes)

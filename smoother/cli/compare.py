@@ -263,7 +263,7 @@ def _check_truth(
         raise typer.BadParameter("--markers and --align are for a truth named with --truth")
     if recording.truth is None or not len(recording.truth):
         raise UnoccludeError(
-            f"{path} holds no truth: name one with --truth, or hide visible stretches with `unocclude gaps`"
+            f"{path} has no truth: name one with --truth, or hide visible stretches with `unocclude gaps`"
         )
 
 

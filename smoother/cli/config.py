@@ -21,7 +21,7 @@ def read_config(path: Path | None, processes: int | None = None, anatomy: str | 
     Raises
     ------
     UnoccludeError
-        The file is no TOML, or a setting is unknown or out of range; the text names it.
+        The file is not TOML, or a setting is unknown or out of range; the text names it.
     """
     config = with_processes(read_settings(path, Config), processes)
     return config if anatomy is None else with_anatomy(config, anatomy)

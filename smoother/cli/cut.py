@@ -63,7 +63,7 @@ def cut(
 
     if trials_file is None:
         if from_s is None and to_s is None:
-            raise typer.BadParameter("say which part: --from S, --to S, or --trials TRIALS.csv")
+            raise typer.BadParameter("choose a part: --from S, --to S, or --trials TRIALS.csv")
         if labels:
             raise typer.BadParameter("--label chooses among --trials; give the table too")
         check_mcap(output)

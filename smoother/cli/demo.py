@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
-#: Used where `data/` holds no recording.
+#: Used where `data/` has no recording.
 SEED = 1
 
 
@@ -235,7 +235,7 @@ def use_open3d() -> str:
 
 
 def memory() -> str:
-    """Memory of this computer, where the system tells."""
+    """Memory of this computer, if the system reports it."""
     try:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):

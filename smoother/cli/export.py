@@ -93,7 +93,7 @@ def export(
 
     Several arms give one file each; rrd and bids hold all of them.
 
-    csv and parquet: one row a sample of the forearm IMU with poses, joints and sigmas, in metres and the
+    csv and parquet: one row per sample of the forearm IMU with poses, joints and sigmas, in metres and the
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
     before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
@@ -101,7 +101,7 @@ def export(
     and the markers of trc, for its Inverse Kinematics. sto: orientations of all IMUs for its OpenSense,
     rows without one left out. bids: a session of a Motion-BIDS data set, the folder OUTPUT, which is begun
     or added to: camera and IMUs as they were recorded, the recovered arm as a derivative. opensim: the
-    folder OUTPUT, one an arm, with osim, trc, mot and sto, and set-ups that OpenSim's Scale, Inverse
+    folder OUTPUT, one per arm, with osim, trc, mot and sto, and set-ups that OpenSim's Scale, Inverse
     Kinematics and OpenSense run as they are. rrd: a recording of Rerun with its views, all arms in one
     file; `unocclude view` opens it (needs `pip install '.[view]'`).
 
@@ -218,7 +218,7 @@ def _opensim(
 
 
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
-    """One file an arm: the name as given, or with body, side (and a number) before its ending."""
+    """One file per arm: the name as given, or with body, side (and a number) before its ending."""
     if len(recoveries) == 1:
         return [output]
     sides = [
@@ -239,7 +239,7 @@ def _check_ending(output: Path, format_name: str) -> None:
     if ending != format_name and ending in (*FORMATS, *NO_FORMATS):
         other = f", or --format {ending}" if ending in FORMATS else ""
         name = output.with_suffix(f".{format_name}")
-        raise typer.BadParameter(f"{output}: what is written is {format_name}; name it {name}{other}")
+        raise typer.BadParameter(f"{output}: the output is {format_name}; name it {name}{other}")
 
 
 def _check(format_name: str, frame: str | None, rate: float | None, origin: str | None) -> None:
@@ -295,7 +295,7 @@ def _level_down(result: Path, recoveries: list[Recovery]) -> FloatArray | None:
 
 
 def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
-    """All arms for Rerun, with the truth that lies in the result's file where it is that of the one arm."""
+    """All arms for Rerun, with the truth that is in the result's file where it is that of the one arm."""
     from ..evaluation.truth import read_truth_mcap
     from ..io.export.prepare import prepare_rrd
     from ..io.export.rrd import rerun_module

@@ -52,7 +52,7 @@ def video(
         ),
     ] = 0,
     people: Annotated[
-        int, typer.Option("--people", help="Look for so many people at most.", min=1, max=_MOST_PEOPLE)
+        int, typer.Option("--people", help="Look for this many people at most.", min=1, max=_MOST_PEOPLE)
     ] = 2,
     template: Templates = None,
     one_session: Annotated[

@@ -75,7 +75,7 @@ def broad(
     rate_hz: Annotated[
         float, typer.Option("--rate-hz", help="Frames a second of the stand-in camera.")
     ] = 30.0,
-    noise_m: Annotated[float, typer.Option("--noise-m", help="Its noise, m an axis.")] = 0.008,
+    noise_m: Annotated[float, typer.Option("--noise-m", help="Its noise, m per axis.")] = 0.008,
     seed: Seed = 0,
     json_file: Json = None,
     force: Force = False,
@@ -107,7 +107,7 @@ def bids(
     check_mcap(output)
     check_outputs(force, [output, json_file])
     if not folder.is_dir():
-        raise UnoccludeError(f"{folder} is no folder; name the one that holds dataset_description.json")
+        raise UnoccludeError(f"{folder} is not a folder; name the one that holds dataset_description.json")
     _finish(open_bids(folder, subject, session, task), output, json_file, force)
 
 
@@ -376,7 +376,7 @@ def describe(
 
 
 def _print_streams(found: list[DescribedFile]) -> None:
-    """Print a row a stream, then what is wrong with files and what was decided of them."""
+    """Print one row per stream, then what is wrong with files and what was decided of them."""
     rows: list[tuple[object, ...]] = [
         (
             Path(each.file).name,

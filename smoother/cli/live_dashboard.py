@@ -62,7 +62,7 @@ class Lines:
 
 
 class Table:
-    """A table that is drawn anew four times a second."""
+    """A table that is drawn anew four times per second."""
 
     def __init__(self, title: str) -> None:
         from rich.live import Live
@@ -126,7 +126,7 @@ class Aside:
 
 
 def drawn(title: str, view: SessionView) -> Any:
-    """The table: a row a stream, then the answer, then what happened."""
+    """The table: one row per stream, then the answer, then what happened."""
     from rich.console import Group
     from rich.table import Table as RichTable
     from rich.text import Text

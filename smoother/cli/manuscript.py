@@ -42,7 +42,7 @@ def methods(
 
     It states what the file holds and nothing else: sensors and rates, method and version, calibration,
     clocks, gaps, uncertainty, self-check, settings that are not the defaults. What the ISB's recommendations
-    on reporting IMUs ask for and the file does not know stands in a list to be filled in.
+    on reporting IMUs ask for and the file does not know is in a list to be filled in.
     """
     from ..io.result.read import read_origin
     from ..manuscript import arm_facts, methods_document, rendered

@@ -137,7 +137,7 @@ def recover_arms(
     return together(recordings, answers)
 
 
-#: How far the camera's strap may lie from the IMU where that is to be found, m an axis.
+#: How far the camera's strap may lie from the IMU where that is to be found, m per axis.
 STRAP_SIGMA_M = 0.02
 
 

@@ -57,7 +57,7 @@ _NO_PAGE = {".pdf", ".doc", ".docx", ".odt", ".png", ".json", ".csv", ".toml", "
 
 
 def _page(path: Path | None) -> Path | None:
-    """Refuse a report whose ending says that it is no page, before any work is done for it."""
+    """Refuse a report whose ending says that it is not a page, before any work is done for it."""
     if path is not None and path.suffix.lower() in _NO_PAGE:
         name = path.with_suffix(".html")
         raise typer.BadParameter(f"a report is an HTML page; name it {name} (a browser prints it to PDF)")
@@ -74,13 +74,13 @@ Report = Annotated[
     ),
 ]
 Processes = Annotated[
-    int | None, typer.Option("--processes", metavar="N", min=0, help="Worker processes; 0 = one a core.")
+    int | None, typer.Option("--processes", metavar="N", min=0, help="Worker processes; 0 = one per core.")
 ]
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the figures as JSON.")]
 Strict = Annotated[
     bool,
     typer.Option(
-        "--strict", help="Exit with 3 where a result is not to be trusted; outputs are written all the same."
+        "--strict", help="Exit with 3 where a result is not to be trusted; outputs are written anyway."
     ),
 ]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Print all that was found, not what matters only.")]
@@ -105,7 +105,7 @@ Orientation = Annotated[
     typer.Option(
         "--orientation",
         metavar="|".join(ORIENTATIONS),
-        help=f"The orientation filter of the methods beside the graph; {DEFAULT_ORIENTATION} unless named.",
+        help=f"The orientation filter of the methods other than graph; {DEFAULT_ORIENTATION} by default.",
     ),
 ]
 Files = list[Path] | None
@@ -219,7 +219,7 @@ class ArmSelection:
         }
 
 
-#: What the recording itself tells.
+#: What the recording itself shows.
 ANY_ARM = ArmSelection()
 
 

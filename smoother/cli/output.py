@@ -68,7 +68,7 @@ def laid_out(title: str, columns: Sequence[str], cells: Cells, width: int) -> Re
 
 
 def _room(count: int, width: int, lined: bool) -> int:
-    """Characters that are left for the text of so many columns."""
+    """Characters that are left for the text of this many columns."""
     column, ends = _LINED if lined else _PLAIN
     return width - column * count - ends
 
@@ -211,7 +211,7 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
     ------
     UnoccludeError
         An output exists and `--force` is not given, two are one file, one is an input (under this name or
-        another: a link), or an input is no file.
+        another: a link), or an input is not a file.
     """
     from ..runtime.inputs import check_input
     from ..runtime.outputs import check_output, is_stream, remove_stale_tempfiles
@@ -266,7 +266,7 @@ def check_mcap(path: Path, exports: bool = False) -> None:
         command = shlex.join(["unocclude", "export", str(mcap), "--format", ending, "-o", str(path)])
         raise UnoccludeError(f"{path}: the result is MCAP; write it to {mcap}, then `{command}`")
     if ending in (*_OTHER_ENDINGS, *_NO_RESULT):
-        raise UnoccludeError(f"{path}: what is written is MCAP; name it {path.with_suffix('.mcap')}")
+        raise UnoccludeError(f"{path}: the output is MCAP; name it {path.with_suffix('.mcap')}")
 
 
 def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
@@ -313,7 +313,7 @@ def print_notes(notes: Iterable[str], imported: bool = False) -> None:
 
 
 def is_imported(note: str) -> bool:
-    """Whether a note stands in the recording's file, whose import said it."""
+    """Whether a note is in the recording's file, whose import said it."""
     from ..recording import ImportNote
 
     return isinstance(note, ImportNote)
@@ -347,7 +347,7 @@ def say_written(*paths: Path | None) -> None:
 
 
 def console() -> Any:
-    """Rich's console on stdout; wide enough for a table where stdout is no terminal."""
+    """Rich's console on stdout; wide enough for a table where stdout is not a terminal."""
     from rich.console import Console
 
     usual = Console()

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 #: Characters at which a spreadsheet would take a cell for a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 NO_DIAGNOSIS = (
-    "This is no diagnosis: a clear change is one that the measurement's error does not explain; a person also"
-    " varies from day to day."
+    "This is not a diagnosis: a clear change is one that the measurement error does not explain; a person"
+    " also varies from day to day."
 )
 
 
@@ -36,7 +36,7 @@ def progress(
         typer.Option(
             "--sessions",
             metavar="FILE.csv",
-            help="Whose and when each recording is: file, person, session or date [, task]; without it"
+            help="Person and date of each recording: file, person, session or date [, task]; without it"
             " folders say it: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap.",
         ),
     ] = None,
@@ -86,7 +86,7 @@ def progress(
     from ..study.progress import progress_of, read_rows, sessions_of
 
     if not study.is_dir():
-        raise UnoccludeError(f"{study} is no folder; name the one that `unocclude batch` wrote")
+        raise UnoccludeError(f"{study} is not a folder; name the one that `unocclude batch` wrote")
     check_outputs(force, [report, json_file, csv_file], [sessions, mdc])
     detectable = None if mdc is None else read_detectable(mdc)
     rows = read_rows(study)
@@ -158,7 +158,7 @@ def _print(progress: PersonProgress) -> None:
         )
         say(_counted(progress))
     elif progress.sessions:
-        say("One session only: there is no change to speak of.")
+        say("One session only: nothing can be compared.")
     print_notes([*_waveform_notes(progress), *progress.notes, *_limits(progress), *progress.left_out])
 
 
@@ -256,7 +256,7 @@ def _limits(progress: PersonProgress) -> list[str]:
 
 
 def _write_csv(path: Path | None, persons: Sequence[PersonProgress], force: bool) -> None:
-    """A row a person, measure and session, with the change since the first."""
+    """One row per person, measure and session, with the change since the first."""
     if path is None:
         return
     from ..runtime.outputs import writing

@@ -194,7 +194,7 @@ def match(
 
 
 def print_matches(title: str, matches: list[ImuMatch]) -> None:
-    """Print what was decided, a row an IMU."""
+    """Print what was decided, one row per IMU."""
     rows = []
     for one in matches:
         body = "-" if one.limb is None else str(one.limb.body)
@@ -208,7 +208,7 @@ def print_matches(title: str, matches: list[ImuMatch]) -> None:
 
 
 def _print_beside(answers: dict[str, list[ImuMatch]]) -> None:
-    """Print every method's answer, a row an IMU."""
+    """Print every method's answer, one row per IMU."""
     rows = [
         [
             found[0].imu,
@@ -231,7 +231,7 @@ Whole = Annotated[
 def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Force = False) -> None:
     """Salvage a damaged MCAP file and list what was lost.
 
-    Messages stand in the order of their log times, behind a new index. Messages of chunks that fail their
+    Messages are in the order of their log times, behind a new index. Messages of chunks that fail their
     checksum are kept; the new file says so, and every command that reads it repeats it.
     """
     from ..io.mcap.merge import repair_container
@@ -293,8 +293,9 @@ def check(
 ) -> None:
     """Test what a recording allows and what is wrong with its set-up.
 
-    Of a long recording the excerpts that tell most are looked at. Every arm that has an IMU is checked. The
-    exit code is 0 where a result can be used, 3 where it is not to be trusted, of one arm at least.
+    Of a long recording the most informative excerpts are read. Every arm that has an IMU is
+    checked. The exit code is 0 where a result can be used, 3 where it is not to be trusted, of one arm at
+    least.
     """
     from .config import read_config
 

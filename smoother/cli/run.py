@@ -123,7 +123,7 @@ def explain(error: BaseException) -> tuple[str, int]:
         return _os_error(error), FAILED
     if is_out_of_memory(error):
         return (
-            "the computer's memory does not suffice for this recording; cut it, or use a larger machine",
+            "not enough memory for this recording; cut it, or use a larger machine",
             FAILED,
         )
     if isinstance(error, ImportError) and (sentence := missing_package(error)):

@@ -301,7 +301,8 @@ def strap(
         float, typer.Option("--duration-s", min=8.0, max=120.0, help="Length of the recording, s.")
     ] = 20.0,
     every: Annotated[
-        int, typer.Option("--every", min=1, max=60, help="Images at every so many of the camera's frames.")
+        int,
+        typer.Option("--every", min=1, max=60, help="Every how many frames of the camera there is an image."),
     ] = 5,
 ) -> None:
     """An arm with images of its strap, for `import strap`.

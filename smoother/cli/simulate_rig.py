@@ -78,7 +78,7 @@ def imu(
         int, typer.Option("--poses", min=1, max=26, help="Rest poses: sides, then edges, then corners.")
     ] = 12,
     rest_s: Annotated[
-        float, typer.Option("--rest-s", min=0.5, max=60.0, help="How long the sensor lies in a pose, s.")
+        float, typer.Option("--rest-s", min=0.5, max=60.0, help="How long the sensor stays in a pose, s.")
     ] = 3.0,
     long_rest_s: Annotated[
         float | None,
@@ -91,7 +91,7 @@ def imu(
         ),
     ] = None,
     offset: Annotated[
-        float, typer.Option("--offset", min=0.0, help="Of the accelerometer, m/s^2 an axis.")
+        float, typer.Option("--offset", min=0.0, help="Of the accelerometer, m/s^2 per axis.")
     ] = 0.5,
     scale: Annotated[
         float, typer.Option("--scale", min=0.0, max=0.2, help="Largest error of an axis' scale.")

@@ -292,7 +292,7 @@ def _verdict_lines(recovery: Recovery) -> int:
 
 
 def print_remarks(remarks: Sequence[str], lines: int) -> None:
-    """Print remarks on so many lines, one at least: the first of them, and how many more there are.
+    """Print remarks on this many lines, one at least: the first of them, and how many more there are.
 
     What is not to be trusted, and what is damaged, is printed in any case.
     """
@@ -306,7 +306,7 @@ def print_remarks(remarks: Sequence[str], lines: int) -> None:
 
 
 def print_found(found: ArmEstimates) -> None:
-    """Print what the recording told of arm, sensor and clock, and what it did not."""
+    """Print what the recording showed of arm, sensor and clock, and what it did not."""
     if not found.all_given:
         print_arm(found)
     for offset in found.offsets:
@@ -316,7 +316,7 @@ def print_found(found: ArmEstimates) -> None:
 
 
 def print_rejected(recovery: Recovery) -> None:
-    """Print what was rejected of the camera's samples, a row a reason."""
+    """Print what was rejected of the camera's samples, one row per reason."""
     from ..evaluation.advice import rejected
     from .output import print_table
 
@@ -337,9 +337,9 @@ def print_rejected(recovery: Recovery) -> None:
         print_table("Tracked samples that were rejected", columns, table)
 
 
-#: A table longer than this helps nobody on a terminal; without --verbose so many gaps are shown.
+#: A table longer than this helps nobody on a terminal; without --verbose this many gaps are shown.
 MOST_ROWS, FEW_GAPS = 25, 4
-#: An arm takes so many lines; so many grave remarks are printed anyway; lines of a table besides rows.
+#: An arm takes this many lines; this many grave remarks are printed anyway; lines of a table besides rows.
 MOST_LINES, MOST_GRAVE, TABLE_LINES = 15, 3, 5
-#: A normal error is smaller than so many sigmas in 95 of 100 cases.
+#: A normal error is smaller than this many sigmas in 95 of 100 cases.
 SIGMAS_95 = 1.96

@@ -67,9 +67,9 @@ def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) ->
 
 
 _PARTS = ("all", "occluded", "visible")
-#: More gaps than this are not printed, `--json` has them all; without --verbose so many notes and measures.
+#: More gaps than this are not printed, `--json` has them all; without --verbose this many notes and measures.
 _MOST_GAPS, FEW_NOTES, FEW_MEASURES = 40, 2, 4
-#: About so many samples are pooled to one stated distance.
+#: About this many samples are pooled to one stated distance.
 MOST_POOLED = 4000
 
 

@@ -60,7 +60,7 @@ class Rejected:
 
 
 def rejected(recovery: Recovery) -> list[Rejected]:
-    """A row a reason and joint, the most frequent reason first, joints from the shoulder down."""
+    """One row per reason and joint, the most frequent reason first, joints from the shoulder down."""
     residuals = recovery.residuals
     if residuals is None:
         return []
@@ -104,7 +104,7 @@ SLOW_CAMERA_HZ = 14.0
 #: More reasons than these are counted.
 _MOST_REASONS = 4
 
-NOTHING = "Nothing in this recording asks for a change: record the next one in the same way."
+NOTHING = "No changes recommended: record the next one in the same way."
 
 
 def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
@@ -120,7 +120,7 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
     Returns
     -------
     sentences : list of str
-        At least one. Of a result that is not to be trusted only what mends it: all else would presume that
+        At least one. Of a result that is not to be trusted only what corrects it: all else would presume that
         the set-up was sound.
     """
     if recovery.estimates.trusted is False:
@@ -140,7 +140,7 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
 
 
 def _set_up(recovery: Recovery) -> list[str]:
-    """What mends a wrong set-up: its cause where it is known, else every sign of it."""
+    """What corrects a wrong set-up: its cause where it is known, else every sign of it."""
     estimates = recovery.estimates
     what = estimates.cause or "; ".join(estimates.reasons) or "the cause is not known"
     sentences = [f"Correct the set-up first: {what}."]
@@ -266,7 +266,7 @@ def _shoulder(recovery: Recovery) -> list[str]:
     tracked = _tracked(recovery, "shoulder")
     if not tracked.any():
         return (
-            ["Keep the shoulder in view: it and the upper arm's length say how far away the elbow can be."]
+            ["Keep the shoulder in view: it and the upper arm's length limit how far away the elbow can be."]
             if _tracked(recovery, "elbow").any() and recovery.gaps
             else []
         )
@@ -388,9 +388,9 @@ def _rates(recovery: Recovery) -> list[str]:
     if len(recovery) > 1:
         rate = float(1.0 / np.median(np.diff(recovery.t_s), overwrite_input=True))
         if rate < 0.97 * SLOW_IMU_HZ:
-            sentences.append(f"Set the sensor to 80 samples a second or more: it gave {rate:.0f}.")
+            sentences.append(f"Set the sensor to 80 samples per second or more: it gave {rate:.0f}.")
     if recovery.arm.rate_hz < SLOW_CAMERA_HZ:
-        sentences.append(f"Let the camera run at 30 frames a second: it gave {recovery.arm.rate_hz:.0f}.")
+        sentences.append(f"Let the camera run at 30 frames per second: it gave {recovery.arm.rate_hz:.0f}.")
     return sentences
 
 

@@ -105,7 +105,7 @@ def unwound_deg(answer: FloatArray, reference: FloatArray) -> tuple[FloatArray, 
 
 
 def memory(values: FloatArray) -> float:
-    """How many samples in a row count as one (integrated autocorrelation time), 1 or more."""
+    """How many samples in a row are equivalent to one (integrated autocorrelation time), 1 or more."""
     x = values - values.mean()
     count = len(x)
     if not x.any():
@@ -234,7 +234,7 @@ class PairAgreement:
         ICC(2,1) with its 95 % interval.
     sem : float or None
         Standard error of measurement of the answer: the standard deviation of the differences, since the
-        reference counts as free of error.
+        reference is taken as free of error.
     mdc95 : float or None
         Minimal detectable change, 1.96 sqrt(2) SEM: of two sessions without any change 95 % differ by less.
     mdc95_low, mdc95_high : float or None

@@ -187,7 +187,7 @@ def compare(
     progress : Progress, optional
         Called with (part done, what is being done).
     processes : int
-        Methods that run side by side, each in a process; 0 for one a core. With more than one they must be
+        Methods that run side by side, each in a process; 0 for one per core. With more than one they must be
         such as can be sent to another process (no local functions).
 
     Raises
@@ -235,7 +235,7 @@ def compared_point(validation: Validation, recovery: Recovery) -> str:
         if figures is not None and figures.samples:
             return point
     raise RecordingError(
-        f"{recovery.name}: the truth holds no position that the methods answer (the IMU's, wrist, hand or"
+        f"{recovery.name}: the truth has no position that the methods answer (the IMU's, wrist, hand or"
         " elbow), so there is nothing to compare"
     )
 
@@ -319,7 +319,7 @@ def _notes(
 
 #: Answers are asked for at this rate, Hz, and interpolated to the IMU's times.
 RATE_HZ = 30.0
-#: A self-calibration in the background takes so many steps until its answer is there.
+#: A self-calibration in the background takes this many steps until its answer is there.
 STEPS_OF_CALIBRATION = 15
 #: Between answers farther apart than this there is none, s.
 APART_S = 0.2

@@ -50,7 +50,7 @@ class StatedAndActual:
         return float((chdtr(3.0, self.squared) <= level).mean()) if len(self.squared) else float("nan")
 
     def binned(self) -> tuple[FloatArray, FloatArray]:
-        """Stated sigma and rms error, m an axis, in bins of equally many samples by stated sigma."""
+        """Stated sigma and rms error, m per axis, in bins of equally many samples by stated sigma."""
         count = min(BINS, len(self.squared) // FEWEST)
         if count < 1:
             return np.zeros(0), np.zeros(0)
@@ -74,7 +74,7 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
     The part of a joint's covariance that is there all the time (lever arms, the common part of the camera's
     constant errors) is one error for all samples, which shows in no residual, and is left out. Estimated
     constant errors of the joints are subtracted. Joints whose noise is not stated are left out; there is none
-    for methods that keep no residuals. Of long recordings `MOST` samples a joint are used.
+    for methods that keep no residuals. Of long recordings `MOST` samples per joint are used.
     """
     residuals = recovery.residuals
     noise, bias = recovery.estimates.camera_sigma_m, recovery.estimates.joint_bias_m or {}
@@ -101,5 +101,5 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
 
 
 def _evenly(index: IntArray, most: int) -> IntArray:
-    """At most so many of some rows."""
+    """At most this many of some rows."""
     return index if len(index) <= most else index[np.linspace(0, len(index) - 1, most).round().astype(int)]

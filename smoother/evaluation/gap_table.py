@@ -248,7 +248,7 @@ def spread_by_length(rows: Iterable[GapRow]) -> dict[float, dict[str, GapSpread]
 
 #: Real gaps shorter than this are flicker, s.
 SHORTEST_S = 0.2
-#: Errors against movement are only fitted to so many hidden gaps, and believed from so many sigmas on.
+#: Errors against movement are only fitted to this many hidden gaps, and believed from this many sigmas on.
 FEWEST_GAPS, FIRM_SIGMAS = 20, 2.0
 #: How errors may grow with movement: as its power.
 STEEPEST = 1.5
@@ -288,7 +288,7 @@ class RealGaps:
         """What a reader must know of it."""
         start = "gaps were hidden where the camera saw the arm, which is easier than where it lost it"
         if self.turning_ratio is None or self.acceleration_ratio is None:
-            return f"{start}: real gaps may be worse, and no real gap here says by how much"
+            return f"{start}: real gaps may be worse, and this recording has no real gap to show by how much"
         where = "the real gap" if self.count == 1 else f"its {self.count} real gaps"
         movement = (
             f"in {where} the forearm turned {self.turning_ratio:.1f} times as fast and was"

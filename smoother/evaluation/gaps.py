@@ -91,7 +91,7 @@ def evaluate_gaps(
     progress : Progress, optional
         Called with (part done, what is being done).
     processes : int
-        Copies that are recovered side by side, each in a process; 0 for one a core. With more than one the
+        Copies that are recovered side by side, each in a process; 0 for one per core. With more than one the
         methods must be such as can be sent to another process (no local functions).
 
     Raises

@@ -42,7 +42,7 @@ class MeasurePair:
     reference : float
         Of the reference.
     recovered_share : float, 0 to 1
-        How much of the answer's value rests on recovered samples.
+        How much of the answer's value comes from recovered samples.
     """
 
     recording: str

@@ -21,7 +21,7 @@ def read_pairs(path: Path) -> list[MeasurePair]:
     Raises
     ------
     UnoccludeError
-        The file is none, or holds no measures.
+        The file is none, or has no measures.
     """
     figures = _figures(path)
     pairs = [pair for arm in figures for pair in arm.get("measures", {}).get("pairs", [])]
@@ -33,7 +33,7 @@ def read_pairs(path: Path) -> list[MeasurePair]:
             f"{path}: its measures cannot be read; run `unocclude validate` again"
         ) from error
     if not read:
-        raise UnoccludeError(f"{path} holds no measures; name what `unocclude validate --json` wrote")
+        raise UnoccludeError(f"{path} has no measures; name what `unocclude validate --json` wrote")
     return read
 
 
@@ -64,7 +64,7 @@ def read_detectable(path: Path) -> dict[str, float]:
                 found[key], pairs[key] = float(value), count
     if not found:
         raise UnoccludeError(
-            f"{path} holds no minimal detectable change of a session; it takes three recordings with motion"
+            f"{path} has no minimal detectable change of a session; it takes three recordings with motion"
             " capture, each validated with --pool and the JSON of those before"
         )
     return found
@@ -80,7 +80,7 @@ def _detectable_of_sessions(path: Path, repeated: object) -> dict[str, float]:
             found[key] = max(float(value), found.get(key, 0.0))
     if not found:
         raise UnoccludeError(
-            f"{path} holds no smallest detectable change; `progress --reliability` needs three persons with"
+            f"{path} has no smallest detectable change; `progress --reliability` needs three persons with"
             " two sessions each"
         )
     return found
@@ -92,16 +92,16 @@ def _json(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise UnoccludeError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
-        raise UnoccludeError(f"{path} is no JSON; name what `unocclude validate --json` wrote") from error
+        raise UnoccludeError(f"{path} is not JSON; name what `unocclude validate --json` wrote") from error
     return figures if isinstance(figures, dict) else {}
 
 
 def _figures(path: Path) -> list[dict[str, Any]]:
-    """What `validate --json` wrote, an entry an arm."""
+    """What `validate --json` wrote, one entry per arm."""
     figures = _json(path)
     arms = figures.get("arms", [figures]) if figures else []
     if not arms or not all(isinstance(arm, dict) and isinstance(arm.get("measures"), dict) for arm in arms):
-        raise UnoccludeError(f"{path} holds no measures; name what `unocclude validate --json` wrote")
+        raise UnoccludeError(f"{path} has no measures; name what `unocclude validate --json` wrote")
     return arms
 
 
@@ -122,7 +122,7 @@ def _detectable_of_user(path: Path) -> dict[str, float]:
     except OSError as error:
         raise UnoccludeError(f"{path}: {error.strerror or error}") from error
     except ValueError as error:
-        raise UnoccludeError(f"{path} is no TOML: {error}") from error
+        raise UnoccludeError(f"{path} is not TOML: {error}") from error
     table = tables.get("mdc95")
     if not isinstance(table, dict) or not table:
         raise UnoccludeError(
@@ -141,5 +141,5 @@ def _check_key(key: str, path: Path) -> None:
         return
     near = get_close_matches(key, definitions(), n=1, cutoff=0.0)
     raise UnoccludeError(
-        f"{path}: there is no measure {key}, so its mdc95 would count for nothing; the nearest is {near[0]}"
+        f"{path}: there is no measure {key}, so its mdc95 has no effect; the nearest is {near[0]}"
     )

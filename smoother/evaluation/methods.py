@@ -72,7 +72,7 @@ class SharedGraph:
         self._answer: Recovery | UnoccludeError | None = None
 
     def __getstate__(self) -> dict[str, object]:
-        """In another process there is no progress to report, and the answer lies in its memory."""
+        """In another process there is no progress to report, and the answer is in its memory."""
         return {**self.__dict__, "_progress": None, "_store": None}
 
     def __call__(self, recording: Recording) -> Recovery:

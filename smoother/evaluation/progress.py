@@ -91,7 +91,7 @@ def is_main(key: str) -> bool:
 
 
 def first_of(keys: Collection[str], most: int) -> list[str]:
-    """The keys to look at first, at most so many; in their order."""
+    """The keys to look at first, at most this many; in their order."""
     ordered = [key for key in FIRST if key in keys]
     ordered += [key for key in dict.fromkeys(keys) if is_main(key) and key not in ordered]
     return ordered[:most]
@@ -130,7 +130,7 @@ class SessionValue:
     sigma : float
         Standard deviation by the draws; nan without them.
     recovered_share : float, 0 to 1
-        How much of it rests on samples that the camera did not see.
+        How much of it comes from samples that the camera did not see.
     n_draws : int
         How many draws the interval is of.
     note : str
@@ -154,7 +154,7 @@ class SessionValue:
     def spread(self) -> float:
         """Its standard deviation: of the draws, or of the interval's wider side; nan without both.
 
-        An interval to one side (the largest of noisy values lies above the true one) counts as an error.
+        An interval to one side (the largest of noisy values lies above the true one) is treated as an error.
         """
         widths = [self.sigma, (self.high - self.value) / HALF_95, (self.value - self.low) / HALF_95]
         finite = [width for width in widths if math.isfinite(width)]
@@ -350,7 +350,7 @@ def _limits(
         sentences.append("the change is larger than its interval but not than the minimal detectable change")
     for value in (first, last):
         if value.recovered_share > MOSTLY_RECOVERED:
-            sentences.append(f"more than half of session {value.session} rests on recovered samples")
+            sentences.append(f"more than half of session {value.session} comes from recovered samples")
         if value.value < value.low or value.value > value.high:
             sentences.append(f"session {value.session}: the value lies outside its own interval")
     return tuple(sentences)

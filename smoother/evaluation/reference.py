@@ -202,7 +202,7 @@ def _place_words(away_m: float, solved: bool) -> str:
         )
     why = "within its own error" if away_m < CENTRED_M else "farther than a plate reaches"
     return (
-        "The mean of the plate's markers counts as the IMU's place: the visible answer has the IMU"
+        "The mean of the plate's markers is taken as the IMU's position: the visible answer has the IMU"
         f" {1000 * away_m:.1f} mm from there, {why}. State it in the map, [imu_plate]."
     )
 
@@ -241,7 +241,7 @@ def _landmarks(
 
 
 def likely_frame(recovery: Recovery) -> CameraFrame | None:
-    """The camera's axes by where gravity points in them; None where that does not tell."""
+    """The camera's axes by where gravity points in them; None where that does not show."""
     down = recovery.gravity_direction
     if not np.isfinite(down).all() or abs(down[1]) < 0.7:
         return None

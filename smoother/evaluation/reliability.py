@@ -41,7 +41,7 @@ class Reliability:
         Without them.
     sdc, sdc_group : float
         Smallest detectable change of one person, 1.96 sqrt(2) SEM_agreement (also called MDC95), and of the
-        mean of so many persons.
+        mean of this many persons.
     bias, bias_low, bias_high : float
         Mean of the second session minus the first, with its interval.
     limits_low, limits_low_from, limits_low_to, limits_high, limits_high_from, limits_high_to : float

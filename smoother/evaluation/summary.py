@@ -13,7 +13,7 @@ from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
 from ..result import Estimates, GapVerdict, Recovery
 
-#: About so many samples are pooled to one distance.
+#: About this many samples are pooled to one distance.
 _MOST_POOLED = 4000
 
 

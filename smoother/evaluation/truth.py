@@ -36,7 +36,7 @@ def read_truth(path: Path | str, recovery: Recovery) -> Truth:
     Raises
     ------
     RecordingError
-        The file is missing, of another kind, or holds no pose.
+        The file is missing, of another kind, or has no pose.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -58,7 +58,7 @@ def read_truth_csv(path: Path) -> Truth:
     Raises
     ------
     RecordingError
-        A column is missing, or a cell is no number; the text names the line.
+        A column is missing, or a cell is not a number; the text names the line.
     """
     check_input(path, RecordingError)
     try:
@@ -94,7 +94,7 @@ def _number(row: list[str], column: int, path: Path, line: int, name: str) -> fl
         return float(text)
     except ValueError:
         raise RecordingError(
-            f"{path}, line {line}: '{shown(text, 40)}' in column {name} is no number"
+            f"{path}, line {line}: '{shown(text, 40)}' in column {name} is not a number"
         ) from None
 
 
@@ -122,7 +122,7 @@ def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
     Raises
     ------
     RecordingError
-        The file holds no pose, or several and none is called `/truth`.
+        The file has no pose, or several and none is called `/truth`.
     """
     from ..io import open_recording
     from ..io.recording.selection import is_of_other_arm
@@ -136,7 +136,7 @@ def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
         )
     named = [stream for stream in poses if stream.topic.rstrip("/").endswith("truth")] or poses
     if not named:
-        raise RecordingError(f"{path}: the file holds no pose (PoseInFrame or PoseStamped) to take as truth")
+        raise RecordingError(f"{path}: the file has no pose (PoseInFrame or PoseStamped) to take as truth")
     if len(named) > 1:
         topics = ", ".join(stream.topic for stream in named)
         raise RecordingError(

@@ -147,7 +147,7 @@ def table_one(
         tuple(rows),
         share,
         f"The camera states a position, guesses included, for {100 * share:.0f} % of the samples; its errors"
-        " are over those, the answer's over all. A skeleton holds no orientation.",
+        " are over those, the answer's over all. A skeleton has no orientation.",
     )
 
 
@@ -451,18 +451,18 @@ def _refuse_without_overlap(recovery: Recovery, truth: Truth, errors: SampleErro
         return
     known = truth.t_s[np.isfinite(truth.position).all(axis=1)]
     if not len(known):
-        raise RecordingError("the truth holds no finite position, so there is nothing to compare with")
+        raise RecordingError("the truth has no finite position, so there is nothing to compare with")
     if not len(recovery):
-        raise RecordingError("the result holds no sample, so there is nothing to compare")
+        raise RecordingError("the result has no sample, so there is nothing to compare")
     first, last = recovery.t_s[0], recovery.t_s[-1]
     if known[-1] < first or known[0] > last:
         raise RecordingError(
             f"the truth covers {known[0]:.3f} to {known[-1]:.3f} s and the result {first:.3f} to"
-            f" {last:.3f} s: they do not overlap in time, so check that both count from the same clock"
+            f" {last:.3f} s: they do not overlap in time, so check that both use the same clock"
         )
     if len(known) > 1 and np.median(np.diff(known)) > 0.1:
         raise RecordingError(
             "the truth's samples lie more than 0.1 s apart, and gaps that long are not bridged:"
-            " give a truth with at least 10 samples a second"
+            " give a truth with at least 10 samples per second"
         )
     raise RecordingError("no sample of the truth that is to be scored falls on a sample of the result")

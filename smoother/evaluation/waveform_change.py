@@ -178,7 +178,7 @@ def one_sample(differences: FloatArray) -> CurveTest:
     Parameters
     ----------
     differences : ndarray, shape (n, points), deg
-        One a person. What the drawn motions state of their errors lies in the scatter between persons.
+        One per person. What the drawn motions state of their errors lies in the scatter between persons.
     """
     n = len(differences)
     is_exact = 2**n <= MOST_RELABELLINGS

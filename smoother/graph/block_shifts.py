@@ -26,12 +26,12 @@ from .build import FactorGroup
 from .error_columns import camera_rows
 from .linear_system import Jacobian, LinearSystem
 
-#: Blocks are built of cells of about this length, s, and are so many cells long.
+#: Blocks are built of cells of about this length, s, and are this many cells long.
 CELL_S = 1.0
 LENGTHS = (1, 2, 4)
 #: Between two cells the forearm has jumped: farther than this in m, and faster than this in m/s.
 JUMP_M, JUMP_M_PER_S = 0.12, 3.6
-#: What the camera's slow errors may shift a block by, m an axis.
+#: What the camera's slow errors may shift a block by, m per axis.
 SLOW_M = 0.015
 
 

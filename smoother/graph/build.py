@@ -125,7 +125,7 @@ class WindowGraph(NamedTuple):
         nodes: Sequence[int] | IntArray = (),
         camera: int = 0,
     ) -> None:
-        """Add factors, each with so many rows, and record where they are."""
+        """Add factors, each with this many rows, and record where they are."""
         first, row = self.graph.size(), self.groups[-1].rows.stop if self.groups else 0
         for factor in factors:
             self.graph.add(factor)

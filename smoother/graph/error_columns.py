@@ -79,7 +79,7 @@ def constant_error_columns(
 
 
 def is_place(joint: str, window: Window) -> bool:
-    """Whether a tracked joint counts as the IMU's own place, with no lever arm to solve."""
+    """Whether a tracked joint is the IMU's own place, with no lever arm to solve."""
     return joint == "strap" and joint not in window.priors.layout.joints
 
 

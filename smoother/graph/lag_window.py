@@ -274,7 +274,7 @@ def _state_blocks(prefix: str, number: int, R: FloatArray) -> list[tuple[str, in
 BIAS_EPOCH_S = 1.0
 #: Shoulder knots keep so far apart, s.
 KNOT_S = 0.09
-#: An iteration that moves the newest node by less than this is the last, m; so many at most. 3 mm leaves
+#: An iteration that moves the newest node by less than this is the last, m; this many at most. 3 mm leaves
 #: 0.5 mm at most (measured), and spares half of the iterations.
 SETTLED_M = 0.003
 ITERATIONS = 4

@@ -147,7 +147,7 @@ def _in_stages(
         return _descend(graph, values, MAX_ITERATIONS, tolerance, order)
     if (
         window.reaches_shoulder
-    ):  # its start values lie in the right minimum: the upper arm's direction is measured
+    ):  # its start values are in the right minimum: the upper arm's direction is measured
         return _descend(graph, values, LAST_ITERATIONS, min(tolerance, LAST_TOLERANCE), order)
     (lengths,) = (group.factors for group in groups if group.kind == "length")
 
@@ -196,7 +196,7 @@ def explained(excess: float, knots: int) -> bool:
 
 
 def _tail(half: float, freedom: int) -> float:
-    """Probability that chi-square of so many degrees of freedom, 1 or more, exceeds 2 half.
+    """Probability that chi-square of this many degrees of freedom, 1 or more, exceeds 2 half.
 
     (Abramowitz and Stegun 26.4.4 and 26.4.5; `scipy.stats.chi2.sf` takes long to load.)
     """

@@ -208,7 +208,7 @@ def _chain(
 def _reordered(factor: FloatArray, order: IntArray) -> FloatArray:
     """Lower Cholesky factor of the same information with its rows in another order.
 
-    By QR, which never fails: drawing must not decide whether a window counts as determined.
+    By QR, which never fails: drawing must not decide whether a window is treated as determined.
     """
     upper = np.linalg.qr(np.tril(factor)[order].T, mode="r")
     return np.asarray((upper * np.sign(np.diag(upper))[:, None]).T)

@@ -117,7 +117,7 @@ def lever_keys(layout: SharedLayout) -> list[int]:
 
 
 def bias_keys(layout: SharedLayout, keys: Sequence[int]) -> list[int]:
-    """Those of the shared keys that are biases, one a segment."""
+    """Those of the shared keys that are biases, one per segment."""
     return [keys[0], *keys[len(keys) - len(layout.further) :]]
 
 

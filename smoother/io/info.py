@@ -333,12 +333,11 @@ def _missing(recording: Recording, label: str) -> dict[str, str]:
     lacking = [joint for joint in ("shoulder", "elbow", "wrist") if joint not in present]
     if lacking:
         missing[f"whole {label or 'arm'}"] = (
-            f"{' and '.join(lacking)} never tracked; the IMU's path is recovered all the same."
+            f"{' and '.join(lacking)} never tracked; the IMU's path is recovered anyway."
         )
     if recording.camera_frame is None and recording.gravity_hint is None:
         missing["start of the solution"] = (
-            f"the file does not say how the camera's axes lie (metadata {METADATA}); "
-            "gravity is found from motion."
+            f"the camera's axes are unknown (metadata {METADATA}); gravity is found from motion."
         )
     return missing
 

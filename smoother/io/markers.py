@@ -127,7 +127,7 @@ def read_trc(path: Path) -> Markers:
     Raises
     ------
     RecordingError
-        It is no TRC file, has no marker or frame, or a cell is not a number; the text names the line.
+        It is not a TRC file, has no marker or frame, or a cell is not a number; the text names the line.
     """
     lines = _lines(path)
     place = next((k for k, line in enumerate(lines) if _starts(line, "frame#", "frame", "#frame")), None)
@@ -147,7 +147,7 @@ def read_trc(path: Path) -> Markers:
         if line.strip(" \t,;") and not _starts(line, "x1", '"x1')
     ]
     if not rows:
-        raise RecordingError(f"{path}: the file names {len(names)} markers and holds no frame")
+        raise RecordingError(f"{path}: the file names {len(names)} markers and has no frame")
     counted = header.get("numframes", "")
     cut_off = counted.isdigit() and int(counted) > len(rows) > 1
     if cut_off and len(_cells(rows[-1][1], mark)) < len(_cells(rows[-2][1], mark)):
@@ -177,7 +177,9 @@ def _lines(path: Path) -> list[str]:
     check_input(path, RecordingError)
     raw = path.read_bytes()
     if b"\0" in raw[:4096]:
-        raise RecordingError(f"{path}: not a TRC file: it holds no text; is it a C3D file with a wrong name?")
+        raise RecordingError(
+            f"{path}: not a TRC file: it has no text; is it a C3D file with a wrong extension?"
+        )
     text = raw.decode("utf-8-sig", errors="replace")
     return text.splitlines()
 
@@ -247,7 +249,7 @@ def _number(cell: str, path: Path, line: int, column: int) -> float:
         return float(re.sub("[dD]", "e", text))  # Fortran's exponents
     except ValueError:
         raise RecordingError(
-            f"{path}, line {line}: '{shown(cell, 40)}' in column {column + 1} is not a number; mend the cell"
+            f"{path}, line {line}: '{shown(cell, 40)}' in column {column + 1} is not a number; correct it"
         ) from None
 
 
@@ -263,14 +265,14 @@ def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list
     t_s = table[:, 1]
     if not np.isfinite(t_s).all() or (len(t_s) > 1 and not np.ptp(t_s) > 0):
         if not (np.isfinite(rate) and rate > 0):
-            raise RecordingError(f"{path}: neither the column Time nor DataRate tells the frames' times")
+            raise RecordingError(f"{path}: neither the column Time nor DataRate gives the frames' times")
         first = table[0, 0] if np.isfinite(table[0, 0]) else 1.0
         even = np.asarray((first - 1.0 + np.arange(len(table))) / rate, dtype=np.float64)
         return even, [f"{path.name}: times are made of DataRate."]
     back = np.flatnonzero(np.diff(t_s) <= 0)
     if len(back):
         raise RecordingError(
-            f"{path}: time does not go on after {t_s[back[0]]:g} s (frame {back[0] + 1}); export it again"
+            f"{path}: time does not increase after {t_s[back[0]]:g} s (frame {back[0] + 1}); export it again"
         )
     if len(t_s) < 2 or not rate > 0:
         return t_s, []
@@ -287,7 +289,7 @@ def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list
 def read_c3d(path: Path) -> Markers:
     """Read the points of a C3D file.
 
-    Missing is what has a negative residual, and what lies at (0, 0, 0). Names go on in `POINT:LABELS2`,
+    Missing is what has a negative residual, and what is at (0, 0, 0). Names go on in `POINT:LABELS2`,
     `LABELS3` .. where there are more than 255. Time zero is the trial's frame zero: a file that was cut
     out of a trial begins later.
 
@@ -304,7 +306,7 @@ def read_c3d(path: Path) -> Markers:
     Raises
     ------
     RecordingError
-        It is no C3D file, is damaged, or holds no point.
+        It is not a C3D file, is damaged, or has no point.
     """
     check_input(path, RecordingError)
     with open(path, "rb") as file:
@@ -317,7 +319,7 @@ def read_c3d(path: Path) -> Markers:
     position = np.moveaxis(np.asarray(data["points"], dtype=np.float64)[:3], (0, 1, 2), (2, 1, 0))
     if not position.shape[0] or not position.shape[1]:
         what = "no frame" if position.shape[1] else "no point"
-        raise RecordingError(f"{path}: the C3D file holds {what}; export the markers with it")
+        raise RecordingError(f"{path}: the C3D file has {what}; export the markers with it")
     unit = _first(point, "UNITS", "")
     if not str(unit).strip():
         raise RecordingError(f"{path}: the parameter POINT:UNITS is missing; export the file in mm or m")
@@ -375,7 +377,7 @@ def would_crash(path: Path) -> bool:
 def _whole(path: Path, point: dict[str, Any]) -> None:
     """Refuse a file that ends before the last frame that its header counts; the library makes frames up.
 
-    Words of the header (c3d.org): 2 points, 3 analog samples a frame, 4 and 5 first and last frame, 9 the
+    Words of the header (c3d.org): 2 points, 3 analog samples per frame, 4 and 5 first and last frame, 9 the
     first block of 512 bytes that holds data. A scale below zero says that numbers have four bytes, else two.
     """
     with open(path, "rb") as file:
@@ -445,7 +447,7 @@ def read_markers(path: str | os.PathLike[str]) -> Markers:
     Raises
     ------
     RecordingError
-        The file is missing, of another kind, damaged, or holds no marker.
+        The file is missing, of another kind, damaged, or has no marker.
     """
     path = Path(path)
     if path.suffix.lower() not in MARKER_FORMATS:
@@ -479,7 +481,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     Raises
     ------
     RecordingError
-        The file cannot be read, holds no marker, or a marker moved.
+        The file cannot be read, has no marker, or a marker moved.
     """
     path = Path(path)
     if path.suffix.lower() in MARKER_FORMATS:
@@ -492,7 +494,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     names, _ = told_apart(words["marker"])
     known = np.asarray(np.isfinite(rows).all(axis=1), bool)
     if not known.any():
-        raise RecordingError(f"{path} holds no marker; give marker,x,y,z in metres, a row a marker.")
+        raise RecordingError(f"{path} has no marker; give marker,x,y,z in metres, a row a marker.")
     return {name: row for name, row, good in zip(names, rows, known.tolist(), strict=True) if good}
 
 
@@ -513,5 +515,5 @@ def _still(markers: Markers) -> dict[str, FloatArray]:
             )
         means[name] = track[away <= max(3 * np.median(away), 1e-6)].mean(axis=0)
     if not means:
-        raise RecordingError(f"{markers.source} holds no marker that was seen for long enough.")
+        raise RecordingError(f"{markers.source} has no marker that was seen for long enough.")
     return means

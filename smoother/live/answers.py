@@ -121,7 +121,7 @@ class LiveOutput:
     Attributes
     ----------
     now_s : float, s
-        The present as the step was told it, on the IMU's clock.
+        The present as given to the step, on the IMU's clock.
     state : LiveState
         At the present.
     now : LiveEstimate or None

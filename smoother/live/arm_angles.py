@@ -65,7 +65,7 @@ def _between(a: FloatArray, b: FloatArray) -> float:
 def _with_sigma(
     estimate: LiveEstimate, joints: tuple[str, ...], angle: Callable[[dict[str, FloatArray]], float]
 ) -> tuple[float, float]:
-    """The angle and its sigma; errors of different joints count as independent, which is on the safe side."""
+    """The angle and its sigma; errors of joints are taken as independent, which is on the safe side."""
     at = {joint: estimate.joints[joint] for joint in joints}
     value, variance = angle(at), 0.0
     for joint in joints:

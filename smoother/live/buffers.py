@@ -23,7 +23,7 @@ class SkeletonFrame:
     t_s : float, s
         Its stamp, on the camera's clock.
     arrival_s : float, s
-        When it arrived here, on the clock that `LiveSmoother.step` is told the time of (the IMU's).
+        When it arrived here, on the clock of the time given to `LiveSmoother.step` (the IMU's).
     position : ndarray, shape (5, 3), m
         In {K}, joints in the order of `JOINTS`; nan where there is none.
     state : ndarray of int8, shape (5,)

@@ -31,7 +31,7 @@ from ..window.priors import with_measured_noise
 from .buffers import FrameBuffer, ImuBuffer
 from .camera_clock import USUAL_LATENCY_S, CameraClock
 
-#: Joints that fit no better than this to any mounting and clock are not calibrated, m an axis.
+#: Joints that fit no better than this to any mounting and clock are not calibrated, m per axis.
 LARGEST_SIGMA_M = 0.10
 
 
@@ -157,7 +157,7 @@ class InlineCalibrator(Calibrator):
     Parameters
     ----------
     delay : int
-        The answer is there only when it was asked for so many times: a background's time, in steps.
+        The answer is there only when it was asked for this many times: a background's time, in steps.
     """
 
     def __init__(self, delay: int = 0) -> None:

@@ -14,8 +14,8 @@ from .buffers import SkeletonFrame
 USUAL_LATENCY_S = 0.1
 #: Frames behind the median of what is usual, and frames in a row that make a jump.
 USUAL_FRAMES, JUMP_FRAMES = 60, 10
-#: A jump is larger than so many usual deviations of the delay, at least the first and at most the second, s;
-#: the frames after it agree to this share of it.
+#: A jump is larger than this many usual deviations of the delay, at least the first and at most the second,
+#: s; the frames after it agree to this share of it.
 JUMP_SIGMAS, LEAST_JUMP_S, JUMP_S, AGREE = 6.0, 0.03, 0.08, 0.25
 
 

@@ -9,7 +9,7 @@ from ..array_types import FloatArray
 from ..measurements.visibility import MISSING_S
 from .answers import LiveState
 
-#: So many frames are remembered.
+#: This many frames are remembered.
 FRAMES = 400
 
 

@@ -28,13 +28,13 @@ from .signal import DoubtfulSignal
 
 #: A joint contradicts where its squared error in sigmas is above this (three axes), and farther off, m.
 CONTRADICTS, CONTRADICTS_M = 30.0, 0.06
-#: The camera's slow error, m an axis, which its noise does not contain.
+#: The camera's slow error, m per axis, which its noise does not contain.
 SLOW_M = 0.017
-#: A solution so long ago is compared with every second frame, s; so many in a row must contradict it.
+#: A solution so long ago is compared with every second frame, s; this many in a row must contradict it.
 BEFORE_S, EACH, FRAMES_IN_A_ROW = 0.45, 2, 3
 #: .. with a mean squared error in sigmas of an axis above this.
 CONTRADICTS_BEFORE = 9.0
-#: Frames fit again where so many in a row do, with a squared error in sigmas below this.
+#: Frames fit again where this many in a row do, with a squared error in sigmas below this.
 FITS_IN_A_ROW, FITS = 3, 12.0
 #: .. and that are nearer than this share of the jump, or than this, m: a wide sigma lets another body fit.
 FITS_SHARE, FITS_M = 0.4, 0.12
@@ -42,15 +42,15 @@ FITS_SHARE, FITS_M = 0.4, 0.12
 SHOULDER_M = 0.3
 #: The camera is left out for no longer than this, s; after a gap the tracker may have strayed by itself: s.
 LONGEST_S, LONGEST_AFTER_GAP_S = 6.0, 1.0
-#: .. and as long as what the IMU says alone is this good, m an axis.
+#: .. and as long as what the IMU says alone is this good, m per axis.
 PREDICTED_M = 0.25
 #: Frames before a contradiction that decide what it is.
 LOOKED_AT = 16
-#: Joints that move less than this share of what the IMU says, and the least motion that tells, m.
+#: Joints that move less than this share of what the IMU says, and the least motion that counts, m.
 RESTS_SHARE, MOVED_M = 0.35, 0.06
-#: .. and how far the gyroscope turns the wrist about the elbow at least, m, in at most so many seconds.
+#: .. and how far the gyroscope turns the wrist about the elbow at least, m, in at most this many seconds.
 TURNED_M, TURNED_WITHIN_S = 0.10, 0.8
-#: Bones off by this share, and by so many sigmas, are another body's.
+#: Bones off by this share, and by this many sigmas, are another body's.
 OTHER_LENGTH, OTHER_SIGMAS = 0.15, 4.0
 #: A joint jumps by itself where it is so far from its own last motion, m, and by this share of what it is
 #: from the prediction.
@@ -205,7 +205,7 @@ _ONE, _NO_JOINT = np.eye(3), np.eye(3, 6, 3)
 
 @lru_cache(maxsize=16)
 def joint_rows(number: int) -> tuple[IntArray, IntArray]:
-    """Where turn, position and a lever arm stand in a covariance of (turn, position, velocity, levers)."""
+    """Where turn, position and a lever arm are in a covariance of (turn, position, velocity, levers)."""
     rows = np.array([*range(6), *range(9 + 3 * number, 12 + 3 * number)])
     return np.ix_(rows, rows)  # type: ignore[return-value]
 

@@ -55,7 +55,7 @@ class DoubtfulSignal(InertialSignal):
         return np.hypot(impacts, self._lost(t, 0)) if self.is_doubtful else impacts
 
     def turn_error(self, t: FloatArray) -> FloatArray:
-        """Turn that each interval of consecutive times (n + 1,) may have lost, rad, one sigma an axis."""
+        """Turn that each interval of consecutive times (n + 1,) may have lost, rad, one sigma per axis."""
         return self._lost(t, 1) if self.is_doubtful else np.zeros(len(t) - 1)
 
     def _lost(self, t: FloatArray, column: int) -> FloatArray:

@@ -31,7 +31,7 @@ MOST_FRAMES = 12
 EMPTY_S = 0.1
 #: No sample of the IMU for so long: it is lost, s.
 LOST_S = 0.5
-#: Rates and load are of the last so many seconds.
+#: Rates and load are of the last this many seconds.
 RATE_S = 2.0
 
 
@@ -161,7 +161,7 @@ class LiveSmoother:
         self._check_imu()
         # 1. The calibration, in the background; who follows with it catches up, and takes over.
         self._calibrate(now_s)
-        # 2. What has arrived, into the window; the past is mended.
+        # 2. What has arrived, into the window; the past is corrected.
         self._follow(now_s)
         # 3. The answers.
         now, settled = self._answers(now_s)
@@ -293,7 +293,7 @@ class LiveSmoother:
         return changed
 
     def _ready(self, tracker: Tracker) -> list[SkeletonFrame]:
-        """Frames that are due, at most so many: of a backlog the newest."""
+        """Frames that are due, at most this many: of a backlog the newest."""
         ready = self._handover.ready(tracker)
         if len(ready) > MOST_FRAMES:
             self._backlog += len(ready) - MOST_FRAMES

@@ -90,7 +90,7 @@ def first_state(
 LENGTH_S = 1.2
 #: A frame nearer than this to the newest node joins it, s.
 SAME_S = 0.004
-#: A gap that ends after this tells where the arm is by the camera alone, s.
+#: A gap that ends after this shows where the arm is by the camera alone, s.
 AGAIN_S = 0.2
 #: No window leads over a pause of the IMU that is longer, s.
 LONGEST_PAUSE_S = 0.3

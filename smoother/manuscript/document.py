@@ -273,7 +273,7 @@ def _uncertainty(facts: ArmFacts) -> Iterator[str]:
     if facts.sigma_factors:
         low, high = min(facts.sigma_factors), max(facts.sigma_factors)
         by = f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
-        yield f"Standard deviations of positions in gaps were multiplied by {by}, as hidden gaps asked for."
+        yield f"Standard deviations of positions in gaps were multiplied by {by}, as hidden gaps required."
     check = facts.self_check
     if check is not None and check.stretches:
         times = "once" if check.stretches == 1 else f"{check.stretches} times"

@@ -52,7 +52,7 @@ class JointFacts:
     name : str
     tracked : float
         Part of the camera's frames that call it tracked, 0 to 1.
-    sample_sigma_m : float or None, m an axis
+    sample_sigma_m : float or None, m per axis
         Noise of a sample, as it was estimated.
     lever_m, lever_sigma_m : tuple of float or None, m
         Its place in the IMU's axes, and one standard deviation of each axis.

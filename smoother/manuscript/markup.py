@@ -10,7 +10,7 @@ from .document import CITATION, Document, MethodsSection
 from .references import Reference
 
 _WIDTH = 100
-_TO_FILL_IN = "To be filled in by you (the result does not know it)"
+_TO_FILL_IN = "To be filled in by you (not in the result)"
 _LATEX = {
     "\\": r"\textbackslash{}",
     "{": r"\{",
@@ -134,7 +134,7 @@ def _reference(reference: Reference) -> str:
 
 
 def _md(text: str) -> str:
-    """Text whose own marks are no markup; citations stay."""
+    """Text whose own marks are not markup; citations stay."""
     return re.sub(r"([\\`*_|<>])", r"\\\1", text)
 
 

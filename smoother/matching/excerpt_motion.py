@@ -126,7 +126,7 @@ BRIDGED_S = 0.25
 #: So much at the edge of what was seen has no acceleration, s.
 EDGE_S = 0.12
 #: Independent samples are this part of what the low-pass leaves, as joints' errors have a memory; and of
-#: however many, no more than so many count, as joints' constant errors and the strap's slip do not average
+#: however many, no more than this many count, as joints' constant errors and the strap's slip do not average
 #: out.
 INDEPENDENT, MOST_INDEPENDENT = 0.5, 20.0
 #: Camera and IMU must share so much, s.
@@ -347,6 +347,6 @@ def _second_derivative(position: FloatArray) -> FloatArray:
 
 
 def independent_samples(count: FloatArray) -> FloatArray:
-    """How many independent samples grid samples count as."""
+    """How many independent samples grid samples are treated as."""
     independent = INDEPENDENT * 2 * LOW_PASS_HZ / GRID_HZ * count
     return np.asarray(independent / (1.0 + independent / MOST_INDEPENDENT))

@@ -49,8 +49,8 @@ def probabilities(weight: FloatArray, none: FloatArray) -> FloatArray:
     """How probable each pair is, over all assignments.
 
     For every IMU and every limb (or none) the best assignment that has this pair is found; an IMU's
-    probabilities are in the ratio of these assignments' weights (max-marginals). IMUs that nothing tells
-    apart therefore share a limb evenly, and a limb that another IMU fits better is no candidate any more.
+    probabilities are in the ratio of these assignments' weights (max-marginals). IMUs that cannot be
+    told apart therefore share a limb evenly, and a limb that another IMU fits better is none any more.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def _with_none(weight: FloatArray, none: FloatArray) -> FloatArray:
 NAMED_FROM = 0.6
 #: Above this a pair is sure.
 SURE_FROM = 0.95
-#: Clocks: most are within the first of each other, s; so many are anywhere within reach.
+#: Clocks: most are within the first of each other, s; this many are anywhere within reach.
 CLOCKS_NEAR_S, CLOCKS_FAR = 0.1, 0.2
 #: Before anything is seen: an IMU is on no limb in view; worn on a forearm rather than an upper arm.
 PRIOR_NONE, PRIOR_WRIST = 0.2, 0.75

@@ -2,7 +2,7 @@
 
 Lengths alone: |specific force| against |joint's acceleration - gravity|, and rates.
 
-No frame has to be solved for, so it needs least data to be computed and tells least: whatever turns a
+No frame has to be solved for, so it needs least data to be computed and shows least: whatever turns a
 motion as a whole leaves the lengths as they are. The gyroscope's rate can only be larger than the limb's
 turning rate, which does not see the rotation about the limb itself.
 

@@ -36,9 +36,9 @@ from .excerpt_motion import (
 DIRECTION_SIGMA, ACCELERATION_SIGMA = 0.06, 0.5
 #: What mounting, soft tissue and stamps spoil, as a part of the motion.
 SPOILT = 0.3
-#: The camera's gravity is known to about this, rad; it counts as one more vector.
+#: The camera's gravity is known to about this, rad; it is treated as one more vector.
 GRAVITY_SIGMA = 0.15
-#: Shifts are tried in steps of so many grid steps, then all near the best few.
+#: Shifts are tried in steps of this many grid steps, then all near the best few.
 COARSE_STEPS, BEST_SHIFTS = 4, 3
 _FIRST_DIRECTIONS = unit(np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)]))
 _AXES = _FIRST_DIRECTIONS[np.abs(_FIRST_DIRECTIONS).max(axis=1) > 0.99]

@@ -19,7 +19,7 @@ from ..recording import JOINTS, Recording
 from .timestamps import synthetic_stamps
 from .visibility import accepted_samples, find_gaps, visible_frames
 
-#: Growth of the error in a gap, m/s, alone and with a shoulder; of an IMU of at least so many Hz.
+#: Growth of the error in a gap, m/s, alone and with a shoulder; of an IMU of at least this many Hz.
 GROWTH_ALONE, GROWTH_WITH_SHOULDER, FULL_RATE_HZ = 0.007, 0.0035, 80.0
 #: What a mounting that does not show makes of it.
 UNKNOWN_MOUNTING = 2.0
@@ -117,9 +117,9 @@ def allowance(recording: Recording) -> Allowance:
 def _obstacles(recording: Recording) -> Iterator[str]:
     arm, imu = recording.arm, recording.imu
     if not imu.rate_hz >= TOO_SLOW_HZ:
-        yield f"the IMU has {imu.rate_hz:.2g} samples a second, where 40 are needed and 80 are better"
+        yield f"the IMU has {imu.rate_hz:.2g} samples per second, where 40 are needed and 80 are better"
     if not arm.rate_hz >= CAMERA_SLOW_HZ:
-        yield f"the camera has {arm.rate_hz:.2g} frames a second, where 15 are needed"
+        yield f"the camera has {arm.rate_hz:.2g} frames per second, where 15 are needed"
     if not any(joint in arm.present for joint in JOINTS if joint != "shoulder"):
         yield "the forearm is never tracked"
     if arm.pixel_rad is not None and all(camera.pose is None for camera in recording.cameras):
@@ -165,7 +165,7 @@ def _undetermined(recording: Recording) -> Iterator[str]:
 
 
 def _noise_and_speed(t_s: FloatArray, position: FloatArray) -> tuple[float, float]:
-    """White noise of a joint, m an axis, and its rms speed, m/s; pairs of frames far apart are left out."""
+    """White noise of a joint, m per axis, and its rms speed, m/s; pairs of frames far apart are left out."""
     step = np.diff(t_s)
     near = step < 1.6 * np.median(step)
     velocity = np.diff(position, axis=0)[near] / step[near, None]

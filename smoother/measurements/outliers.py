@@ -48,10 +48,11 @@ def noise_key(joint: str, camera: int = 0) -> str:
     return joint if camera == 0 else f"{joint}@{camera}"
 
 
-#: A fourth difference counts as none below this part of the joint's usual one, and of the step from sample
-#: to sample: cameras that smooth (Kinect v1) are nearly free of noise where an arm rests, not where it moves.
+#: A fourth difference is treated as none below this part of the joint's usual one, and of the step from
+#: sample to sample: cameras that smooth (Kinect v1) are nearly free of noise where an arm rests, not where it
+#: moves.
 PART, PART_OF_STEP = 0.02, 0.01
-#: So many in a row are no accident.
+#: This many in a row are no accident.
 IN_A_ROW = 4
 #: Samples that the fourth difference is made of.
 STENCIL = 5

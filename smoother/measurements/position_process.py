@@ -3,7 +3,7 @@
 Feng (Glasgow thesis, 2014), chapter 4: positions at a high rate have the prior N(0, Sigma); the camera sees
 some of them (K_p, 4.17), the accelerometer their second differences (K_a, 4.13, each belonging to the centre
 of its three), and the joint covariance of all measurements is K Sigma K' plus their noise (4.21). K Sigma K'
-is written out here as differences of the kernel, so frames and samples may lie at any times, and the second
+is written out here as differences of the kernel, so frames and samples may be at any times, and the second
 difference keeps its own step whatever the IMU's rate: a step of 1/1000 s would leave nothing but rounding.
 """
 

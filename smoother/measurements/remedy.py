@@ -1,4 +1,4 @@
-"""What mends a recording whose set-up was wrong in a way that can be undone: axes, names, signs."""
+"""What corrects a recording whose set-up was wrong in a way that can be undone: axes, names, signs."""
 
 from __future__ import annotations
 

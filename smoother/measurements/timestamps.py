@@ -18,7 +18,7 @@ CAMERA_RATES_HZ = np.array(
 )
 RATE_TOLERANCE = 0.01
 
-#: Longest interval between IMU samples that is bridged, s (or so many sample periods).
+#: Longest interval between IMU samples that is bridged, s (or this many sample periods).
 PAUSE_S = 0.1
 PAUSE_SAMPLES = 5.0
 #: Stamps that scatter by more than this part of a tick are dejittered; what departs from the tick more
@@ -100,7 +100,7 @@ def synthetic_stamps(t_s: FloatArray) -> bool:
     return bool(np.min(np.abs(1.0 / dt.mean() / CAMERA_RATES_HZ - 1.0)) > RATE_TOLERANCE)
 
 
-#: Counters of devices start anew after so many seconds: 2^32 of us, ms, ns and 30 us; 2^24 of 1/32768 s;
+#: Counters of devices start anew after this many seconds: 2^32 of us, ms, ns and 30 us; 2^24 of 1/32768 s;
 #: 2^16 of ms; a day.
 WRAPS_S = (
     2**32 * 1e-6,
@@ -111,7 +111,7 @@ WRAPS_S = (
     2**16 * 1e-3,
     86_400.0,
 )
-#: After a wrap the next stamp follows within so many ticks, or so long, s.
+#: After a wrap the next stamp follows within this many ticks, or so long, s.
 WRAP_TICKS, WRAP_S = 50.0, 1.0
 #: A step is a repeat or a burst's where it is shorter than this part of a tick; stamps with a smaller share
 #: of those are left as they are.
@@ -120,11 +120,11 @@ SHORT_STEP, FEW = 0.25, 0.003
 PAUSE_TICKS, PAUSE_S = 4.0, 0.08
 #: Stamps that catch up do so within this time, s; the level before a pause is taken over the second.
 CATCH_UP_S, BEFORE_S = 6.0, 1.0
-#: Stamps' level is taken over so long, s; so many of them are compared with their neighbours.
+#: Stamps' level is taken over so long, s; this many of them are compared with their neighbours.
 LEVEL_S, LEVELS = 2.0, 5
 #: A sensor is even where its rate over `LEVEL_S` scatters by no more than this part.
 EVEN = 0.04
-#: Of a level before or after a step at most about so many samples are ranked.
+#: Of a level before or after a step at most about this many samples are ranked.
 QUICK = 100
 #: With fewer samples nothing is estimated.
 FEWEST = 50
@@ -202,7 +202,7 @@ def counted(counter: IntArray, wraps: int) -> tuple[IntArray, int]:
 
 
 def needs_counting(t_s: FloatArray) -> bool:
-    """Whether so many stamps (N,) repeat, go back or come too close that they are not the samples' own."""
+    """Whether this many stamps (N,) repeat, go back or come too close that they are not the samples' own."""
     dt = np.diff(t_s)
     if len(dt) < FEWEST:
         return bool((dt <= 0).any())
@@ -221,7 +221,7 @@ def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | N
     t_s : ndarray, shape (N,), s
         Stamps in the order of the samples.
     number : ndarray of int, shape (N,), optional
-        Of each sample, where a counter tells how many were lost; without it pauses show in the stamps.
+        Of each sample, where a counter shows how many were lost; without it pauses show in the stamps.
 
     Returns
     -------
@@ -330,11 +330,12 @@ def _level(departure: FloatArray, number: IntArray, tick: float) -> tuple[FloatA
 _INTERVALS, _LEAST_S = 2.5, 0.05
 #: More steps back in a file are no clock that somebody set.
 _MOST_RESETS = 6
-#: So many steps on both sides are regular: this share of them lies within these parts of the usual interval.
+#: This many steps on both sides are regular: this share of them lies within these parts of the usual
+#: interval.
 _BESIDE, _REGULAR = 12, (0.25, 3.0, 0.8)
 #: Fewer than this on one side tell nothing.
 _FEWEST_ROWS = 4
-#: The level of the stamps is compared over so many rows; it falls by the step, to this part of it.
+#: The level of the stamps is compared over this many rows; it falls by the step, to this part of it.
 _LEVEL_ROWS, _SAME = 50, 0.3
 
 
@@ -394,7 +395,7 @@ def clock_resets(
 
 
 def begins_frames(time: FloatArray, kind: IntArray) -> bool:
-    """Whether a table of a row a joint holds frame after frame though its times go back here and there.
+    """Whether a table of one row per joint holds frame after frame though its times go back here and there.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def joints_needed(arm: JointTracks) -> int:
 
 
 def enough_joints(accepted: BoolArray, needed: int) -> BoolArray:
-    """Frames (F,) with so many accepted forearm joints; with one, the camera saw something of the forearm."""
+    """Frames (F,) with this many accepted forearm joints; with one, the camera saw some of the forearm."""
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     return accepted[:, forearm].sum(axis=1) >= needed
 
@@ -116,7 +116,7 @@ def find_gaps(t_s: FloatArray, visible: BoolArray, start_s: float, end_s: float)
 
 
 def occluded_at(t_s: FloatArray, gaps: tuple[Gap, ...]) -> BoolArray:
-    """Which times lie in a gap; the visible frames at its ends do not.
+    """Which times are in a gap; the visible frames at its ends do not.
 
     Parameters
     ----------

@@ -87,7 +87,7 @@ def angle_figures(name: str, angle: FloatArray, occluded: BoolArray, rate_hz: fl
 
 
 def zone_figures(name: str, angle: FloatArray, occluded: BoolArray) -> dict[int, Figure]:
-    """Percent of the time that an angle is known in which it lies in each zone of 10 degrees.
+    """Percent of the time that an angle is known in which it is in each zone of 10 degrees.
 
     Parameters
     ----------

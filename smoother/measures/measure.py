@@ -51,7 +51,7 @@ class Figure(NamedTuple):
     value : float
         nan where it cannot be measured.
     share : float, 0 to 1
-        Of it that rests on recovered samples.
+        Of it that comes from recovered samples.
     """
 
     value: float
@@ -91,7 +91,7 @@ class Measure:
     sigma : float
         Standard deviation by the draws; nan without them.
     recovered_share : float, 0 to 1
-        How much of it rests on samples that the camera did not see.
+        How much of it comes from samples that the camera did not see.
     scope : {"session", "movement", "repetition"}
         What it is of.
     movement : int, optional
@@ -103,7 +103,7 @@ class Measure:
     note : str
         What to know of it; where the value is nan, why.
     untrusted_share : float, 0 to 1
-        How much of it rests on samples that are not to be trusted (`Recovery.trusted`).
+        How much of it comes from samples that are not to be trusted (`Recovery.trusted`).
     """
 
     key: str

@@ -157,7 +157,7 @@ class Measuring:
     drawn : DrawnFigures
         Those of the drawn motions.
     untrusted : dict of Place to dict of str to Figure
-        The answer's figures with the share that rests on samples not to be trusted; empty where all are.
+        The answer's figures with the share that comes from samples not to be trusted; empty where all are.
     """
 
     recovery: Recovery
@@ -340,7 +340,7 @@ def _notes(measuring: Measuring) -> list[str]:
         )
     if motion.hand_joint != "hand":
         instead = "the IMU" if motion.hand_joint == "imu" else f"the {motion.hand_joint}"
-        notes.append(f"The recording has no hand: {instead} stands for it.")
+        notes.append(f"The recording has no hand; {instead} is used instead.")
     figure = measuring.answer.get(SESSION, {}).get("shoulder_rotation_range_deg")
     turned = float("nan") if figure is None else figure.value
     if turned > WIDE_ROTATION_DEG:
@@ -351,7 +351,7 @@ def _notes(measuring: Measuring) -> list[str]:
         )
     if (recovery.trunk is None or not recovery.trunk.by_imu) and motion.R_K_T is not None:
         notes.append(
-            "No IMU is on the trunk: it counts as upright and facing the camera, for the shoulder's angles"
-            " and for where mouth, head and back are."
+            "There is no IMU on the trunk: it is assumed upright and facing the camera, for the shoulder's"
+            " angles and for where mouth, head and back are."
         )
     return notes

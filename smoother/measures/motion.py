@@ -354,7 +354,7 @@ _STEP = np.gradient(_LEFT)
 
 
 # Flexion is the length of a vector, the bend, and errors of that vector make it longer: a straight arm
-# known to 3 degrees an axis is 4 degrees bent on average and 12 at some time, and drawn motions, which have
+# known to 3 degrees per axis is 4 degrees bent on average and 12 at some time, and drawn motions, which have
 # that error twice, are bent still more. Squares of sines add up: from the answer's mean square the stated
 # variance of the error is taken, and all flexion is made smaller by the factor that this leaves. (The bias
 # is that of the magnitude of noisy complex images: Koay and Basser, J Magn Reson 179:317-322, 2006; to

@@ -61,7 +61,7 @@ def match_cost(pattern: FloatArray, series: FloatArray) -> tuple[FloatArray, Int
 
 
 def _moved(path: tuple[FloatArray, FloatArray, IntArray], by: int) -> tuple[FloatArray, FloatArray, IntArray]:
-    """The entries of so many columns before; where there are none no path ends."""
+    """The entries of this many columns before; where there are none no path ends."""
     total, weight, start = (_later(part, by) for part in path)
     total[:by] = np.inf
     return total, weight, start

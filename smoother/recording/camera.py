@@ -33,7 +33,7 @@ class CameraFrame(StrEnum):
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where a camera {C} stands in the frame {K} of the recording's first one.
+    """Where a camera {C} is in the frame {K} of the recording's first one.
 
     Attributes
     ----------

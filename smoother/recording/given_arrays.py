@@ -49,7 +49,7 @@ def joints_of(
     """Joints by name at checked times (n,); tracked where they are finite, if no state says otherwise."""
     unknown = sorted({*joints, *states} - set(JOINTS))
     if unknown:
-        raise RecordingError(f"{name}: {unknown[0]} is no joint; joints are {', '.join(JOINTS)}")
+        raise RecordingError(f"{name}: {unknown[0]} is not a joint; joints are {', '.join(JOINTS)}")
     position = np.full((len(t), len(JOINTS), 3), np.nan)
     state = np.zeros((len(t), len(JOINTS)), np.int8)
     for joint, values in joints.items():
@@ -66,7 +66,7 @@ def direction_of(down: FloatArray, name: str) -> FloatArray:
     """The direction of down (3,)."""
     direction = _rows(down, (3,), "gravity_hint", name, finite=True)
     if not 1e-6 < np.linalg.norm(direction) < 1e6:
-        raise RecordingError(f"{name}: gravity_hint is no direction; give the direction of down")
+        raise RecordingError(f"{name}: gravity_hint is not a direction; give the direction of down")
     return direction
 
 

@@ -37,7 +37,7 @@ NEARLY_MIRRORED, NEARLY_MOUNTED = 12.0, 5.0
 SIGMAS, APART_DEG, APART_M = 4.0, 12.0, 0.08
 #: Of these limits this part counts for a mirrored skeleton, which changes the curve between a gap's ends too.
 MIRRORED_PART = 0.5
-#: A gap that is shorter hides nothing, s; of a longer one at most so many samples are looked at.
+#: A gap that is shorter hides nothing, s; of a longer one at most this many samples are looked at.
 SHORTEST_S, MOST_SAMPLES = 0.25, 200
 
 

@@ -23,7 +23,7 @@ from .samples import ElbowAxis, FurtherAnswer, SectionAnswer, bone_axes
 
 
 def blend(column: NDArray, rows: slice, value: FloatArray, share: FloatArray) -> None:
-    """Write the values to rows, over what stands there by the share (k,) of the way.
+    """Write the values to rows, over what is there by the share (k,) of the way.
 
     Where only one of the two is known, it counts; values of the share 1 stand as they are.
     """

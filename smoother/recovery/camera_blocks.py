@@ -44,8 +44,8 @@ MOST_EXCLUDED = 0.4
 #: .. and with no more than this left out the rest still says by chance whether camera and IMU are a pair.
 FEW_EXCLUDED = 0.15
 #: A slice of so long, s, is readmitted where its mean error in sigmas squared / 3 is below this; the camera's
-#: slow error, m an axis, or its whole noise where that is more, counts into sigma, and the prediction has to
-#: be this good, m an axis: another 18 cm are then told from none.
+#: slow error, m per axis, or its whole noise where that is more, counts into sigma, and the prediction has to
+#: be this good, m per axis: another 18 cm are then distinguished from none.
 SLICE_S, READMITTED = 0.5, 3.0
 SLOW_M, PREDICTED_M = 0.017, 0.05
 #: The camera's shoulder is readmitted with them where it is no farther from the answer's, m.
@@ -308,7 +308,7 @@ def left_out(recording: Recording, recovery: Recovery, times: Sequence[Suspect])
         t, seen = np.asarray(recovery.arm.t_s)[own], tracked[own][:, 1:].any(axis=1)
         suspected = [each[:2] for each in times if each.camera == camera]
         beside = [(start_s - BESIDE_S, end_s + BESIDE_S) for start_s, end_s in suspected]
-        rejected = list(_mostly_rejected(recovery, own))  # the answer has not followed what lies beside these
+        rejected = list(_mostly_rejected(recovery, own))  # the answer has not followed what is beside these
         for visible in _visible_runs(t, seen):
             first_s, last_s = float(t[visible.start]), float(t[visible.stop - 1])
             near = [

@@ -30,7 +30,7 @@ from ..selfcal.mounting import ClosedForm, closed_form
 from ..selfcal.pairing import synchronise_coarsely
 from .trust import GRAVITY_DEG, LEVER_ARM_M, input_faults, swapped_joints
 
-#: Of frames, at most so many say on which side of the camera the arm is.
+#: Of frames, at most this many say on which side of the camera the arm is.
 MOST_FRAMES = 20_000
 #: Degrees in a radian.
 DEGREES = float(np.degrees(1.0))
@@ -257,7 +257,7 @@ def _other_arm(recording: Recording, as_it_is: ClosedForm) -> Iterator[tuple[flo
     exchanged = by_remedy(Remedy(sides=True), "left and right of the skeleton seem exchanged")
     try:
         fit = closed_form(synchronise_coarsely(exchanged.corrected(recording))[0])
-    except CalibrationError:  # the motion does not tell the clock
+    except CalibrationError:  # the motion does not show the clock
         return
     if fit is not None and fit.fits and fit.misfit < CLEARLY * as_it_is.misfit:
         yield fit.misfit, exchanged

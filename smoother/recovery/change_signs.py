@@ -110,7 +110,7 @@ def _unfelt(batch: Recovery, rate: FloatArray, usual_s: float) -> FloatArray:
 #: Down before and after a moment is averaged over these times, s; both must show the jump.
 BEFORE_AFTER_S = (3.0, 5.0)
 STEP_S = 0.5
-#: A jump of down is one from here on, degrees, and so many times what is usual in the recording: simulated
+#: A jump of down is one from here on, degrees, and this many times what is usual in the recording: simulated
 #: arms and BROAD's fast trials stay below 9, a strap that slips by 15 shows 9 to 18.
 JUMP_DEG, JUMP_TIMES_USUAL = 9.0, 3.0
 #: A smaller one, of a forearm that stood upright, is one where the answer leaves the gyroscope as well, by so
@@ -135,8 +135,8 @@ TURNED_DEG, TURNED_SIGMAS, TURNED_SHARE = 4.5, 3.5, 0.7
 #: Fewer filled samples are not worth a word.
 FEW_FILLED = 5
 #: An IMU lies still that turns by less than this, rad/s (mean over so long, s), for so long, s. The forearm
-#: turns where more than a share of at least so many frames is this far from their median direction: noise of
-#: 3 cm on a forearm is 7 degrees.
+#: turns where more than a share of at least this many frames is this far from their median direction: noise
+#: of 3 cm on a forearm is 7 degrees.
 STILL_RAD_S, STILL_MEAN_S, STILL_S = 0.03, 0.1, 3.0
 STILL_TURN_DEG, STILL_SHARE, STILL_FRAMES = 20.0, 0.2, 30
 
@@ -364,6 +364,6 @@ def skeleton_filled(recovery: Recovery) -> Iterator[str]:
     count = int(np.count_nonzero(recovery.residuals.reason == Rejection.INTERPOLATED))
     if count > FEW_FILLED:
         yield (
-            f"a program filled gaps of the skeleton and called them tracked ({count} samples of joints lie on"
-            " lines or cubics): these count as not seen; export the skeleton without filling and filtering"
+            f"a program filled gaps of the skeleton and called them tracked ({count} samples lie on lines"
+            " or cubics): treated as not seen; export the skeleton without filling and filtering"
         )

@@ -36,7 +36,7 @@ FRAME_RATE_HZ, ATTITUDE_RATE_HZ = 10.0, 120.0
 FEWEST_FRAMES = 12
 #: How far a camera is tilted from what its frame has as down, one sigma, rad.
 DOWN_SIGMA_RAD = np.radians(15.0)
-#: How long a joint's lever arm is beyond the answer's, one sigma an axis, m.
+#: How long a joint's lever arm is beyond the answer's, one sigma per axis, m.
 LEVER_SIGMA_M = 0.10
 #: Residuals are taken to scatter by this at least, rad and m/s^2.
 LEAST_RAD, LEAST_ACCELERATION = np.radians(3.0), 0.15

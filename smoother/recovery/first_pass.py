@@ -1,7 +1,7 @@
 """The first pass: every section alone, for what all sections share.
 
-Of a long recording it asks some windows of each section only, those that tell most: what all share is known
-long before every window has been selected.
+Of a long recording it asks some windows of each section only, those that are most informative: what all share
+is known long before every window has been selected.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class FirstAnswer:
     messages : list of Message
         On the shared quantities, one of each of these.
     strengths : tuple of ndarray
-        Of the magnetic field where it was read, one a window.
+        Of the magnetic field where it was read, one per window.
     clock_score : ClockScore
         On the clock, of one window.
     """
@@ -156,7 +156,7 @@ class SecondJob:
 
 @dataclass
 class FirstPass:
-    """The answers of all sections, in the order of time; their states lie in a store.
+    """The answers of all sections, in the order of time; their states are in a store.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ class FirstPass:
     clock_scores : list of ClockScore
         One a section.
     strengths : list of ndarray
-        Of the magnetic field, one a window; empty without a magnetometer.
+        Of the magnetic field, one per window; empty without a magnetometer.
     """
 
     store: Store

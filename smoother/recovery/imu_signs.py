@@ -32,23 +32,23 @@ from ..units import STANDARD_GRAVITY
 
 #: An IMU slower than this, Hz, says too little; one slower than the second is used with care.
 TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
-#: A range's end is a plateau: so many samples of an axis at its largest value, so many of them in a row.
+#: A range's end is a plateau: this many samples of an axis at its largest value, this many of them in a row.
 PLATEAU_SAMPLES, PLATEAU_IN_A_ROW = 12, 3
-#: Where a larger share of the samples stands at a range's end, the IMU missed too much.
+#: Where a larger share of the samples is at a range's end, the IMU missed too much.
 PLATEAU_SHARE = 0.02
-#: So many samples in a row without any force are no measurement.
+#: This many samples in a row without any force are no measurement.
 SILENT_SAMPLES = 3
 #: So much of a gap, s, within a pause of the IMU is motion that nothing measured.
 UNSEEN_S = 0.3
 #: The accelerometer's scale is off where specific force differs from gravity by a larger part: used with
 #: care, and not to be trusted.
 SCALE_CARE, SCALE_WRONG = 0.05, 0.15
-#: And by so many of its sigmas.
+#: And by this many of its sigmas.
 CARE_SIGMAS, WRONG_SIGMAS = 2.0, 3.0
 #: Specific force is averaged over so long a time, s, or a shorter recording of so much at least; at most so
 #: many times in a recording.
 FORCE_S, LEAST_FORCE_S, MOST_FORCES = 4.0, 1.5, 300
-#: By how much velocity differs between two moments, m/s; the bias of an accelerometer, m/s^2 an axis: one of
+#: By how much velocity differs between two moments, m/s; the bias of an accelerometer, m/s^2 per axis: one of
 #: 0.1 g along one axis is known of sound recordings.
 VELOCITY_CHANGE, ACCELEROMETER_BIAS = 0.7, 0.05 * STANDARD_GRAVITY
 #: The least sigma of such an average, m/s^2, and the length of a residual, in sigmas, that counts in full.
@@ -69,9 +69,9 @@ def input_faults(recording: Recording) -> Iterator[str]:
 
 
 def rate(imu: ImuStream, least_hz: float) -> Iterator[str]:
-    """Fewer samples a second than needed."""
+    """Fewer samples per second than needed."""
     if imu.rate_hz < least_hz:
-        yield f"the IMU has {imu.rate_hz:.2g} samples a second, where 40 are needed and 80 are better"
+        yield f"the IMU has {imu.rate_hz:.2g} samples per second, where 40 are needed and 80 are better"
 
 
 def zeros(imu: ImuStream) -> Iterator[str]:
@@ -88,7 +88,7 @@ def zeros(imu: ImuStream) -> Iterator[str]:
     ]
     if silent:
         count, first_s = sum(rows.stop - rows.start for rows in silent), float(imu.t_s[silent[0].start])
-        yield f"the IMU sends zeros ({count} samples, from {first_s:.1f} s on): take them out"
+        yield f"the IMU sends zeros ({count} samples, from {first_s:.1f} s on): remove them"
 
 
 def paused_in_gaps(recording: Recording) -> Iterator[str]:
@@ -117,7 +117,7 @@ def clipped(imu: ImuStream, least_share: float) -> Iterator[str]:
 
 
 def _at_a_ranges_end(values: FloatArray) -> tuple[BoolArray, list[float]]:
-    """Samples (N,) of a sensor (N, 3) that stand at the end of its range, and where that is."""
+    """Samples (N,) of a sensor (N, 3) that are at the end of its range, and where that is."""
     limits, at_end = [], np.zeros(len(values), dtype=bool)
     for axis in np.asarray(values).T:
         for limit in _plateaus(axis):
@@ -186,7 +186,7 @@ def force_scale(imu: ImuStream, gyroscope_bias: FloatArray) -> ForceScale | None
     basis = np.column_stack([np.full(len(size), STANDARD_GRAVITY), up, -STANDARD_GRAVITY * lost])
     prior = np.diag([1e-9, *[ACCELEROMETER_BIAS**-2] * 3, GYROSCOPE_FAULT**-2])
     weight = sigma**-2
-    for _ in range(10):  # Huber's: a jolt or a knock is no gravity
+    for _ in range(10):  # Huber's: a jolt or a knock is not gravity
         normal = basis.T @ (weight[:, None] * basis) + prior
         found = np.linalg.solve(normal, basis.T @ (weight * size))
         far = np.abs(size - basis @ found) / sigma / HUBER

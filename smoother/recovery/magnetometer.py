@@ -195,7 +195,7 @@ def judge(means: Sequence[FieldMean]) -> Magnetometer:
             by_window.setdefault(mean.window, []).append(mean)
     used = int(good.sum())
     sigma_deg = np.degrees(max(sigma, FACTOR_SIGMA_RAD))
-    note = f"the magnetometer takes part, the field's direction counts as known to {sigma_deg:.1f} degrees"
+    note = f"the magnetometer is used, with a sigma of {sigma_deg:.1f} degrees for the field's direction"
     if used < len(means):
         note += f"; it was left out in {len(means) - used} of {len(means)} places, as it disagrees there"
     measurements = {

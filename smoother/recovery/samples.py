@@ -190,7 +190,7 @@ def turning(t: FloatArray, R: FloatArray) -> FloatArray:
 
 
 def unknown_mounting(model: SelfCalibration) -> tuple[float, float]:
-    """Standard deviations that the mounting adds to the IMU's pose, m and rad an axis; mostly zero."""
+    """Standard deviations that the mounting adds to the IMU's pose, m and rad per axis; mostly zero."""
     if model.mounting_unknown:
         return UNKNOWN_LEVER_M, UNKNOWN_RAD
     return (0.0 if np.isnan(model.interrupted_s) else UNKNOWN_LEVER_M), 0.0
@@ -329,7 +329,7 @@ def frame_residuals(
 
 #: An elbow straighter than this (sine of its flexion) does not show its axis.
 MIN_ELBOW_SIN = 0.3
-#: Samples of the axis that far apart count as independent, s.
+#: Samples of the axis that far apart are treated as independent, s.
 APART_S = 1.0
 
 

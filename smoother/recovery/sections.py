@@ -26,7 +26,7 @@ CONTEXT_S = 12.0
 FURTHER_MORE_S = 0.5
 #: A border may be so far from its even place, as a share of the sections' length; there is none otherwise.
 FARTHEST = 0.45
-#: Visible time that a border lacks around it counts as so many times as much distance from its place.
+#: Visible time that a border lacks around it is treated as this many times as much distance from its place.
 VISIBILITY_PENALTY = 5.0
 
 

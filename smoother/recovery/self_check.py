@@ -41,10 +41,10 @@ APART_S, STEP_S = 0.25, 0.1
 REFERENCES = ("wrist", "strap", "hand", "elbow")
 #: Squared sigmas within which 95 % of three normal numbers lie.
 INSIDE_95 = 7.815
-#: A stretch fails where its mean squared error is so many times what is stated, and the error so large, m:
+#: A stretch fails where its mean squared error is this many times what is stated, and the error so large, m:
 #: the worst of twelve sound simulated recordings was 2.1.
 FAILED_NEES, FAILED_M = 6.0, 0.05
-#: So many stretches have to speak before sigma is widened; it is never widened more.
+#: This many stretches have to speak before sigma is widened; it is never widened more.
 ENOUGH, LARGEST_FACTOR = 8, 3.0
 
 

@@ -31,11 +31,11 @@ from .magnetometer import FieldObservation, takes_part
 from .samples import frame_residuals
 from .sections import Sections
 
-#: With more windows than this the first pass asks some of each section only, so many in all.
+#: With more windows than this the first pass asks some of each section only, this many in all.
 ASKED_WINDOWS = 40
 #: Visible stretches that are hidden to check the answer, of a recording, about, and of a section at most.
 STRETCHES, MOST_IN_SECTION = 12, 6
-#: With so many sections the clock is found anew from all of them: it wanders over a long recording.
+#: With this many sections the clock is found anew from all of them: it wanders over a long recording.
 CLOCK_SECTIONS = 5
 
 
@@ -61,11 +61,11 @@ class Task:
     with_clock : bool
         The first pass asks every section for the clock.
     asked_windows : int
-        So many windows of each section it asks for what all share; 0 = all.
+        This many windows of each section it asks for what all share; 0 = all.
     plan : DrawPlan or None
         Of the motions to draw from the posterior in the second pass; None where not asked for.
     stretches : int
-        So many visible stretches of each section are hidden to check the answer.
+        This many visible stretches of each section are hidden to check the answer.
     usual_gap_s : float, s
         How long the recording's gaps are.
     """
@@ -194,7 +194,7 @@ class SectionState:
     trajectory : Trajectory or None
         The first pass's; None where it selected some of the windows only.
     observations : tuple of FieldObservation
-        What the magnetometer read, one a window; empty without one.
+        What the magnetometer read, one per window; empty without one.
     outliers_rejected : bool
         Samples that the first pass contradicts are out already.
     """

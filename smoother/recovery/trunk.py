@@ -88,7 +88,7 @@ def _motion(
             _fill(quaternion, covariance, recovery.t_s, start, line, mount, up_K)
     offset_s = recovery.clock_offset_s + mount.offset_s
     motion = TrunkMotion(quaternion, covariance, mount.R_T_D, mount.sigma_rad, offset_s, name)
-    return motion, f"{name} is used on the trunk; its usual posture counts as upright"
+    return motion, f"{name} is used on the trunk; its usual posture is assumed upright"
 
 
 class _TrunkData:

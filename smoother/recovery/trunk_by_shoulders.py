@@ -21,7 +21,7 @@ from ..selfcal.trunk_mount import GIRDLE_M
 SECTION_S = 60.0
 #: Frames of both arms that are so near are the same one, s; shoulders lie so far apart, m.
 SAME_FRAME_S, WIDTH_M = 0.005, (0.15, 0.6)
-#: Constant error of a shoulder, m an axis, where the recording does not show how large such errors are.
+#: Constant error of a shoulder, m per axis, where the recording does not show how large such errors are.
 JOINT_BIAS_M = 0.01
 #: A heading is the mean of the frames so near, s (one standard deviation of the weights): errors of skeletons
 #: last some tenths of a second. Farther than this from a frame there is none, s.

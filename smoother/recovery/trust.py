@@ -40,7 +40,7 @@ from .imu_signs import (
     zeros,
 )
 
-#: A bone's length varies less than this, m, and less than this part of what is no bone: upper arms vary by
+#: A bone's length varies less than this, m, and less than this part of what is not a bone: upper arms vary by
 #: 0.01 to 0.03, shoulder to wrist by 0.06 to 0.12 as the elbow bends.
 BONE_SIGMA_M, BONE_PART = 0.05, 0.4
 FEWEST_FRAMES, MOST_FRAMES = 50, 20_000
@@ -49,7 +49,7 @@ NEARER = 0.6
 #: From the elbow the hand is 1.24 times as far as the wrist in the median of 670 arms of a Kinect v1, 1.02
 #: times at least.
 HAND_NEARER = 0.93
-#: A sensor nearer to the joint called elbow than to the wrist by this, m, and by so many sigmas, is on
+#: A sensor nearer to the joint called elbow than to the wrist by this, m, and by this many sigmas, is on
 #: a forearm whose joints are exchanged; unless the camera shows the names to be right: the wrist's distance
 #: from the shoulder varies by this, m, and the elbow's by less than this part of it.
 NEARER_M, NEARER_SIGMAS = 0.05, 4.0
@@ -158,11 +158,11 @@ FRAME_DEG = 40.0
 #: Where the camera sees a joint, the answer is nearer than this in half of the frames, m: simulated arms stay
 #: below 0.03, Kinect v1 with synthetic stamps below 0.08 (some above 0.05), wrong set-ups begin at 0.1.
 NEAR_M, FAR_M = 0.05, 0.08
-#: A joint's own noise is less, m an axis.
+#: A joint's own noise is less, m per axis.
 JOINT_SIGMA_M = 0.05
 #: Where more of the tracked samples are rejected, camera and IMU contradict each other.
 REJECTED_SHARE = 0.30
-#: A measured clock is contradicted where the motion moves it by so many of its sigmas, and by so much, s.
+#: A measured clock is contradicted where the motion moves it by this many of its sigmas, and by so much, s.
 MEASURED_SIGMAS, MEASURED_S = 4.0, 0.01
 #: Elbow to "wrist" against the upper arm, and in m, from here on: the wrist is likely to be the hand
 #: (Kinect v1: 0.79 to 0.99 to the wrist, 0.94 to 1.23 to the hand).
@@ -171,7 +171,7 @@ HAND_RATIO, HAND_M = 1.02, 0.32
 SHORTEST_GAP_S = 0.25
 #: More hidden stretches than this share may not fail.
 FAILED_SHARE = 0.25
-#: Of frames, at most so many are looked at.
+#: Of frames, at most this many are looked at.
 MOST_FRAMES = 20_000
 
 
@@ -297,7 +297,7 @@ def _mirror_image(recording: Recording) -> Iterator[str]:
     mirrored = next((option for option in recording.applied_fixes if option.startswith("--mirror ")), None)
     if mirrored and "--negate accelerometer" in recording.applied_fixes:
         yield (
-            f"{mirrored} and --negate accelerometer mend the same sign, and together they mirror the whole"
+            f"{mirrored} and --negate accelerometer correct the same sign, and together they mirror the whole"
             " motion, which nothing in a recording shows: give one of the two, or neither"
         )
 

@@ -86,7 +86,7 @@ def _inside(table: GapTable) -> Iterator[tuple[object, ...]]:
 
 _TABLE = (
     "Each cell: median over gaps of the error in a gap (rms), and rms over all samples, cm. Inside 95 %: how"
-    " many of 100 samples lie in the region that the method states for 95; a dash where it states none."
+    " many of 100 samples are in the region that the method states for 95; a dash where it states none."
 )
 _CURVES = (
     "Lines join the medians over the gaps of a length; bars (for the graph a band) reach from the 25 % to the"

@@ -73,7 +73,7 @@ def _sections(calibration: ClockCalibration) -> Iterator[str]:
 
 
 def residuals(leftover: Leftover) -> go.Figure:
-    """Residuals of a source over time, a colour a node."""
+    """Residuals of a source over time, one colour per node."""
     plot = go.Figure()
     names = np.array(leftover.node)
     first = float(leftover.t_s.min())

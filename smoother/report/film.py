@@ -53,7 +53,7 @@ class Film:
         rate_hz = (len(self.jpeg) - 1) / max(float(self.times_s[-1] - self.times_s[0]), 1e-9)
         return (
             f" The video is {self.source}, reduced to {rate_hz:.2g} pictures per second. It is part of this"
-            " page: whoever has the page sees the person."
+            " page: anyone who has the page sees the person."
         )
 
     def plain(self) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def video_film(path: Path, offset_s: float, recovery: Recovery) -> Film:
     Raises
     ------
     RecordingError
-        The file is not there, is no video, or shows another time.
+        The file is not there, is not a video, or shows another time.
     """
     import cv2
 
@@ -197,7 +197,7 @@ def check_video(path: Path) -> None:
         It is so.
     """
     if not path.is_file():
-        raise RecordingError(f"{path} does not exist; --video takes the file of a film.")
+        raise RecordingError(f"{path} does not exist; --video takes a video file.")
 
 
 def _times(recovery: Recovery) -> tuple[float, float]:

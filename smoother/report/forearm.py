@@ -23,7 +23,7 @@ from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, c
 
 #: The sensor is drawn as a cube of this size, and its axes so long, cm.
 CUBE_CM, AXIS_CM = 2.0, 4.5
-#: Ellipses hold 95 of 100 cases of two coordinates, at so many sigmas; of one coordinate these many.
+#: Ellipses hold 95 of 100 cases of two coordinates, at this many sigmas; of one coordinate these many.
 SIGMAS, SIGMAS_OF_ONE = 2.448, 1.96
 _CHAIN = ("elbow", "wrist", "hand")
 

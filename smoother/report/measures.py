@@ -33,7 +33,7 @@ def with_interval(row: Measure) -> str:
 
 
 def share(row: Measure | None) -> str:
-    """How much rests on recovered samples, in percent."""
+    """How much comes from recovered samples, in percent."""
     if row is None or not math.isfinite(row.recovered_share):
         return "–"
     return f"{100 * row.recovered_share:.0f}\u00a0%"
@@ -346,7 +346,7 @@ def _table(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> str:
 
 
 def _limits(arms: Sequence[Measures]) -> str:
-    """What limits the numbers: what is not known and why, what rests on recovered samples."""
+    """What limits the numbers: what is not known and why, what comes from recovered samples."""
     sentences: list[str] = []
     for arm in arms:
         mark = of_arm(arm, arms)
@@ -368,7 +368,7 @@ def _limits(arms: Sequence[Measures]) -> str:
             if is_main(row.key) and row.is_known and row.recovered_share > MOSTLY_RECOVERED
         ]
         if weak:
-            sentences.append(f"More than half of {listed(weak)}{mark} rests on recovered moments")
+            sentences.append(f"More than half of {listed(weak)}{mark} comes from recovered moments")
         sentences += arm.notes
     sentences = list(dict.fromkeys(sentences))
     if len(sentences) > MOST_LIMITS:

@@ -106,9 +106,9 @@ def write_report(
 def origin(recovery: Recovery) -> str:
     """When the recording was made, where its clock says so."""
     if recovery.origin_ns <= 0:
-        return "Times count from the recording's own zero."
+        return "Times are relative to the recording's own zero."
     start = datetime.datetime.fromtimestamp(recovery.origin_ns / 1e9, datetime.UTC)
-    return f"Times count from {start:%Y-%m-%d %H:%M:%S} UTC."
+    return f"Times are relative to {start:%Y-%m-%d %H:%M:%S} UTC."
 
 
 def sections(
@@ -355,8 +355,8 @@ _DRAWN = (
     " holds it in 95 of 100 cases, and so does ±."
 )
 _REJECTED = (
-    "Camera samples that called themselves tracked and took no part, by joint, a colour a reason; pale ticks"
-    " took part, gaps are shaded. A long line in one colour means that the camera was mistaken for that long;"
+    "Tracked camera samples that were not used, by joint, one colour per reason; pale ticks were used,"
+    " gaps are shaded. A long line in one colour means that the camera was mistaken for that long;"
     " single ticks here and there are ordinary."
 )
 

@@ -210,7 +210,7 @@ def world_page(calibration: WorldCalibration, notes: Sequence[str] = ()) -> Page
 def _world_sections(calibration: WorldCalibration, notes: Sequence[str]) -> Iterator[str]:
     judgement = world_table.verdict(calibration)
     yield listing(
-        "What to record next", judgement.next, "Nothing is missing: record the next session likewise."
+        "What to record next", judgement.next, "Nothing is missing: record the next session in the same way."
     )
     yield _world_answer(calibration)
     yield listing("What else was found", judgement.findings)

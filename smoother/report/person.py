@@ -24,7 +24,7 @@ SHOULDERS_TO_NECK, SHOULDERS_TO_HEAD, NOSE = 0.052, 0.125, 0.06
 STATURE_M, STATURES_M = 1.70, (0.9, 2.2)
 #: Between the shoulders of a person, m; others are mistakes of the camera.
 WIDTHS_M = (0.15, 0.6)
-#: A body moves slowly: it is drawn at no more than this many instants a second, and so many in all.
+#: A body moves slowly: it is drawn at no more than this many instants a second, and this many in all.
 RATE_HZ, MOST_FRAMES = 10.0, 5000
 #: The shoulder moves with the arm, the trunk hardly: shoulders are averaged over this time, s.
 SMOOTH_S = 2.0
@@ -44,7 +44,8 @@ def persons(arms: Sequence[PersonArm], frame: CameraFrame | None) -> list[dict[s
     Parameters
     ----------
     arms : sequence of (Recording or None, Recovery)
-        In one camera frame and on one clock; the other arm of a recording is drawn where it is no arm itself.
+        In one camera frame and on one clock; the other arm of a recording is drawn where it is not an arm
+        itself.
     frame : CameraFrame, optional
         The directions of the camera's axes.
 

@@ -157,7 +157,7 @@ def instants(recovery: Recovery, occluded: bool) -> IntArray:
 
 #: All arms together take no more than this before they are written as text; longer ones are decimated.
 MOST_BYTES = 5_500_000
-#: No more frames a second than this, and so many where there is no camera.
+#: No more frames per second than this, and this many where there is no camera.
 MOST_HZ, PLAIN_HZ = 60.0, 30.0
 #: A larger standard deviation is drawn as this one, m.
 LARGEST_SIGMA_M = 3.0
@@ -226,7 +226,7 @@ def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> di
     truth : Truth, optional
         Its reference.
     most_bytes : float
-        Longer recordings get fewer frames a second than the camera had.
+        Longer recordings get fewer frames per second than the camera had.
 
     Returns
     -------

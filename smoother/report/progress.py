@@ -80,7 +80,7 @@ def _verdict(progress: PersonProgress) -> Iterator[str]:
     if not progress.sessions:
         yield "No session can be used: see below why"
     elif not changes:
-        yield "There is one session only, so there is no change to speak of"
+        yield "There is one session only, so nothing can be compared"
     else:
         first, last = (_short(progress.sessions[place]) for place in (0, -1))
         clear = len(progress.clear)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 USUAL = ("elbow_flexion", "shoulder_elevation", "wrist", "error_95")
 #: A column of most journals is so wide, a page twice as much, cm; a row is so high.
 PAGE_CM, ROW_CM, CM_PER_INCH = 17.0, 3.6, 2.54
-#: A normal error is smaller than so many sigmas in 95 of 100 cases.
+#: A normal error is smaller than this many sigmas in 95 of 100 cases.
 SIGMAS_95 = 1.96
 #: More points than this across a page are not seen.
 MOST_POINTS = 6000
@@ -129,7 +129,7 @@ def _draw(axes: Axes, some: Recovery, label: str, lines: Lines) -> None:
     for run in runs(some.occluded):
         axes.axvspan(t[run.start], t[run.stop - 1], color="0.9", linewidth=0)
     for (name, value, sigma), colour in zip(lines, COLOURS, strict=False):
-        # a pause of the IMU is no line
+        # a pause of the IMU is not a line
         broken = np.where(
             np.diff(t, prepend=t[0]) > max(1.0, 5 * float(np.median(np.diff(t)))), np.nan, value
         )

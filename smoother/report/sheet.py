@@ -83,7 +83,7 @@ def write_sheet(
     two_pages : bool
         Print it in small type: what is short fits on two pages.
     tone : str
-        `ALARM` or `CARE`: the first sentences stand in red or amber.
+        `ALARM` or `CARE`: the first sentences are in red or amber.
     force : bool
         Overwrite a page that exists.
 
@@ -262,18 +262,18 @@ def _sentence(text: str) -> str:
 
 #: What both pages say of themselves.
 NO_DIAGNOSIS = (
-    "This page measures motion. It is no diagnosis, and says nothing of why a motion is as it is; what"
+    "This page measures motion. It is not a diagnosis and does not explain a motion; what"
     " follows from it is for the person who treats to decide."
 )
 TERMS = {
     "interval": (
         "95 % interval",
-        "if the recovery's own errors are as it states them, the true value lies between these two numbers in"
+        "if the recovery's own errors are as it states them, the true value is between these two numbers in"
         " 95 of 100 recordings. A wide interval is a poorly known value. The thin dark lines show it.",
     ),
     "recovered": (
         "recovered",
-        "how much of a value rests on moments that the camera did not see and that were calculated from the"
+        "how much of a value comes from moments that the camera did not see and that were calculated from the"
         " sensor on the wrist.",
     ),
     "clear": (

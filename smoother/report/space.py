@@ -1,4 +1,4 @@
-"""What lies in space, for the page's own canvas: packed numbers, the view, items that stand still."""
+"""What is in space, for the page's own canvas: packed numbers, the view, items that stand still."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SCALES = {
 
 
 def packed(values: FloatArray) -> dict[str, Any]:
-    """Numbers (n, c) as 16 bits each: their scale, an offset a column, base64; nan stays nothing."""
+    """Numbers (n, c) as 16 bits each: their scale, one offset per column, base64; nan stays nothing."""
     values = np.asarray(values, float)
     finite = np.isfinite(values)
     low = np.min(np.where(finite, values, np.inf), axis=0, initial=np.inf)
@@ -127,7 +127,7 @@ def space(
     ball: float | None = None,
     unit_of_values: str = "",
 ) -> str:
-    """A heading, a caption and what lies in space, to be turned; its legend switches names off and on.
+    """A heading, a caption and what is in space, to be turned; its legend switches names off and on.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def verdict(search: StrapFound) -> list[str]:
     sigma = 1e3 * float(np.sqrt(np.mean(np.median(search.sigma_m[good], axis=0) ** 2)))
     sentences = [
         f"the strap was found in {int(good.sum())} of {total} images ({100 * good.mean():.0f} %), the"
-        f" sensor's place to {sigma:.0f} mm an axis"
+        f" sensor's place to {sigma:.0f} mm per axis"
     ]
     along = search.along[good]
     middle = float(np.median(along))
@@ -72,7 +72,7 @@ def next_time(search: StrapFound) -> list[str]:
     return sentences or ["the same again: nothing is missing"]
 
 
-#: Profiles farther apart than so many steps are drawn apart.
+#: Profiles farther apart than this many steps are drawn apart.
 APART_STEPS = 2.5
 #: Columns of the picture of profiles.
 MOST_COLUMNS = 1600
@@ -83,7 +83,7 @@ def write_strap_report(
 ) -> None:
     """Write the page of a search for the strap."""
     subtitle = (
-        f"Colour {search.topics[0]}, depth {search.topics[1]}. Times count from the first colour image."
+        f"Colour {search.topics[0]}, depth {search.topics[1]}. Times are relative to the first colour image."
     )
     write_sheet(
         path, f"The strap in the images: {name}", subtitle, verdict(search), _sections(search), force=force

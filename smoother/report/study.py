@@ -47,7 +47,7 @@ def write_study(
     Parameters
     ----------
     rows : pyarrow.Table
-        One row a recording, columns as `study.folder` has them.
+        One row per recording, columns as `study.folder` has them.
     path : path-like
         The page to write.
     folder : path-like
@@ -330,4 +330,4 @@ def _notes(recovered: pa.Table) -> str:
     texts = pc.list_flatten(recovered["note_texts"].combine_chunks())
     counted = sorted(texts.value_counts().to_pylist(), key=lambda note: (-note["counts"], note["values"]))
     sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:20]]
-    return listing("What the results say of themselves", sentences, "Nothing.")
+    return listing("Notes in the results", sentences, "Nothing.")

@@ -19,7 +19,7 @@ from .sheet import ALARM, CARE
 
 #: A gap in which 95 of 100 errors need not lie below this needs care, m.
 WIDE_M = 0.10
-#: Time outside the gaps without any answer that is told, s.
+#: Time outside the gaps without any result that is reported, s.
 UNANSWERED_S = 1.0
 #: Below this share of camera samples inside their 95 % region the stated uncertainty is doubted.
 DOUBTFUL_SHARE = 0.80
@@ -30,7 +30,7 @@ OVER_CONFIDENT = 2.0
 def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
     """Sentences, a paragraph each: the verdict first, of what is not to be trusted its cause and remedy."""
     if not len(recovery):
-        return ["The result holds no sample."]
+        return ["The result has no sample."]
     gaps = gap_summaries(recovery)
     check = recovery.estimates.self_check
     checked = "" if check is None else check.sentence
@@ -67,7 +67,7 @@ def tone(recoveries: Sequence[Recovery]) -> str:
 
 
 def _what_is_wrong(estimates: Estimates) -> list[str]:
-    """The cause with what mends it, the other signs, and that the figures are withdrawn."""
+    """The cause with what corrects it, the other signs, and that the figures are withdrawn."""
     said = [estimates.verdict]
     remedies = [remedy for remedy in estimates.remedies if remedy not in estimates.verdict]
     if remedies:
@@ -108,7 +108,7 @@ def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
     without = ~recovery.answered & ~occluded_at(recovery.t_s, recovery.gaps)
     nothing_s = np.count_nonzero(without) / median_rate_hz(recovery.t_s)
     if nothing_s > UNANSWERED_S:
-        text = f"{text}. For {nothing_s:.1f} s more there is no answer at all"
+        text = f"{text}. For {nothing_s:.1f} s more there is no result"
     paused = len(pauses(recovery.t_s)) > 0
     return f"{text}. What was hidden while the IMU paused is not counted." if paused else f"{text}."
 
@@ -198,7 +198,7 @@ def _camera_doubts(recovery: Recovery) -> str:
         return ""
     worst = min(inside, key=lambda joint: inside[joint])
     return (
-        f"The answer and the camera disagree more than stated: of the {worst}'s samples that took part"
+        f"Result and camera disagree more than stated: of the {worst}'s samples that took part"
         f" {100 * inside[worst]:.0f} % lie where 95 % should. Take every uncertainty on this page for"
         " too small."
     )

@@ -102,7 +102,7 @@ def _too_uncertain(recovery: Recovery) -> str | None:
 
 
 def rejections(recovery: Recovery) -> str:
-    """Rejected camera samples, a row a reason and joint."""
+    """Rejected camera samples, one row per reason and joint."""
     rows = [
         (
             row.reason,
@@ -129,12 +129,12 @@ def camera(estimates: ArmEstimates) -> str:
         (joint, in_cm(error.sample_m), in_cm(error.bias_m) if error.bias_m > 0 else None)
         for joint, error in estimates.camera.items()
     ]
-    columns = ("camera's joint", "noise of a sample, cm an axis", "constant error against the others, cm")
+    columns = ("camera's joint", "noise of a sample, cm per axis", "constant error against the others, cm")
     return table(columns, rows)
 
 
 def cameras(recovery: Recovery) -> str:
-    """Where each camera of several stands, and what it saw, one a row."""
+    """Where each camera of several stands, and what it saw, one per row."""
     length_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) > 1 else float("nan")
     rows = [
         (
@@ -149,14 +149,14 @@ def cameras(recovery: Recovery) -> str:
         for each in recovery.estimates.cameras
     ]
     columns = (
-        *("camera", "place in the first one's frame, cm", "sigma, cm an axis", "sigma, degrees an axis"),
+        *("camera", "place in the first one's frame, cm", "sigma, cm per axis", "sigma, degrees per axis"),
         *("first clock less its own, ms", "saw the forearm", "remark"),
     )
     return table(columns, rows)
 
 
 def gaps(recovery: Recovery, validation: Validation | None = None) -> str:
-    """The gaps, one a row; with the errors in them where there is a reference."""
+    """The gaps, one per row; with the errors in them where there is a reference."""
     errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
     true = [_p95(errors.get(summary.gap.start_s)) for summary in gap_summaries(recovery)]
     with_errors = any(each is not None for each in true)
@@ -277,7 +277,7 @@ _AGREED = (
     "Answer minus reference over recordings or movements. Limits of agreement: 95 % of differences lie"
     " between them. ICC(2,1): 1 where both agree as well as subjects differ. MDC95, minimal detectable"
     " change: two sessions without any change differ by less, 95 times of 100 (1.96 sqrt(2) SEM; the"
-    " reference counts as free of error)."
+    " reference is treated as free of error)."
 )
 
 

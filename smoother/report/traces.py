@@ -32,7 +32,7 @@ from .style import (
     shade,
 )
 
-#: Of a normal number 95 of 100 lie within so many standard deviations.
+#: Of a normal number 95 of 100 lie within this many standard deviations.
 Z_95 = 1.96
 #: Samples of an angle farther apart than this are not joined, degrees.
 MOST_STEP_DEG = 120.0

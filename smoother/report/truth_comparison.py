@@ -86,8 +86,8 @@ def calibration_curves(
         figure.add_trace(curve(ends, ends, None, CAMERA, 1.2, "dash", showlegend=False), row=row, col=2)
         figure.update_xaxes(title_text="stated to lie inside, %", range=[0, 100], row=row, col=1)
         figure.update_yaxes(title_text="do lie inside, %", range=[0, 100], row=row, col=1)
-        figure.update_xaxes(title_text="stated sigma, cm an axis", range=ends, row=row, col=2)
-        figure.update_yaxes(title_text="actual rms, cm an axis", range=ends, row=row, col=2)
+        figure.update_xaxes(title_text="stated sigma, cm per axis", range=ends, row=row, col=2)
+        figure.update_yaxes(title_text="actual rms, cm per axis", range=ends, row=row, col=2)
     return dress(figure, 110 + 350 * len(rows), head=80)
 
 
@@ -103,7 +103,7 @@ def share_inside(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndA
 
 
 def timeline(recovery: Recovery) -> go.Figure | None:
-    """When samples were rejected, a line a joint, a colour a reason; None where none were."""
+    """When samples were rejected, one line per joint, one colour per reason; None where none were."""
     samples = recovery.residuals
     rows = rejected(recovery)
     if samples is None or not rows:

@@ -21,10 +21,10 @@ class CameraEstimate:
     ----------
     name : str
     R_K_C : tuple of tuple of float, (3, 3), optional
-        Maps a vector from {C} to {K}; None where nothing tells.
+        Maps a vector from {C} to {K}; None if unknown.
     p_K_C_m : tuple of float, (3,), m, optional
         Its origin in {K}.
-    sigma_m, sigma_deg : float, m and degrees an axis
+    sigma_m, sigma_deg : float, m and degrees per axis
         One standard deviation of both; 0 of the first camera, which defines {K}.
     offset_s, offset_sigma_s : float, s
         t_first = t_own + offset, in the middle of the recording.
@@ -34,7 +34,7 @@ class CameraEstimate:
         Median distance of its joints from the first one's, what is constant taken off.
     together_s : float, s
         For so long both saw the forearm.
-    joint_sigma_m : dict of str to float, m an axis
+    joint_sigma_m : dict of str to float, m per axis
         Noise of its joints' samples.
     reason : str
         Why it was left out; "" where it takes part.

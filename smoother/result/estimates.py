@@ -17,11 +17,11 @@ class Estimates:
 
     Attributes
     ----------
-    camera_sigma_m, camera_effective_sigma_m : dict of str to float, m an axis, optional
+    camera_sigma_m, camera_effective_sigma_m : dict of str to float, m per axis, optional
         Noise of a joint's sample; of a white noise with the same long-run variance.
     joint_bias_m : dict of str to tuple of float, m, optional
         Constant errors of the camera's joints (x, y, z in {K}), free of their common part.
-    joint_bias_sigma_m : float, m an axis, optional
+    joint_bias_sigma_m : float, m per axis, optional
         How large such an error is in this recording.
     accelerometer_bias, gyroscope_bias : tuple of float, m/s^2 and rad/s, optional
         Mean over the recording, in {A}.

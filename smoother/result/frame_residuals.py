@@ -17,7 +17,7 @@ BATCH_ROWS = 8192
 
 @dataclass(frozen=True)
 class FrameResiduals:
-    """Camera minus recovered joint position, a row a camera frame.
+    """Camera minus recovered joint position, one row per camera frame.
 
     Attributes
     ----------

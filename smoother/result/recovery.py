@@ -293,7 +293,7 @@ class Recovery:
 
     @property
     def sigma_m(self) -> FloatArray:
-        """(N, 3) standard deviation of the IMU's position, m an axis of {K}."""
+        """(N, 3) standard deviation of the IMU's position, m per axis of {K}."""
         return np.sqrt(np.einsum("nii->ni", self.pose_covariance[:, :3, :3]))
 
     @property
@@ -303,7 +303,7 @@ class Recovery:
 
     @property
     def error_95_m(self) -> FloatArray:
-        """(N,) the distance within which the IMU's position lies in 95 of 100 cases, m."""
+        """(N,) the distance within which the IMU's position is in 95 of 100 cases, m."""
         return self._of_each(lambda batch: error_radius(batch.pose_covariance[:, :3, :3]), float)
 
     @property
@@ -418,7 +418,7 @@ class Recovery:
         Raises
         ------
         UnoccludeError
-            The ending is no format, the format needs what there is not, or the file exists.
+            The ending is not a format, the format needs what there is not, or the file exists.
 
         Examples
         --------
@@ -467,8 +467,8 @@ class Recovery:
         Returns
         -------
         table : pyarrow.Table
-            A row a sample; null where there is no answer. `trusted`, the last column, is null in every row
-            of a result that nobody judged. `table.schema.field(NAME).metadata` has the unit.
+            One row per sample; null where there is no answer. `trusted`, the last column, is null in every
+            row of a result that nobody judged. `table.schema.field(NAME).metadata` has the unit.
             `.to_pandas()` gives a pandas table where pandas is installed.
         """
         return arrow_table(flat_columns(self.to_arrays()), len(self))

@@ -49,7 +49,7 @@ class SegmentMotion:
 
     @property
     def sigma_m(self) -> FloatArray:
-        """(N, 3) standard deviation of the IMU's position, m an axis of {K}."""
+        """(N, 3) standard deviation of the IMU's position, m per axis of {K}."""
         return np.sqrt(np.einsum("nii->ni", self.pose_covariance[:, :3, :3]))
 
     @property

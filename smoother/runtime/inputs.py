@@ -47,7 +47,7 @@ def check_input(path: str | os.PathLike[str], error: type[UnoccludeError] = Unoc
 
 
 def _link_trouble(path: str | os.PathLike[str], reason: OSError) -> str:
-    """Why a link cannot be followed, as a sentence; "" where `path` is no link, or is missing."""
+    """Why a link cannot be followed, as a sentence; "" where `path` is not a link, or is missing."""
     if reason.errno == errno.ELOOP:
         return f"{path}: a link leads back to itself; name the file itself."
     try:
@@ -55,9 +55,9 @@ def _link_trouble(path: str | os.PathLike[str], reason: OSError) -> str:
     except (OSError, ValueError):
         return ""
     if reason.errno in (errno.ENOENT, errno.ENOTDIR):
-        return f"{path} is a link to {target}, which does not exist; mend the link, or name the file itself."
+        return f"{path} is a link to {target}, which does not exist; correct it, or name the file itself."
     if reason.errno in (errno.EACCES, errno.EPERM):
-        return f"{path} is a link to {target}, which this user may not read; ask for it, or name a copy."
+        return f"{path} is a link to {target}, which this user may not read; request access, or name a copy."
     return f"{path} is a link to {target}, which cannot be followed: {reason.strerror or reason}."
 
 
@@ -117,7 +117,7 @@ def toml_text(path: Path) -> str:
     OSError
         It cannot be read.
     ValueError
-        It is no text, or longer than any table of settings; the message says so.
+        It is not text, or longer than any table of settings; the message says so.
     """
     with open(path, "rb") as file:
         raw = file.read(MOST_TOML + 1)
@@ -126,7 +126,7 @@ def toml_text(path: Path) -> str:
     try:
         text = raw.decode(marked_encoding(raw) or "utf-8")
     except UnicodeDecodeError:
-        raise ValueError("it is no UTF-8 text; save it as UTF-8") from None
+        raise ValueError("it is not UTF-8 text; save it as UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -143,7 +143,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     OSError
         It cannot be read.
     ValueError
-        It is no TOML, longer than 1 MB, or has tables within tables beyond `MOST_DEEP`; the message says so.
+        It is not TOML, longer than 1 MB, or has tables within tables beyond `MOST_DEEP`; the message says so.
     """
     text = toml_text(path)
     too_deep = ValueError(f"it has tables within tables, {MOST_DEEP} and more, which no file of settings has")
@@ -162,11 +162,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     raise too_deep
 
 
-#: Reading takes no more time on the processor than this, s, and a second for so many bytes.
+#: Reading takes no more time on the processor than this, s, and a second for this many bytes.
 _LONGEST_S, _SLOWEST = 4, 2_000_000
-#: It ends after so many times that on the wall.
+#: It ends after this many times that on the wall.
 _WAITING = 20
-#: It takes no more memory than this, bytes, and so many times the file's size.
+#: It takes no more memory than this, bytes, and this many times the file's size.
 _MOST_MEMORY, _MEMORY_PER_BYTE = 1 << 29, 64
 #: Signals that end the child that tries a file, whatever the parent has set for them.
 _FATAL = ("SIGALRM", "SIGXCPU", "SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
@@ -182,7 +182,7 @@ def crashes_in_subprocess(path: Path, read: Callable[[Path], object]) -> bool:
     path : Path
         The file.
     read : callable
-        Reads it by the library; the library is imported already. Whatever it raises is no crash, unless it
+        Reads it by the library; the library is imported already. Whatever it raises is not a crash, unless it
         is that memory does not suffice.
 
     Returns
@@ -204,7 +204,7 @@ def crashes_in_subprocess(path: Path, read: Callable[[Path], object]) -> bool:
             faulthandler.disable()
             for name in _FATAL:
                 signal.signal(getattr(signal, name), signal.SIG_DFL)
-            os.close(2)  # what the library says while it crashes is no message
+            os.close(2)  # what the library says while it crashes is not a message
             _limit(path.stat().st_size)
             read(path)
             code = 0
@@ -219,7 +219,7 @@ def crashes_in_subprocess(path: Path, read: Callable[[Path], object]) -> bool:
 
 
 def _limit(size: int) -> None:
-    """Limit this process to what reading so many bytes can need."""
+    """Limit this process to what reading this many bytes can need."""
     import resource
     import signal
 

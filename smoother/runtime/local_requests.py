@@ -93,5 +93,5 @@ def joined(headers: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 
 def is_token(given: str, token: str) -> bool:
-    """Whether a token was given; how long that takes does not tell how much of it is right."""
+    """Whether a token was given; how long that takes does not show how much of it is right."""
     return hmac.compare_digest(given.encode("utf-8", "replace"), token.encode())

@@ -58,7 +58,7 @@ def sending(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         if error.errno == errno.ENXIO:
             raise UnoccludeError(
-                f"{path} is a pipe that nobody reads; start its reader first, or name a file."
+                f"{path} is a pipe without a reader; start the reader first, or name a file."
             ) from error
         raise UnoccludeError(f"{path} could not be written: {error.strerror or error}.") from error
 
@@ -102,7 +102,7 @@ _ENDING = ".unocclude.tmp"
 _NAME = re.compile(r"\..*\.[0-9a-f]{24}" + re.escape(_ENDING) + r"(\.\w+)?")
 #: Characters of the output's name in that of its temporary file: four bytes each at most, of 255.
 _NAME_CHARACTERS = 40
-#: Folders are looked through once a process: one may hold a million results.
+#: Folders are looked through once per process: one may hold a million results.
 _swept: set[Path] = set()
 
 
@@ -292,7 +292,7 @@ def check_output(path: str | os.PathLike[str], force: bool = False) -> None:
     if target.is_symlink() and not target.exists():
         target = target.resolve()
     if not target.absolute().parent.is_dir():
-        raise UnoccludeError(f"The folder {target.absolute().parent} does not exist; make it first.")
+        raise UnoccludeError(f"The folder {target.absolute().parent} does not exist; create it first.")
 
 
 def _check_kind(target: Path) -> None:
@@ -308,7 +308,7 @@ def _check_kind(target: Path) -> None:
     if stat.S_ISDIR(mode):
         raise UnoccludeError(f"{target} is a folder; name a file to write to.")
     if not stat.S_ISREG(mode):
-        raise UnoccludeError(f"{target} is a device or a socket, no file; name a file to write to.")
+        raise UnoccludeError(f"{target} is a device or a socket, not a file; name a file to write to.")
 
 
 def _give_name(temporary: Path, target: Path, force: bool) -> None:
@@ -359,7 +359,7 @@ def _give_mode(temporary: Path, target: Path) -> None:
 
 
 def umask() -> int:
-    """The process's umask; read where the system tells it, since setting it concerns all threads."""
+    """The process's umask; read where the system reports it, since setting it concerns all threads."""
     with suppress(OSError, ValueError, IndexError), open("/proc/self/status", encoding="ascii") as status:
         return int(next(line for line in status if line.startswith("Umask:")).split()[1], 8)
     mask = os.umask(0o077)

@@ -122,7 +122,7 @@ def _load_packaged_libusb() -> None:
 
     path = libusb_package.get_library_path()
     if path is None:
-        raise ImportError("libusb-package holds no library for this system")
+        raise ImportError("libusb-package has no library for this system")
     ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
 
 

@@ -44,7 +44,7 @@ def check_allowance(least_bytes: int = LEAST_BYTES) -> None:
     allowed, _ = resource.getrlimit(resource.RLIMIT_DATA)
     if allowed != resource.RLIM_INFINITY and allowed < least_bytes:
         raise UnoccludeError(
-            f"memory is limited to {allowed >> 20} MB a process here (ulimit -d); this needs"
+            f"memory is limited to {allowed >> 20} MB per process here (ulimit -d); this needs"
             f" {least_bytes >> 20} MB: raise the limit."
         )
 
@@ -171,7 +171,7 @@ class Pool:
     Parameters
     ----------
     processes : int
-        Worker processes, 0 = one a core.
+        Worker processes, 0 = one per core.
     frames : int
         Camera frames of the whole job; a small one is done here.
     """
@@ -257,7 +257,7 @@ class Pool:
         self._executor.shutdown(wait=True, cancel_futures=True)
         if not self._may_restart:
             raise UnoccludeError(
-                "Worker processes were killed twice; perhaps the memory does not suffice: use fewer of them"
+                "Worker processes were killed twice; perhaps there is not enough memory: use fewer of them"
                 " (--processes), or a larger machine."
             )
         self._may_restart = False

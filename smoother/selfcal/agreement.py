@@ -31,7 +31,7 @@ from .turning_evidence import (
 )
 
 #: A recording up to this long is read whole, in stretches of about the second length, s: within one a drift
-#: of 3000 ppm blurs less than the filter does. Of a longer one so many excerpts are read.
+#: of 3000 ppm blurs less than the filter does. Of a longer one this many excerpts are read.
 WHOLE_S, STRETCH_S, EXCERPTS = 120.0, 45.0, 12
 #: With so much of the IMU around an excerpt, s; with the second where that is not enough. Around a recording
 #: that is read whole, with the third.

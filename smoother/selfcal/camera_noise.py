@@ -14,14 +14,14 @@ from ..recording import JOINTS
 from ..window.problem import Window
 from ..window.solution import Solution
 
-#: Autocorrelation is followed up to this lag, s, where so many pairs of samples speak.
+#: Autocorrelation is followed up to this lag, s, where this many pairs of samples speak.
 LONGEST_LAG_S = 1.5
 FEWEST_PAIRS = 100
 #: Memories that are tried, s: a skeleton's slow errors last up to a second.
 TIMES_S = np.geomspace(0.03, 1.0, 12)
-#: A share with a memory counts when it is so many times its standard error.
+#: A share with a memory counts when it is this many times its standard error.
 SIGNIFICANT = 4.0
-#: Residuals count no more than so many robust sigmas.
+#: Residuals count no more than this many robust sigmas.
 CLIP = 4.0
 #: A joint's noise is never taken for less, m.
 SMALLEST_SIGMA_M = 5e-4
@@ -119,7 +119,7 @@ def _fitted(rho: FloatArray, counts: FloatArray, step_s: float) -> _Memory:
 
 
 def sigma_by_camera(noise: dict[str, JointNoise], fallback_m: float, cameras: int) -> FloatArray:
-    """Effective sigma of each camera's joints (c, 5), m an axis; see `sigma_by_joint`."""
+    """Effective sigma of each camera's joints (c, 5), m per axis; see `sigma_by_joint`."""
     rows = []
     for camera in range(cameras):
         by_joint = {joint: noise[key] for joint in JOINTS if (key := noise_key(joint, camera)) in noise}
@@ -128,9 +128,9 @@ def sigma_by_camera(noise: dict[str, JointNoise], fallback_m: float, cameras: in
 
 
 def sigma_by_joint(noise: dict[str, JointNoise], fallback_m: float) -> FloatArray:
-    """Effective sigma in the order of `JOINTS` (5,), m an axis.
+    """Effective sigma in the order of `JOINTS` (5,), m per axis.
 
-    A joint whose noise no residual tells counts as the best of the others: that is the shoulder, which
+    A joint whose noise no residual shows is treated as the best of the others: that is the shoulder, which
     skeletons place better than the elbow (17 against 23 mm on an Azure Kinect).
     """
     known = {joint: each.effective_m for joint, each in noise.items()}

@@ -1,8 +1,9 @@
-"""Errors of IMU and camera that are constant over a recording: told by all windows together, and taken off.
+"""Errors of IMU and camera that are constant over a recording: estimated by all windows, and removed.
 
 A consumer IMU's axes are some tenths of a percent too long and some tenths of a degree off; a skeleton's
 joints are millimetres off. Both move every window's answer the same way, so no difference between windows
-shows them; they show in how the residuals follow the motion. What cannot be told stays in the covariance.
+shows them; they show in how the residuals follow the motion. What cannot be determined stays in the
+covariance.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ class JointBias:
     joints : tuple of str
         Joints with enough samples to tell.
     sigma_m : float, m
-        How large a joint's constant error is in this recording, an axis (one sigma); 0 where nothing tells.
+        How large a joint's constant error is in this recording, per axis (one sigma); 0 if unknown.
     """
 
     error_m: FloatArray = field(default_factory=lambda: np.zeros((len(JOINTS), 3)))
@@ -134,12 +135,13 @@ STRAP_RAD = np.radians(2.0)
 #: A joint's constant error is never taken for larger, m: an Azure Kinect's are 13 to 17 mm. On an arm that
 #: hardly turns a wrong mounting looks like such an error.
 LARGEST_JOINT_M = 0.025
-#: Where a tracked strap that stands for the IMU is from the chip in its case, m an axis (BROAD: 8 mm).
+#: Where a tracked strap that stands for the IMU is from the chip in its case, m per axis (BROAD: 8 mm).
 STRAP_PLACE_M = 0.010
-#: For so many elements a share of that counts when the recording tells how large they are, in so many steps.
+#: For this many elements a share of that counts when the recording shows how large they are, in this many
+#: steps.
 WEIGHT, USUAL = 1.0, 0.6
 STEPS = 10
-#: A joint with fewer samples tells nothing of its error.
+#: A joint with fewer samples shows nothing of its error.
 FEWEST_SAMPLES = 10
 #: What the gyroscope's three axes turn together defines the sensor's axes: no error, rad.
 DEFINED_RAD = 1e-5
@@ -157,7 +159,7 @@ class ConstantErrors:
     joints : JointBias
         The camera's.
     considered : Considered or None
-        What may be left; None before a round has told.
+        What may be left; None before the first round.
     """
 
     imu: FloatArray = field(default_factory=lambda: np.zeros((2, 3, 3)))
@@ -188,7 +190,7 @@ class ConstantErrors:
         imu_sigma: float,
         stamp_sigma_s: float = 0.0,
     ) -> ConstantErrors:
-        """The errors as another round tells them.
+        """The errors as estimated by another round.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Which excerpts of a recording its self-calibration reads: those that tell most, spread over the whole."""
+"""Which excerpts of a recording its self-calibration reads: the most informative, spread over the whole."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segme
         if segment is None:
             continue
         segment = segment.between(excerpt.start_s, excerpt.end_s)
-        if len(_visible_t(segment)) > 1:  # what the camera saw may lie in the context alone
+        if len(_visible_t(segment)) > 1:  # what the camera saw may be in the context alone
             segments.append(segment)
     return segments
 
@@ -134,7 +134,7 @@ def informative_recording(recording: Recording, timeline: Timeline) -> Recording
 
 
 def most_telling(segment: Segment, borders: Sequence[float], count: int) -> IntArray:
-    """So many windows of a segment, spread over it: of each part the one that tells most.
+    """Some windows of a segment, spread over it: of each part the most informative one.
 
     Parameters
     ----------

@@ -204,7 +204,7 @@ def calibrate_further_imu(
     Returns
     -------
     further : FurtherImu or None
-        On its own clock; None where the motion does not tell how it sits.
+        On its own clock; None where the motion does not show how it sits.
     note : str
         A sentence on why it was left out, or "".
     """

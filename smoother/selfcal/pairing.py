@@ -235,7 +235,7 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
     Raises
     ------
     CalibrationError
-        The clocks are farther apart than the fine search reaches, and the motion does not tell how far.
+        The clocks are farther apart than the fine search reaches, and the motion does not show how far.
     """
     found = agreement(recording)
     if found is None:
@@ -260,7 +260,7 @@ def shifted_agreement(imu: ImuStream, arm: JointTracks, reach_s: float) -> tuple
     arm : JointTracks
         With elbow and wrist.
     reach_s : float, s
-        A shift up to this needs no proof: clocks that far apart count as near.
+        A shift up to this needs no proof: clocks that far apart are treated as near.
 
     Returns
     -------

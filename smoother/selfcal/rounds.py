@@ -54,7 +54,7 @@ from .self_calibration import SHORT_S, SelfCalibration
 class RoundWindows:
     """The windows of a round, segment after segment.
 
-    `borders` and `prepared`: one a segment; `recording_of_window`: one a window.
+    `borders` and `prepared`: one per segment; `recording_of_window`: one per window.
     """
 
     prepared: dict[int, PreparedSegment]

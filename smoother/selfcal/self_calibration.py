@@ -78,7 +78,7 @@ class SelfCalibration:
 
     @property
     def mounting_unknown(self) -> bool:
-        """The visible motion did not tell how the sensor sits on the forearm."""
+        """The visible motion did not show how the sensor sits on the forearm."""
         return self.direction_spread_rad > LARGEST_SPREAD_RAD
 
     @property

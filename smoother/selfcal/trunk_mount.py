@@ -35,7 +35,7 @@ OFFSET_SIGMA_S = 0.3
 GIRDLE_M = 0.012
 #: What the skin lets an IMU turn, and how far "usual" is from upright, rad about each axis.
 POSTURE_RAD = np.radians(1.5)
-#: Median length of a two-dimensional error of unit sigma; a frame counts no more than so many sigmas.
+#: Median length of a two-dimensional error of unit sigma; a frame counts no more than this many sigmas.
 RAYLEIGH_MEDIAN, OUTLIER = 1.177, 3.0
 SMALLEST_RAD = np.radians(0.2)
 

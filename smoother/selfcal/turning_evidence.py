@@ -6,8 +6,8 @@ for the derivatives x = d' and Y = R_E_A' after any filter along time. For one o
 closed form alternately; over all offsets the sums that they need are correlations, which the Fourier
 transform gives.
 
-What lies outside the overlap counts as unexplained: an offset cannot win by leaving most of the data out. A
-mirrored skeleton, or elbow and wrist exchanged, fits as well as the true one where Q is free (a and Q turn).
+What lies outside the overlap is treated as unexplained: an offset cannot win by leaving most of the data out.
+A mirrored skeleton, or elbow and wrist exchanged, fits as well as the true one if Q is free (a and Q turn).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ..recording import ImuStream, JointTracks
 GRID_HZ, SMOOTH_S = 25.0, 0.12
 #: Frames farther apart are not bridged, s; beside a gap the filter's reach is left out, s.
 BRIDGED_S, BESIDE_GAP_S = 0.25, 0.24
-#: A forearm whose length in a frame is outside this range of its median is no forearm there.
+#: A forearm whose length in a frame is outside this range of its median is not a forearm there.
 LENGTHS = (0.5, 1.6)
 #: An offset is tried where this part of the shorter one is in common, but no more than this is asked for, s.
 OVERLAP_SHARE, OVERLAP_S = 0.35, 8.0
@@ -44,9 +44,9 @@ CORRELATED_S, MOST_EXPLAINED = 4.0, 0.999
 #: Rounds of the alternation from all start values, and from the best of them.
 FIRST_ROUNDS, MORE_ROUNDS, KEPT = 3, 3, 2
 NEWTON_STEPS = 6
-#: Of the offsets every so many are tried first; then all where this part of the best is reached.
+#: Of the offsets every this many are tried first; then all where this part of the best is reached.
 COARSE, LOOKED_AT = 3, 0.5
-#: Offsets are worked on in batches of so many.
+#: Offsets are worked on in batches of this many.
 BATCH = 4096
 
 

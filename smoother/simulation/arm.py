@@ -134,7 +134,7 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     simulated : SimulatedArm
     """
     config = config or ArmSimulation()
-    if is_rgb(config, first=True):  # results stand in the first camera's frame
+    if is_rgb(config, first=True):  # results are in the first camera's frame
         config = config.model_copy(update={"camera_frame": CameraFrame.OPTICAL})
     body_rng, *streams = random_streams(seed)
     measures = draw_measures(body_rng)

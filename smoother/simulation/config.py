@@ -47,7 +47,7 @@ _REALISTIC_ARM = {
     "upper_clock_ppm": 30.0,
 }
 # Measured: the constant errors' sizes and, for shoulder, elbow and wrist, those of the slow ones (memory of
-# 0.5 to 0.7 s). The hand counts as the wrist; the strap is no joint of the skeleton and as in REALISTIC.
+# 0.5 to 0.7 s). The hand is treated as the wrist; the strap is no joint of the skeleton and as in REALISTIC.
 _AZURE: dict[str, Any] = _REALISTIC | {
     "noise_correlated_m": 0.0,
     "noise_correlated_s": 0.6,
@@ -64,12 +64,12 @@ class SensorErrors(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    frame_rate_hz: float = Field(default=30.0, gt=1, le=240, description="camera frames a second")
-    noise_m: float = Field(default=0.008, ge=0, description="white noise of a joint, m an axis")
+    frame_rate_hz: float = Field(default=30.0, gt=1, le=240, description="camera frames per second")
+    noise_m: float = Field(default=0.008, ge=0, description="white noise of a joint, m per axis")
     noise_depth_m: float = Field(
         default=0.0, ge=0, description="white noise along the ray at 2 m, m; grows with distance squared"
     )
-    noise_correlated_m: float = Field(default=0.0, ge=0, description="noise with a memory, m an axis")
+    noise_correlated_m: float = Field(default=0.0, ge=0, description="noise with a memory, m per axis")
     noise_correlated_s: float = Field(default=0.3, gt=0, description="its time constant, s")
     joint_slow_m: tuple[_Size, ...] = Field(
         default=(),
@@ -77,7 +77,7 @@ class SensorErrors(BaseModel):
         description="noise with that memory by joint (shoulder, elbow, wrist, hand, strap), added, 3D rms, m",
     )
     joint_bias_m: float = Field(
-        default=0.0, ge=0, description="sigma of a joint's constant error, m an axis in {K}"
+        default=0.0, ge=0, description="sigma of a joint's constant error, m per axis in {K}"
     )
     joint_off_m: tuple[_Size, ...] = Field(
         default=(),
@@ -92,13 +92,13 @@ class SensorErrors(BaseModel):
     outliers: float = Field(default=0.0, ge=0, le=1, description="fraction of tracked samples that are wrong")
     outlier_m: float = Field(default=0.3, ge=0, description="how far an outlier lies off, m")
 
-    imu_rate_hz: float = Field(default=80.0, ge=20, le=1000, description="IMU samples a second")
+    imu_rate_hz: float = Field(default=80.0, ge=20, le=1000, description="IMU samples per second")
     accelerometer_noise: float = Field(default=0.003, ge=0, description="density, m/s^2/sqrt(Hz)")
     gyroscope_noise: float = Field(default=0.0003, ge=0, description="density, rad/s/sqrt(Hz)")
     accelerometer_bias: float = Field(
-        default=0.05, ge=0, description="sigma of the first bias, m/s^2 an axis"
+        default=0.05, ge=0, description="sigma of the first bias, m/s^2 per axis"
     )
-    gyroscope_bias: float = Field(default=0.01, ge=0, description="sigma of the first bias, rad/s an axis")
+    gyroscope_bias: float = Field(default=0.01, ge=0, description="sigma of the first bias, rad/s per axis")
     accelerometer_walk: float = Field(default=0.0005, ge=0, description="bias walk, m/s^2/sqrt(s)")
     gyroscope_walk: float = Field(default=0.00005, ge=0, description="bias walk, rad/s/sqrt(s)")
     imu_scale: float = Field(default=0.0, ge=0, description="sigma of each axis' scale error, 0.003 = 0.3 %")
@@ -140,8 +140,8 @@ class ArmSimulation(SensorErrors):
     camera_frame: CameraFrame = CameraFrame.KINECT
     distance_m: float = Field(default=2.0, gt=0.8, description="person to camera, m")
     speed: float = Field(default=1.0, gt=0.1, le=3, description="factor on the speed of every movement")
-    sway_m: float = Field(default=0.008, ge=0, description="rms of the shoulder's slow sway, m an axis")
-    tremor_rad: float = Field(default=0.0003, ge=0, description="rms of a 7-11 Hz tremor, rad a joint angle")
+    sway_m: float = Field(default=0.008, ge=0, description="rms of the shoulder's slow sway, m per axis")
+    tremor_rad: float = Field(default=0.0003, ge=0, description="rms of a 7-11 Hz tremor, rad per angle")
     still_start_s: float = Field(default=0.0, ge=0, description="the arm first hangs without any motion, s")
     still_all: bool = Field(default=False, description="the arm hangs without any motion from start to end")
     strap: bool = Field(default=False, description="the camera finds the strap too")
@@ -168,7 +168,7 @@ class ArmSimulation(SensorErrors):
     hand_clock_s: float = Field(
         default=0.0, description="the hand IMU's clock is ahead of the wrist's by this, s"
     )
-    hand_clock_ppm: float = Field(default=0.0, description="and gains so many millionths on it")
+    hand_clock_ppm: float = Field(default=0.0, description="and its drift against it, ppm")
     trunk_turn_deg: float = Field(
         default=0.0, ge=0, description="rms of the trunk's turning and leaning, degrees; 0 = still"
     )
@@ -184,19 +184,19 @@ class ArmSimulation(SensorErrors):
     upper_clock_s: float = Field(
         default=0.0, description="the upper-arm IMU's clock is ahead of the wrist's by this, s"
     )
-    upper_clock_ppm: float = Field(default=0.0, description="and gains so many millionths on it")
+    upper_clock_ppm: float = Field(default=0.0, description="and its drift against it, ppm")
 
     occluded_state: Literal["not_tracked", "inferred"] = Field(
-        default="not_tracked", description="what the camera says of the forearm's joints in an occlusion"
+        default="not_tracked", description="state of the forearm's joints in an occlusion"
     )
     inferred_error_m: float = Field(
-        default=0.06, ge=0, description="error of an inferred position, m an axis"
+        default=0.06, ge=0, description="error of an inferred position, m per axis"
     )
     elbow_lag_s: float = Field(
         default=0.1, ge=0, description="the elbow stays tracked up to this much longer, s"
     )
     belly: Literal["tracked", "inferred", "not_tracked"] = Field(
-        default="tracked", description="the forearm's joints while it lies in front of the belly"
+        default="tracked", description="the forearm's joints while it is in front of the belly"
     )
     shoulder_lost: float = Field(
         default=0.0, ge=0, le=1, description="fraction of occluded frames without shoulder"
@@ -214,9 +214,7 @@ class ArmSimulation(SensorErrors):
     occlusion_every_s: float = Field(
         default=6.0, gt=0, description="about one occlusion in this time in `random`, s"
     )
-    end_gap_s: float = Field(
-        default=0.0, ge=0, description="the last so many seconds of `random` are occluded, s"
-    )
+    end_gap_s: float = Field(default=0.0, ge=0, description="how long the end of `random` is occluded, s")
 
     cameras: tuple[float, ...] = Field(
         default=(),
@@ -227,7 +225,7 @@ class ArmSimulation(SensorErrors):
     camera_clock_s: float = Field(
         default=0.0, description="each camera's clock is ahead of the one before by this, s"
     )
-    camera_clock_ppm: float = Field(default=0.0, description="and all but the first gain so many millionths")
+    camera_clock_ppm: float = Field(default=0.0, description="drift of all but the first, ppm")
     camera_blind: float = Field(
         default=0.3,
         ge=0,

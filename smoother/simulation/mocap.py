@@ -54,7 +54,7 @@ class MocapSimulation(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    mocap_rate_hz: float = Field(default=120.0, ge=20, le=1000, description="mocap frames a second")
+    mocap_rate_hz: float = Field(default=120.0, ge=20, le=1000, description="mocap frames per second")
     mocap_offset_s: float | None = Field(
         default=None,
         ge=-600,
@@ -70,7 +70,7 @@ class MocapSimulation(BaseModel):
     marker_noise_m: float = Field(
         default=0.00002,
         ge=0,
-        description="white noise of a marker, m an axis; 0.0002 for an older or far system",
+        description="white noise of a marker, m per axis; 0.0002 for an older or far system",
     )
     marker_lost: float = Field(
         default=0.05, ge=0, le=0.9, description="fraction of the time that a marker is not seen"

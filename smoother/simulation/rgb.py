@@ -14,7 +14,7 @@ from .config import ArmSimulation
 
 #: Pixels of the image, and the focal length.
 WIDTH, HEIGHT, FOCAL_PX = 1280, 720, 920.0
-#: How well the place of a calibrated camera is known, degrees and m an axis.
+#: How well the place of a calibrated camera is known, degrees and m per axis.
 CALIBRATED_DEG, CALIBRATED_M = 0.2, 0.005
 
 

@@ -206,7 +206,7 @@ def _first(a: FloatArray, b: FloatArray, c: float) -> FloatArray:
 
 #: The skeleton's axes are the Kinect's: x left, y up; images have x right, y down.
 _KINECT = np.diag([-1.0, -1.0, 1.0])
-#: The colour camera stands beside the depth camera, m along x.
+#: The colour camera is beside the depth camera, m along x.
 BASELINE_M = 0.05
 COLOUR = PlacedCamera(
     Intrinsics(480, 270, 400.0, 400.0, 240.0, 135.0), _KINECT, np.array([BASELINE_M, 0.0, 0.0])

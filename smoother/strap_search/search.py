@@ -29,7 +29,7 @@ from ..runtime.outputs import writing
 TOGETHER_S = 0.02
 #: The camera's forearm may be this far from the inertial one (Jatesiktat & Ang, II-J.1), rad.
 DIRECTION_RAD = np.radians(30.0)
-#: Images of one kind are kept packed until their partners came, at most so many.
+#: Images of one kind are kept packed until their partners came, at most this many.
 AHEAD = 64
 #: Pictures and brightness profiles kept for a report.
 PICTURES, PROFILES = 4, 600
@@ -93,8 +93,8 @@ def import_strap(
     convention = file.camera_frame or arm.camera_frame
     if convention not in _OPTICAL:
         raise RecordingError(
-            f"{source}: it is not known how the skeleton's axes lie in the camera (kinect or optical); state"
-            " camera_frame in the recording."
+            f"{source}: the skeleton's axes in the camera are unknown (kinect or optical); state camera_frame"
+            " in the recording."
         )
     cameras = Cameras(source, colour_topic, depth_topic, _OPTICAL[convention])
     estimates = _locate_all(cameras, arm, mounted, joint_sigma_m)

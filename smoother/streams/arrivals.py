@@ -219,13 +219,13 @@ LATE_S = 0.6
 EARLY_S = 0.25
 #: An IMU's samples come without a pause: a step of its clock shows from this on, s.
 STEP_OF_IMU_S = 0.06
-#: So many samples in a row that lie behind, all by the same time but for this, s, are of a clock set back.
+#: This many samples in a row that lie behind, all by the same time but for this, s, are of a clock set back.
 BACK_IN_A_ROW, SAME_DELAY_S = 3, 0.04
 #: Where the first samples came later than this after their stamps, s, the stamps are of another clock.
 OTHER_CLOCK_S = 5.0
-#: So long must samples be odd, with no usual one between them, to count as a step of the clock, s.
+#: So long must samples be odd, with no usual one between them, to be treated as a step of the clock, s.
 PERSISTS_S = 0.3
-#: The least delay is that of the last so many seconds: clocks drift apart.
+#: The least delay is that of the last this many seconds: clocks drift apart.
 _RECENT_S = 120
 
 
@@ -243,7 +243,7 @@ class StampSteps(Generic[Rows]):
     name : str
         Of the stream.
     early_s, back_s : float, s
-        What counts as ahead, and as behind; a sample that is behind by less than `LATE_S` and is followed
+        What is treated as ahead, and as behind; a sample that is behind by less than `LATE_S` and is followed
         by a usual one was only late, and is used.
 
     Attributes
@@ -265,7 +265,7 @@ class StampSteps(Generic[Rows]):
         self._least: deque[tuple[int, float]] = deque()
         self._odd: list[Rows] = []
 
-    def mended(self, rows: Rows) -> tuple[Rows, tuple[str, ...]]:
+    def corrected(self, rows: Rows) -> tuple[Rows, tuple[str, ...]]:
         """Rows that can be used, stamped by the clock that the stream began with.
 
         Parameters

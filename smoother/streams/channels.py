@@ -252,7 +252,7 @@ class SkeletonChannels:
         chosen = side or (prefer_side if prefer_side in by_side else None)
         chosen = chosen or (next(iter(by_side)) if len(by_side) == 1 else None)
         if chosen is None:
-            raise RecordingError(f"The stream {name} shows both arms; say which wears the IMU with --side.")
+            raise RecordingError(f"The stream {name} shows both arms; choose the one with the IMU by --side.")
         axes = by_side.get(chosen, by_side.get(""))
         if axes is None:
             raise RecordingError(f"The stream {name} shows no {chosen} arm: {stream.shown}.")
@@ -295,7 +295,7 @@ def _of_one_body(stream: StreamLabels, body: str | None) -> StreamLabels:
         return stream
     name, there = printable(stream.name), ", ".join(bodies[:8])
     if body is None and len(bodies) > 1:
-        raise RecordingError(f"The stream {name} shows several bodies ({there}); say which with --body.")
+        raise RecordingError(f"The stream {name} shows several bodies ({there}); choose with --body.")
     wanted = bodies[0] if body is None else body.lower()
     if wanted not in bodies:
         raise RecordingError(f"The stream {name} shows no body {printable(wanted)}, but {there}.")

@@ -105,7 +105,7 @@ class LiveMessages:
         frames : FrameRows
             On the camera's clock.
         offset_s : float, s
-            t_imu = t_camera + offset; nan where it is not known yet, which counts as zero.
+            t_imu = t_camera + offset; nan where it is not known yet, which is treated as zero.
         wanted : collection of str
             Topics.
         """
@@ -249,7 +249,7 @@ class FoxgloveServer:
         return f"ws://{LOOPBACK}:{self._gate.port}"
 
     def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
-        """Send what a step answered, the arm at most some 30 times a second."""
+        """Send what a step answered, the arm at most some 30 times per second."""
         wanted = {topic for topic, channel in self._channels.items() if channel.has_sinks()}
         if not wanted:
             return

@@ -109,8 +109,8 @@ class ImuHalves:
         acc, gyro : ImuRows
             As they came: `acc` of the one and `gyro` of the other count.
         """
-        acc, said_acc = self._steps["acc"].mended(acc)
-        gyro, said_gyro = self._steps["gyro"].mended(gyro)
+        acc, said_acc = self._steps["acc"].corrected(acc)
+        gyro, said_gyro = self._steps["gyro"].corrected(gyro)
         self._acc = _in_order(ImuRows.joined([self._acc, acc]))
         self._gyro = _in_order(ImuRows.joined([self._gyro, gyro]))
         events = (*said_acc, *said_gyro)

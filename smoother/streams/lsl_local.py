@@ -27,7 +27,7 @@ from .lsl import LslOutlet, user_settings
 
 #: The program may take so long to begin, and to end, s.
 _BEGINS_S, _ENDS_S = 60.0, 3.0
-#: So many answers wait for it at most; one that comes too late for that is not sent.
+#: This many answers wait for it at most; one that comes too late for that is not sent.
 _MOST_WAITING = 60
 _READY = b"ready\n"
 #: The library's settings that keep its announcements to this computer.

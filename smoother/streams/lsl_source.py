@@ -231,7 +231,7 @@ class LslSource:
     def _missing(self, seconds: float) -> str:
         types = ("imu", _IMU_TYPES), ("skeleton", _SKELETON_TYPES), ("gyro", _GYRO_TYPES)
         names = [
-            f"--{option} {inlet.wanted}" if inlet.wanted is not None else f"an {option} of type {known[0]}"
+            f"--{option} {inlet.wanted}" if inlet.wanted is not None else f"{option} of type {known[0]}"
             for inlet, (option, known) in zip(self._inlets, types, strict=False)
             if inlet.stream is None
         ]

@@ -26,11 +26,11 @@ from ..runtime.local_requests import LOOPBACK, LocalDoor, is_token, joined
 from .arrivals import FrameRows, SourceInfo
 
 PAGE_PORT = 8766
-#: The page is sent no more than this often, s; without news it is told so that often that it lives.
+#: The page is sent no more than this often, s; without news this is sent that often that it lives.
 _EACH_S, _ALIVE_S = 1 / 60, 1.0
 #: A browser that takes nothing for so long is let go, s.
 _PATIENCE_S = 5.0
-#: What a browser may send: a mark of so many letters, so many bytes.
+#: What a browser may send: a mark of this many letters, this many bytes.
 _LONGEST_MARK, _LONGEST_BODY = 200, 2000
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
 #: The page may load nothing from elsewhere, and be shown in no other page.
@@ -89,7 +89,7 @@ class LivePage:
         return f"http://{LOOPBACK}:{self.port}/?token={self._token}"
 
     def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
-        """Show what a step answered, some 60 times a second."""
+        """Show what a step answered, some 60 times per second."""
         self._events = [*self._events, *events][-4:]
         if abs(time.monotonic() - self._sent_s) < 0.9 * _EACH_S:
             return

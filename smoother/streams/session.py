@@ -207,8 +207,8 @@ class LiveSession:
 
     def _mended(self, arrivals: Arrivals) -> Arrivals:
         """What arrived, with steps of the clocks taken out; its events say so."""
-        imu, imu_events = self._imu_steps.mended(arrivals.imu)
-        frames, frame_events = self._frame_steps.mended(arrivals.frames)
+        imu, imu_events = self._imu_steps.corrected(arrivals.imu)
+        frames, frame_events = self._frame_steps.corrected(arrivals.frames)
         return Arrivals(imu, frames, (*arrivals.events, *imu_events, *frame_events))
 
     def _counted(self, arrivals: Arrivals) -> list[str]:

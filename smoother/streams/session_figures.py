@@ -40,7 +40,7 @@ class DelayCounts:
         self._counts[min(max(int(delay_s / _BIN_S), 0), _BINS - 1)] += 1
 
     def percentile_s(self, percent: float) -> float:
-        """So many percent took at most so long, s; nan without any."""
+        """The duration that a share (percent) did not exceed, s; nan without any."""
         if not self.count:
             return float("nan")
         at = int(np.searchsorted(np.cumsum(self._counts), percent / 100 * self.count))
@@ -65,9 +65,9 @@ class DelayCounts:
 
 #: Rates and delays are those of the last seconds.
 _RECENT_S = 5.0
-#: A stream counts as lost after so long without anything, s.
+#: A stream is treated as lost after so long without anything, s.
 LOST_S = 1.0
-#: Samples and frames are missing where two are farther apart than so many usual intervals.
+#: Samples and frames are missing where two are farther apart than this many usual intervals.
 _MISSING = 1.6
 #: Intervals by which the usual one is known.
 _INTERVALS = 200
@@ -152,7 +152,7 @@ class StreamHealth:
         return float(np.median([delay for *_, delay in self._arrivals])) if self._arrivals else float("nan")
 
     def rate_hz(self, now_s: float) -> float:
-        """Samples or frames a second, of the last seconds."""
+        """Samples or frames per second, of the last seconds."""
         recent = [(arrival, count) for arrival, count, _ in self._arrivals if arrival > now_s - _RECENT_S]
         if not recent:
             return 0.0

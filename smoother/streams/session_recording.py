@@ -112,7 +112,7 @@ class SessionRecording:
         self._write(outgoing, newest)
 
     def shown(self, output: LiveOutput) -> None:
-        """Write what was shown, some 30 times a second: `/live/forearm`, the pose of the IMU *now*.
+        """Write what was shown, some 30 times per second: `/live/forearm`, the pose of the IMU *now*.
 
         Raises
         ------
@@ -285,4 +285,4 @@ class Recorder:
                 job()
             except UnoccludeError as error:
                 self._has_ended = True
-                self._events.put(f"the recording has ended, the session goes on: {error}")
+                self._events.put(f"the recording has ended, the session continues: {error}")

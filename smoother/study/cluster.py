@@ -59,7 +59,7 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
     jobs : iterator of Job
         Taken as processes become free.
     processes : int
-        How many; 0 = one a core.
+        How many; 0 = one per core.
 
     Yields
     ------
@@ -267,7 +267,7 @@ def _row(future: Any, job: Job) -> Row:
         return row
     if _worker_died(future):
         return job.lost(
-            "the processes that worked on it died one after the other; perhaps the memory does not suffice:"
+            "the processes that worked on it died one after the other; perhaps there is not enough memory:"
             " use fewer of them a machine (--processes)"
         )
     error = future.exception()

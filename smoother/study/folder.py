@@ -8,7 +8,7 @@
     DIR/.unocclude/stage/     outputs that are being written
     DIR/.unocclude/rows/      rows of recordings that are done, until they are among the results
 
-The columns of a study's results: one row a recording and way of computing it, and the files of rows.
+The columns of a study's results: one row per recording and way of computing it, and the files of rows.
 """
 
 from __future__ import annotations
@@ -262,7 +262,7 @@ MEASURE_FIELDS: tuple[tuple[str, str, str, str], ...] = (
     ("low", "double", "", "lower end of the 95 % interval; null without draws"),
     ("high", "double", "", "upper end of it"),
     ("sigma", "double", "", "standard deviation by the draws"),
-    ("recovered_share", "double", "", "how much of it rests on samples that the camera did not see"),
+    ("recovered_share", "double", "", "how much of it comes from samples that the camera did not see"),
     ("n_draws", "int64", "", "how many draws the interval is of"),
     ("note", "string", "", "what to know of it"),
 )
@@ -347,7 +347,7 @@ def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Seq
     together["verdict"] = " ".join(f"{label.capitalize()}: {verdict}" for label, verdict in said if verdict)
     checks = [(label, arm["self_check"]) for (label, _), arm in zip(said, arms, strict=True)]
     together["self_check"] = " ".join(f"{label.capitalize()}: {check}" for label, check in checks if check)
-    # a clock belongs to one arm's IMU: those of several stand with the arms
+    # a clock belongs to one arm's IMU: those of several are with the arms
     together |= {"clock_offset_s": None, "clock_offset_sigma_s": None}
     together |= {"note_texts": texts, "notes": len(texts), "arms": len(arms)}
     together["side"] = ", ".join(recovery.arm_label.replace(" arm", "") for _, recovery in results)

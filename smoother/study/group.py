@@ -13,7 +13,7 @@ from .inputs import SessionEntry, by_folders, in_order
 
 
 def entries_of(rows: Sequence[Row]) -> dict[str, SessionEntry]:
-    """Whose each recording is, by its folders; one that lies in none is a person of its own."""
+    """Whose each recording is, by its folders; one that is in none is a person of its own."""
     entries = {}
     for row in rows:
         name, day = row["recording"], row.get("recorded_day")
@@ -23,7 +23,7 @@ def entries_of(rows: Sequence[Row]) -> dict[str, SessionEntry]:
 
 
 def persons_of(rows: Sequence[Row]) -> dict[str, str]:
-    """The person of each recording that lies in a person's folder."""
+    """The person of each recording that is in a person's folder."""
     return {name: entry.person for name, entry in entries_of(rows).items() if "/" in name}
 
 

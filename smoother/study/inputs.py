@@ -48,7 +48,7 @@ class InputSelection:
 
 
 def file_hash(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal digits; refuses what is no file."""
+    """SHA-256 of a file's bytes, in hexadecimal digits; refuses what is not a file."""
     check_input(path)
     digest = hashlib.sha256()
     with open(path, "rb") as file:
@@ -76,7 +76,7 @@ def row_id(name: str, input_hash: str, config: str, calibration: str, version: s
 _DAY_NS = 86_400 * 10**9
 #: Stamps before 2000 are those of a clock that does not know the date.
 EARLIEST_NS = 10_957 * _DAY_NS
-#: Days of a person are shifted by up to so many.
+#: Days of a person are shifted by up to this many.
 MOST_DAYS = 3650.0
 
 
@@ -109,7 +109,7 @@ def hashed_name(word: str, name: str) -> str:
 
 
 def person_of(name: str) -> str:
-    """The first folder of a recording's name; "" where it lies in none."""
+    """The first folder of a recording's name; "" where it is in none."""
     return name.partition("/")[0] if "/" in name else ""
 
 
@@ -153,7 +153,7 @@ def without_places(text: str, names: Mapping[str, str]) -> str:
     places = dict(names)
     for folder in (tempfile.gettempdir(), os.getcwd(), os.path.expanduser("~")):
         places.setdefault(folder, f"[{'temporary' if folder == tempfile.gettempdir() else 'own'} folder]")
-    for path in sorted(places, key=len, reverse=True):  # the longest first: folders lie in folders
+    for path in sorted(places, key=len, reverse=True):  # the longest first: folders are in folders
         if path and path.strip("/\\"):
             text = text.replace(path, places[path])
     host = socket.gethostname()
@@ -161,7 +161,7 @@ def without_places(text: str, names: Mapping[str, str]) -> str:
 
 
 ENDING = ".mcap"
-#: So many of the recordings that are left out are named.
+#: This many of the recordings that are left out are named.
 MOST_NAMED = 5
 
 
@@ -194,7 +194,7 @@ def find_entries(source: str, output: Path) -> list[Entry]:
         `.mcap` file, or a text file with one recording a line, relative to the list's folder, which a tab
         and a calibration may follow; empty lines and lines that begin with # are passed over.
     output : Path
-        The study's folder; what lies in it is not a recording of the study.
+        The study's folder; what is in it is not a recording of the study.
 
     Returns
     -------
@@ -217,7 +217,7 @@ def find_entries(source: str, output: Path) -> list[Entry]:
         base, files = _listed(path)
     recordings = [(file, calibration) for file, calibration in files if not _inside(file, output)]
     if files and not recordings:
-        raise UnoccludeError(f"{source} lies in {output}, where results go; give -o another folder")
+        raise UnoccludeError(f"{source} is in {output}, where results go; give -o another folder")
     if not recordings:
         hidden = f"; {note}" if (note := left_out_note(source)) else "; name a folder that has some"
         raise UnoccludeError(f"{source}: there is no recording ({ENDING}) here{hidden}")
@@ -233,7 +233,7 @@ def find_entries(source: str, output: Path) -> list[Entry]:
 def left_out_note(source: str) -> str:
     """A sentence on the recordings of a folder or pattern whose names begin with a dot; "" without any.
 
-    Neither shells nor `find_entries` take them. A Mac's `._NAME` beside NAME is no recording, nor is an
+    Neither shells nor `find_entries` take them. A Mac's `._NAME` beside NAME is not a recording, nor is an
     output that is being written.
     """
     path = Path(source)
@@ -263,7 +263,7 @@ def _is_hidden(file: Path) -> bool:
 
 
 def _told_apart(entries: Iterable[Entry]) -> Iterator[Entry]:
-    """Entries whose names are text: bytes that are no UTF-8 are written out, and no name comes twice."""
+    """Entries whose names are text: bytes that are not UTF-8 are written out, and no name comes twice."""
     taken: set[str] = set()
     for entry in sorted(entries, key=lambda entry: (entry.name != _as_text(entry.name), entry.name)):
         name = _as_text(entry.name)
@@ -274,7 +274,7 @@ def _told_apart(entries: Iterable[Entry]) -> Iterator[Entry]:
 
 
 def _as_text(name: str) -> str:
-    """A name with `%FF` for every byte that is no UTF-8, and for every control character."""
+    """A name with `%FF` for every byte that is not UTF-8, and for every control character."""
     raw = re.sub(r"[\udc80-\udcff]", lambda byte: f"%{ord(byte[0]) - 0xDC00:02X}", name)
     return re.sub(r"[\x00-\x1f\x7f]", lambda control: f"%{ord(control[0]):02X}", raw)
 
@@ -322,7 +322,7 @@ def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
             f"{path}: {error.strerror or error}; name a folder, a pattern in quotation marks, or a list"
         ) from error
     except UnicodeDecodeError as error:
-        raise UnoccludeError(f"{path} is no list: it is not text with one recording a line") from error
+        raise UnoccludeError(f"{path} is not a list: it is not text with one recording a line") from error
     files: list[tuple[Path, str]] = []
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -402,7 +402,7 @@ def by_folders(name: str, day: float) -> SessionEntry | None:
     Returns
     -------
     SessionEntry or None
-        None where the recording lies in no folder.
+        None where the recording is in no folder.
     """
     person, *rest = name.removesuffix(ENDING).split("/")
     if not rest:
@@ -482,7 +482,7 @@ def read_sessions(
                 f"{where}: {file} is no recording of this study; its names are as {examples}"
             )
         if name in sessions:
-            raise UnoccludeError(f"{where}: {file} stands there twice; a recording is of one session")
+            raise UnoccludeError(f"{where}: {file} is there twice; a recording is of one session")
         session, date = row.get("session", ""), row.get("date", "")
         if not session and not date:
             raise UnoccludeError(f"{where}: there is neither session nor date; {_EXPECTED}")
@@ -514,7 +514,7 @@ def _rows(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
     except OSError as error:
         raise UnoccludeError(f"{path}: {error.strerror or error}; name a CSV table of sessions") from error
     except UnicodeDecodeError as error:
-        raise UnoccludeError(f"{path} is no table: it is not text in UTF-8; save it as CSV") from error
+        raise UnoccludeError(f"{path} is not a table: it is not text in UTF-8; save it as CSV") from error
     first = text.partition("\n")[0]
     separator = max(",;\t", key=first.count)  # spreadsheets of some countries write semicolons
     reader = csv.reader(io.StringIO(text), delimiter=separator)
@@ -536,7 +536,7 @@ def _day(text: str, where: str) -> float:
         date = datetime.fromisoformat(text).replace(tzinfo=None)
     except ValueError as error:
         raise UnoccludeError(
-            f"{where}: '{text}' is no date; write it as 2026-03-31, or give a column session with numbers"
+            f"{where}: '{text}' is not a date; write it as 2026-03-31, or give a column session with numbers"
         ) from error
     return (date - datetime(1970, 1, 1)).total_seconds() / 86_400
 

@@ -48,7 +48,7 @@ class Limits:
     time_s : float, s
         From its first byte to its last.
     memory_bytes : int
-        Private memory of its process; long columns lie in files and do not count. Held to on Linux.
+        Private memory of its process; long columns are in files and do not count. Held to on Linux.
     """
 
     time_s: float = 0.0
@@ -266,7 +266,7 @@ class Job:
 def run_job(job: Job) -> Row:
     """Recover a recording and put result and row into the study's folder; never raises an error.
 
-    The row is written first, the output then moved to its place: a row whose output is in its place tells
+    The row is written first, the output then moved to its place: a row whose output is in its place shows
     that the recording is done, whatever dies in between.
 
     Returns
@@ -322,7 +322,9 @@ def _check_machine(job: Job, folder: StudyFolder) -> None:
             f"{host} does not see {job.source}; share the recordings with all workers under the same path"
         )
     if job.calibration and not os.path.isfile(job.calibration):
-        raise _Surroundings(f"{host} does not see the calibration {job.calibration}; share it likewise")
+        raise _Surroundings(
+            f"{host} does not see the calibration {job.calibration}; share it under the same path"
+        )
 
 
 def check_output_place(job: Job, folder: StudyFolder) -> None:
@@ -426,7 +428,7 @@ def explain(error: BaseException) -> tuple[str, bool]:
         text, retry = "it took longer than a recording may; give more time (--time-limit), or cut it", True
     elif is_out_of_memory(error):
         text, retry = (
-            "the memory does not suffice for this recording; use fewer processes a machine, or allow it more"
+            "not enough memory for this recording; use fewer processes per machine, or allow it more"
             " (--memory-limit)",
             True,
         )

@@ -22,7 +22,7 @@ from .job import Known
 if TYPE_CHECKING:
     import pyarrow as pa
 
-#: A file of results holds no more rows than this.
+#: A file of results has no more rows than this.
 MOST_ROWS = 1000
 #: Rows wait at most this share of the time that the run has taken, and at most so long, s.
 _SHARE, _SOONEST_S, _LATEST_S = 0.05, 0.5, 30.0
@@ -196,7 +196,7 @@ class Ledger:
             aside.mkdir(exist_ok=True)
             os.replace(file, aside / Path(file).name)
             self.damaged.append(
-                f"{Path(file).name} among the results was damaged and lies in .unocclude/damaged now; its"
+                f"{Path(file).name} among the results was damaged and is in .unocclude/damaged now; its"
                 " recordings are computed again."
             )
             return False
@@ -278,5 +278,5 @@ def _value(name: str, value: Any) -> Any:
 
 
 def _text(value: str) -> str:
-    """Text as Parquet holds it: bytes of a file's name that are no UTF-8 are written out."""
+    """Text as Parquet holds it: bytes of a file's name that are not UTF-8 are written out."""
     return value.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -48,7 +48,7 @@ def read_rows(folder: Path) -> list[Row]:
     Raises
     ------
     UnoccludeError
-        It is no study, or its results cannot be read.
+        It is not a study, or its results cannot be read.
     """
     import pyarrow as pa
 
@@ -56,7 +56,7 @@ def read_rows(folder: Path) -> list[Row]:
     files = sorted(str(path) for path in study.results.glob("*.parquet"))
     if not study.mark.exists() or not files:
         raise UnoccludeError(
-            f"{folder} is no study with results; name the folder that `unocclude batch` wrote"
+            f"{folder} is not a study with results; name the folder that `unocclude batch` wrote"
         )
     try:
         table = rows_table(files, _READ)
@@ -106,10 +106,10 @@ def sessions_of(
     sessions = with_named_days({name: entry for name, entry in found.items() if entry is not None})
     if not sessions:
         raise UnoccludeError(
-            f"{folder}: its recordings lie in no folder, so whose they are is not known; record as"
+            f"{folder}: its recordings are in no folder, so their persons are unknown; record as"
             " PERSON/SESSION.mcap, or name them in a table (--sessions FILE.csv with file, person, session)"
         )
-    return sessions, [f"{name}: it lies in no person's folder" for name in names if name not in sessions]
+    return sessions, [f"{name}: it is in no person's folder" for name in names if name not in sessions]
 
 
 def progress_of(
@@ -137,7 +137,7 @@ def progress_of(
         No row has measures, or two recordings are the same task of one session.
     """
     if not any(row["measures"] is not None for row in rows):
-        raise UnoccludeError(f"the study holds no measures; {_AGAIN}")
+        raise UnoccludeError(f"the study has no measures; {_AGAIN}")
     by_name = {row["recording"]: row for row in rows}
     persons: dict[str, list[SessionEntry]] = {}
     for name, attendance in sessions.items():
@@ -305,7 +305,7 @@ def _notes(rows: Iterable[Row], used: Mapping[str, float]) -> list[str]:
     if len({row["calibration_hash"] for row in done}) > 1:
         notes.append("The sessions have different calibration files.")
     if not all(math.isfinite(day) for day in used.values()):
-        notes.append("The days of the sessions are not known: they stand in the order of their names.")
+        notes.append("The days of the sessions are unknown: they are ordered by name.")
     return notes
 
 

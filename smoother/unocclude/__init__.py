@@ -77,11 +77,11 @@ def smooth(
     store : Store, optional
         Where what grows with the recording's length lives; in memory where None.
     processes : int, optional
-        Worker processes, 0 for one a core; as the configuration says where None.
+        Worker processes, 0 for one per core; as the configuration says where None.
     clock : Clock, optional
         The camera's against the IMU's as it was measured, with its sigma.
     draws : int
-        So many whole motions drawn from the posterior, in `Recovery.draws`: measures have their intervals
+        This many whole motions drawn from the posterior, in `Recovery.draws`: measures have their intervals
         from them. The answer is the same with and without; 0 = none, and a twentieth less time.
     seed : int
         Of the draws' random numbers: the same one gives the same motions.

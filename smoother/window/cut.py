@@ -42,7 +42,7 @@ PARTLY_S = 60.0
 def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
     """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows.
 
-    In a long gap in which the camera sees something of the forearm that counts as visible, too.
+    In a long gap in which the camera sees something of the forearm that is treated as visible, too.
 
     Parameters
     ----------

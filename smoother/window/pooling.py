@@ -41,7 +41,7 @@ class _Information:
         return _Information(self.matrix[k], self.vector[k])
 
     def among(self, rows: IntArray, count: int) -> _Information:
-        """A stack of so many, these in their rows; the others say nothing."""
+        """A stack of this many, these in their rows; the others say nothing."""
         matrix = np.zeros((count, *self.matrix.shape[1:]))
         vector = np.zeros((count, *self.vector.shape[1:]))
         matrix[rows], vector[rows] = self.matrix, self.vector

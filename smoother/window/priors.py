@@ -23,8 +23,8 @@ GRAVITY_SIGMA_RAD = 0.2
 LEAST_DENSITY_SHARE = 0.3
 #: The upper arm's length varies by no more than this, m.
 LARGEST_UPPER_ARM_SIGMA_M = 0.04
-#: How the shoulder moves is read off means over this time, s, so many of them apart; of the largest moves the
-#: share beyond the quantile counts as jumps of the tracker. Fewer pairs say nothing.
+#: How the shoulder moves is read off means over this time, s, this many of them apart; of the largest moves
+#: the share beyond the quantile is treated as jumps of the tracker. Fewer pairs say nothing.
 SHOULDER_STEP_S, SHOULDER_APART = 0.2, 2
 SHOULDER_QUANTILE, FEWEST_PAIRS = 0.98, 20
 

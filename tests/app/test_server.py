@@ -60,9 +60,9 @@ def test_what_is_no_recording_keeps_its_sentence(page: Page, tmp_path: Path):
     (tmp_path / "words.csv").write_text("these,are,words\n" + "a,b,c\n" * 20)
     name = page.add([tmp_path / "words.csv"])
     (file,) = page.ask("GET", f"/api/recordings/{name}/streams")["files"]
-    assert "is of no known format" in file["error"] and file["streams"] == []
+    assert "has an unknown format" in file["error"] and file["streams"] == []
     page.begin(name, "recover")
-    assert "no known format" in page.wait(name)["job"]["sentence"]
+    assert "an unknown format" in page.wait(name)["job"]["sentence"]
     assert page.ask("DELETE", f"/api/recordings/{name}/files/words.csv")["dropped"] == []
     assert "drop" in page.ask("POST", f"/api/recordings/{name}/jobs", 400, json={"kind": "recover"})["error"]
 

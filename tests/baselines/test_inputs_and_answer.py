@@ -158,7 +158,7 @@ def test_what_belongs_to_another_recording_is_refused(behind: SolvedArm):
     ("arguments", "text"),
     [
         (("magic",), "there is no method 'magic'; baselines: rts"),
-        (("hold", "compass"), "there is no orientation 'compass'; there are: vqf"),
+        (("hold", "compass"), "there is no orientation 'compass'; choose one of: vqf"),
         (("hold", "vqf", {"boundary_s": 1.0}), "hold has no option boundary_s"),
     ],
 )

@@ -76,7 +76,7 @@ def test_frames_that_stand_alone(baseline: Baseline):
     path = baseline(scene)
     check(scene, path)
     error = errors(made, path)
-    # five frames a second, in between the IMU: `kalman`'s low-pass cannot work on single frames
+    # five frames per second, in between the IMU: `kalman`'s low-pass cannot work on single frames
     assert rms(error[np.isfinite(error)]) < (0.10 if baseline is kalman else 0.03)
 
 

@@ -122,7 +122,7 @@ def test_the_same_digits_twice_and_answers_of_others(data: Path, tasks: Path, tm
     [dataset] = figures["datasets"]
     shares = {row["method"]: row["inside_95"] for row in dataset["methods"]}
     assert shares["exact"] is None and shares["pchip"] is None
-    # 2 cm at 8 mm a axis: 6.25 squared sigmas, inside the 95 % region of three axes (7.81)
+    # 2 cm at 8 mm per axis: 6.25 squared sigmas, inside the 95 % region of three axes (7.81)
     assert chi2.ppf(0.95, 3) > (0.02 / 0.008) ** 2 and shares["off"] == 1.0
     assert dataset["methods"][0]["method"] == "exact" and dataset["methods"][-1]["method"] == "nothing"
     page = (tmp_path / "a" / "benchmark.html").read_text()
@@ -154,7 +154,7 @@ def test_trials_and_splits(data: Path, tmp_path: Path):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     found, _ = find_trials(tmp_path, ["utd_mhad", "smartfallmm"], ("development", "test"))
-    # trial 1 calibrates, action 22 has its IMU on the thigh, a file alone is no trial
+    # trial 1 calibrates, action 22 has its IMU on the thigh, a file alone is not a trial
     assert [(t.name, t.split, t.calibrated_on) for t in found] == [
         ("a1_s5_t2", "test", "subject 5"),
         ("S50A02T01", "test", ""),
@@ -222,10 +222,10 @@ def test_points_are_scored_as_plain_arithmetic_has_it():
     [
         (("--answers", "pchip=."), "there is a method 'pchip' already"),
         (("--answers", "mine"), "NAME=FOLDER"),
-        (("--answers", "mine=/no/such"), "/no/such is no folder"),
+        (("--answers", "mine=/no/such"), "/no/such is not a folder"),
         (("--datasets", "kitti"), "--datasets is of broad, utd_mhad, smartfallmm, sevivi"),
         (("--method", "magic"), "there is no method 'magic'"),
-        (("--data", "/no/such"), "is no folder"),
+        (("--data", "/no/such"), "is not a folder"),
     ],
 )
 def test_what_cannot_be_run_is_said(data: Path, tmp_path: Path, capsys, arguments, said):

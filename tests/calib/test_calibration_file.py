@@ -233,9 +233,9 @@ def test_sides(tmp_path: Path):
         one.arm("left")
     assert one.with_arm(both).arm("left").side == ""
     assert one.with_arm(both).arm("").side == ""
-    with pytest.raises(CalibrationError, match="does not say which"):
+    with pytest.raises(CalibrationError, match="does not show which"):
         one.with_arm(left).arm("")
-    with pytest.raises(CalibrationError, match="holds no arm"):
+    with pytest.raises(CalibrationError, match="has no arm"):
         CalibrationFile().arm("right")
     with pytest.raises(CalibrationError, match="'up'"):
         one.arm("up")

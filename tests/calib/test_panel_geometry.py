@@ -249,7 +249,7 @@ def test_a_bent_depth_widens_sigma():
 
 def test_no_plane_no_answer():
     pixels, rays, depth = patch(held(), 0.001, np.random.default_rng(0))
-    with pytest.raises(CalibrationError, match="no plane"):
+    with pytest.raises(CalibrationError, match="not a plane"):
         fit_plane(pixels, rays, np.random.default_rng(1).uniform(0.5, 4, len(depth)))
     with pytest.raises(CalibrationError, match="depth is missing"):
         fit_plane(pixels[:40], rays[:40], depth[:40])

@@ -103,7 +103,7 @@ def test_a_wrong_one_of_two_without_depth_is_refused_by_name(fault: str) -> None
 def test_one_whose_place_is_not_known_is_refused() -> None:
     recording = made("all").recording
     unknown = replace(recording, cameras=(replace(recording.cameras[0], pose=None),))
-    with pytest.raises(SolveError, match="camera_2 was left out: where it stands is not known"):
+    with pytest.raises(SolveError, match="camera_2 was left out: its pose is unknown"):
         join_cameras(unknown)
 
 

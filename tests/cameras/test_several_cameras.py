@@ -180,5 +180,5 @@ def test_a_table_that_is_wrong_is_refused(table: object) -> None:
 
 def test_one_camera_has_nothing_to_be_placed() -> None:
     alone: Recording = replace(made().recording, cameras=())
-    with pytest.raises(CalibrationError, match="one camera only"):
+    with pytest.raises(CalibrationError, match="only one camera"):
         calibrate_cameras([alone])

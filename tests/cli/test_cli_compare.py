@@ -142,7 +142,7 @@ def test_what_cannot_be_compared_is_said_in_a_sentence(session: Path, tmp_path: 
         "t_s,x,y,z\n" + "".join(f"{900 + 0.02 * k},0,0,2\n" for k in range(99))
     )
     cases = [
-        (1, [bare], "holds no truth: name one with --truth"),
+        (1, [bare], "has no truth: name one with --truth"),
         (1, [recording, "--truth", tmp_path / "none.c3d"], "there is no such file"),
         (1, [recording, "--truth", tmp_path / "late.csv", "--methods", "graph"], "do not overlap in time"),
         (2, [recording, "--methods", "graph,magic"], "there is no method 'magic'"),

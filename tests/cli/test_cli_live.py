@@ -112,7 +112,7 @@ def test_what_a_person_gets_wrong(recording, tmp_path, capsys):
     assert "--side is left or right" in sentence(*played, "--side", "both", code=2)
     assert "--foxglove" in sentence(*played, "--foxglove", "kitchen", code=2)
     assert "no tracked arm fits --side left" in sentence(*played, "--side", "left", code=1)
-    assert "what is written is MCAP" in sentence(*played, "--record", str(tmp_path / "a.csv"), code=1)
+    assert "the output is MCAP" in sentence(*played, "--record", str(tmp_path / "a.csv"), code=1)
     assert "is read by this command" in sentence(*played, "--record", str(recording), "--force", code=1)
     (tmp_path / "there.mcap").write_bytes(b"precious")
     assert "exists already" in sentence(*played, "--record", str(tmp_path / "there.mcap"), code=1)

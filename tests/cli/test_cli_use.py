@@ -131,11 +131,11 @@ def test_wrong_use_is_2(capsys, tmp_path, monkeypatch, arguments, sentence):
         ),
         (["smooth", "text.mcap", "-o", "out.mcap", "--config", "unknown.toml"], "no setting 'camera.frob'"),
         (["smooth", "text.mcap", "-o", "out.mcap", "--config", "range.toml"], "'camera.cauchy' = -1"),
-        (["smooth", "text.mcap", "-o", "out.mcap", "--config", "binary.toml"], "no UTF-8 text"),
+        (["smooth", "text.mcap", "-o", "out.mcap", "--config", "binary.toml"], "not UTF-8 text"),
         (["smooth", "text.mcap", "-o", "out.mcap", "--calibration", "missing.toml"], "missing.toml"),
-        (["simulate", "arm", "-o", "a.txt"], "what is written is MCAP; name it a.mcap"),
-        (["simulate", "people", "-o", "a.csv"], "what is written is MCAP; name it a.mcap"),
-        (["repair", "text.mcap", "-o", "a.json"], "what is written is MCAP; name it a.mcap"),
+        (["simulate", "arm", "-o", "a.txt"], "the output is MCAP; name it a.mcap"),
+        (["simulate", "people", "-o", "a.csv"], "the output is MCAP; name it a.mcap"),
+        (["repair", "text.mcap", "-o", "a.json"], "the output is MCAP; name it a.mcap"),
         (["validate", "text.mcap", "--truth", "t.csv"], "text.mcap"),
         (["gaps", "text.mcap"], "text.mcap"),
         (["export", "text.mcap", "--format", "csv", "-o", "out.csv"], "text.mcap"),
@@ -149,7 +149,7 @@ def test_wrong_use_is_2(capsys, tmp_path, monkeypatch, arguments, sentence):
 )
 def test_what_cannot_be_done_is_1(capsys, tmp_path, monkeypatch, arguments, sentence):
     monkeypatch.chdir(tmp_path)
-    Path("text.mcap").write_text("this is no recording\n" * 10)
+    Path("text.mcap").write_text("this is not a recording\n" * 10)
     Path("empty.mcap").touch()
     Path("folder").mkdir()
     Path("broken.toml").write_text("[camera\n")
@@ -204,8 +204,8 @@ def test_a_recording_that_lacks_something(capsys, tmp_path, good, lacking):
         (OSError(errno.ENOSPC, "No space left on device", "x.mcap"), "x.mcap: no space left on the disk"),
         (PermissionError(errno.EACCES, "Permission denied", "x"), "x: permission denied"),
         (FileNotFoundError(errno.ENOENT, "No such file", "x"), "x: there is no such file"),
-        (MemoryError(), "memory does not suffice"),
-        (RuntimeError("can't start new thread"), "memory does not suffice"),
+        (MemoryError(), "not enough memory"),
+        (RuntimeError("can't start new thread"), "not enough memory"),
         (ZeroDivisionError("division\nby zero"), "unexpected error, ZeroDivisionError"),
     ],
 )
@@ -246,7 +246,7 @@ def test_config_is_toml_that_reads_back(capsys, tmp_path):
     assert run(["config", "--json", str(tmp_path / "c.json")]) == 0
     text = capsys.readouterr().out
     assert Config.model_validate(tomllib.loads(text)) == Config()
-    assert "# white noise of a joint, m an axis" in text
+    assert "# white noise of a joint, m per axis" in text
     assert json.loads((tmp_path / "c.json").read_text()) == Config().model_dump(mode="json")
     changed = tmp_path / "c.toml"
     changed.write_text("[windows]\nmargin_s = 2.5\n")

@@ -99,7 +99,7 @@ def test_what_is_wrong_is_one_sentence_and_no_file(session: Path, tmp_path: Path
         ([*one, "--depth", one[3]], 2, "alike often"),
         (one[2:], 2, "--intrinsics"),
         (wrong, 1, "gz"),
-        ([], 2, "once a pose"),
+        ([], 2, "once per pose"),
     ):
         assert run(["calibrate", "world", *arguments, *panel, "-o", str(cal)]) == code
         error = capsys.readouterr().err
@@ -183,7 +183,7 @@ def test_a_base_imu_that_cannot_be_used_is_told(still):
     assert with_gravity(recording, CalibrationFile()) is recording
     assert with_gravity(replace(recording, base_imu=None), file).gravity_sigma_rad is None
     odd = with_gravity(replace(recording, camera_frame=None), file)
-    assert odd.gravity_sigma_rad is None and "does not say" in odd.notes[-1]
+    assert odd.gravity_sigma_rad is None and "are unknown" in odd.notes[-1]
     newer = file.with_table(
         "imu", {"base": {"accelerometer": {"offset": [0.1, 0, 0], "matrix": np.eye(3).tolist()}}}
     )

@@ -41,7 +41,7 @@ def test_what_changed_is_printed_and_written(study: Path, tmp_path: Path, capsys
     assert command(study, "--person", "p1", *files) == 0
     printed = capsys.readouterr().out
     assert "clearly more" in printed and "no clear change" in printed
-    assert "would be called so by chance" in printed and "This is no diagnosis" in printed
+    assert "would be called so by chance" in printed and "This is not a diagnosis" in printed
     (person,) = json.loads((tmp_path / "p.json").read_text())["persons"]
     assert person["days"] == [0, 7, 14] and person["clear"] >= 1
     flexion = next(each for each in person["measures"] if each["key"] == FLEXION)
@@ -89,11 +89,11 @@ def test_a_minimal_detectable_change_of_the_user(study: Path, tmp_path: Path, ca
         (["--measure", "elbow"], "has no measure elbow; measures are as"),
         (["--sessions", "none.csv"], "none.csv"),
         (["--mdc", "none.toml"], "none.toml"),
-        (["--mdc", "bad.toml"], "is no TOML"),
+        (["--mdc", "bad.toml"], "is not TOML"),
         (["--mdc", "empty.toml"], "has no table [mdc95]"),
         (["--mdc", "zero.toml"], "it must be a number above 0"),
-        (["--mdc", "bad.json"], "is no JSON"),
-        (["--mdc", "other.json"], "holds no measures"),
+        (["--mdc", "bad.json"], "is not JSON"),
+        (["--mdc", "other.json"], "has no measures"),
         (["--mdc", "few.json"], "it takes three recordings with motion capture"),
         (["--json", "there.json"], "--force"),
         (["--json", "a.json", "--csv", "a.json"], "named for two outputs"),
@@ -126,9 +126,9 @@ def test_wrong_uses(
 
 def test_what_is_no_study(tmp_path: Path, capsys: Capture):
     assert command(tmp_path / "none") == 1
-    assert "is no folder; name the one that `unocclude batch` wrote" in capsys.readouterr().err
+    assert "is not a folder; name the one that `unocclude batch` wrote" in capsys.readouterr().err
     assert command(tmp_path) == 1
-    assert "is no study with results" in capsys.readouterr().err
+    assert "is not a study with results" in capsys.readouterr().err
 
 
 def test_a_study_in_which_nothing_can_be_compared(tmp_path: Path, capsys: Capture):

@@ -28,7 +28,7 @@ SAID: dict[str, tuple[str, str]] = {
     "joints_of_the_other_arm": ("seems to be of the other arm or of another recording", ""),
     "skeleton_of_another_recording": ("seems to be of the other arm or of another recording", ""),
     "sensor_on_the_upper_arm": ("the IMU seems to sit on the upper arm", ""),
-    "imu_at_10_hz": ("the IMU has 10 samples a second", ""),
+    "imu_at_10_hz": ("the IMU has 10 samples per second", ""),
     "radians_called_degrees": ("the gyroscope's rates seem 57 times too small", ""),
     "metres_called_millimetres": ("the camera's positions seem 1000 times too small", ""),
     "wrong_camera_frame": ("the camera's axes seem to be kinect", "--camera-frame kinect"),

@@ -175,7 +175,7 @@ def test_a_calibration_of_one_arm_leaves_the_other_to_its_motion(
     right_only.write_text("".join(re.findall(r"^\[arm\.right.*?(?=^\[arm\.left|\Z)", text, re.M | re.S)))
     arguments = ["smooth", str(folder / "both.mcap"), "-o", str(folder / "with_cal.mcap")]
     assert run([*arguments, "--calibration", str(right_only), "--processes", "1", "--draws", "0"]) == 0
-    assert "holds no left arm: this one is found from the motion" in capsys.readouterr().out
+    assert "has no left arm: this one is found from the motion" in capsys.readouterr().out
     assert len(read_recovery(folder / "with_cal.mcap")) == 2
 
 

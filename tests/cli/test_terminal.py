@@ -92,7 +92,7 @@ def test_the_demo_prints_one_table(arm: SimulatedArm, capsys) -> None:
     print_gaps(recovery, validation)
     out = capsys.readouterr().out
     assert out.count("┏") == 1 and "In the gaps the answer is within " in out and " of the truth, " in out
-    # a row a gap, with the figures of the validation
+    # one row per gap, with the figures of the validation
     assert out.count("\n│") == len(recovery.gaps) == len(validation.gaps)
     assert f"{100 * validation.gaps[0][1].position_p95_m:.2f}" in out
     print_gaps(recovery, None)

@@ -72,7 +72,7 @@ def test_the_verdict_comes_first_and_untrusted_gaps_are_named(smooth) -> None:
         *("stretches", "length_s", "rms_m", "stated_sigma_m", "inside_95", "sigma_factor")
     }
     assert figures["pairing"].items() >= {"proved": True, "chance": 1e-4, "evidence": 120.0}.items()
-    assert figures["usable"] == 1600 - 240  # 3 s of 80 samples a second
+    assert figures["usable"] == 1600 - 240  # 3 s of 80 samples per second
 
 
 def test_strict_ends_with_3_and_writes_all_the_same(smooth, tmp_path: Path) -> None:

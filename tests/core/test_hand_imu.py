@@ -60,7 +60,7 @@ def test_without_its_imu_the_hand_is_worse(recovery: Recovery, made: SimulatedAr
     alone = smooth(bare, processes=1)
     hand_m, nees = off(alone, made, "hand")
     assert hand_m > 1.6 * off(recovery, made, "hand")[0]  # 2 to 3 times on eight arms
-    assert 0.2 < nees < 2.0  # and it says so: 2 to 4 where the hand counted as rigid with the forearm
+    assert 0.2 < nees < 2.0  # and it says so: 2 to 4 where the hand treated as rigid with the forearm
 
 
 def test_the_hand_s_orientation_and_clock(recovery: Recovery, made: SimulatedArm) -> None:

@@ -1,4 +1,4 @@
-"""Small functions that stand in for a library's, against it: algebra, filters, rotations, splines."""
+"""Small functions that are in for a library's, against it: algebra, filters, rotations, splines."""
 
 from __future__ import annotations
 

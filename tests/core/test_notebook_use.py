@@ -57,7 +57,7 @@ def test_without_states_a_finite_position_is_tracked(made: SimulatedArm) -> None
     [
         ({"acc": np.zeros((3, 3))}, r"acc has the shape \(3, 3\); it must be"),
         ({"imu_t_s": np.zeros(0)}, "imu_t_s must hold at least two times"),
-        ({"joints": {"knee": np.zeros((5, 3))}}, "knee is no joint; joints are shoulder, elbow"),
+        ({"joints": {"knee": np.zeros((5, 3))}}, "knee is not a joint; joints are shoulder, elbow"),
         ({"side": "middle"}, "left or right, not middle"),
         ({"camera_frame": "upside"}, "one of kinect, optical, zup, not upside"),
         ({"gravity_hint": [0.0, np.nan, 0.0]}, "gravity_hint holds values that are not finite"),

@@ -53,7 +53,7 @@ def write(made: SimulatedArm, path: Path) -> None:
     ("preset", "changes", "rms_m"),
     [
         ("white", {"latency_s": 0.045, "dropped_frames": 0.03, "frame_jitter_s": 0.002}, 0.012),
-        # 8 mm an axis of this are the wrist's own constant error, which nothing can see
+        # 8 mm per axis of this are the wrist's own constant error, which nothing can see
         ("realistic", {}, 0.035),
     ],
     ids=["white", "realistic"],

@@ -20,7 +20,7 @@ from smoother.evaluation.validate import sample_errors
 SEEDS = range(6)
 #: The seeds are fixed, so nothing scatters: what is left is room for changes of the method that are meant.
 FACTOR = 1.5
-#: Joint biases are drawn once a recording, and six of them decide: a small change weighs more.
+#: Joint biases are drawn once per recording, and six of them decide: a small change weighs more.
 REALISTIC_FACTOR = 1.8
 
 #: Measured over six seeds, true calibration. White noise leaves joints under-confident: of their 3.1 mm, 2.3

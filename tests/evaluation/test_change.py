@@ -53,7 +53,7 @@ def test_words(first: SessionValue, last: SessionValue, mdc95: float, word: str)
 def test_no_draws_is_said():
     change = change_between(value(60, math.nan, 0), value(75), 5.0)
     assert math.isnan(change.p)
-    # a measure without an interval does not tell whether none or too few motions were drawn
+    # a measure without an interval does not show whether none or too few motions were drawn
     assert "without drawn motions, or they are too few (20 are needed, --draws 64)" in change.limits[0]
     change = change_between(value(60), SessionValue("4", 30.0, math.nan, note="no hand"), math.nan)
     assert change.limits == ("session 4 has no value (no hand)",)
@@ -61,7 +61,7 @@ def test_no_draws_is_said():
 
 def test_what_rests_on_recovered_samples_is_said():
     change = change_between(value(60), replace(value(61), recovered_share=0.7))
-    assert change.limits == ("more than half of session 1 rests on recovered samples",)
+    assert change.limits == ("more than half of session 1 comes from recovered samples",)
 
 
 @pytest.mark.parametrize("draws", [6, 20, 64])

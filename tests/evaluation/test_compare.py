@@ -72,7 +72,7 @@ class TestCompare:
         assert errors == sorted(errors)
         assert found.rows[-1].failure == "it had no wish to"
         assert any("broken could not recover it" in note for note in found.notes)
-        # white noise of 5 mm an axis is 8.7 mm of distance; some 360 samples in the gaps
+        # white noise of 5 mm per axis is 8.7 mm of distance; some 360 samples in the gaps
         assert errors[0] == pytest.approx(0.005 * np.sqrt(3), rel=0.1)
 
     def test_a_delay_is_found_to_a_few_milliseconds(self, found):

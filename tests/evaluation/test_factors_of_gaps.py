@@ -77,7 +77,7 @@ def test_coverage_of_the_next_gap_on_exchangeable_gaps(count: int):
         samples = np.concatenate([group[:, 1] for group in groups[:-1]])
         wrong.append(np.mean(groups[-1][:, 1] <= np.quantile(samples, 0.95)))
     assert 0.925 <= np.mean(inside) <= 0.99
-    assert np.mean(wrong) < np.mean(inside)  # samples counted as if each stood for itself
+    assert np.mean(wrong) < np.mean(inside)  # samples treated as if each stood for itself
 
 
 def test_lengths_with_few_gaps_are_taken_together():

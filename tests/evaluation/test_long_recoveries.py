@@ -313,7 +313,7 @@ with DiskStore(folder) as store:
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells the peak of the memory")
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux gives the peak of the memory")
 def test_peak_of_short_and_long(tmp_path: Path) -> None:
     peaks = []
     for minutes in (3, 9):

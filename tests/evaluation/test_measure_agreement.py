@@ -152,11 +152,11 @@ class TestManyRecordings:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{", "is no JSON"),
-        ("[]", "holds no measures"),
-        ('{"all": {}}', "holds no measures"),
-        ('{"measures": null}', "holds no measures"),
-        ('{"measures": {"pairs": []}}', "holds no measures"),
+        ("{", "is not JSON"),
+        ("[]", "has no measures"),
+        ('{"all": {}}', "has no measures"),
+        ('{"measures": null}', "has no measures"),
+        ('{"measures": {"pairs": []}}', "has no measures"),
         ('{"measures": {"pairs": [{"key": 1}]}}', "cannot be read"),
         (
             json.dumps({"measures": {"pairs": [plain(pair("r", 1, 2).to_dict()) | {"value": "x"}]}}),
@@ -239,7 +239,7 @@ class TestCommand:
         assert again_found[FLEXION] == found
         assert read_detectable(tmp_path / "w.json")[FLEXION] == found["mdc95"]
 
-    @pytest.mark.parametrize(("name", "words"), [("none.json", "none.json"), ("a.json", "is no JSON")])
+    @pytest.mark.parametrize(("name", "words"), [("none.json", "none.json"), ("a.json", "is not JSON")])
     def test_wrong_pools(self, folder: Path, tmp_path: Path, name: str, words: str, capsys):
         (tmp_path / "a.json").write_text("no")
         assert self.command(folder, "--pool", tmp_path / name, "--json", tmp_path / "v.json") == 1

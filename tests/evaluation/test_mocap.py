@@ -231,7 +231,7 @@ class TestReference:
             read_reference(tmp_path / "t.csv", recovery, markers=chosen["markers"])
         with pytest.raises(CalibrationError, match=r"no \[camera_from_mocap\]"):
             stated_frame(None, CameraFrame.KINECT, "cal.toml")
-        with pytest.raises(CalibrationError, match="does not say which axes"):
+        with pytest.raises(CalibrationError, match="axes of the recording's camera are unknown"):
             stated_frame({"rotation": [1, 0, 0, 0], "translation": [0, 0, 0]}, None, "cal.toml")
         with pytest.raises(CalibrationError, match="unit quaternion"):
             stated_frame({"rotation": [1, 1, 0, 0], "translation": [0, 0, 0]}, CameraFrame.ZUP, "cal.toml")

@@ -65,7 +65,7 @@ def test_unix_times_and_relative_times(tmp_path, recovery):
     [
         ("a.csv", "", "column t_s, x, y, z is missing; the file has nothing"),
         ("a.csv", "time,x,y,z\n0,1,2,3\n", "column t_s is missing; the file has time, x, y, z"),
-        ("a.csv", "t_s,x,y,z\n0,1,2,3\n0.1,1,two,3\n", "line 3: 'two' in column y is no number"),
+        ("a.csv", "t_s,x,y,z\n0,1,2,3\n0.1,1,two,3\n", "line 3: 'two' in column y is not a number"),
         ("a.csv", "t_s,x,y,z\n", "no row has a time"),
         ("a.txt", "", "a truth is read from .c3d or .trc"),
         ("a.csv", None, "there is no such file"),

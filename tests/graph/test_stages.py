@@ -16,7 +16,7 @@ from smoother.graph.optimise import LOOSE_M, Optimum, explained, optimise
 from smoother.window.problem import Window
 
 SIGMA_M = NOISE.upper_arm_sigma_m
-#: The gap is from node 3 to 6, and these knots of the shoulder lie in it.
+#: The gap is from node 3 to 6, and these knots of the shoulder are in it.
 KNOTS = [2, 3]
 
 

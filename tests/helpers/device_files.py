@@ -161,7 +161,7 @@ def mediapipe(path: Path) -> None:
 
 
 def joint_rows(path: Path) -> None:
-    """A row a joint."""
+    """One row per joint."""
     body = [
         f"{k / 30:.6f},{name},{','.join(f'{v:.6f}' for v in made.part(name, FRAMES)[k])}"
         for k in range(FRAMES)
@@ -171,7 +171,7 @@ def joint_rows(path: Path) -> None:
 
 
 def joint_table(path: Path) -> None:
-    """Joints by name, a row a frame."""
+    """Joints by name, one row per frame."""
     names = ("left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist")
     points = np.stack([made.part(name, FRAMES) for name in names], axis=1)
     header = ",".join(["time", *(f"{name}_{axis}" for name in names for axis in "xyz")])

@@ -185,7 +185,7 @@ def study(folder: Path, name: str = HOSTILE_NAME) -> Path:
     )
     for seed, stem in enumerate((name, "b")):
         write_recording(simulate_arm(settings, seed).recording, sessions / f"{stem}.mcap")
-    (sessions / f"{name} broken.mcap").write_bytes(b"this is no recording")
+    (sessions / f"{name} broken.mcap").write_bytes(b"this is not a recording")
     out = folder / "study"
     command("batch", sessions, "-o", out, "--processes", 1, "--report", ends=(0, 1))
     return out / "report.html"

@@ -99,7 +99,7 @@ def test_crop_is_the_same_in_python() -> None:
     [
         ("start_s,end_s\n1,2\n", "the column name is missing"),
         ("name,start_s,end_s\n../a,1,2\n", "line 2: '../a' is no name for a file"),
-        ("name,start_s,end_s\na,1,x\n", "line 2: end_s of a is no number of seconds"),
+        ("name,start_s,end_s\na,1,x\n", "line 2: end_s of a is not a number of seconds"),
         ("name,start_s,end_s\na,4,2\n", "line 2: a ends at 2 s, before it starts"),
         ("name,start_s,end_s\n", "there is no trial"),
     ],
@@ -118,7 +118,7 @@ def test_numbers_of_one_name_do_not_meet_another_name(tmp_path: Path) -> None:
     ("options", "code", "says"),
     [
         (["--from", "300"], 1, "lies outside the recording, which lasts from 0.04 to 31.67 s"),
-        ([], 2, "say which part"),
+        ([], 2, "choose a part"),
         (["--from", "5", "--to", "2"], 2, "--to 2 is not after --from 5"),
         (["--from", "5", "--label", "x"], 2, "--label chooses among --trials"),
     ],

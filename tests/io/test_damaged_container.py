@@ -33,7 +33,7 @@ Rows = list[tuple[str, int, bytes]]
 def written(
     compression: CompressionType = CompressionType.ZSTD, chunked: bool = True, crcs: bool = True
 ) -> bytes:
-    """A file of two topics in some ten chunks; channels stand in the first alone."""
+    """A file of two topics in some ten chunks; channels are in the first alone."""
     file = BytesIO()
     writer = Writer(
         file,

@@ -117,7 +117,7 @@ def test_what_cannot_be_exported(tmp_path: Path, capsys: pytest.CaptureFixture[s
     write_recovery(recovery(), tmp_path / "a.mcap")
     out = tmp_path / "d.parquet"
     assert run(["export", str(tmp_path / "a.mcap"), "--format", "parquet", "--draws", "-o", str(out)]) == 1
-    assert "holds no drawn motions; run `unocclude smooth` with --draws 64" in capsys.readouterr().err
+    assert "has no drawn motions; run `unocclude smooth` with --draws 64" in capsys.readouterr().err
     assert not out.exists()
     assert run(["export", str(tmp_path / "a.mcap"), "--format", "csv", "--draws", "-o", "d.csv"]) == 2
     assert "--draws is for parquet, not for csv" in capsys.readouterr().err

@@ -147,7 +147,7 @@ class TestTrc:
             ("", "no frame"),
             ("1\t0\tone\t2\t3\t4\t5\t6\n", "line 7: 'one' in column 3 is not a number"),
             ("1\t0\t1\t2\t3\t4\t5\t6\t7\t8\t9\n", "line 7: 11 cells where 2 markers make 8"),
-            ("1\t0.1\t1\t2\t3\t4\t5\t6\n2\t0\t1\t2\t3\t4\t5\t6\n", "time does not go on"),
+            ("1\t0.1\t1\t2\t3\t4\t5\t6\n2\t0\t1\t2\t3\t4\t5\t6\n", "time does not increase"),
         ],
     )
     def test_refused_with_the_reason(self, tmp_path, rows, said):
@@ -229,12 +229,12 @@ class TestC3d:
         (tmp_path / "cut.c3d").write_bytes(whole[:600])
         with pytest.raises(RecordingError, match=r"cut\.c3d"):
             read_markers(tmp_path / "cut.c3d")
-        with pytest.raises(RecordingError, match="holds no point"):
+        with pytest.raises(RecordingError, match="has no point"):
             read_markers(make_c3d(tmp_path / "b.c3d", np.ones((5, 0, 3))))
         with pytest.raises(RecordingError, match="unit of length is 'parsec'"):
             read_markers(make_c3d(tmp_path / "c.c3d", np.ones((5, 3, 3)), unit="parsec"))
         (tmp_path / "disguised.trc").write_bytes(whole)
-        with pytest.raises(RecordingError, match="C3D file with a wrong name"):
+        with pytest.raises(RecordingError, match="C3D file with a wrong extension"):
             read_markers(tmp_path / "disguised.trc")
 
 

@@ -158,7 +158,7 @@ def test_what_is_refused(dataset: Path, result: Path, tmp_path: Path, capsys):
         open_bids(dataset)
     with pytest.raises(RecordingError, match="there is no ses-9; there are 1, 2"):
         open_bids(dataset, "p1", "9")
-    with pytest.raises(RecordingError, match="holds no sub-"):
+    with pytest.raises(RecordingError, match="has no sub-"):
         open_bids(tmp_path)
     with pytest.raises(UnoccludeError, match="letters and digits alone, not 'p 1'"):
         BidsNames("p 1")

@@ -80,5 +80,5 @@ def test_a_pipe_or_device_is_refused(folder: Path, more: str):
 
 def test_a_name_with_nul(folder: Path):
     describe(folder, 'file = "imu\\u0000.csv"')
-    with pytest.raises(UnoccludeError, match="no file's name"):
+    with pytest.raises(UnoccludeError, match="not a file's name"):
         open_csv(folder)

@@ -274,7 +274,7 @@ def test_times_in_another_unit(
     section = '[imu.forearm_right]\nfile = "imu.csv"\n'
     recording = texts["recording"].replace(section, section + described)
     file = open_csv(plain_folder(imu="\n".join([head, *rows]) + "\n", recording=recording))
-    assert any("is no IMU's rate" in note and "time_unit" in note for note in file.notes)
+    assert any("which no IMU has" in note and "time_unit" in note for note in file.notes)
     write_recording(file, tmp_path / "a.mcap")
     with pytest.raises(RecordingError, match=rf"in common .* at {rate} Hz, .* time_unit"):
         read_recording(tmp_path / "a.mcap")

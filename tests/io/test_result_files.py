@@ -133,7 +133,7 @@ def test_images_stay_behind_unless_asked_for(tmp_path: Path, wanted: bool) -> No
 
 def test_a_file_without_result(tmp_path: Path) -> None:
     write_recording(make(), tmp_path / "rec.mcap")
-    with pytest.raises(RecordingError, match="holds no result"):
+    with pytest.raises(RecordingError, match="has no result"):
         read_recovery(tmp_path / "rec.mcap")
 
 

@@ -120,7 +120,7 @@ def test_world_axes():
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(turn) > 0.99
         np.testing.assert_allclose(turn @ frame.down, [0, 0, -1], atol=1e-12)
-    # What lies before an optical camera lies at negative x, what is to its right at positive y.
+    # What lies before an optical camera is at negative x, what is to its right at positive y.
     turn = world_axes(CameraFrame.OPTICAL.down)
     np.testing.assert_allclose(turn @ [0, 0, 2], [-2, 0, 0], atol=1e-12)
     np.testing.assert_allclose(turn @ [1, 0, 0], [0, 1, 0], atol=1e-12)

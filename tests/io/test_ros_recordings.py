@@ -81,7 +81,7 @@ def test_azure_kinect_recording(bag: tuple[Path, np.ndarray]) -> None:
     seen = recording.arm.tracked("wrist")
     assert not seen[100:130].any() and seen[:100].all() and seen[130:].all()
     np.testing.assert_allclose(recording.arm.joint("wrist")[seen], wrist[seen])
-    # An empty array has no stamp: its log time, less the delay of the others, stands in.
+    # An empty array has no stamp: its log time, less the delay of the others, is in.
     np.testing.assert_allclose(np.diff(recording.arm.t_s), 1 / 30, atol=1e-6)
     assert recording.imu.mag is not None
     np.testing.assert_allclose(recording.imu.mag[7], [7.0, 8.0, 9.0])

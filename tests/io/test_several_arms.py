@@ -351,5 +351,5 @@ def test_the_arm_is_told_by_motion(shift_s: float):
 
 
 def test_arms_that_move_alike_are_left_open():
-    with pytest.raises(RecordingError, match="does not tell which belong together; choose with --side"):
+    with pytest.raises(RecordingError, match="does not show which belong together; choose with --side"):
         choose(scene(8.0, same=True))

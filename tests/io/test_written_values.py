@@ -32,7 +32,7 @@ from smoother.result import Recovery
 from smoother.runtime.outputs import writing
 
 quick = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-#: What may stand in a name: no surrogates, which are no text.
+#: What may be in a name: no surrogates, which are not text.
 words = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
 numbers = st.floats(-1e6, 1e6)
 any_number = st.floats(allow_nan=False, allow_infinity=False)

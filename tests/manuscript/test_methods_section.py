@@ -320,4 +320,4 @@ def test_wrong_use(
 
 def test_a_recording_is_no_result(result: Path, capsys: pytest.CaptureFixture[str]):
     assert run(["methods", str(result.with_name("rec.mcap"))]) == 1
-    assert "holds no result" in capsys.readouterr().err
+    assert "has no result" in capsys.readouterr().err

@@ -38,7 +38,7 @@ def test_a_slow_imu_allows_less_and_then_nothing():
     usual, slow, still_slower = (allowance(slower(arm(), every)) for every in (1, 3, 8))
     assert slow.ready and slow.longest_s < usual.longest_s
     assert any("slow" in sentence for sentence in slow.undetermined)
-    assert not still_slower.ready and "samples a second" in still_slower.sentence
+    assert not still_slower.ready and "samples per second" in still_slower.sentence
 
 
 def test_without_a_shoulder_gaps_are_shorter():

@@ -86,7 +86,7 @@ def test_a_jump(off_m: float, is_jump: bool) -> None:
 
 
 def test_a_fast_arm_does_not_jump() -> None:
-    """Four metres a second, 13 cm a frame, straight on: far from its neighbours and still right."""
+    """Four metres a second, 13 cm per frame, straight on: far from its neighbours and still right."""
     segment = forearm()
     position = segment.position + np.outer(4.0 * segment.frame_t_camera, X)[:, None]
     fast = replace(segment, position=position)

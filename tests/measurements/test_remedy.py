@@ -24,16 +24,16 @@ def recording() -> Recording:
 
 
 def test_what_each_changes(recording: Recording) -> None:
-    mended = ALL.applied(recording)
-    np.testing.assert_array_equal(mended.imu.acc, -recording.imu.acc)
-    np.testing.assert_array_equal(mended.imu.gyro, -recording.imu.gyro)
-    np.testing.assert_array_equal(mended.arm.joint("elbow"), recording.arm.joint("wrist") * [1, 1, -1])
-    np.testing.assert_array_equal(mended.arm.joint("hand"), recording.arm.joint("hand") * [1, 1, -1])
+    corrected = ALL.applied(recording)
+    np.testing.assert_array_equal(corrected.imu.acc, -recording.imu.acc)
+    np.testing.assert_array_equal(corrected.imu.gyro, -recording.imu.gyro)
+    np.testing.assert_array_equal(corrected.arm.joint("elbow"), recording.arm.joint("wrist") * [1, 1, -1])
+    np.testing.assert_array_equal(corrected.arm.joint("hand"), recording.arm.joint("hand") * [1, 1, -1])
     wrist, elbow = JOINTS.index("wrist"), JOINTS.index("elbow")
-    np.testing.assert_array_equal(mended.arm.state[:, wrist], recording.arm.state[:, elbow])
-    assert mended.camera_frame is CameraFrame.OPTICAL
-    assert mended.truth is recording.truth and mended.imu.t_s is recording.imu.t_s
-    assert len(mended.notes) == len(recording.notes) + 5
+    np.testing.assert_array_equal(corrected.arm.state[:, wrist], recording.arm.state[:, elbow])
+    assert corrected.camera_frame is CameraFrame.OPTICAL
+    assert corrected.truth is recording.truth and corrected.imu.t_s is recording.imu.t_s
+    assert len(corrected.notes) == len(recording.notes) + 5
 
 
 def test_twice_is_none(recording: Recording) -> None:

@@ -72,7 +72,7 @@ def test_a_rejected_sample_counts_as_missing() -> None:
 
 @given(masks)
 def test_gaps_cover_exactly_the_occluded_frames(mask: list[bool]) -> None:
-    """Every occluded frame lies in one gap, no visible one in any; gaps in order and disjoint."""
+    """Every occluded frame is in one gap, no visible one in any; gaps in order and disjoint."""
     t, shown = np.arange(len(mask)) / 30.0, np.array(mask)
     gaps = find_gaps(t, shown, float(t[0]), float(t[-1]))
     for a, b in itertools.pairwise(gaps):

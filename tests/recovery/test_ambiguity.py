@@ -49,9 +49,9 @@ def test_a_mirrored_skeleton_is_named_though_it_fits(in_one_plane: Trial) -> Non
     assert mirrored.estimates.trusted is False
     assert mirrored.estimates.reasons[0].startswith("the skeleton seems mirrored (x)")
     assert "--mirror x" in mirrored.estimates.remedies
-    mended = smooth(Remedy(mirror="x").applied(recording), None, ALONE)
-    assert mended.estimates.trusted and not any(
-        "mirrored" in reason for each in mended.estimates.untrusted for reason in each.reasons
+    corrected = smooth(Remedy(mirror="x").applied(recording), None, ALONE)
+    assert corrected.estimates.trusted and not any(
+        "mirrored" in reason for each in corrected.estimates.untrusted for reason in each.reasons
     )
 
 

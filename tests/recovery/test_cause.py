@@ -102,8 +102,8 @@ def test_an_option_that_is_not_needed_is_to_be_left_out(sound: Recording, needle
     assert cause.sentence.startswith(f"with {needless.options} ")
     assert cause.sentence.endswith(f"run again without {needless.options}")
     # undone twice it is as it was
-    mended = needless.applied(needless.applied(synchronised))
-    assert likeliest_cause(mended) is None
+    corrected = needless.applied(needless.applied(synchronised))
+    assert likeliest_cause(corrected) is None
 
 
 def test_two_options_that_cancel_each_other_are_not_trusted(sound: Recording) -> None:
@@ -165,10 +165,10 @@ def test_exchanged_sides_are_named_and_mended(exchanged: Recording) -> None:
     cause = likeliest_cause(exchanged)
     assert cause is not None and [remedy.options for remedy in cause.remedies] == ["--swap left,right"]
     assert cause.sentence.startswith("left and right of the skeleton seem exchanged")
-    mended = Remedy(sides=True).applied(exchanged)
-    assert exchanged.opposite is not None and mended.arm is exchanged.opposite
-    assert mended.applied_fixes == ("--swap left,right",)
-    assert likeliest_cause(synchronise_coarsely(mended)[0]) is None
+    corrected = Remedy(sides=True).applied(exchanged)
+    assert exchanged.opposite is not None and corrected.arm is exchanged.opposite
+    assert corrected.applied_fixes == ("--swap left,right",)
+    assert likeliest_cause(synchronise_coarsely(corrected)[0]) is None
     # an arm alone: the files are doubted
     alone = likeliest_cause(replace(exchanged, opposite=None))
     assert alone is not None and alone.remedies == () and "--side" in alone.sentence

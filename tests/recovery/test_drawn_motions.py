@@ -66,7 +66,7 @@ def test_speeds_of_drawn_motions_vary_as_the_answer_states(drawn: Recovery) -> N
     inner = (drawn.t_s > 1.0) & (drawn.t_s < 19.0)
     faster = np.array([drawn.drawn(k).velocity - drawn.velocity for k in range(100)])[:, inner]
     ratio = faster.var(axis=0).sum(axis=1) / np.trace(drawn.velocity_covariance[inner], axis1=1, axis2=2)
-    # the derivative of what is drawn 25 times a second; the interpolated covariances say no more
+    # the derivative of what is drawn 25 times per second; the interpolated covariances say no more
     assert 0.7 < np.median(ratio) < 1.3
 
 

@@ -82,7 +82,7 @@ def test_the_self_check_is_the_same_on_two_processes(recovery: Recovery) -> None
 
 
 def test_no_answer_depends_on_what_is_hidden_as_a_test(recovery: Recovery) -> None:
-    """The stretches lie in visible time: no gap of the result is one of them."""
+    """The stretches are in visible time: no gap of the result is one of them."""
     made = simulate_arm(ArmSimulation.preset("realistic", protocol="random", duration_s=30.0), 5)
     tracked = made.recording.arm.forearm_tracked
     hidden_s = float((~tracked).sum()) / 30.0

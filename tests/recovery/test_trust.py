@@ -87,7 +87,7 @@ def test_a_slow_sensor_and_a_clipped_one() -> None:
     anatomy = ALONE.arm.anatomy
     slow = replace(recording, imu=recording.imu.select(np.arange(len(recording.imu)) % 8 == 0))
     assert with_verdict(recovery, slow, anatomy).estimates.reasons == (
-        "the IMU has 10 samples a second, where 40 are needed and 80 are better",
+        "the IMU has 10 samples per second, where 40 are needed and 80 are better",
     )
     half = replace(recording, imu=recording.imu.select(np.arange(len(recording.imu)) % 3 == 0))
     assert "Usable with care: the IMU has 27" in with_verdict(recovery, half, anatomy).estimates.verdict

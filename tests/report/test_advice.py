@@ -167,9 +167,9 @@ def test_what_contradicts_hardly_any_motion_is_not_held_against_the_camera():
 def test_rates():
     recovery = result()
     slow = replace(recovery, arm=recovery.arm.select(slice(None, None, 3)), residuals=None)
-    assert "30 frames a second: it gave 10" in said(slow)
+    assert "30 frames per second: it gave 10" in said(slow)
     few = replace(recovery, t_s=3.0 * recovery.t_s)
-    assert "80 samples a second or more: it gave 27" in said(few)
+    assert "80 samples per second or more: it gave 27" in said(few)
 
 
 def test_rejected_by_reason_and_joint():

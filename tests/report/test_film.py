@@ -85,7 +85,7 @@ def test_the_recordings_own_images_are_on_the_page_only_when_asked_for(session, 
     pictures = json.loads(block.group(1))["pictures"]
     assert len(pictures["jpeg"]) > 12 and np.all(np.diff(pictures["times"]) > 0)
     assert b64decode(pictures["jpeg"][0]).startswith(b"\xff\xd8")
-    assert "whoever has the page sees the person" in text
+    assert "anyone who has the page sees the person" in text
     without = hidden.read_text(encoding="utf-8")
     assert "sees the person" not in without and '"pictures":null' in without.replace(" ", "")
 

@@ -136,7 +136,7 @@ def test_words_of_progress_need_an_interval(tmp_path: Path):
     words = words_of(tmp_path / "a.html")
     assert words[0] == "clearly more" and words.count("no clear change") > 5
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert "no diagnosis" in text and "day 14" in text
+    assert "not a diagnosis" in text and "day 14" in text
     assert "would be called clear by chance alone; elbow flexion, range stands" in text
     write_progress_page(person(draws=False), tmp_path / "b.html")
     assert set(words_of(tmp_path / "b.html")) == {"cannot be said"}

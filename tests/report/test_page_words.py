@@ -60,11 +60,11 @@ def test_errors_of_joints_beyond_their_sigma_are_said(recovery):
 
 
 def test_time_without_any_answer_outside_the_gaps_is_said(recovery):
-    assert "no answer at all" not in summary(recovery, None)[0]
+    assert "there is no result" not in summary(recovery, None)[0]
     away = (recovery.t_s > 12.0) & (recovery.t_s < 15.0)
     position = np.where(away[:, None], np.nan, recovery.position)
     (said,) = [text for text in summary(replace(recovery, position=position), None) if "lasts" in text]
-    assert re.search(r"once, for 1\.\d s in all\. For [23]\.\d s more there is no answer at all\.$", said)
+    assert re.search(r"once, for 1\.\d s in all\. For [23]\.\d s more there is no result\.$", said)
 
 
 def test_the_cameras_axes_are_named_without_the_recording(recovery, tmp_path):

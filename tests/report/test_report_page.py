@@ -171,7 +171,7 @@ def test_odd_results(tmp_path, what):
     if what == "open":
         assert "one side only" in text
     if what == "none":
-        assert "holds no sample" in text
+        assert "has no sample" in text
 
 
 def cut(recovery: Recovery, count: int) -> Recovery:

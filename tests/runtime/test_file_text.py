@@ -45,10 +45,10 @@ def test_every_reader_takes_it(tmp_path: Path, encoding: str) -> None:
 def test_what_is_no_text_is_one_sentence(tmp_path: Path, raw: bytes) -> None:
     path = tmp_path / "a.toml"
     path.write_bytes(raw)
-    with pytest.raises(ValueError, match="it is no UTF-8 text"):
+    with pytest.raises(ValueError, match="it is not UTF-8 text"):
         toml_text(path)
     for read in (read_config, read_marker_map, read_calibration, _detectable_of_user, read_intrinsics):
-        with pytest.raises(UnoccludeError, match="no UTF-8 text"):
+        with pytest.raises(UnoccludeError, match="not UTF-8 text"):
             read(path)
 
 

@@ -24,7 +24,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def refuse(path: Path) -> None:
-    raise ValueError("a refusal is no crash")
+    raise ValueError("a refusal is not a crash")
 
 
 class WithoutMemory(Exception):
@@ -79,7 +79,7 @@ def test_a_hang_ends_also_where_the_program_has_handlers_of_its_own(
 
 
 def test_a_matlab_file_with_a_type_that_there_is_not(tmp_path: Path):
-    """It ends the process that reads it, by scipy 1.17, or not, by what lies in its memory."""
+    """It ends the process that reads it, by scipy 1.17, or not, by what is in its memory."""
     import numpy as np
     from scipy.io import savemat
 

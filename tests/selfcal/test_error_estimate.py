@@ -64,7 +64,7 @@ Case = tuple[SimulatedArm, ConstantErrors]
 
 @pytest.fixture(scope="module")
 def realistic() -> list[Case]:
-    """Errors of 0.3 % and 0.2 degrees, joints 8 mm an axis off, noise with a memory of 0.3 s."""
+    """Errors of 0.3 % and 0.2 degrees, joints 8 mm per axis off, noise with a memory of 0.3 s."""
     return [(made, errors_of(made)) for made in (arm(seed, "realistic") for seed in SEEDS)]
 
 
@@ -106,7 +106,7 @@ def test_the_gyroscope_defines_the_axes(realistic: list[Case]) -> None:
 
 
 def test_differences_between_joints(realistic: list[Case]) -> None:
-    """4.7 to 11 mm an axis are there, of which 1.0 to 2.3 mm are left."""
+    """4.7 to 11 mm per axis are there, of which 1.0 to 2.3 mm are left."""
     for made, errors in realistic:
         estimate, true = joint_differences(made, errors)
         left, there = (float(np.sqrt(np.mean(x**2))) for x in (estimate - true, true))
@@ -116,7 +116,7 @@ def test_differences_between_joints(realistic: list[Case]) -> None:
 
 
 def test_nothing_is_invented(white: list[Case]) -> None:
-    """Of 0.5 % that may be, 0.1 % is left open; joints count as sound."""
+    """Of 0.5 % that may be, 0.1 % is left open; joints are treated as sound."""
     prior = Config().imu.scale_sigma
     for made, errors in white:
         sigma = stated(errors)

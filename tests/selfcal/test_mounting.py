@@ -175,7 +175,7 @@ def hinge(axis_K: FloatArray, seed: int, camera_frame: CameraFrame | None = Came
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_sign_in_a_vertical_plane(seed: int) -> None:
-    """Directions in a plane fit their opposites as well; only where down is tells which is which."""
+    """Directions in a plane fit their opposites as well; only where down is shows which is which."""
     made = hinge(np.array([1.0, 0.0, 0.0]), seed)
     found = found_in(made.recording)
     along = found.calibration.forearm_direction
@@ -189,7 +189,7 @@ def test_the_sign_in_a_vertical_plane(seed: int) -> None:
 @pytest.mark.xfail(strict=True, reason="the grid looks at directions only: around the vertical all fit alike")
 @pytest.mark.parametrize("seed", range(4))
 def test_the_sign_in_a_horizontal_plane(seed: int) -> None:
-    """Down does not tell here; that the sensor is drawn towards the elbow does."""
+    """Down does not show here; that the sensor is drawn towards the elbow does."""
     made = hinge(np.array([0.0, 1.0, 0.0]), seed)
     found = found_in(made.recording)
     along = found.calibration.forearm_direction

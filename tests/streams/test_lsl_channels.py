@@ -96,7 +96,7 @@ def test_states_of_a_kinect_stay_states_in_every_batch():
 
 def test_which_arm():
     both = stream(arm_labels("left", "right"), "m", name="kinect")
-    with pytest.raises(RecordingError, match="kinect shows both arms; say which wears the IMU with --side"):
+    with pytest.raises(RecordingError, match="kinect shows both arms; choose the one with the IMU by --side"):
         SkeletonChannels.of(both, None)
     assert SkeletonChannels.of(both, "left").side == "left"
     assert SkeletonChannels.of(both, None, "left").side == "left"
@@ -130,7 +130,7 @@ def test_a_skeleton_that_does_not_say_enough(labels, units, said):
 def test_one_of_several_bodies():
     labels = [f"body{n}_{label}" for n in (1, 2) for label in arm_labels("right")]
     both = stream(labels, "m", name="kinect")
-    with pytest.raises(RecordingError, match=r"kinect shows several bodies \(1, 2\); say which with --body"):
+    with pytest.raises(RecordingError, match=r"kinect shows several bodies \(1, 2\); choose with --body"):
         SkeletonChannels.of(both, None)
     assert SkeletonChannels.of(both, None, body="2").axes["wrist"] == (15, 16, 17)
     with pytest.raises(RecordingError, match="shows no body 3, but 1, 2"):

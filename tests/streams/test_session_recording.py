@@ -189,7 +189,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(original, tmp_path, 
         recorder.close()
     assert source.ended
     (said,) = [sentence for _, sentence in figures.events if "recording has ended" in sentence]
-    assert "the session goes on" in said and "unocclude repair" in said and "session.recording.mcap" in said
+    assert "the session continues" in said and "unocclude repair" in said and "session.recording.mcap" in said
 
 
 def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):

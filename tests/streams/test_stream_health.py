@@ -94,8 +94,8 @@ def passed(t, arrival, batch: int = 7) -> tuple[np.ndarray, list[str], StampStep
     steps: StampSteps[ImuRows] = StampSteps("wrist")
     rows, events = [], []
     for start in range(0, len(t), batch):
-        mended, said = steps.mended(imu(t[start : start + batch], arrival[start : start + batch]))
-        rows.append(mended)
+        corrected, said = steps.corrected(imu(t[start : start + batch], arrival[start : start + batch]))
+        rows.append(corrected)
         events += said
     return ImuRows.joined(rows).t_s, events, steps
 
@@ -173,6 +173,6 @@ def test_frames_too():
     steps: StampSteps[FrameRows] = StampSteps("kinect")
     t = np.arange(0, 10, 1 / 30)
     rows = FrameRows(t + 2.0 * (t > 5), np.zeros((len(t), 5, 3)), np.zeros((len(t), 5), np.int8), t + 0.1)
-    mended, events = steps.mended(rows)
-    np.testing.assert_allclose(mended.t_s, t, atol=1e-9)
+    corrected, events = steps.corrected(rows)
+    np.testing.assert_allclose(corrected.t_s, t, atol=1e-9)
     assert len(events) == 1

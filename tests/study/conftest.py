@@ -33,7 +33,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def recordings(made: Path, tmp_path: Path) -> Path:
     """A copy that a test may change, with a broken file."""
     shutil.copytree(made, tmp_path / "in")
-    (tmp_path / "in" / BROKEN).write_bytes(b"this is no recording")
+    (tmp_path / "in" / BROKEN).write_bytes(b"this is not a recording")
     return tmp_path / "in"
 
 

@@ -33,7 +33,7 @@ def only_the_first(recordings: Path) -> None:
 
 
 def test_rows_tell_nothing_of_the_machine(in_here: None, recordings: Path, tmp_path: Path):
-    """Neither the paths nor the machine's name stand in rows and JSON, in failures' sentences neither."""
+    """Neither the paths nor the machine's name are in rows and JSON, in failures' sentences neither."""
     out, figures = tmp_path / "out", tmp_path / "figures.json"
     assert batch(recordings, "-o", out, "--processes", 1, "--json", figures) == 1
     rows = [row for file in out.glob("results/*.parquet") for row in parquet.read_table(file).to_pylist()]
@@ -63,7 +63,7 @@ def test_too_little_memory_for_any_process(recordings: Path, tmp_path: Path, meg
     words = [sys.executable, "-c", program, "batch", str(recordings), "-o", str(tmp_path / "out")]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
-    assert done.stderr.count("\n") == 1 and f"{megabytes} MB a process here (ulimit -d)" in done.stderr
+    assert done.stderr.count("\n") == 1 and f"{megabytes} MB per process here (ulimit -d)" in done.stderr
 
 
 @pytest.mark.parametrize("earlier", [False, True])

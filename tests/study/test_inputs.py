@@ -75,7 +75,7 @@ def test_a_list_and_calibrations_of_its_own(tree):
         ("a.csv\n", "line 1"),
         ("p1/a.mcap\nb.mcap\tx\ty\n", "line 2"),
         ("# nothing\n", "no recording"),
-        (b"\xff\xfe\x00", "no list"),
+        (b"\xff\xfe\x00", "not a list"),
     ],
 )
 def test_lists_that_cannot_be_used(tree, text, said):

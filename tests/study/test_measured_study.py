@@ -69,7 +69,7 @@ def test_names_are_hashed_on_request(made: Path, tmp_path: Path, capsys):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "Mustermann").mkdir()
     (tmp_path / "in" / "Mustermann" / "reach one.mcap").write_bytes((made / NAMES[0]).read_bytes())
-    (tmp_path / "in" / "Mustermann" / "broken.mcap").write_bytes(b"this is no recording")
+    (tmp_path / "in" / "Mustermann" / "broken.mcap").write_bytes(b"this is not a recording")
     command = [tmp_path / "in", "-o", out, "--processes", 1, "--hash-names"]
     assert batch(*command, "--report", "--json", tmp_path / "s.json") == 1
     word = StudyFolder(out).mark.read_text()

@@ -107,7 +107,7 @@ def test_what_takes_no_part_is_said(tmp_path: Path):
     rows = [
         study_row("p/s1.mcap", [made_measures(trusted=False)]),
         study_row("p/s2.mcap", None),
-        study_row("p/s3.mcap", None, status="failed", error="it is no recording"),
+        study_row("p/s3.mcap", None, status="failed", error="it is not a recording"),
         study_row("p/s4.mcap", twice),
         study_row("p/s5.mcap", [made_measures(), made_measures("left", trusted=False)]),
         study_row("p/s6.mcap", [made_measures(draws=False)]),
@@ -137,7 +137,7 @@ def test_other_settings_are_noted(tmp_path: Path):
     (person,) = persons_of(write_study(tmp_path / "study", rows))
     assert any("different settings" in note for note in person.notes)
     assert any("calibration" in note for note in person.notes)
-    assert any("days of the sessions are not known" in note for note in person.notes)
+    assert any("days of the sessions are unknown" in note for note in person.notes)
     assert all(math.isnan(day) for day in person.days[1:])
 
 
@@ -225,8 +225,8 @@ def test_a_table_knows_recordings_whose_names_are_hashes(tmp_path: Path):
             "file,person,session\nz.mcap,p1,1\n",
             "z.mcap is no recording of this study; its names are as a.mcap",
         ),
-        ("file,person,session\na.mcap,p1,1\na,p1,2\n", "line 3: a.mcap stands there twice"),
-        ("file,person,date\na.mcap,p1,31.3.2026\n", "'31.3.2026' is no date"),
+        ("file,person,session\na.mcap,p1,1\na,p1,2\n", "line 3: a.mcap is there twice"),
+        ("file,person,date\na.mcap,p1,31.3.2026\n", "'31.3.2026' is not a date"),
         ("file,person,session\na.mcap,p1,1\nb.mcap,p1,1\n", "both session 1 of p1"),
         ('file,person,session\n"a.mcap', "there is no person"),
     ],
@@ -252,13 +252,13 @@ def test_a_table_that_is_not_text(tmp_path: Path):
 
 def test_studies_that_cannot_be_used(tmp_path: Path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(UnoccludeError, match="is no study with results"):
+    with pytest.raises(UnoccludeError, match="is not a study with results"):
         read_rows(tmp_path / "empty")
     flat = write_study(tmp_path / "flat", [study_row("a.mcap", [made_measures()])])
-    with pytest.raises(UnoccludeError, match="lie in no folder"):
+    with pytest.raises(UnoccludeError, match="are in no folder"):
         sessions_of(flat, read_rows(flat))
     bare = write_study(tmp_path / "bare", [study_row("p/a.mcap", None)])
-    with pytest.raises(UnoccludeError, match="holds no measures"):
+    with pytest.raises(UnoccludeError, match="has no measures"):
         persons_of(bare)
     (bare / "results" / "rows-2.parquet").write_bytes(b"cut off")
     with pytest.raises(UnoccludeError, match="cannot be read"):

@@ -1,4 +1,4 @@
-"""The queries of docs/scale.md run as they stand there."""
+"""The queries of docs/scale.md run as they are there."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def test_a_query(query, study, monkeypatch):
 
 def test_their_answers(study, monkeypatch):
     monkeypatch.chdir(study)
-    far, worst, trusted, why, notes, latest, configs = (duckdb.sql(query).fetchall() for query in QUERIES)
+    far, worst, trusted, why, latest = (duckdb.sql(query).fetchall() for query in QUERIES)
     assert dict((row[0], row[1]) for row in far) == {"done": 5, "failed": 1}
     assert [row[0] for row in worst] == ["4.mcap", "3.mcap", "2.mcap", "1.mcap", "0.mcap"]
     assert sum(row[2] for row in trusted) == 5
-    assert why == [("there is no skeleton", 1, "4.mcap")] and notes == [("the clock drifts", 4)]
-    assert len(latest) == 5 and configs[0][:3] == ("cccccccc", "1", 5)
+    assert why == [("there is no skeleton", 1, "4.mcap")]
+    assert len(latest) == 5

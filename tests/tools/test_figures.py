@@ -83,7 +83,7 @@ def test_summed_up_and_drawn(tmp_path: Path):
     assert first["methods"]["graph"]["median_m"] == 0.005 and first["methods"]["graph"]["gaps"] == 2
     assert second["methods"]["hold"]["samples_rms_m"] == 0.4
     assert found["broad"]["lengths"][0]["methods"]["graph"]["failed"] == 1
-    # the graph stands beside its ingredients in the gaps that they share alone
+    # the graph is beside its ingredients in the gaps that they share alone
     (beside,) = found["ingredients"]["lengths"]
     assert beside["methods"]["graph"]["gaps"] == 1 and beside["methods"]["no wrist"]["median_m"] == 0.05
     lines = list(tables(found))

@@ -138,9 +138,7 @@ def test_windows_are_as_long_as_the_gaps_allow(steps: list[tuple[float, float]],
     inner = list(pairwise(borders))[:-1]
     for a, b in inner:
         assert b - a >= 0.5 * length_s - 1e-9
-        if (
-            b - a > length_s + 1e-9
-        ):  # then what was aimed at lies in a gap, or too near to one or to the start
+        if b - a > length_s + 1e-9:  # then what was aimed at is in a gap, or too near to one or to the start
             near = any(gap.start_s - KEEP_S < a + length_s < gap.end_s + KEEP_S for gap in gaps)
             assert near or a + length_s < 0.5 + KEEP_S
     if not gaps:

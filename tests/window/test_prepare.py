@@ -255,7 +255,7 @@ def test_nodes_are_no_more_than_needed(start: float, gaps: list[float]) -> None:
 @given(st.lists(st.integers(2, 30), min_size=1, max_size=5), st.sampled_from([20.0, 40.0, 100.0, 285.0]))
 @settings(max_examples=50)
 def test_pauses_split_the_stream(lengths: list[int], rate: float) -> None:
-    """Runs of samples a second apart come back as they were made."""
+    """Runs of samples per second apart come back as they were made."""
     t, at = [], 0.0
     for n in lengths:
         t.append(at + np.arange(n) / rate)

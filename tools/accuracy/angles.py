@@ -19,7 +19,7 @@ from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 from tools.accuracy.check import CHANGES, PRESETS, Check, changes, option, rms, seeds_option
 
-#: Of a normal number 95 of 100 lie within so many standard deviations.
+#: Of a normal number 95 of 100 lie within this many standard deviations.
 Z_95 = 1.96
 #: The protocols that every seed of a preset is measured on.
 PROTOCOLS = {"behind": {}, "random": {"protocol": "random", "duration_s": 30.0}}

@@ -46,9 +46,9 @@ from smoother.simulation import ArmSimulation, PeopleSimulation, simulate_arm, s
 from tools.accuracy.check import PRESETS, Check, datasets, option, parts_option, seeds_option
 from tools.reliability.setup_errors import Setup, joints_of_the_other_arm, mirrored_skeleton
 
-#: A clock counts as found where it is this near, s.
+#: A clock is treated as found where it is this near, s.
 FOUND_S = 0.2
-#: Both independent ways are taken on this grid, Hz; where they agree to this, s, a clock counts as known.
+#: Both independent ways are taken on this grid, Hz; where they agree to this, s, a clock is treated as known.
 GRID_HZ, KNOWN_S = 25.0, 0.1
 
 
@@ -168,7 +168,7 @@ def setups(seeds: int) -> Iterator[str]:
 
 
 def utd(seeds: int) -> Iterator[str]:
-    """Trials of UTD-MHAD, so many subjects; the wrong IMU is of another trial of the same activity."""
+    """Trials of UTD-MHAD, this many subjects; the wrong IMU is of another trial of the same activity."""
     root = datasets("utd_mhad")
     names = [path.name.removesuffix("_inertial.mat") for path in sorted((root / "Inertial").glob("*.mat"))]
     recordings = {
@@ -188,7 +188,7 @@ def utd(seeds: int) -> Iterator[str]:
 
 
 def azure(seeds: int) -> Iterator[str]:
-    """Trials of SmartFallMM; the wrong IMU of so many other trials, those of the same activity first."""
+    """Trials of SmartFallMM; the wrong IMU of this many other trials, those of the same activity first."""
     root, recordings = datasets("smartfallmm"), {}
     for path in sorted((root / "skeleton").glob("*.csv")):
         files = tuple(root / sensor / "meta_wrist" / path.name for sensor in ("accelerometer", "gyroscope"))

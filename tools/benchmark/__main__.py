@@ -120,7 +120,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--without-truth", action="store_true", help="leave the true motion out of the files")
     parser.add_argument("--preset", default="white", help="errors of the simulation: white, realistic, clean")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--processes", type=int, default=0, help="worker processes; 0 = one a core")
+    parser.add_argument("--processes", type=int, default=0, help="worker processes; 0 = one per core")
     parser.add_argument("--only", nargs="+", choices=MEASURES, default=MEASURES, help="measure only this")
     parser.add_argument(
         "--rest", type=float, nargs="*", default=[6, 60], help="lengths to listen to on one process"

@@ -55,7 +55,7 @@ INTEGRATION_VARIANCE = 1e-6
 #: What is known before the first frame: rad, m, m/s.
 START_SIGMAS = np.array([0.2] * 3 + [0.1] * 3)
 START_SIGMA_SPEED = 1.0
-#: What `same_job` is told of lever arms and upper arm, m; where it starts is what `smooth` found.
+#: What `same_job` is given of lever arms and upper arm, m; where it starts is what `smooth` found.
 LEVER_SIGMA_M = 0.03
 UPPER_ARM_SIGMA_M = 0.05
 
@@ -90,7 +90,7 @@ def frames_of(scene: Scene, second_order: bool) -> Frames:
     if second_order:
         mean = InertialSignal(scene.imu).mean(edges[:-1], edges[1:])
         gyro = mean[:, 3:]
-        # GTSAM takes the orientation at the piece's start for the whole of it; half of its turn mends that
+        # GTSAM takes the orientation at the piece's start for the whole of it; half of its turn corrects that
         acc = Rotation.from_rotvec(0.5 * h[:, None] * gyro).apply(mean[:, :3])
     else:
         sample = np.searchsorted(between, middle)
@@ -240,7 +240,7 @@ def preintegrated(frames: Frames, gravity: FloatArray) -> list[Pim]:
 
 
 def _joint_sigma(scene: Scene) -> float:
-    """Noise of one joint, m an axis; `point_sigma_m` is that of the mean over the joints usually seen."""
+    """Noise of one joint, m per axis; `point_sigma_m` is that of the mean over the joints usually seen."""
     joints = scene.joints[scene.visible]
     usual = [j for j in FOREARM_JOINTS if np.isfinite(joints[:, JOINTS.index(j), 0]).mean() > 0.25]
     return scene.point_sigma_m * float(np.sqrt(max(len(usual), 1)))

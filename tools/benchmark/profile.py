@@ -1,7 +1,7 @@
 """Where the time of `unocclude smooth` goes: the command itself, run inside this process and listened to.
 
-By part, through the words that `smooth` tells its progress and through the functions that read and write; in
-GTSAM, through its own methods; and, of what is left, by function, through a timer that looks where the
+By part, through the words that `smooth` reports its progress and through the functions that read and write;
+in GTSAM, through its own methods; and, of what is left, by function, through a timer that looks where the
 program is. A function that was renamed is reported as not found, and its time stays with the part around it.
 """
 

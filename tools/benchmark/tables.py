@@ -77,7 +77,7 @@ def whole(runs: list[dict[str, Any]]) -> list[str]:
     )
     title = (
         f"End to end, file to file, program start included (aim: {AIM_TIMES_REAL:.0f} x at 60 min,"
-        f" {AIM_PEAK_MB:.0f} MB a process at any length); errors in the gaps against the simulated motion.\n"
+        f" {AIM_PEAK_MB:.0f} MB per process at any length); errors in gaps against the simulated motion.\n"
         "Peak: private memory (RssAnon, looked at every 20 ms) of the main process and of the largest worker;"
         " mapped files and libraries are left out."
     )
@@ -105,12 +105,12 @@ def growth(spent: dict[float, dict[str, float]], lengths_s: dict[float, float], 
             rows.append((name, *(number(v, 3) for v in values), _grows(values)))
     totals = [60.0 * sum(spent[m].values()) / lengths_s[m] for m in lengths]
     rows.append(("all", *(number(v, 3) for v in totals), _grows(totals)))
-    head = f"{title}, in seconds a minute of recording (level = linear in length)"
+    head = f"{title}, in seconds per minute of recording (level = linear in length)"
     return table(head, ("part", *(f"{m:g} min" for m in lengths), "last / one before"), rows)
 
 
 def _grows(values: list[float]) -> str:
-    """The longest recording's seconds a minute against the next shorter one's; not of next to nothing."""
+    """The longest recording's seconds per minute against the next shorter one's; not of next to nothing."""
     return number(values[-1] / values[-2], 2) if len(values) > 1 and values[-2] >= LEAST_S else "-"
 
 
@@ -197,7 +197,7 @@ def beside(minutes: float, found: dict[str, Any], command_s: float | None, lengt
     )
     aim = AIM_PLAIN.get(minutes)
     title = (
-        "Beside other ways, from a recording in memory to an answer in memory; all but `smooth` are told"
+        "Beside other ways, from a recording in memory to an answer in memory; all but `smooth` are given"
         " what it found"
         + (f" (aim: {aim:g} x faster than a plain graph)" if aim else "")
         + ".\n`smooth` runs on all processes, self-calibration included; the command also starts, reads and"

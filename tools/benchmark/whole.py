@@ -80,7 +80,7 @@ def make(
     truth_inside : bool
         The file holds the true motion too, as `unocclude simulate` writes it.
     image_kb : float, kB, or None
-        Size of an image, kB, one a frame; None = no file with images.
+        Size of an image, kB, one per frame; None = no file with images.
     """
     config = ArmSimulation.preset(
         preset,
@@ -188,7 +188,7 @@ class Run:
     main_mb, worker_mb : float, MB
         Peak of the private memory (RssAnon) of the main process and of the largest worker; 0 where unknown.
     workers : int
-        Processes that it started, at most so many at a time.
+        Processes that it started, at most this many at a time.
     """
 
     seconds: float
@@ -209,7 +209,7 @@ def end_to_end(source: Path, result: Path, processes: int, python: str = sys.exe
     with tempfile.TemporaryFile() as said:
         began = time.perf_counter()
         command = subprocess.Popen(
-            # -P: not what lies in the folder where this runs
+            # -P: not what is in the folder where this runs
             [python, "-P", "-c", COMMAND, *smooth_arguments(source, result, processes)],
             stdout=subprocess.DEVNULL,
             stderr=said,

@@ -34,7 +34,7 @@ from tools.faults.cases import Case, Workshop, all_cases
 ENDS = ("right", "note", "sentence", "SILENT", "UNEXPECTED")
 #: A case may take so long, s of the processor and (on a busy machine) in all, and so much memory more, bytes.
 MOST_CPU_S, MOST_S, MOST_MEMORY = 40, 300, 3 << 30
-#: An answer is another one where it is off by more than this, m, and by so many of its own sigmas.
+#: An answer is another one where it is off by more than this, m, and by this many of its own sigmas.
 OFF_M, OFF_SIGMAS = 0.02, 4.0
 
 
@@ -136,7 +136,7 @@ def outcome_of(case: Case, answer: Answer, sound: Answer) -> Outcome:
     err = answer.err.strip()
     if answer.code not in (0, 1, 2):
         return Outcome(case, "UNEXPECTED", f"exit {answer.code}: {err[-200:]}")
-    if "Traceback" in err or "unexpected error" in err or "memory does not suffice" in err:
+    if "Traceback" in err or "unexpected error" in err or "not enough memory" in err:
         return Outcome(case, "UNEXPECTED", err[-300:])
     if answer.code:
         is_sentence = err.count("\n") == 0 and err.startswith("unocclude: ") and len(err) < 2000
@@ -257,8 +257,8 @@ def main() -> int:
     """Run the cases that the command line asks for; 1 where one was silent or unexpected."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--every", type=int, default=1, help="run one case in so many")
-    parser.add_argument("--first", type=int, default=0, help="leave out so many before them")
+    parser.add_argument("--every", type=int, default=1, help="run one case in this many")
+    parser.add_argument("--first", type=int, default=0, help="leave out this many before them")
     parser.add_argument("--quick", action="store_true", help="leave out those that may take long")
     parser.add_argument("--family", help="only families whose name holds this")
     parser.add_argument("--log", type=Path, help="note outcomes here, and run only cases that it lacks")

@@ -2,7 +2,7 @@
 
 Each mutant is drawn from a seed out of a few sound files: simulated motion capture, files with residuals and
 many parameters, and those named on the command line. It is read in a child with a guard for time and memory,
-markers and segments' poses. What it ends in: read (the same numbers, or others: nothing in a C3D file tells
+markers and segments' poses. What it ends in: read (the same numbers, or others: nothing in a C3D file shows
 of a digit that was changed), one clear sentence, or unexpected (a traceback, a signal, time or memory).
 """
 
@@ -54,7 +54,7 @@ def sound_files(folder: Path, more: list[Path]) -> list[bytes]:
 
 
 def mutants(files: list[bytes], count: int, seed: int) -> list[tuple[str, int, bytes]]:
-    """Fault, number of the sound file and bytes of so many mutants; some have several faults."""
+    """Fault, number of the sound file and bytes of this many mutants; some have several faults."""
     rng = np.random.default_rng(seed)
     changes = {**file_faults.C3D, "parameters filled": _filled}
     drawn = []

@@ -22,7 +22,7 @@ from tools.faults.surroundings import Motion
 
 Rng = np.random.Generator
 Change = Callable[[bytes, Rng], bytes]
-#: A recording of the matrix: seconds, and so many variants of each fault.
+#: A recording of the matrix: seconds, and this many variants of each fault.
 DURATION_S = 8
 
 

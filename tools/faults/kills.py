@@ -61,7 +61,7 @@ class Case:
 
 
 def cases(moments: int, longest_s: float, seed: int, kinds: Sequence[str]) -> Iterator[Case]:
-    """So many moments of every kind."""
+    """A number of moments of every kind."""
     chance = random.Random(seed)
     for _ in range(moments):
         for kind in kinds:
@@ -135,7 +135,7 @@ def try_case(
     ----------
     case : Case
     arguments : sequence of str
-        Of the command; its outputs lie in `folder`.
+        Of the command; its outputs are in `folder`.
     folder : Path
         Empty at the start.
     again : sequence of str, optional
@@ -235,7 +235,7 @@ def words_of(command: str, recordings: list[Path], processes: int = 2) -> list[s
 
 
 def table(logs: Sequence[Path]) -> str:
-    """What logs hold, as Markdown: a row a command."""
+    """What logs hold, as Markdown: one row per command."""
     rows = [json.loads(line) for log in logs for line in log.read_text(encoding="utf-8").splitlines()]
     kinds = [kind for kind in KINDS if any(row["what"] == kind for row in rows)]
     lines = [
@@ -259,7 +259,7 @@ def main() -> None:
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--command", choices=("smooth", "gaps", "compare", "batch"), default="smooth")
     parser.add_argument(
-        "--again-every", type=int, default=1, help="run the same command again in one of so many"
+        "--again-every", type=int, default=1, help="run the same command again in one of this many"
     )
     parser.add_argument("--processes", type=int, default=2, help="workers of the command")
     parser.add_argument("--until", type=float, default=1e9, help="no kill later than this, s")
@@ -297,7 +297,7 @@ def main() -> None:
                 if count % 2 and options.command != "batch":  # a study that is done has nothing to kill
                     shutil.copytree(work / "whole", folder, dirs_exist_ok=True)
                 aside = ["config", "--json", f"{folder}/after.json", "--force"]
-                turn = count // len(options.kinds.split(","))  # each kind is run again once in so many
+                turn = count // len(options.kinds.split(","))  # each kind is run again once in this many
                 is_same = options.command == "batch" or (count + turn) % options.again_every == 0
                 again = None if is_same else aside
                 wrong = try_case(case, into(folder), folder, again, command)

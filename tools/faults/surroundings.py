@@ -35,7 +35,7 @@ QUICK = (
 )
 #: A command may take so long, s; one that waits for something that never comes takes longer.
 LONGEST_S = 600
-#: Mounts what it is told, runs the command, lists OUT and copies what is there for all to see.
+#: Mounts what it is given, runs the command, lists OUT and copies what is there for all to see.
 SHELL = 'eval "$MOUNTS"; "$@"; code=$?; ls -AR "$OUT" > "$LISTING"; cp -r "$OUT" "$COPY"; exit $code'
 
 

@@ -124,7 +124,7 @@ def stamps(kind: str, stream: str) -> Edit:
 
 
 def few(imu: int | None, frames: int | None) -> Edit:
-    """So many samples or frames."""
+    """A number of samples or frames."""
 
     def edit(recording: Recording, rng: Rng) -> Recording:
         start = int(rng.integers(10))

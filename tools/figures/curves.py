@@ -148,7 +148,7 @@ def recordings_of(data: str, seeds: int) -> list[str]:
 
 
 def run_job(job: Job) -> list[dict[str, object]]:
-    """Hide, recover with every method, and score; one row a gap and method."""
+    """Hide, recover with every method, and score; one row per gap and method."""
     rows = []
     for recording, calibration in _recordings(job):
         methods = _methods(job, calibration)
@@ -235,7 +235,7 @@ def measure(todo: Iterable[Job], kept: Path, processes: int, until_s: float = fl
     kept : Path
         JSON lines, {"job", "data", "rows"} each; an interrupted run goes on from it.
     until_s : float, s
-        No job is begun after so many seconds.
+        No job is begun after this many seconds.
     """
     done = {entry["job"] for entry in read_rows(kept)}
     left = [job for job in todo if job.name not in done]

@@ -1,7 +1,7 @@
 """Every reader fuzzed in turn: `make fuzz MINUTES=10`, or `python -m tools.fuzz --minutes 10 --only trc`.
 
 Needs atheris, a tool that the project does not depend on: `.venv/bin/python -m pip install atheris`. What is
-found lies in `out/fuzz/TARGET/crash-..`; `python -m tools.fuzz --again FILE --only TARGET` runs it once more.
+found is in `out/fuzz/TARGET/crash-..`; `python -m tools.fuzz --again FILE --only TARGET` runs it once more.
 A finding becomes a test beside the reader's.
 """
 

@@ -86,7 +86,7 @@ def _media(grey: np.ndarray) -> bytes:
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
 
 
-#: Text is cut to so many lines: that is enough to be recognised, and read in a tenth of the time.
+#: Text is cut to this many lines: that is enough to be recognised, and read in a tenth of the time.
 _LINES = 24
 
 

@@ -15,7 +15,7 @@ from typing import Any
 MOST_S = 10.0
 #: Of memory above what the process holds anyway, MB.
 MOST_MB = 1500.0
-#: What the process holds anyway is measured anew after so many inputs: atheris keeps new inputs.
+#: What the process holds anyway is measured anew after this many inputs: atheris keeps new inputs.
 _ANEW = 1000
 #: Bytes of `ru_maxrss`.
 _UNIT = 1 if sys.platform == "darwin" else 1024
@@ -69,7 +69,7 @@ def _peak_mb(who: int) -> float:
 
 
 def _held_mb() -> float:
-    """What this process holds; its peak where the system does not tell."""
+    """What this process holds; its peak where the system does not report it."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:

@@ -26,7 +26,7 @@ from tools.live_faults.kinds import KINDS, Streams
 LATENCY_S, OFFSET_S, STEP_S = 0.1, -0.02, 1 / 30
 #: Samples that a sensor sends together.
 TOGETHER = 3
-#: The answer counts as wrong where its error exceeds so many of its sigmas.
+#: The answer is wrong where its error exceeds this many of its sigmas.
 SIGMAS = 3.0
 
 

@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--only", default="", metavar="PATTERN", help="cases whose name, GROUP: COMMAND, holds this"
     )
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="groups at a time")
-    parser.add_argument("--parts", type=int, default=8, help="show the diffs of so many parts")
+    parser.add_argument("--parts", type=int, default=8, help="show the diffs of this many parts")
     parser.add_argument("--lines", type=int, default=14, help="lines of each diff")
     options = parser.parse_args(arguments)
     if options.what == "list":

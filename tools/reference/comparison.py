@@ -10,9 +10,9 @@ from itertools import islice
 from tools.reference.archive import Reference
 
 STATES = ("same", "differs", "new", "missing")
-#: So many lines from the first difference on are looked at for a diff; difflib is slow on long texts.
+#: This many lines from the first difference on are looked at for a diff; difflib is slow on long texts.
 _WINDOW = 300
-#: A line of a diff is cut at so many characters.
+#: A line of a diff is cut at this many characters.
 _WIDTH = 160
 
 

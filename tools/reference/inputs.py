@@ -17,7 +17,7 @@ from tools.reference.running import Step
 
 #: Writes a file.
 Write = Callable[[Path], None]
-#: Damaged files are run in so many groups, about so many cases in all, drawn by the case's name.
+#: Damaged files are run in this many groups, about this many cases in all, drawn by the case's name.
 PARTS, DAMAGED = 2, 64
 
 

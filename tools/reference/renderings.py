@@ -1,6 +1,6 @@
 """Outputs as text that can be compared and shown: texts themselves, other files as lines of digests.
 
-An MCAP is a line a message (topic, times, digest) with its schemas, metadata and chunks; a Parquet file a
+An MCAP is one line per message (topic, times, digest) with its schemas, metadata and chunks; a Parquet file a
 line a column; a zip its members; anything else a line for each 64 bytes, or block, of its bytes. A file of
 another kind goes into `KINDS`, by its ending.
 """

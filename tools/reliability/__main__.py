@@ -174,7 +174,7 @@ def main() -> None:
         )
         if not faults and not sound:
             parser.error(
-                f"no case is called '{options.only}'; there are: {', '.join(case.name for case in CASES)}"
+                f"no case is called '{options.only}'; choose one of: {', '.join(case.name for case in CASES)}"
             )
         count = len(faults) if options.count is None else options.count
         number = len(sound) if options.sound is None else options.sound

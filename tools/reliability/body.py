@@ -142,7 +142,7 @@ _UPPER, _FLEXION, _PRONATION, _WRIST, _TRUNK, _GIRDLE = slice(0, 4), 4, 5, 6, sl
 
 @dataclass(frozen=True)
 class Move:
-    """A movement to a posture in so many seconds, s; the same posture again is a pause."""
+    """A movement to a posture in this many seconds, s; the same posture again is a pause."""
 
     duration_s: float
     to: Posture
@@ -351,7 +351,7 @@ class Motion:
 def draw_wobble(
     duration_s: float, deg: float, rng: np.random.Generator
 ) -> Callable[[FloatArray], FloatArray]:
-    """A strap that turns to and fro on the skin by so many degrees rms."""
+    """A strap that turns to and fro on the skin by this many degrees rms."""
     t_s = np.arange(0.0, duration_s + 0.5, 0.02)
     spline = make_interp_spline(t_s, slow_noise(t_s, 3, np.radians(deg), 0.5, rng), k=5)
     return lambda t: np.asarray(spline(np.clip(t, 0.0, t_s[-1])))

@@ -490,7 +490,7 @@ def _camera_changed(scene: Scene, change: Callable[[FloatArray], FloatArray]) ->
 
         return view
 
-    # While the arm is hidden nobody can know the moment: any within the gap counts as right.
+    # While the arm is hidden nobody can know the moment: any within the gap is treated as right.
     views = (switched(start_s), switched(moment_s), switched(end_s))
     return scene.changed(film=replace(scene.film, position=position), views=views)
 

@@ -22,11 +22,11 @@ from smoother.smoothing import smooth
 from tools.reliability.scene import Scene
 
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
-#: Wrong: farther off than this over all gaps or over a single one (rms), and than so many stated sigmas, m.
+#: Wrong: farther off than this over all gaps or over a single one (rms), and than this many stated sigmas, m.
 GAPS_M, ONE_GAP_M, SIGMAS = 0.10, 0.15, 3.0
 #: Chi-squared with three degrees of freedom is below this in 95 of 100.
 CHI2_95 = 7.815
-#: An interval counts as trusted where more of its samples than this are.
+#: An interval is treated as trusted where more of its samples than this are.
 TRUSTED_SHARE = 0.5
 
 #: True times (N,) to the truth by name (`wrist`, `imu`), each (V, N, 3), m: of V views the nearest counts.

@@ -46,13 +46,13 @@ class Draw:
     t_s: float = 0.0
 
     def move(self, seconds: float, to: Posture) -> Move:
-        """A move of about so many seconds."""
+        """A move of about this many seconds."""
         length_s = max(self.pace * seconds * float(np.exp(self.rng.normal(0, 0.15))), 0.15)
         self.t_s += length_s
         return Move(length_s, to)
 
     def hold(self, seconds: float, at: Posture) -> Move:
-        """The same posture for about so many seconds."""
+        """The same posture for about this many seconds."""
         return self.move(seconds, at)
 
     def near(self, target: tuple[float, float, float], spread_m: float = 0.03) -> FloatArray:

@@ -83,7 +83,7 @@ def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFr
         raise CalibrationError(f"{source}: {TABLE}.rotation must be a unit quaternion [qw, qx, qy, qz]")
     if frame is None:
         raise CalibrationError(
-            f"the recording does not say which axes its camera has, so [{TABLE}] of {source} cannot be used;"
+            f"the axes of the recording's camera are unknown, so [{TABLE}] of {source} cannot be used;"
             " leave --calibration out to have the truth aligned by the motion itself"
         )
     R_K_C = FROM_OPTICAL[frame]

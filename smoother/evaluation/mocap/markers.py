@@ -195,7 +195,7 @@ def _vector(value: Any, size: int, key: str, path: Path) -> FloatArray:
 
 
 def numbers(value: Any, size: int) -> FloatArray | None:
-    """A list of so many finite numbers as an array (size,); None where it is none."""
+    """A list of this many finite numbers as an array (size,); None where it is none."""
     good = isinstance(value, list) and len(value) == size
     if not good or not all(isinstance(x, int | float) and np.isfinite(x) for x in value):
         return None

@@ -115,7 +115,7 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
         if not np.isfinite(centre).any():
             raise RecordingError(
                 f"{markers.source}: the markers of the {joint} ({', '.join(marker_map.joints[joint])}) are"
-                " never seen together; mend the map"
+                " never seen together; correct the map"
             )
     notes += _exchanged(joints)
     return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_incomplete(joints)))
@@ -216,7 +216,7 @@ def _with_plate(motion: MocapMotion, positions: FloatArray, marker_map: MarkerMa
     if not answered.sum() >= LEAST_RIGID * tried.sum():
         raise RecordingError(
             f"{motion.source}: the plate's markers ({', '.join(marker_map.plate)}) do not move as one body;"
-            " mend the map"
+            " correct the map"
         )
     notes = [
         f"IMU plate: {len(shape)} markers, a pose in {100 * answered.mean():.1f} % of the mocap's frames,"

@@ -109,7 +109,7 @@ def described_time_unit(sheet: Sheet, column: int) -> tuple[str, str]:
         return unit, f"stated ({sheet.unit(column)})"
     typical = float(np.median(step))
     unit = unit_of_step(typical, RATES_HZ, tuple(SECONDS)) or ""
-    return unit, unit and f"steps of {typical:g} make {1 / (typical * SECONDS[unit]):.1f} samples a second"
+    return unit, unit and f"steps of {typical:g} make {1 / (typical * SECONDS[unit]):.1f} samples per second"
 
 
 def accelerometer_unit(sheet: Sheet, guess: Guess, acc: tuple[int, int, int] | None) -> None:
@@ -329,7 +329,7 @@ def _of_dates(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | None, 
         guess.reasons["a"] = f"the length of these three stays near one g in {100 * near:.0f} % of the rows"
         return three, None
     guess.reasons["g"] = "the three columns behind the times, which show no gravity"
-    guess.unsure.append(f"{sheet.path.name} names no columns: without gravity it counts as a gyroscope's.")
+    guess.unsure.append(f"{sheet.path.name} names no columns: without gravity assumed a gyroscope.")
     return None, three
 
 
@@ -374,7 +374,7 @@ def _stated_rate(sheet: Sheet) -> float | None:
 
 
 def guess_skeleton(sheet: Sheet, joints: JointColumns) -> Guess:
-    """Guess at a table with a row a frame, whose joints are known by their names."""
+    """Guess at a table with one row per frame, whose joints are known by their names."""
     axes, states, time = joints.axes, joints.confidence, joints.time
     guess = Guess("skeleton")
     for joint, columns in axes.items():
@@ -387,7 +387,7 @@ def guess_skeleton(sheet: Sheet, joints: JointColumns) -> Guess:
         words = dict(zip(cells, ("not_tracked", "inferred", "tracked", "tracked"), strict=False))
         guess.keys["states"] = words
         guess.reasons["states"] = "NOT KNOWN: the order of the values that occur"
-        guess.unsure.append("states: what the values of the confidence mean stands in the program's manual.")
+        guess.unsure.append("states: what the values of the confidence mean is in the program's manual.")
     unit = unit_by_arm({joint: sheet.vectors(columns) for joint, columns in axes.items()})
     guess.keys["position_unit"] = unit[0] if unit else "m"
     guess.reasons["position_unit"] = "arms have an arm's length so" if unit else "NOT KNOWN: no unit fits"
@@ -398,11 +398,11 @@ def guess_skeleton(sheet: Sheet, joints: JointColumns) -> Guess:
     else:
         guess.keys["rate_hz"] = 30.0
         guess.reasons["rate_hz"] = "NOT KNOWN: the file has no times"
-        guess.unsure.append("rate_hz is made up: write the camera's frames a second.")
+        guess.unsure.append("rate_hz is a guess: write the camera's frames per second.")
     down, why = _down(sheet, axes)
     guess.keys["frame"] = down
     guess.reasons["frame"] = why
-    guess.unsure.append("frame: which way the axes point; `smooth` says so where gravity is found elsewhere.")
+    guess.unsure.append("frame: the camera's axes; `smooth` reports if gravity contradicts them.")
     return guess
 
 

@@ -108,7 +108,7 @@ class DescribedFile:
         "description" (a recording.toml), or "" where the file is not recognised or cannot be read.
     streams : list of DescribedStream
     notes : list of str
-        What was decided or mended.
+        What was decided or corrected.
     error : str
         Why it cannot be used; "" where it can.
     guess : dict, optional
@@ -142,7 +142,7 @@ def describe_files(
     reader : FileReader, optional
         One that knows templates, or has read some of the files.
     output : Path, optional
-        No input where it lies in a folder.
+        No input where it is in a folder.
 
     Returns
     -------
@@ -154,7 +154,7 @@ def describe_files(
 
 
 def describe_file(path: Path, reader: FileReader) -> DescribedFile:
-    """What one file holds; what is wrong with it stands in `error`."""
+    """What one file holds; what is wrong with it is in `error`."""
     about = DescribedFile(str(path))
     try:
         head = read_head(path)
@@ -236,7 +236,7 @@ def _skeleton(table: SkeletonTable) -> DescribedStream:
 
 
 def _timing(t_s: FloatArray) -> tuple[int, float | None, float, float]:
-    """Count, rate, first time and duration of mended times."""
+    """Count, rate, first time and duration of corrected times."""
     if not len(t_s):
         return 0, None, 0.0, 0.0
     rate = median_rate_hz(t_s)
@@ -277,7 +277,7 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
     Returns
     -------
     importer : DeviceFormat or None
-        None where it is of no known format.
+        None where it has an unknown format.
     sheet, guess : Sheet and Guess, or None
         None where a recognised file is no table of text.
 
@@ -304,7 +304,7 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
 
 
 def _guess(path: Path, head: FileHead) -> dict[str, Any] | None:
-    """What a table of an unknown layout seems to hold; None where it is no table, or too long to look at."""
+    """What a table of an unknown layout seems to hold; None if it is not a table, or is too long."""
     if not head.text or path.stat().st_size > _LONGEST_GUESS:
         return None
     try:

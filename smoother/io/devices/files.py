@@ -1,4 +1,4 @@
-"""A recording of files as devices write them: read, times mended, clocks brought together."""
+"""A recording of files as devices write them: read, times corrected, clocks brought together."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class FileReport:
     units : str
         As the file has them.
     notes : list of str
-        What was decided or mended, a sentence each.
+        What was decided or corrected, a sentence each.
     """
 
     path: str
@@ -141,7 +141,7 @@ def import_files(
     shift, sentences = shifts(streams, imu_starts_at_s)
     if imu_starts_at_s is None and not sentences and count_from_zero(streams):
         sentences = [
-            "Camera and IMU each count from zero, so nothing but the motion says how far apart they began and"
+            "Camera and IMU both start at zero, so nothing but the motion shows how far apart they began and"
             " whether they belong together (--imu-starts-at S where you know it)."
         ]
 
@@ -197,11 +197,11 @@ def _known_lens(
 def _skeleton(
     reader: FileReader, path: Path, reports: list[FileReport]
 ) -> tuple[list[SkeletonTable], FileReport]:
-    """The bodies of a file with mended times, and the report of it."""
+    """The bodies of a file with corrected times, and the report of it."""
     importer = reader.format_of(path, "skeleton")
     tables = [t for t in reader.read(path, importer) if isinstance(t, SkeletonTable)]
     if not tables:
-        raise RecordingError(f"{path} ({importer.title}) holds no skeleton; name it with --imu alone.")
+        raise RecordingError(f"{path} ({importer.title}) has no skeleton; name it with --imu alone.")
     tables = [repaired_skeleton(table, str(path)) for table in tables]
     report = _report(reports, path, importer)
     frames = _all_times(tables)
@@ -215,16 +215,14 @@ def _skeleton(
             " result is relative too, and where the trunk moves camera and IMU contradict each other."
         )
     elif tables[0].frame is None and tables[0].gravity_hint is None:
-        report.notes.append(
-            f"{path.name} does not say which way its axes point; down is estimated from the motion."
-        )
+        report.notes.append(f"{path.name} does not state its axes; down is estimated from the motion.")
     return tables, report
 
 
 def _sensors(
     reader: FileReader, files: ImuFiles, reports: list[FileReport]
 ) -> list[tuple[str, ImuTable, FileReport]]:
-    """The sensors of files that belong together, with mended times, and the name that each is to have."""
+    """The sensors of files that belong together, with corrected times, and the name that each is to have."""
     parts: list[ImuTable] = []
     for path in files.paths:
         importer = reader.format_of(path, "imu")
@@ -234,7 +232,7 @@ def _sensors(
                 path, files, tables
             )
         if not tables:
-            raise RecordingError(f"{path} ({importer.title}) holds no IMU; name it with --skeleton alone.")
+            raise RecordingError(f"{path} ({importer.title}) has no IMU; name it with --skeleton alone.")
         tables = [repaired_imu(table, str(path)) for table in tables]
         report = _report(reports, path, importer)
         report.count, report.rate_hz = len(times_of(tables[0])), median_rate_hz(times_of(tables[0]))
@@ -252,7 +250,7 @@ def _sensors(
     if files.name and len(whole) > 1:
         listed = ", ".join(table.name for table in whole)
         raise RecordingError(
-            f"{source} holds {len(whole)} sensors ({listed}); say which one is {files.name}:"
+            f"{source} holds {len(whole)} sensors ({listed}); choose one for {files.name}:"
             f" --imu {files.name}={files.paths[0]}#{whole[0].name}."
         )
     return [(files.name or (t.name if len(whole) > 1 else ""), t, report) for t in whole]
@@ -260,7 +258,7 @@ def _sensors(
 
 def _no_sensor(path: Path, files: ImuFiles, tables: list[ImuTable]) -> list[ImuTable]:
     listed = ", ".join(table.name or "one without a name" for table in tables)
-    raise RecordingError(f"{path} holds no sensor {files.sensor}; it has {listed}.")
+    raise RecordingError(f"{path} has no sensor {files.sensor}; it has {listed}.")
 
 
 def _named(
@@ -298,7 +296,7 @@ def _all_times(tables: list[SkeletonTable]) -> FloatArray:
     return np.unique(np.concatenate([times_of(table) for table in tables]))
 
 
-#: Slower or faster than any IMU that is worn, samples a second.
+#: Slower or faster than any IMU that is worn, samples per second.
 _RATES_HZ = (2.0, 10_000.0)
 
 
@@ -318,7 +316,7 @@ def add_skeleton(
     file : RecordingFile
         The recording.
     tables : list of SkeletonTable
-        Bodies with mended times.
+        Bodies with corrected times.
     source : str
         The file, for messages.
     topic : str
@@ -394,7 +392,7 @@ def _add_image_points(
 
 
 def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift_s: float) -> None:
-    """Put an IMU with mended times into a recording, if its units can be; as `add_skeleton`."""
+    """Put an IMU with corrected times into a recording, if its units can be; as `add_skeleton`."""
     assert table.acc is not None and table.gyro is not None
     stamp = nanoseconds(times_of(table) + shift_s, 0)
     samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, table.acc, table.gyro, table.mag)
@@ -409,12 +407,12 @@ def rate_note(samples: ImuSamples) -> list[str]:
     if not step_s > 0 or _RATES_HZ[0] <= 1 / step_s <= _RATES_HZ[1]:
         return []
     return [
-        f"{samples.topic}: its times make {1 / step_s:.3g} samples a second, which is no IMU's rate; if they"
+        f"{samples.topic}: its times give {1 / step_s:.3g} samples per second, which no IMU has; if they"
         " are in another unit, give time_unit in a recording.toml."
     ]
 
 
 def times_of(table: ImuTable | SkeletonTable) -> FloatArray:
-    """Times of a table that was mended."""
+    """Times of a table that was corrected."""
     assert table.t_s is not None
     return table.t_s

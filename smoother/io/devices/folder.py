@@ -26,7 +26,7 @@ def sort_files(
     reader : FileReader
         Keeps what it reads.
     output : Path, optional
-        The recording to write, which is no input where it lies in a folder.
+        The recording to write, which is not an input where it is in a folder.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def sort_files(
         if importer is None:
             head = read_head(path)
             passed_over.append(
-                f"{path.name} is of no known format and was passed over; it begins: {first_rows(head, 100)}."
+                f"{path.name} has an unknown format and was passed over; it begins: {first_rows(head, 100)}."
             )
             continue
         try:
@@ -77,7 +77,7 @@ def sort_files(
         if len(files) == 1:
             raise unknown_file(read_head(files[0]))
         seen = " ".join(passed_over[:2]) or "It is empty."
-        raise RecordingError(f"{paths[0]} holds no file of a known format ({keys()}). {seen}")
+        raise RecordingError(f"{paths[0]} has no file of a known format ({keys()}). {seen}")
     return skeletons, imus, passed_over
 
 
@@ -88,7 +88,7 @@ def _joined(halves: dict[str, list[Path]]) -> list[ImuFiles]:
         return [ImuFiles((halves["acc"][0], halves["gyro"][0]))]
     listed = ", ".join(path.name for path in (*halves["acc"], *halves["gyro"]))
     raise RecordingError(
-        f"{listed} hold accelerometers or gyroscopes alone; say which belong together:"
+        f"{listed} hold accelerometers or gyroscopes alone; name those that belong together:"
         " --imu NAME=ACC_FILE,GYRO_FILE."
     )
 

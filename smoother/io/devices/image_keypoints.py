@@ -135,7 +135,7 @@ def keypoint_table(path: Path, rows: list[Row], scale: float | None, rate_hz: fl
     else:
         if rate_hz is None:
             notes.append(
-                f"The file has no times: {USUAL_RATE_HZ:g} frames a second count, evenly; write fps into it."
+                f"The file has no times: assumed {USUAL_RATE_HZ:g} frames per second; write fps into it."
             )
         t_s = (number - number[0]) / (rate_hz or USUAL_RATE_HZ)
     state = {name: states_of_scores(points[:, 2]) for name, points in joints.items()}

@@ -86,7 +86,7 @@ def skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
 
 
 def _in_metres(position: dict[str, FloatArray], unit: str, path: Path) -> list[str]:
-    """Mend positions whose unit is not the one that the header states; what is to be said of it."""
+    """Correct positions whose unit is not the one that the header states; what is to be said of it."""
     length = half_arm(position)
     if not np.isfinite(length):
         return []
@@ -131,16 +131,20 @@ def _axes(
         return (
             frame_of(*upright, camera),
             down_of(*upright),
-            f"Axes count as {axis_words(*upright)}: so the body stands or sits in most frames.",
+            f"Assumed axes: {axis_words(*upright)} (the body is then upright in most frames).",
         )
     if camera:
         return (
             CameraFrame.OPTICAL,
             None,
-            "Axes count as the depth camera's (y down): the body does not show it.",
+            "Assumed axes: the depth camera's (y down); the body does not show them.",
         )
     if y_up:
-        return None, down_of(1, 1), "Axes count as y up, as the format has it; the body does not show it."
+        return (
+            None,
+            down_of(1, 1),
+            "Assumed axes: y up, as usual in this format; the body does not show them.",
+        )
     return (
         None,
         None,
@@ -209,7 +213,7 @@ def read_segment_origins(path: Path) -> Markers | None:
         return None
     rate = next((float(rate) for rate in rates if np.isfinite(rate) and rate > 0), float("nan"))
     if not rate > 0:
-        raise RecordingError(f"{path}: neither ROTATION:RATE nor POINT:RATE tells the frames' times")
+        raise RecordingError(f"{path}: neither ROTATION:RATE nor POINT:RATE gives the frames' times")
     unit = str(units[0]).strip().lower() if len(units) else "mm"
     position = np.moveaxis(poses[:3, 3][:, list(named)], (0, 1, 2), (2, 1, 0)) * METRES.get(unit, 0.001)
     used = ", ".join(labels[at] for at in named)

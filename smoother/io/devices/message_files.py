@@ -72,7 +72,7 @@ class McapFile:
         if not tables:
             listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
             raise RecordingError(
-                f"{path} holds no IMU and no skeleton that can be read (topics:"
+                f"{path} has no IMU and no skeleton that can be read (topics:"
                 f" {shown(listed or 'none', 150)});"
                 " record sensor_msgs/Imu and the body tracking's MarkerArray."
             )
@@ -110,7 +110,7 @@ _NUMBERED: dict[int, JointName] = {
 
 @dataclass
 class _Rows:
-    """Bodies of one topic, a row a frame and body."""
+    """Bodies of one topic, one row per frame and body."""
 
     time: list[float] = field(default_factory=list)
     body: list[float] = field(default_factory=list)
@@ -160,7 +160,7 @@ class RosBag1:
         except Exception as error:  # whatever a damaged file leads the library into
             raise RecordingError(
                 f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
-                " may mend it, or record again."
+                " may correct it, or record again."
             ) from error
 
 
@@ -192,7 +192,7 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
             sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in reader.connections})
         )
         raise RecordingError(
-            f"{path} holds no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)});"
+            f"{path} has no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)});"
             " record the IMU's topic and the body tracking's."
         )
     angles = sorted({c.topic for c in reader.connections if c.msgtype == _JOINT_STATE})
@@ -322,7 +322,7 @@ class XdfFile:
             )
             why = f"; {reasons[0]}" if reasons else ""
             raise RecordingError(
-                f"{path} holds no stream of an accelerometer, a gyroscope or joints by its channels' labels"
+                f"{path} has no stream of an accelerometer, a gyroscope or joints by its channels' labels"
                 f" (streams: {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x,"
                 " WristRight_X and units."
             )

@@ -58,7 +58,7 @@ def format_named(key: str) -> DeviceFormat:
         if importer.key == key.strip().lower():
             return importer
     raise RecordingError(
-        f"{key} is no format; formats are {', '.join(importer.key for importer in formats())}."
+        f"{key} is not a format; formats are {', '.join(importer.key for importer in formats())}."
     )
 
 
@@ -98,7 +98,7 @@ def unknown_file(head: FileHead) -> RecordingError:
     if what := no_table(head.raw, head.text):
         return RecordingError(f"{head.path} {what}")
     return RecordingError(
-        f"{head.path} is of no known format{_lacking(head)}; it begins with: {first_rows(head)}. Known are"
+        f"{head.path} has an unknown format{_lacking(head)}; it begins with: {first_rows(head)}. Known are"
         f" {keys()} (`unocclude import formats`); for any other table `unocclude import describe {head.path}`"
         " prints a recording.toml."
     )
@@ -195,7 +195,7 @@ class FileReader:
                     " export or copy it again."
                 ) from error
             if not self._tables[key]:
-                raise RecordingError(f"{path} ({importer.title}) holds no rows; export it again.")
+                raise RecordingError(f"{path} ({importer.title}) has no rows; export it again.")
             if importer not in self._templates:  # those name their columns themselves
                 _check_axes(path, importer, self._tables[key])
         return self._tables[key]

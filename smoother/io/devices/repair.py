@@ -21,7 +21,7 @@ from ...measurements.timestamps import (
 )
 from ..tables.protocol import ImuTable, SkeletonTable, amount
 
-#: Rows at the start with a stamp of zero are no times where the next stamp lies this far on, s.
+#: Rows at the start with a stamp of zero are not times where the next stamp lies this far on, s.
 _FAR_S = 3600.0
 #: A stamp farther than this from the others is none, s: files keep nanoseconds in 64 bits, +-292 years.
 _FARTHEST_S = 4e9
@@ -63,7 +63,9 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     if table.t_s is not None:
         table = _rows(table, _timed(table.t_s), "samples without a time were left out")
     if _length(table) < 2:
-        raise RecordingError(f"{source} has {_length(table)} usable samples; record or export it again.")
+        raise RecordingError(
+            f"{source} has too few usable samples ({_length(table)}); record or export it again."
+        )
     table = _rows(table, ~_repeated(table), "rows that repeat the one before were left out")
     if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
@@ -132,7 +134,9 @@ def _times(
             f" {'stays as it is' if even.pauses == 1 else 'stay as they are'}."
         )
     if even.clock_resets:
-        notes.append(f"The clock was set back {_times_message(even.clock_resets)}; the {what} go on evenly.")
+        notes.append(
+            f"The clock was set back {_times_message(even.clock_resets)}; the {what} continue evenly."
+        )
     return even.t_s, notes
 
 
@@ -163,7 +167,7 @@ def _follows(t_s: FloatArray, number: IntArray) -> bool:
 
 def _unwrapped(t_s: FloatArray) -> tuple[FloatArray, list[str]]:
     t_s, wraps = unwrapped(t_s)
-    said = f"The device's clock started anew {_times_message(wraps)}; it was made to go on."
+    said = f"The device's clock started anew {_times_message(wraps)}; it was continued."
     return t_s, [said] if wraps else []
 
 
@@ -353,7 +357,7 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
     """What to add to each stream's times so that all of them can be in one recording.
 
     Streams that overlap share a clock and are moved together. Where the IMUs' clock has nothing in common
-    with the camera's, both start at zero: the motion tells the rest.
+    with the camera's, both start at zero; the motion gives the offset.
 
     Parameters
     ----------
@@ -399,7 +403,7 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
         names = ", ".join(streams[row].label for row in group)
         sentences.append(
             f"The clock of {names} ({_clock_message(own)}) has nothing in common with the camera's"
-            f" ({_clock_message(first_frame)}): both start at zero, and the motion tells the offset"
+            f" ({_clock_message(first_frame)}): both start at zero; the motion gives the offset"
             " (--imu-starts-at S where it cannot)."
         )
     return shift, sentences

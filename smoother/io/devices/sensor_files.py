@@ -40,7 +40,7 @@ class ApdmHdf:
         Raises
         ------
         RecordingError
-            The package h5py is absent, or the file holds no sensors.
+            The package h5py is absent, or the file has no sensors.
         """
         try:
             import h5py
@@ -62,7 +62,7 @@ class ApdmHdf:
             raise RecordingError(f"{path} cannot be read as HDF5: {shown(str(error), 100)}.") from error
         if not tables:
             raise RecordingError(
-                f"{path} holds no raw sensors of an Opal; export 'raw data' as HDF5, or CSV, from the APDM"
+                f"{path} has no raw sensors of an Opal; export 'raw data' as HDF5, or CSV, from the APDM"
                 " program."
             )
         for table in tables:
@@ -192,7 +192,7 @@ class Axivity:
         usable = data[whole & intact]
         if not len(usable):
             axes = int(data["axes"][0] >> 4) if len(data) else 0
-            what = f"holds {axes} axes, no gyroscope" if axes == 3 else "holds no intact blocks of samples"
+            what = f"holds {axes} axes, no gyroscope" if axes == 3 else "has no intact blocks of samples"
             raise RecordingError(
                 f"{path} is an {self.title} that {what}; set up an AX6 with its gyroscope on, and download"
                 " it again."
@@ -203,7 +203,7 @@ class Axivity:
 
 def _table(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
     """Samples of intact blocks with six axes."""
-    # A sample stands in the rows of its block that are filled.
+    # A sample is in the rows of its block that are filled.
     filled = np.arange(40) < blocks["count"][:, None]
     values = blocks["data"].reshape(-1, 40, 6).astype(float)
     light = blocks["light"].astype(int)
@@ -288,7 +288,7 @@ class Mvnx:
         Raises
         ------
         RecordingError
-            It is no sound XML, or holds no raw sensors.
+            It is not sound XML, or has no raw sensors.
         """
         rows: dict[str, list[str]] = {key: [] for key in _VALUES}
         names: list[str] = []
@@ -309,7 +309,7 @@ class Mvnx:
                     element.clear()
         except ParseError as error:
             raise RecordingError(
-                f"{path} is no sound MVNX: {shown(str(error), 80)}; export it again."
+                f"{path} is not sound MVNX: {shown(str(error), 80)}; export it again."
             ) from error
         except (OSError, ValueError) as error:
             raise RecordingError(f"{path} cannot be read as MVNX: {shown(str(error), 80)}.") from error

@@ -41,7 +41,7 @@ def read_json(path: Path, expected: str) -> Any:
     Raises
     ------
     RecordingError
-        It cannot be read, or is no JSON.
+        It cannot be read, or is not JSON.
     """
     check_input(path, RecordingError)
     try:
@@ -145,7 +145,7 @@ _KINECT_EXPECTED = "JSON of body tracking (frames with bodies and joint_position
 
 @dataclass
 class _Rows:
-    """What is gathered, a row a frame and body."""
+    """What is gathered, one row per frame and body."""
 
     time: list[float] = field(default_factory=list)
     frame: list[float] = field(default_factory=list)
@@ -304,7 +304,7 @@ _MARK = re.compile(
 
 @dataclass
 class _Frames:
-    """What is gathered, a row a frame."""
+    """What is gathered, one row per frame."""
 
     time: list[float] = field(default_factory=list)
     frame: list[float] = field(default_factory=list)
@@ -455,7 +455,7 @@ def _points_in(frame: Any, path: Path, depth: int = 0) -> tuple[Any, bool]:
 
 
 def _by_name(value: Any) -> dict[str, tuple[float, float, float, float]]:
-    """Points by name; none where there are no points, or so many that their order is not known."""
+    """Points by name; none where there are no points, or this many that their order is not known."""
     if isinstance(value, Mapping):
         return {str(name): xyz_of(point) for name, point in value.items()}
     if not isinstance(value, list) or not value:

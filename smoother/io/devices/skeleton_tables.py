@@ -88,7 +88,7 @@ class _Columns:
 
 @dataclass(frozen=True)
 class LongSkeleton:
-    """A row a joint, joints by name or by their number in a Kinect v2, an Azure Kinect or BlazePose.
+    """One row per joint, joints by name or by their number in a Kinect v2, an Azure Kinect or BlazePose.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class LongSkeleton:
     """
 
     key: str = "joint-rows"
-    title: str = "table with a row a joint"
+    title: str = "table with one row per joint"
     kind: str = "skeleton"
     recognised_by: str = "columns for joint (or landmark), x, y, z, and a time or frame number"
 
@@ -113,11 +113,11 @@ class LongSkeleton:
         RecordingError
             The file is no such table, or no arm is in it.
         """
-        sheet = read_sheet(path, "a table with a row a joint")
+        sheet = read_sheet(path, "a table with one row per joint")
         columns = _columns_of(sheet.layout.names)
         if columns is None:
             raise RecordingError(
-                f"{path} has no columns for joint, x, y, z and a time or frame; export a row a joint with"
+                f"{path} has no columns for joint, x, y, z and a time or frame; export one row per joint with"
                 " these."
             )
         names, kind = _joints(sheet, columns.joint, path)
@@ -171,7 +171,7 @@ def _joints(sheet: Sheet, column: int, path: Path) -> tuple[list[str], str]:
 
 
 def _gathered(sheet: Sheet, columns: _Columns, names: list[str], kind: str, path: Path) -> RawSkeleton:
-    """A row a frame and body, out of rows of joints."""
+    """One row per frame and body, out of rows of joints."""
     raw = RawSkeleton(path, {}, notes=sheet.notes)
     time: FloatArray | None = None
     if columns.time is not None:
@@ -267,7 +267,7 @@ class BareKinect:
     )
 
     def recognises(self, head: FileHead) -> bool:
-        """Whether rows have so many numbers, and both arms an arm's length in them."""
+        """Whether rows have this many numbers, and both arms an arm's length in them."""
         if not head.text:
             return False
         try:
@@ -285,14 +285,14 @@ class BareKinect:
         Raises
         ------
         RecordingError
-            Rows do not hold so many numbers, or no arm is in them.
+            Rows do not hold this many numbers, or no arm is in them.
         """
         sheet = read_sheet(path, "rows of numbers of a Kinect's joints")
         rows = _filled(sheet.vectors(range(sheet.layout.width)))
         order = _order_of(rows)
         if order is None:
             raise RecordingError(
-                f"{path}: {rows.shape[1]} numbers a row are not 32 joints of an Azure Kinect or 25 of a"
+                f"{path}: {rows.shape[1]} numbers per row are not 32 joints of an Azure Kinect or 25 of a"
                 " Kinect v2 in their SDK's order; export the table with a header."
             )
         raw = RawSkeleton(path, {}, notes=list(sheet.notes))
@@ -310,7 +310,7 @@ class BareKinect:
         _leading(raw, rows[:, : order.leading])
         inferred_throughout(raw)
         device = "32 joints of an Azure Kinect" if is_azure else "25 joints of a Kinect v2"
-        raw.notes.append(f"Rows count as {device}, {order.per_joint} numbers each, in the SDK's order.")
+        raw.notes.append(f"Rows assumed to be {device}, {order.per_joint} numbers each, in the SDK's order.")
         frame = CameraFrame.OPTICAL if is_azure else CameraFrame.KINECT
         return raw.skeletons(Conventions("mm" if is_azure else "m", frame))
 
@@ -416,7 +416,7 @@ class JointArray:
             if array.shape[2] == 4:
                 raw.state[meaning.joint] = share_states(array[:, at, 3])
         first, last = names[0], names[-1]
-        raw.notes.append(f"{array.shape[1]} points a frame count in the order {first} .. {last}.")
+        raw.notes.append(f"{array.shape[1]} points per frame, assumed in the order {first} .. {last}.")
         if names is BLAZEPOSE:
             return landmarks_in_metres(raw, world=False)
         return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL) if names is AZURE else Conventions())

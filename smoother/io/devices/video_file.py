@@ -69,9 +69,9 @@ class PoseVideo:
 
     @staticmethod
     def refuse(path: Path) -> NoReturn:
-        """Say that a file is no video; raises `RecordingError`."""
+        """Say that a file is not a video; raises `RecordingError`."""
         raise RecordingError(
-            f"{path} is no video (MP4, MOV, AVI, MKV); export or convert it, or name another file."
+            f"{path} is not a video (MP4, MOV, AVI, MKV); export or convert it, or name another file."
         )
 
     def read(self, path: Path) -> list[SkeletonTable]:
@@ -80,7 +80,7 @@ class PoseVideo:
         Raises
         ------
         RecordingError, UnoccludeError
-            It is no video, nobody is in it, MediaPipe is not installed, or there is no model.
+            It is not a video, nobody is in it, MediaPipe is not installed, or there is no model.
         """
         mediapipe_module()  # what is missing is said before minutes of work
         model = check_model(self.model)
@@ -162,26 +162,22 @@ def _about(video: Video, poses: list[list[Pose]], numbers: list[list[int]], seen
     """What is to be said of a video and of who is in it."""
     notes = []
     if video.stored_turn_deg:
-        notes.append(
-            f"The file says that it was filmed turned by {video.stored_turn_deg} degrees; it was put upright."
-        )
+        notes.append(f"The file was filmed turned by {video.stored_turn_deg} degrees; it was turned upright.")
     if video.mirrored:
-        notes.append("The video counts as mirrored: its pictures were exchanged left for right (--mirrored).")
+        notes.append("The pictures were flipped left to right (--mirrored).")
     else:
         notes.append(
-            "The video counts as not mirrored. Front cameras of phones often store a mirror image, in which"
-            " the right arm looks like a left one: if writing in the picture reads backwards, import it again"
-            " with --mirrored."
+            "Assumed not mirrored. Front cameras of phones often store a mirror image, in which the right arm"
+            " looks like a left one: if writing in the picture reads backwards, import it again with"
+            " --mirrored."
         )
     mine = [frame[who.index(seen[0])] for frame, who in zip(poses, numbers, strict=True) if seen[0] in who]
     absent = len(poses) - len(mine)
     if absent:
-        notes.append(
-            f"In {absent} of {len(poses)} pictures nobody was found; there the arm counts as not seen."
-        )
+        notes.append(f"In {absent} of {len(poses)} pictures nobody was found; the arm is occluded there.")
     if len(seen) > 1:
         notes.append(
-            f"{len(seen)} people are in the video; who wears the IMU is told by the motion, or by --body 0 to"
+            f"{len(seen)} people are in the video; the motion shows who wears the IMU, or choose --body 0 to"
             f" {len(seen) - 1} (0 was seen most often)."
         )
     trunk = np.array([pose.trunk for pose in mine])

@@ -34,7 +34,7 @@ def export_recovery(
     Raises
     ------
     UnoccludeError
-        The ending is no format, the recovery lacks what the format needs, or the file exists.
+        The ending is not a format, the recovery lacks what the format needs, or the file exists.
     """
     path = Path(path)
     ending = path.suffix.lower().removeprefix(".")

@@ -54,7 +54,7 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
     -----
     Metres in the camera frame; `imu_q*` is the rotation IMU axes to camera; `t_s` is the IMU's own
     stamp with nine decimals; sigmas are one standard deviation an axis; velocity of the IMU, m/s.
-    `trusted` is 1 where the answer is to be trusted, 0 where it is not, and empty where nobody judged it;
+    `trusted` is 1 where the answer is to be trusted, 0 where it is not, and empty without a verdict;
     `usable` (the last column) is 1 where there is an answer that is not distrusted, below the limit on sigma
     if one was set.
 

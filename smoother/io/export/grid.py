@@ -10,7 +10,7 @@ from ...array_types import BoolArray, FloatArray
 from ...errors import UnoccludeError
 from ...result import Recovery
 
-#: Stamps this near to a constant step count as constant, s.
+#: Stamps this near to a constant step are treated as constant, s.
 STEADY_S = 1e-6
 #: Samples farther apart than this, in steps, are not joined.
 MOST_STEPS = 2.5

@@ -22,7 +22,7 @@ from ...result.untrusted import untrusted_sentences, usable
 from ...runtime.outputs import locked, writing
 from .grid import Grid, at_grid, constant_step, frames_at_grid, nearest
 
-#: Millimetres in the file, with so many decimals: a nanometre.
+#: Millimetres in the file, with this many decimals: a nanometre.
 UNIT, PER_METRE, DECIMALS = "mm", 1000.0, 6
 _ROWS = 20_000
 _COLUMNS = ["DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units"]
@@ -417,8 +417,8 @@ def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str
         "VERDICT": [recovery.estimates.verdict or "nobody judged"],
         "UNTRUSTED": list(untrusted_sentences(recovery)) or ["none"],
         "CHANNELS": [
-            "occluded, trusted, usable: 0 or 1 (trusted is missing where nobody judged)."
-            " sigma_*: one standard deviation an axis, -1 = not known."
+            "occluded, trusted, usable: 0 or 1 (trusted is missing if there is no verdict)."
+            " sigma_*: one standard deviation per axis, -1 = unknown."
         ],
         "NOTES": list(recovery.notes) or ["none"],
     }

@@ -26,7 +26,7 @@ class ArmMeasures:
     Attributes
     ----------
     side : str
-        "left" or "right"; "" counts as right.
+        "left" or "right"; "" is treated as right.
     upper_m, forearm_m : float, m
         Shoulder to elbow, elbow to wrist.
     places : dict of str to ndarray, shape (3,), m

@@ -69,7 +69,7 @@ def export_parquet(
             array = pa.array(np.ascontiguousarray(values), from_pandas=True)
             columns.append((name, array, group.unit, group.description))
     columns.append(
-        ("trusted", trusted_array(recovery), "", "the answer is to be trusted; null where nobody judged")
+        ("trusted", trusted_array(recovery), "", "the answer is to be trusted; null without a verdict")
     )
     columns.append(("usable", pa.array(usable(recovery)), "", good))
     columns.append(("stamp_ns", pa.array(stamp), "ns", "the IMU's own stamp"))
@@ -80,7 +80,7 @@ def export_parquet(
     rest = {key: json.loads(text) for key, text in recovery_values(recovery, version).items()}
     text = json.dumps(
         plain(rest), ensure_ascii=False, allow_nan=False
-    )  # NaN is no JSON, and others read this
+    )  # NaN is not JSON, and others read this
     schema = pa.schema(fields, metadata={METADATA_KEY: text.encode()})
     table = pa.Table.from_arrays([array for _, array, _, _ in columns], schema=schema)
     with writing(path, force) as temporary:
@@ -88,13 +88,13 @@ def export_parquet(
 
 
 def trusted_array(recovery: Recovery) -> pyarrow.BooleanArray:
-    """(N,) whether samples are to be trusted; null where nobody judged."""
+    """(N,) whether samples are to be trusted; null without a verdict."""
     import pyarrow as pa
 
     return pa.array(recovery.trusted) if recovery.has_verdict else pa.nulls(len(recovery), pa.bool_())
 
 
-#: Numbers are rounded to so many parts of a metre, which is 8 micrometres, and of one.
+#: Numbers are rounded to this many parts of a metre, which is 8 micrometres, and of one.
 _PARTS = 2.0**17
 
 
@@ -108,7 +108,7 @@ def drawn_rows(recovery: Recovery) -> int:
     """
     if recovery.draws is None:
         raise UnoccludeError(
-            f"the result of {recovery.name} holds no drawn motions; run `unocclude smooth` with --draws 64"
+            f"the result of {recovery.name} has no drawn motions; run `unocclude smooth` with --draws 64"
         )
     return len(recovery.draws) * len(recovery.draws.t_s)
 

@@ -430,7 +430,7 @@ def write_rrd(
         For each arm, times counted from its origin.
     level_down : ndarray, shape (3,), optional
         Down in the camera's axes if the camera stands level, where no arm's method found gravity. Without
-        either the picture stands in the camera's axes.
+        either the picture is in the camera's axes.
     force : bool
         Overwrite a file that exists.
 

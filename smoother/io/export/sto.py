@@ -92,7 +92,7 @@ def orientation_table(recovery: Recovery, level_down: FloatArray | None = None) 
         notes = (f"{left_out} of {len(recovery)} samples are left out: an IMU has no orientation there.",)
     if "upper_arm" not in of_camera:
         notes += (
-            "one IMU on the forearm does not tell OpenSense how the elbow is bent: take trc and Inverse"
+            "one IMU on the forearm does not show OpenSense how the elbow is bent: take trc and Inverse"
             " Kinematics for the angles.",
         )
     return OrientationTable(t_s, quaternion, median_rate_hz(t_s) if len(t_s) > 1 else 1.0, notes)

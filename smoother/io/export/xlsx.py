@@ -114,7 +114,7 @@ def _meanings(recovery: Recovery) -> Iterable[tuple[str, str, str]]:
     for group in column_groups(recovery):
         for name in group.names:
             yield name, group.unit, group.description
-    yield "trusted", "0/1", "0 where the answer is not to be trusted; empty where nobody judged it"
+    yield "trusted", "0/1", "0 where the answer is not to be trusted; empty without a verdict"
     yield "usable", "0/1", "1 where there is an answer that is not distrusted"
 
 

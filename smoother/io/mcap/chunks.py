@@ -41,7 +41,7 @@ Encoded = NDArray[np.uint8] | list[bytes]
 
 
 class Records(NamedTuple):
-    """Messages with their heads, as they stand in a file.
+    """Messages with their heads, as they are in a file.
 
     Attributes
     ----------
@@ -316,7 +316,7 @@ class ChunkedFile:
         self._settle(_AHEAD)
 
     def _settle(self, most: int) -> None:
-        """Write until at most so many records wait."""
+        """Write until at most this many records wait."""
         while len(self._waiting) > most:
             job, values = self._waiting.popleft()
             job(*values)

@@ -158,9 +158,7 @@ class Container:
         late = heads["log"] > _LATEST
         if late.any():
             heads["log"][late] = _LATEST
-            what = (
-                f"{int(late.sum())} messages state a log time beyond the year 2262, which counts as its end"
-            )
+            what = f"{int(late.sum())} messages have log times after the year 2262, the latest possible"
             log.lost(Loss(what, source.place, source.place))
         channel = heads["channel"]
         if (definitions.number[channel] < 0).any():
@@ -258,5 +256,5 @@ def _unreadable(path: Path, error: OSError) -> str:
     if isinstance(error, FileNotFoundError):
         return f"{path} does not exist; check the name."
     if isinstance(error, IsADirectoryError) or path.is_dir():
-        return f"{path} is a folder; name an MCAP file, or bring plain files in with `unocclude import csv`."
+        return f"{path} is a folder; name an MCAP file, or import plain files with `unocclude import csv`."
     return f"{path} cannot be read: {error.strerror or error}."

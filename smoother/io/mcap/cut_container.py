@@ -80,7 +80,7 @@ def cut_container(
     Raises
     ------
     RecordingError
-        The file cannot be read, or a part holds no message.
+        The file cannot be read, or a part has no message.
     """
     container = Container(source)
     written: list[dict[str, object]] = []

@@ -29,7 +29,7 @@ from .messages import ChunkMessages, Loss, Topic, nanoseconds
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 SLICE = 2048
-#: Messages of another file are written at the latest when they hold so many bytes.
+#: Messages of another file are written at the latest when they hold this many bytes.
 _HELD_BYTES = 1 << 23
 #: After all times.
 END = int(np.iinfo(np.int64).max)
@@ -253,7 +253,7 @@ def time_batches(axes: Sequence[TimeAxis], most: int = SLICE) -> Iterator[TimeBa
 
 #: Metadata record that says what the file had lost when it was repaired.
 REPAIRED = "unocclude.repair"
-#: So many messages are written together.
+#: This many messages are written together.
 _TOGETHER = 4096
 
 
@@ -312,8 +312,8 @@ def repair_container(
 ) -> RepairReport:
     """Write what is still in a damaged MCAP file as a whole one.
 
-    Messages of chunks that fail their checksum are written too, as nothing tells which of them is damaged;
-    the file says so in its metadata, and whoever reads it is told.
+    Messages of chunks that fail their checksum are written too, as nothing shows which of them is damaged;
+    the file says so in its metadata, and whoever reads it sees it.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def repair_container(
     Raises
     ------
     RecordingError
-        The file cannot be read, or holds no complete message.
+        The file cannot be read, or has no complete message.
     """
     container = Container(source, unverified=True)
     with tempfile.TemporaryFile() as payloads:
@@ -343,7 +343,7 @@ def repair_container(
         report = _report(container, topics, rows)
         if not len(rows):
             raise RecordingError(
-                " ".join([f"{source} holds no complete message; nothing can be repaired.", *report.notes[:3]])
+                " ".join([f"{source} has no complete message; nothing can be repaired.", *report.notes[:3]])
             )
         with writing(output, force) as temporary, Output(temporary) as file:
             for name, values in container.metadata.items():

@@ -57,7 +57,7 @@ def ros_stamps(block: Block, layout: MessageLayout) -> IntArray:
     return seconds_part * SECOND_NS + layout.get(block, "nsec")[:, 0].astype(np.int64)
 
 
-#: So many losses have a sentence of their own.
+#: This many losses have a sentence of their own.
 _MOST = 6
 #: Names in messages are cut to this length.
 _LONGEST_NAME = 80
@@ -72,9 +72,9 @@ class Loss:
     what : str
         What is there and what became of it.
     start, stop : int, bytes
-        Where it lies in the file.
+        Where it is in the file.
     first_ns, last_ns : int, ns, optional
-        Log times that it lies between; None where nothing tells.
+        Log times that it lies between; None if unknown.
     counts : dict of str to int
         Messages lost by topic, as far as indexes tell.
     is_kept : bool
@@ -134,7 +134,7 @@ class DamageLog:
             self.notes.append(sentence)
 
     def lost(self, loss: Loss) -> None:
-        """Take down a loss; where nothing tells its time, it lies between the messages around it."""
+        """Take down a loss; if its time is unknown, it lies between the messages around it."""
         if loss.first_ns is None and self._last_ns is not None:
             loss.first_ns = self._last_ns
             self._open.append(loss)
@@ -232,7 +232,7 @@ class Topic:
 
 
 class McapMessage(NamedTuple):
-    """A message as it lies in the file.
+    """A message as it is in the file.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ class TopicMessages(NamedTuple):
     log_ns : ndarray of int, shape (n,), ns
         Log times.
     chunk : bytes
-        Its bytes; payloads stay where they lie in them.
+        Its bytes; payloads stay where they are in them.
     start, stop : ndarray of int, shape (n,)
         Where each payload begins and ends.
     """

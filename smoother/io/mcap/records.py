@@ -47,7 +47,7 @@ _MOST_GAPS = 64
 _MOST_FOREIGN = 100_000
 #: Least length of the records that belong into a chunk.
 _LEAST_INSIDE = {Opcode.SCHEMA: 14, Opcode.CHANNEL: 16, Opcode.MESSAGE: _SHORTEST}
-#: A damaged chunk is searched by so many bytes at a time.
+#: A damaged chunk is searched by this many bytes at a time.
 _AT_A_TIME = 1 << 20
 
 
@@ -201,7 +201,7 @@ def _heads(chunk: bytes, place: IntArray) -> NDArray:
 
 
 _FOOTER = struct.Struct("<BQQQI")
-#: A summary holds no more bytes than this; chunk indexes take about a hundred bytes a megabyte.
+#: A summary has no more bytes than this; chunk indexes take about a hundred bytes a megabyte.
 _LONGEST = 1 << 25
 #: What the record begins with that stands before a summary; it is looked for in the last bytes of a file.
 _DATA_END, _NEAR = HEAD.pack(Opcode.DATA_END, 4), 1 << 22
@@ -239,7 +239,7 @@ class Summary:
 
 
 def read_summary(file: IO[bytes], size: int) -> Summary:
-    """Read what stands at a file's end; nothing is raised where it is damaged or missing.
+    """Read what is at a file's end; nothing is raised where it is damaged or missing.
 
     Parameters
     ----------

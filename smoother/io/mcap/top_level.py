@@ -18,9 +18,9 @@ COMPRESSIONS = ("", "zstd", "lz4")
 _MAGIC = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
 #: Largest size of a chunk, MB, and the variable that changes it. Recorders make chunks of 1 to 64 MB.
 LIMIT_MB, LIMIT_NAME = 256, "UNOCCLUDE_CHUNK_LIMIT_MB"
-#: All chunks together hold so many bytes at most, and so many times the file's size on top.
+#: All chunks together hold this many bytes at most, and this many times the file's size on top.
 _WHOLE, _RATIO = 1 << 30, 256
-#: A damaged chunk is fed so many bytes at a time.
+#: A damaged chunk is fed this many bytes at a time.
 _STEP = 512
 
 
@@ -30,7 +30,7 @@ def chunk_limit() -> int:
     Raises
     ------
     UnoccludeError
-        The variable that sets it is no number.
+        The variable that sets it is not a number.
     """
     text = os.environ.get(LIMIT_NAME, "") or str(LIMIT_MB)
     if not (text.isascii() and text.isdigit() and len(text) < 7 and int(text)):
@@ -51,7 +51,7 @@ def unpack(compression: str, packed: memoryview, size: int, source: object) -> b
     compression : str
         "", "zstd" or "lz4".
     packed : memoryview
-        As they lie in the file.
+        As they are in the file.
     size : int, bytes
         That the chunk states of its records.
     source : object
@@ -106,7 +106,7 @@ def _bit_by_bit(compression: str, packed: memoryview, size: int) -> bytes:
 def _reader(
     compression: str, packed: memoryview
 ) -> tuple[Callable[[int], bytes], tuple[type[BaseException], ...]]:
-    """What gives the next bytes of a chunk, at most so many, and what it raises on damaged data."""
+    """What gives the next bytes of a chunk, at most this many, and what it raises on damaged data."""
     place = 0
     if compression == "zstd":
         import zstandard
@@ -165,11 +165,11 @@ _LEAST = {
 _EXACT = (Opcode.FOOTER, Opcode.SUMMARY_OFFSET, Opcode.DATA_END)
 #: Records of other kinds begin here; those from `_PRIVATE` on are a program's own, none is between.
 _KINDS, _PRIVATE = 16, 128
-#: So many records in a row that make sense are no accident.
+#: This many records in a row that make sense are no accident.
 _IN_A_ROW = 3
-#: The file is searched by so many bytes at a time.
+#: The file is searched by this many bytes at a time.
 _AT_A_TIME = 1 << 22
-#: After so many places that only look like a record, and so many damages, the rest is given up.
+#: After this many places that only look like a record, and this many damages, the rest is given up.
 _MOST_TRIED, _MOST_DAMAGES = 100_000, 10_000
 #: A name of a compression is no longer than this.
 _LETTERS = 16
@@ -250,7 +250,7 @@ def top_records(file: IO[bytes], size: int) -> Iterator[TopRecord]:
 
 
 def _mended(file: IO[bytes], position: int, size: int) -> TopRecord | None:
-    """A record whose opcode or length is damaged while the rest of it tells what it is, else None."""
+    """A record whose opcode or length is damaged while the rest of it shows what it is, else None."""
     opcode, length = _head(file, position)
     content = position + HEAD.size
     stop = content + length
@@ -305,7 +305,7 @@ def _head(file: IO[bytes], position: int) -> tuple[int, int]:
 
 
 def _chunk_length(file: IO[bytes], content: int) -> int | None:
-    """The length that the sizes inside a chunk add up to; None for what is no chunk."""
+    """The length that the sizes inside a chunk add up to; None for what is not a chunk."""
     file.seek(content)
     head = file.read(CHUNK.size + _LETTERS + 8)
     if len(head) < CHUNK.size + 8:

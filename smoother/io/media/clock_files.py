@@ -81,7 +81,7 @@ def read_sound(
     Raises
     ------
     RecordingError
-        The file cannot be read, or holds no sound that can be.
+        The file cannot be read, or has no sound that can be.
     """
     path = Path(path)
     if path.suffix.lower() == ".mcap":
@@ -101,7 +101,7 @@ def read_sound(
             " 16-bit PCM."
         ) from error
     if not len(data) or rate <= 0:
-        raise RecordingError(f"{path} holds no sound; record it again.")
+        raise RecordingError(f"{path} has no sound; record it again.")
     return [Track(_loudest(_full_scale(data)), float(rate), 0.0, str(path))]
 
 
@@ -197,7 +197,7 @@ def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[
         tracks.append(Track(samples, rate / (1 + slope), float(level), source))
         first = last
     if not tracks:
-        raise RecordingError(f"{source} holds no sound; record it again.")
+        raise RecordingError(f"{source} has no sound; record it again.")
     return tracks
 
 

@@ -72,7 +72,7 @@ class PanelSession:
     times_s : list of float, s
         Of the views.
     panel, base : ImuStream
-        The IMU on the panel and the one on the camera; times count as `times_s`.
+        The IMU on the panel and the one on the camera; times as in `times_s`.
     lens : Intrinsics, optional
         Of the depth camera, or None.
     notes : list of str
@@ -190,7 +190,7 @@ def read_panel_session(
     lens: Intrinsics | None,
     notes: list[str] | None = None,
 ) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
-    """Views of the panel, one a pose, with the mocap markers of their moment, and the lens.
+    """Views of the panel, one per pose, with the mocap markers of their moment, and the lens.
 
     Images that follow each other within a second belong to one pose, of which the middle one is taken.
 
@@ -216,12 +216,12 @@ def read_panel_session(
     lens = lens or found_lens
     if lens is None:
         raise RecordingError(
-            f"{path} holds no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
+            f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
         )
     if given and len(given) != len(pairs):
         raise RecordingError(
             f"{path} shows {len(pairs)} poses of the panel and --markers is given {len(given)} times; give it"
-            " once a pose, in their order."
+            " once per pose, in their order."
         )
     stamps = [depth.stamp_ns for depth, _ in pairs]
     first = stamps[0]
@@ -244,8 +244,8 @@ def _markers_at(path: Path, stamps: list[int]) -> list[dict[str, FloatArray]]:
             tracks[nearest].setdefault(name, []).append(position)
     if not any_marker:
         raise RecordingError(
-            f"{path} holds no mocap markers (SceneUpdate or MarkerArray on a topic named marker or mocap);"
-            " give --markers once a pose."
+            f"{path} has no mocap markers (SceneUpdate or MarkerArray on a topic named marker or mocap);"
+            " give --markers once per pose."
         )
     for stamp, track in zip(stamps, tracks, strict=True):
         if not track:
@@ -384,7 +384,7 @@ def check_folder(path: Path, force: bool = False) -> None:
     Raises
     ------
     UnoccludeError
-        `path` is a file, is a folder that must not be replaced, or has no folder to lie in.
+        `path` is a file, is a folder that must not be replaced, or has no folder to be in.
     """
     if path.is_dir() and any(path.iterdir()):
         if not force:

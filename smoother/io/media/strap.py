@@ -55,7 +55,7 @@ class StrapFound:
     along : ndarray, shape (n,)
         Part of the way from elbow to wrist.
     in_profile : ndarray, shape (n,)
-        The same at which the dark place lies in the brightness profile.
+        The same at which the dark place is in the brightness profile.
     reasons : list of str
         "" where it was found.
     """
@@ -124,8 +124,8 @@ class Cameras:
         missing = [role for role in ("colour", "depth") if role not in self.chosen]
         if missing:
             raise RecordingError(
-                f"{self._path} has no {' and no '.join(missing)} images that can be read; its images are"
-                f" {', '.join(sorted(met)) or 'none'}; record colour and depth (16UC1)."
+                f"{self._path} has no {' and no '.join(missing)} images that can be read (images in it:"
+                f" {', '.join(sorted(met)) or 'none'}); record colour and depth (16UC1)."
             )
         self.found.topics = self.chosen["colour"], self.chosen["depth"]
 
@@ -141,7 +141,7 @@ class Cameras:
     def camera(
         self, role: str, shape: tuple[int, ...], image: ImageMessage, reference: ImageMessage
     ) -> PlacedCamera:
-        """The camera of an image with its place in {K}; {K} lies in the depth camera (`reference`)."""
+        """The camera of an image with its place in {K}; {K} is in the depth camera (`reference`)."""
         own = self._lenses.get(image.frame_id) or self._lenses.get(self.chosen[role].rpartition("/")[0])
         if own is None:
             raise RecordingError(
@@ -301,7 +301,7 @@ def _once(channel: int, stamp: IntArray, data: bytes) -> OutputStream:
 
 
 def _beside(colour: PlacedCamera) -> bytes:
-    """Where the colour camera stands in the depth camera's image axes."""
+    """Where the colour camera is in the depth camera's image axes."""
     message = message_class(TRANSFORMS)()
     transform = message.transforms.add(parent_frame_id=DEPTH, child_frame_id=COLOUR)
     transform.rotation.w = 1.0

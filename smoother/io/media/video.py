@@ -124,7 +124,7 @@ def open_video(path: Path, turn_deg: int = 0, mirrored: bool = False) -> Iterato
     Raises
     ------
     RecordingError
-        It is not there, or is no video.
+        It is not there, or is not a video.
     """
     import cv2
 
@@ -137,7 +137,7 @@ def open_video(path: Path, turn_deg: int = 0, mirrored: bool = False) -> Iterato
         rate_hz = capture.get(cv2.CAP_PROP_FPS) if capture.isOpened() else 0.0
         if not rate_hz > 0:
             raise RecordingError(
-                f"{path} is no video that can be read; export it again, or convert it to MP4 (H.264)."
+                f"{path} is not a video that can be read; export it again, or convert it to MP4 (H.264)."
             )
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         stored = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360

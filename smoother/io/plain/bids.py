@@ -37,7 +37,8 @@ def open_bids(folder: Path, subject: str = "", session: str = "", task: str = ""
     Returns
     -------
     file : RecordingFile
-        For `write_recording`. Times count from the first sample; streams lie as far apart as `acq_time` says.
+        For `write_recording`. Times are relative to the first sample; streams are as far apart as
+        `acq_time` states.
 
     Raises
     ------
@@ -49,7 +50,9 @@ def open_bids(folder: Path, subject: str = "", session: str = "", task: str = ""
     file = RecordingFile(paths[0], notes=[])
     starts = [began[path.name] for path in paths if path.name in began]
     if len(starts) < len(paths):
-        file.notes.append("No acq_time says how far apart the streams began: the motion has to show it.")
+        file.notes.append(
+            "No acq_time states when the streams began: the offset is estimated from the motion."
+        )
         file.clocks_unrelated = True
         began, starts = {}, [0.0]
     for path in paths:
@@ -73,7 +76,7 @@ def _motion_files(folder: Path, subject: str, session: str, task: str) -> list[P
         path for path in folder.glob("sub-*/**/motion/*_motion.tsv") if "derivatives" not in path.parts
     )
     if not found:
-        raise RecordingError(f"{folder}: it holds no sub-*/motion/*_motion.tsv of Motion-BIDS")
+        raise RecordingError(f"{folder}: it has no sub-*/motion/*_motion.tsv of Motion-BIDS")
     wanted = {"sub": subject, "ses": session, "task": task}
     for key, label in wanted.items():
         have = sorted({_entities(path).get(key, "") for path in found})

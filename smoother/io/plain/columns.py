@@ -66,7 +66,7 @@ class ImuKeys(TableKeys):
 
 
 class CameraKeys(TableKeys):
-    """The skeleton's file: a row a joint (columns joint, x, y, z), or a row a frame (wrist_right = ..)."""
+    """The skeleton's file: a row per joint (columns joint, x, y, z), or per frame (wrist_right = ..)."""
 
     frame: CameraFrame
     skeleton: str | None = None
@@ -82,12 +82,12 @@ class CameraKeys(TableKeys):
 
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
-#: A header may be followed by so many lines of units and the like.
+#: A header may be followed by this many lines of units and the like.
 _BELOW_HEADER = 3
 
 
 def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
-    """The tables of an IMU, one a file, in SI units.
+    """The tables of an IMU, one per file, in SI units.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
     Raises
     ------
     RecordingError
-        A file or a column is missing, or is no numbers.
+        A file or a column is missing, or is not numbers.
     """
     files = [keys.file] if isinstance(keys.file, str) else keys.file
     given = keys.columns if isinstance(keys.columns, list) else [keys.columns] * len(files)
@@ -158,14 +158,14 @@ def times_in(
             return None, None
         counter = sheet.numbers(column)
         if not np.isfinite(counter).all():
-            raise RecordingError(f"{sheet.path}: {sheet.name(column)} is no counter; cells of it are empty.")
+            raise RecordingError(f"{sheet.path}: {sheet.name(column)} is not a counter; it has empty cells.")
         return None, counter.astype(np.int64)
     values, are_dates = sheet.times(column)
     if are_dates != (keys.time_unit == "iso"):
         seen = shown(sheet.texts(column)[0], 40)
         raise RecordingError(
-            f"{sheet.path}: {sheet.name(column)} begins with '{seen}', which is no time in"
-            f" {keys.time_unit}; mend time_unit."
+            f"{sheet.path}: {sheet.name(column)} begins with '{seen}', which is not a time in"
+            f" {keys.time_unit}; correct time_unit."
         )
     return (values if are_dates else values * SECONDS[keys.time_unit]), None
 
@@ -175,7 +175,9 @@ def described_sheet(path: Path, keys: TableKeys, columns: Mapping[str, Column | 
     expected = "the table that recording.toml describes"
     check_input(path, RecordingError)
     if not path.is_file():
-        raise RecordingError(f"{path} does not exist, but recording.toml names it; add it or mend the name.")
+        raise RecordingError(
+            f"{path} does not exist, but recording.toml names it; add it or correct the name."
+        )
     if keys.separator is None and keys.skip_rows is None:
         return read_sheet(path, expected, quote=False)
     raw = path.read_bytes()
@@ -190,7 +192,7 @@ def _layout(
     first = keys.skip_rows or 0
     rest = [line for line in lines[first:] if line.strip()]
     if not rest:
-        raise RecordingError(f"{path} has no rows below the first {first}; mend skip_rows.")
+        raise RecordingError(f"{path} has no rows below the first {first}; correct skip_rows.")
     found = layout_of(rest)
     separator = keys.separator or ("," if found is None else found.separator)
     if separator not in SEPARATORS:
@@ -300,19 +302,19 @@ def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     has_times = "t" in columns
     tables = rows.skeletons(pattern, 1.0 if has_times else None)
     if not tables:
-        raise RecordingError(f"{path} holds no rows of a skeleton; export it again.")
+        raise RecordingError(f"{path} has no rows of a skeleton; export it again.")
     return tables
 
 
 def _wide_rows(sheet: Sheet, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
-    """A row a frame and body: three columns a joint."""
+    """One row per frame and body: three columns per joint."""
     names = [name for name in columns if name not in ("t", "body")]
     joints = [name for name in names if not name.endswith("_state")]
     for name in names:
         if joint_code(name.removesuffix("_state")) is None:
             raise RecordingError(
-                f"{sheet.path}: columns.{name} is no joint; joints are shoulder, elbow, wrist, hand or strap"
-                " with _left or _right, and t, body, JOINT_state."
+                f"{sheet.path}: columns.{name} is not a joint; joints are shoulder, elbow, wrist, hand or"
+                " strap with _left or _right, and t, body, JOINT_state."
             )
     position, state = {}, {}
     for joint in joints:
@@ -335,11 +337,11 @@ def _wide_rows(sheet: Sheet, keys: CameraKeys, columns: dict[str, Column | list[
 
 
 def _long_rows(sheet: Sheet, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
-    """A row a joint: the rows of one time and body become one."""
+    """One row per joint: the rows of one time and body become one."""
     refuse_others(sheet.path, columns, _LONG_COLUMNS)
     t_s = _frame_times(sheet, keys, columns)
     if t_s is None:
-        raise RecordingError(f"{sheet.path}: columns.t is missing; it says which rows are one frame.")
+        raise RecordingError(f"{sheet.path}: columns.t is missing; it defines which rows are one frame.")
     values = sheet.vectors([needed_place(sheet, axis, columns.get(axis, axis)) for axis in "xyz"])
     body = place_of(sheet, columns["body"]) if "body" in columns else None
     bodies = np.zeros(len(sheet)) if body is None else sheet.numbers(body)

@@ -151,7 +151,7 @@ def _add_camera(file: RecordingFile, folder: Path, name: str, keys: CameraKeys) 
         )
     if not name or any(mark in name for mark in "/\\ "):
         raise RecordingError(
-            f"{folder / 'recording.toml'}: [camera.{shown(name, 40)}] is no camera's name; use letters and"
+            f"{folder / 'recording.toml'}: [camera.{shown(name, 40)}] is not a camera's name; use letters and"
             " digits."
         )
     path, topic = folder / keys.skeleton, f"{CAMERA_TOPIC}{name}"
@@ -184,7 +184,7 @@ def _describe(folder: Path) -> _Description:
             first["type"],
             f"is {shown(repr(first['input']), 60)}, but: {first['msg'][:1].lower()}{first['msg'][1:]}",
         )
-        raise RecordingError(f"{path}: {where} {what}; mend it.") from error
+        raise RecordingError(f"{path}: {where} {what}; correct it.") from error
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:  # also a number of thousands of digits
@@ -192,7 +192,7 @@ def _describe(folder: Path) -> _Description:
 
 
 def _check_places(folder: Path, description: _Description, outside: bool) -> None:
-    """Refuse files that lie elsewhere, and what is no file."""
+    """Refuse files that lie elsewhere, and what is not a file."""
     truth = description.truth
     cameras = [each for each in (description.camera, *description.cameras.values()) if each is not None]
     names = [camera.skeleton for camera in cameras if camera.skeleton is not None]
@@ -202,7 +202,7 @@ def _check_places(folder: Path, description: _Description, outside: bool) -> Non
     for name in names:
         if "\0" in name:
             raise RecordingError(
-                f"{folder / 'recording.toml'} names {shown(repr(name), 60)}, which is no file's name."
+                f"{folder / 'recording.toml'} names {shown(repr(name), 60)}, which is not a file's name."
             )
         if not outside and inside(folder, name) is None:
             raise RecordingError(
@@ -215,7 +215,7 @@ def _check_places(folder: Path, description: _Description, outside: bool) -> Non
 def _add_columns(
     file: RecordingFile, folder: Path, camera: CameraKeys | None, imus: dict[str, ImuKeys]
 ) -> None:
-    """Tables of other layouts, their times mended, on one clock with the rest."""
+    """Tables of other layouts, their times corrected, on one clock with the rest."""
     if camera is None and not imus:
         return
     bodies: list[SkeletonTable] = []
@@ -281,7 +281,7 @@ def _skeleton(
     state = np.array([states[name] for name in texts["state"]], np.int64)
     body = numbers.get("body", np.zeros(len(pairs)))
     if not (np.isfinite(body).all() and (body >= 0).all() and (body == np.rint(body)).all()):
-        raise RecordingError(f"{path}: column body must hold whole numbers from 0; mend it.")
+        raise RecordingError(f"{path}: column body must hold whole numbers from 0; correct it.")
     position = vectors(numbers, *"xyz") * metres
     kind = (body * 100 + pairs[:, 0] * 10 + pairs[:, 1]).astype(np.int64)
     stamp = _stamps(_frame_times(file, path, numbers["t_s"], kind), path)
@@ -345,7 +345,7 @@ def _stamps(t_s: FloatArray, path: Path) -> IntArray:
     if not usable.all():
         row = int(np.flatnonzero(~usable)[0])
         raise RecordingError(
-            f"{path}: t_s is {t_s[row]} in row {row + 1}, which is no time in seconds; mend it."
+            f"{path}: t_s is {t_s[row]} in row {row + 1}, which is no time in seconds; correct it."
         )
     return nanoseconds(t_s, 0)
 

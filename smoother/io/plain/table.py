@@ -71,7 +71,7 @@ def read_table(
         return columns or _read_cells(path, len(header), place, words, empty)
     except FileNotFoundError:
         raise RecordingError(
-            f"{path} does not exist, but recording.toml names it; add it or mend the name."
+            f"{path} does not exist, but recording.toml names it; add it or correct the name."
         ) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
@@ -170,7 +170,7 @@ def _read_cells(
                     if cell
                     else f"column {name} is empty"
                 )
-                raise RecordingError(f"{path}, line {line}: {what}; mend the cell.") from None
+                raise RecordingError(f"{path}, line {line}: {what}; correct the cell.") from None
     if not any([*numbers.values(), *texts.values()]):
         raise RecordingError(f"{path} has a header and no rows; export it again.")
     return {name: np.array(values) for name, values in numbers.items()}, texts
@@ -187,7 +187,7 @@ def _rows(path: Path, width: int) -> Iterator[tuple[int, list[str]]]:
             elif any(cell.strip() for cell in cells):
                 raise RecordingError(
                     f"{path}, line {reader.line_num}: {len(cells)} cells where the header has {width}; "
-                    "mend the line."
+                    "correct the line."
                 )
 
 
@@ -218,7 +218,7 @@ def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
         raise RecordingError(f"{path} does not exist; check the name.")
     t_s, acc, gyro, mag = imu_columns(path)
     if len(t_s) < 2 or not (np.diff(t_s) > 0).all():
-        raise RecordingError(f"{path}: t_s must increase from row to row, over two rows at least; mend it.")
+        raise RecordingError(f"{path}: t_s must increase from row to row and have at least two rows.")
     if mag is not None and not np.isfinite(mag).all():
         mag = None
     if np.median(np.linalg.norm(acc, axis=1)) < 3:

@@ -101,7 +101,7 @@ def read_templates(paths: Sequence[Path]) -> list[TableTemplate]:
     Raises
     ------
     RecordingError
-        A file is no template; the message names the key to mend.
+        A file is not a template; the message names the key to correct.
     """
     return [_read(path) for path in paths]
 
@@ -185,7 +185,7 @@ def _wrong(path: Path, error: ValidationError, section: str = "") -> RecordingEr
         first["type"],
         f"is {shown(repr(first['input']), 60)}, but: {first['msg'][:1].lower()}{first['msg'][1:]}",
     )
-    return RecordingError(f"{path}: {where} {what}; mend it.")
+    return RecordingError(f"{path}: {where} {what}; correct it.")
 
 
 def template_text(

@@ -144,7 +144,7 @@ def _pair_by_motion(
         where = ", ".join(f"{m.imu} as {m.limb.label}" for m in elsewhere.values() if m.limb)
         raise RecordingError(
             f"{file.path}: no IMU moves as a forearm that the camera shows ({where}); "
-            "choose with --imu and --side if one is on a forearm all the same."
+            "choose with --imu and --side if one is on a forearm."
         )
     scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
     shifted = [agreement_far_apart(imu, arm) for imu, arm in pairs]
@@ -168,7 +168,7 @@ def _pair_by_motion(
                 " here; choose with --side."
             )
         raise RecordingError(
-            f"{file.path} has {_listing(file)}, and their motion does not tell which belong together; "
+            f"{file.path} has {_listing(file)}, and their motion does not show which belong together; "
             f"choose with {needed}."
         )
     why = f"their motion agrees best{apart} (correlation {best:.2f}, the next {second:.2f})"
@@ -266,7 +266,7 @@ def choose_arms(
     Raises
     ------
     RecordingError
-        Nothing fits, or nothing tells what belongs together; the message lists what the file has.
+        Nothing fits, or nothing shows what belongs together; the message lists what the file has.
     """
 
     def one_arm() -> ArmChoices:

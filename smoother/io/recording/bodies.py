@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ...matching import ImuMatch
 
 
-#: A body that comes back within this time and distance counts as the same one.
+#: A body that comes back within this time and distance is treated as the same one.
 _AWAY_S = 30.0
 _APART_M = 0.4
 #: The shoulder moves least, so it is asked first.
@@ -237,7 +237,7 @@ def _exchanged(own: ArmFrames, other: ArmFrames, rows: BoolArray, store: Store) 
     return replace(own, position=position, state=np.where(rows[:, None], other.state, own.state))
 
 
-#: With more bodies than this the camera counts shadows, and comparing all of them costs more than it tells.
+#: With more bodies than this the camera counts shadows, and comparing all of them costs more than it shows.
 MOST_BODIES = 12
 #: An IMU that is on none of a body's limbs with this probability is on somebody else.
 NOT_WORN_FROM = 0.95

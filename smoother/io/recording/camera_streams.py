@@ -25,7 +25,7 @@ CAMERA_TOPIC = "/skeleton/"
 def further_cameras(file: RecordingFile) -> dict[str, CameraStream]:
     """A file's cameras beyond the first, by the topic of their skeleton.
 
-    Those that the file names; of other files skeletons of several topics that stand in frames of several
+    Those that the file names; of other files skeletons of several topics that are in frames of several
     names: the first camera is then the one that saw the forearm most often.
 
     Parameters
@@ -174,5 +174,5 @@ def _direction(value: object) -> FloatArray:
     gravity = np.array(value, float).reshape(3)
     direction = np.asarray(unit(gravity))
     if not (np.isfinite(gravity).all() and abs(float(np.linalg.norm(direction)) - 1) < 1e-6):
-        raise ValueError("gravity is no direction")
+        raise ValueError("gravity is not a direction")
     return direction

@@ -18,8 +18,8 @@ from .streams import ArmFrames, ImuSamples, PoseSamples, kept
 
 #: Names of two causes.
 ZERO, FROZEN = "all zero", "frozen"
-#: No gyroscope of a body-worn sensor reads beyond this, rad/s an axis (2000 deg/s), no accelerometer beyond
-#: that, m/s^2 an axis.
+#: No gyroscope of a body-worn sensor reads beyond this, rad/s per axis (2000 deg/s), no accelerometer beyond
+#: that, m/s^2 per axis.
 GYRO_LIMIT, ACC_LIMIT = 35.0, 500.0
 #: A value that stands still to the last bit for so long, s and samples, is frozen, if the sensor turns ..
 _FROZEN_S, _FROZEN_SAMPLES = 0.25, 8
@@ -27,7 +27,8 @@ _FROZEN_S, _FROZEN_SAMPLES = 0.25, 8
 _TURNS, _MOVES = 0.2, 2.0
 #: Of a sensor at rest it is, if the sensor is noisy elsewhere: by so much from sample to sample, rad/s.
 _FROZEN_AT_REST_S, _NOISE = 1.0, 1e-3
-#: An extreme value in so many samples in a row is the end of the range; the smallest ranges, rad/s and m/s^2.
+#: An extreme value in this many samples in a row is the end of the range; the smallest ranges, rad/s and
+#: m/s^2.
 _PLATEAU, _SMALLEST_GYRO, _SMALLEST_ACC = 3, 4.0, 19.0
 #: A sample off both its neighbours, which agree: by so much, and so well, rad/s and m/s^2.
 _SPIKE_GYRO, _SPIKE_ACC = (5.0, 1.0), (100.0, 10.0)
@@ -140,10 +141,10 @@ def _plateaus(acc: FloatArray, gyro: FloatArray, highest: FloatArray) -> BoolArr
 _LIMIT = 0.05
 #: A sensor that sends zeros, or the same over and over, for a larger share of the time was not recorded.
 _MOST_PAUSED = 0.5
-#: Elbow and wrist are farther apart than this, m an axis.
+#: Elbow and wrist are farther apart than this, m per axis.
 _ONE_POINT_M = 1e-5
 _ELBOW, _WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
-#: No depth camera sees a person farther away, m an axis.
+#: No depth camera sees a person farther away, m per axis.
 _FARTHEST_M = 20.0
 #: No forearm is as long in cm, and none as short in mm.
 _FOREARM_CM = 70.0
@@ -196,7 +197,7 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
     )
     if len(cleaned.stamp_ns) < 2:
         raise RecordingError(
-            f"{source}: {stream.topic} has {len(cleaned.stamp_ns)} usable samples; record it again."
+            f"{source}: {stream.topic} has {len(cleaned.stamp_ns)} usable samples, too few; record it again."
         )
     return cleaned, notes
 
@@ -215,7 +216,7 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
     for part in batches(len(position)):
         there[part] = np.isfinite(position[part]).all(axis=2)
         with np.errstate(invalid="ignore"):
-            if arm.lens is None:  # pixels are no metres
+            if arm.lens is None:  # pixels are not metres
                 far[part] = claimed[part] & (abs(position[part]) > _FARTHEST_M).any(axis=2) & there[part]
     broken = claimed & ~there
     if broken.any():
@@ -224,7 +225,7 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
                 f"{source}: {broken.sum()} of {claimed.sum()} joint positions of {arm.label} are not "
                 "numbers, which is too many to drop; check the recorder."
             )
-        notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers and count as not tracked.")
+        notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers; treated as not tracked.")
         state[broken] = JointState.NOT_TRACKED
     if far.any():
         _check_metres(position, state, arm.label, source)
@@ -234,8 +235,8 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
                 f"{_FARTHEST_M:.0f} m from the camera, which is too many to drop; check the unit."
             )
         notes.append(
-            f"{arm.label}: {far.sum()} joint positions are farther than {_FARTHEST_M:.0f} m from the camera "
-            "and count as not tracked."
+            f"{arm.label}: {far.sum()} joint positions are farther than {_FARTHEST_M:.0f} m from the camera; "
+            "treated as not tracked."
         )
         state[far] = JointState.NOT_TRACKED
     notes += _drop_points(position, state, arm.label, source)
@@ -244,7 +245,7 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
 
 
 def _drop_points(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> list[str]:
-    """Joints of frames in which elbow and wrist lie in one point become not tracked; a note says how many."""
+    """Joints of frames in which elbow and wrist are in one point become not tracked; a note says how many."""
     claimed = (state[:, _ELBOW] != JointState.NOT_TRACKED) & (state[:, _WRIST] != JointState.NOT_TRACKED)
     same = np.zeros(len(state), bool)
     for part in batches(len(state)):
@@ -258,7 +259,7 @@ def _drop_points(position: FloatArray, state: NDArray[np.int8], label: str, sour
             " which is too many to drop; check the body tracking."
         )
     state[same] = JointState.NOT_TRACKED
-    return [f"{label}: elbow and wrist coincide in {same.sum()} frames, which count as not tracked."]
+    return [f"{label}: elbow and wrist coincide in {same.sum()} frames; treated as not tracked."]
 
 
 def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSamples, list[str]]:
@@ -335,7 +336,7 @@ def _refuse_set_back(stamp_ns: IntArray, values: FloatArray, name: str, source: 
         raise RecordingError(
             f"{source}: the clock of {name} was set back by {by:.3g} s at {at:.1f} s of it{more}, so the"
             f" times of its {what} behind that are not known; cut the recording there, or import the device's"
-            " own file (`unocclude import files`), whose times then go on."
+            " own file (`unocclude import files`), whose times continue."
         )
 
 

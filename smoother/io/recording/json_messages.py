@@ -54,7 +54,7 @@ class JsonGrouper:
     Attributes
     ----------
     broken : int
-        Messages that are no JSON or lack a field.
+        Messages that are not JSON or lack a field.
     """
 
     broken: int = 0

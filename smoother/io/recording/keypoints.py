@@ -22,7 +22,7 @@ from .streams import ArmFrames, KnownLens, RecordingFile
 
 #: The schema of a message; where those of the first camera are written to, and of one with a name.
 SCHEMA, TOPIC, NAMED_TOPIC = "unocclude.Keypoints2D", "/camera/keypoints_2d", "/camera/{}/keypoints_2d"
-#: A keypoint counts as tracked from this score on, and as guessed from that.
+#: A keypoint is treated as tracked from this score on, and as guessed from that.
 TRACKED_SCORE, INFERRED_SCORE = 0.5, 0.1
 
 
@@ -70,7 +70,7 @@ def with_lenses(file: RecordingFile, topics: set[str]) -> None:
         kept.append(arm)
     for topic in sorted(
         topics - file.lenses.keys() - file.image_sizes.keys()
-    ):  # a video's lie beside its joints
+    ):  # a video's are beside its joints
         file.notes.append(
             f"{topic}: the camera's lens is not known, so its keypoints were left out; import them again with"
             " --intrinsics."
@@ -172,7 +172,7 @@ def lenses_from_plain(values: Mapping[str, Mapping[str, Any]]) -> dict[str, Know
             R = np.array(each["pose"]["R_K_C"], float).reshape(3, 3)
             p = np.array(each["pose"]["p_K_C_m"], float).reshape(3)
             if not (np.isfinite(p).all() and np.allclose(R @ R.T, np.eye(3), atol=1e-4)):
-                raise ValueError("R_K_C is no rotation")
+                raise ValueError("R_K_C is not a rotation")
             sigma_rad = float(np.radians(float(each["pose"]["sigma_deg"])))
             pose = CameraPose(R, p, sigma_rad, float(each["pose"]["sigma_m"]))
         lenses[str(topic)] = KnownLens(lens_from_plain(each["intrinsics"]), pose)

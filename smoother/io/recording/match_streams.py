@@ -1,4 +1,4 @@
-"""How IMUs and arms of a file move together, and what a person is told of it."""
+"""How IMUs and arms of a file move together, and what a person reads of it."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ CLOCKS_UNRELATED = "unrelated"
 #: The option that exchanges the skeleton's arms.
 SWAPPED_SIDES = "--swap left,right"
 
-#: Of the notes in a file's metadata so many are repeated, and so much of each.
+#: Of the notes in a file's metadata this many are repeated, and so much of each.
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
 AnyDecoder = (
@@ -350,7 +350,7 @@ def _take_metadata(file: RecordingFile) -> None:
             gravity = np.array(json.loads(record["gravity"]), float).reshape(3)
             file.gravity_hint = unit(gravity)
             if not (np.isfinite(gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
-                raise ValueError("gravity is no direction")
+                raise ValueError("gravity is not a direction")
         file.clocks_unrelated = record.get("clocks") == CLOCKS_UNRELATED
         if record.get("cameras"):
             file.cameras = cameras_from_plain(json.loads(record["cameras"]))
@@ -394,7 +394,7 @@ def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuS
     Raises
     ------
     RecordingError
-        The file cannot be read, holds no IMU or several, or its samples cannot be used.
+        The file cannot be read, has no IMU or several, or its samples cannot be used.
     """
     file = open_recording(path)
     with file.damage_told():
@@ -508,7 +508,7 @@ def _read(
         recording = with_camera_poses(recording, poses)
         other_arm = len(recordings) > 1 and not {recording.side, "any"} & set(calibration.arms)
         if calibration.arms and other_arm:
-            note = f"{calibration_file} holds no {recording.side} arm: this one is found from the motion."
+            note = f"{calibration_file} has no {recording.side} arm: this one is found from the motion."
             recording = replace(recording, notes=(*recording.notes, note))
         if not calibration.arms or other_arm:  # sensors, clocks, frames: the arm is found from the motion
             given = ArmCalibration(recording.side, sigma_factors=factors) if factors else None

@@ -56,7 +56,7 @@ def trunk_of(
         return None, []
     if len(named) > 1:
         names = ", ".join(imu.topic for imu in named)
-        return None, [f"Of the trunk IMUs {names} none was taken: their names do not tell which is meant."]
+        return None, [f"Of the trunk IMUs {names} none was taken: their names do not show which is meant."]
     samples, notes = clean_imu(named[0], str(file.path), store)
     t_s = seconds(samples.stamp_ns, origin_ns, store)
     imu = ImuStream(samples.topic, t_s, samples.acc, samples.gyro)

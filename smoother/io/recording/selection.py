@@ -268,7 +268,7 @@ def choose_further(
 ) -> tuple[ImuSamples | None, list[str]]:
     """The IMU that names say is on a segment of the same arm, or None, and a sentence on it.
 
-    One without a side in its name counts as on the arm of the only forearm IMU.
+    One without a side in its name is treated as on the arm of the only forearm IMU.
     """
     named = [imu for imu in file.imus if imu is not forearm and role_among(imu, file.imus) == segment.name]
     sided = [imu for imu in named if side and named_side(imu.topic, imu.frame_id) == side]
@@ -282,7 +282,7 @@ def choose_further(
     if len(fitting) > 1:
         names = ", ".join(imu.topic for imu in fitting)
         return None, [
-            f"Of the {segment.label.replace(' ', '-')} IMUs {names} none was taken: their names do not tell"
+            f"Of the {segment.label.replace(' ', '-')} IMUs {names} none was taken: their names do not show"
             " which is meant."
         ]
     return None, []

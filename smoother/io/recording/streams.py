@@ -229,7 +229,7 @@ class RecordingFile:
     image_points : list of ArmFrames
         To be written beside the skeleton that was made of them: `position` holds u, v and the score.
     image_sizes : dict of str to (int, int)
-        Width and height of the pictures that they lie in, pixels, by topic.
+        Width and height of the pictures that they are in, pixels, by topic.
     """
 
     path: Path

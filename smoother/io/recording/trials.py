@@ -65,7 +65,7 @@ def read_trials(path: str | os.PathLike[str], labels: Sequence[str] = ()) -> lis
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: this is no text in UTF-8; save the table as CSV UTF-8") from error
+        raise RecordingError(f"{path}: this is not text in UTF-8; save the table as CSV UTF-8") from error
     head = text.split("\n", 1)[0]
     lines = csv.DictReader(text.splitlines(), delimiter=";" if ";" in head else ",", skipinitialspace=True)
     found = [(name or "").strip() for name in lines.fieldnames or ()]
@@ -98,7 +98,7 @@ def _trial(path: Path, line: int, row: dict[str, str]) -> Trial:
         except ValueError:
             times.append(math.nan)
         if not math.isfinite(times[-1]):
-            raise RecordingError(f"{path}, line {line}: {column} of {name} is no number of seconds")
+            raise RecordingError(f"{path}, line {line}: {column} of {name} is not a number of seconds")
     if not times[0] < times[1]:
         raise RecordingError(f"{path}, line {line}: {name} ends at {times[1]:g} s, before it starts")
     return Trial(name, times[0], times[1], (row.get("label") or "").strip())

@@ -1,4 +1,4 @@
-"""The arm drawn for Foxglove and Rerun, its cloud of points, and the level frame that it stands in."""
+"""The arm drawn for Foxglove and Rerun, its cloud of points, and the level frame that it is in."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     Raises
     ------
     RecordingError
-        The file is missing, damaged, or holds no result.
+        The file is missing, damaged, or has no result.
     """
     container = Container(path)
 
@@ -85,9 +85,7 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
         ) from error
     names = [name for name in container.metadata if name.partition("/")[0] == RESULT]
     if not names:
-        raise RecordingError(
-            f"{path} holds no result; make one with `unocclude smooth REC.mcap -o OUT.mcap`."
-        )
+        raise RecordingError(f"{path} has no result; make one with `unocclude smooth REC.mcap -o OUT.mcap`.")
     return [_recovery(Path(path), container, tables, name) for name in names]
 
 

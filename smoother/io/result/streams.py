@@ -209,7 +209,7 @@ class RecoveryStreams:
             return {"position": position[rows], "quaternion": quaternion[rows]}
 
         stamp = self._stamps(r.arm.t_s)[inside]
-        # The level frame stands in every message, so that a viewer has it wherever it begins.
+        # The level frame is in every message, so that a viewer has it wherever it begins.
         for mine, template in ((has_pose, wire.join(forearm, self.world)), (~has_pose, self.world)):
             rows = np.flatnonzero(mine)
             if template.data and len(rows):

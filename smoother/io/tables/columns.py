@@ -38,7 +38,7 @@ _GYRO = {
 }
 _MAG = {"mag", "magn", "magnetometer", "magnetic", "magfield"}
 _LETTERS = {"a": "acc", "g": "gyro", "w": "gyro", "m": "mag"}
-#: Words that say that it is no raw signal of a sensor.
+#: Words that say that it is not a raw signal of a sensor.
 _DERIVED = {
     "free",
     "linear",
@@ -224,7 +224,7 @@ def imu_of(
             unit = _unit_by_gravity(table.acc)
             if not unit:
                 return None, f"{name}: the accelerometer's unit is not stated, and no gravity shows it"
-            table.notes.append(f"{name}: the accelerometer counts as {unit}: so it shows gravity.")
+            table.notes.append(f"{name}: assumed {unit} for the accelerometer (it then shows gravity).")
         table.acc *= ACCELERATION[unit]
         said.append(unit)
     if "gyro" in sensor.axes:
@@ -234,7 +234,7 @@ def imu_of(
             unit = _unit_by_turning(table)
             if not unit:
                 return None, f"{name}: the gyroscope's unit is not stated, and the motion does not show it"
-            table.notes.append(f"{name}: the gyroscope counts as {unit}: so it turns as gravity does.")
+            table.notes.append(f"{name}: assumed {unit} for the gyroscope (it then turns as gravity does).")
         table.gyro *= ANGULAR_VELOCITY[unit]
         said.append(unit)
     if "mag" in sensor.axes:
@@ -270,7 +270,7 @@ def _unit_by_turning(table: ImuTable) -> str:
 #: The letter of an axis in a column's name: between signs, a capital behind a word, or the last letter.
 _AXIS = re.compile(r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])|(?<=[a-z])[XYZ](?![a-z])|(?<=[A-Za-z])[xyzXYZ]$")
 _AXES = ("xyz", "XYZ")
-#: Of several incomplete vectors so many are named.
+#: Of several incomplete vectors this many are named.
 _MOST = 3
 
 

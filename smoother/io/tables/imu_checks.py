@@ -13,7 +13,7 @@ from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
 from ...units import STANDARD_GRAVITY
 from .protocol import ImuTable, amount
 
-#: A median below this part of gravity holds no gravity.
+#: A median below this part of gravity has no gravity.
 _NO_GRAVITY = 0.35
 #: A median between these parts of gravity is gravity.
 _GRAVITY = (0.6, 1.7)
@@ -140,7 +140,7 @@ def _gravity_notes(acc: FloatArray) -> list[str]:
         return ["The accelerometer's usual size is 1, not 9.81 m/s^2: it is probably in g; check the export."]
     if median < _NO_GRAVITY * STANDARD_GRAVITY:
         return [
-            f"The accelerometer's usual size is {median:.2g} m/s^2: it holds no gravity; export raw"
+            f"The accelerometer's usual size is {median:.2g} m/s^2: it has no gravity; export raw"
             " acceleration."
         ]
     return [
@@ -247,14 +247,14 @@ def _only(tables: list[ImuTable], part: str, name: str, source: str) -> ImuTable
         return having[0]
     if not having:
         raise RecordingError(
-            f"{source} holds no {name}; export it as well and name both files:"
+            f"{source} has no {name}; export it as well and name both files:"
             " --imu forearm_right=acc.csv,gyro.csv."
         )
     raise RecordingError(f"{source} holds {len(having)} {name}s; name one accelerometer and one gyroscope.")
 
 
 def _in_a_pause(t_s: FloatArray, at: FloatArray) -> BoolArray:
-    """Times (M,) that lie in a pause of samples at `t_s` (N,)."""
+    """Times (M,) that are in a pause of samples at `t_s` (N,)."""
     dt = np.diff(t_s)
     pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
     row = np.clip(np.searchsorted(t_s, at, side="right") - 1, 0, max(len(dt) - 1, 0))

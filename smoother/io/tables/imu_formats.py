@@ -74,7 +74,7 @@ _XSENS_MT = ImuFormat(
             "without raw sensors; export it again with calibrated data (acceleration and rate of turn:"
             " Acc_X .., Gyr_X ..)."
         ),
-        no_rate="has increments and no times that go on; export it again.",
+        no_rate="has no increasing times; export it again.",
     ),
 )
 

@@ -279,7 +279,7 @@ _UNIT_WORDS = {
 
 @dataclass
 class JointColumns:
-    """Columns (from 0) of a table with one row a frame and body.
+    """Columns (from 0) of a table with one row per frame and body.
 
     Attributes
     ----------

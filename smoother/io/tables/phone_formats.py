@@ -62,7 +62,7 @@ def _metamotion_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
         size = np.linalg.norm(sheet.vectors(columns), axis=1)
         size = size[np.isfinite(size)]
         if not len(size):
-            raise RecordingError(f"{sheet.path} holds no samples; export it again.")
+            raise RecordingError(f"{sheet.path} has no samples; export it again.")
         inside = np.mean((size > _ABOUT_ONE_G[0]) & (size < _ABOUT_ONE_G[1]))
         unit = "g" if inside > 0.5 else "deg/s"
         what = "an accelerometer in g" if unit == "g" else "a gyroscope in deg/s"
@@ -250,7 +250,7 @@ _SUFFIX = re.compile(r"(?:_|\s|\b)(ns|nano\w*|us|micro\w*|ms|milli\w*|s|sec\w*)$
 
 #: Of the app Sensor Logger, whose columns are time, seconds_elapsed, z, y, x on both systems.
 _SENSOR_LOGGER = (
-    "The signs count as Android's, gravity up; on an iPhone, Sensor Logger writes the opposite unless"
+    "Assumed Android's signs, gravity up; on an iPhone, Sensor Logger writes the opposite unless"
     " 'Standardise Units & Frames' is on."
 )
 
@@ -373,7 +373,7 @@ def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) 
     stated = plain_unit(sheet.unit(columns[0]))
     values = sheet.vectors(columns)
     if not np.isfinite(values).all(axis=1).any():
-        raise RecordingError(f"{sheet.path} holds no samples; export it again.")
+        raise RecordingError(f"{sheet.path} has no samples; export it again.")
     half = ImuTable("", t_s, None, None, notes=notes)
     unit = stated or unit_by_size(values, sheet.path)
     if unit in ACCELERATION:
@@ -390,9 +390,7 @@ def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) 
         what = "a gyroscope"
     half.units = unit
     if not stated:
-        half.notes.append(
-            f"The columns do not say what they are; by the size of its values this is {what} in {unit}."
-        )
+        half.notes.append(f"The columns are unnamed; by the size of its values this is {what} in {unit}.")
     return half
 
 

@@ -140,7 +140,7 @@ class FileHead:
         Its first 64 kB.
     text : str
         The same decoded (UTF-8, UTF-16, a byte-order mark taken off), or a workbook's first rows; "" where
-        it is no text.
+        it is not text.
     lines : tuple of str
         The text's whole lines.
     """
@@ -195,11 +195,11 @@ class DeviceFormat(Protocol):
 
 #: So much of a file is read to recognise it, bytes.
 HEAD_BYTES = 65_536
-#: So many rows of a workbook.
+#: This many rows of a workbook.
 HEAD_ROWS = 500
 #: So much of a file is shown in a message at most, characters.
 SHOWN_CHARACTERS = 200
-#: Among the first characters, more of these than one in so many are no text.
+#: Among the first characters, more of these than one in this many are not text.
 _CONTROL_SHARE = 0.02
 #: Dashes that stand for a minus: before a number or the digits of an exponent, not between two numbers.
 _DASH = re.compile(r"(?:(?<!\w)|(?<=\d[eE]))[\u2012\u2013](?=[.,]?\d)")
@@ -247,7 +247,7 @@ def read_head(path: Path) -> FileHead:
 
 
 def decode(raw: bytes) -> str:
-    """A file's bytes as text without byte-order mark, with plain minus signs; "" where they are no text."""
+    """A file's bytes as text without byte-order mark, with plain minus signs; "" where they are not text."""
     encoding = marked_encoding(raw)
     if encoding is None and len(raw) >= 4:  # UTF-16 without a mark: every other byte of plain text is zero
         even, odd = raw[0:400:2].count(0), raw[1:400:2].count(0)
@@ -288,7 +288,7 @@ def no_table(raw: bytes, text: str) -> str:
     lines = [line for line in text.splitlines() if line.strip()]
     names = r"[^\d;,\t][^;,\t]*([;,\t]\s*[^\d\s;,\t+.-][^;,\t]*)+"
     is_header = len(lines) == 1 and re.fullmatch(names, lines[0])
-    return "has a header and holds no rows; export it again." if is_header else ""
+    return "has a header and has no rows; export it again." if is_header else ""
 
 
 def amount(count: int, one: str, many: str) -> str:
@@ -297,13 +297,13 @@ def amount(count: int, one: str, many: str) -> str:
 
 
 def shown(text: str, characters: int = SHOWN_CHARACTERS) -> str:
-    """Text as a message can show it: no control characters, no more than so many characters."""
+    """Text as a message can show it: no control characters, no more than this many characters."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text[: 8 * characters]).split())
     return plain if len(plain) <= characters else plain[: characters - 2] + ".."
 
 
 def first_rows(head: FileHead, characters: int = SHOWN_CHARACTERS) -> str:
-    """The first rows of a file for a message, or its first bytes where it is no text."""
+    """The first rows of a file for a message, or its first bytes where it is not text."""
     if not head.text:
         return f"bytes {head.raw[:16].hex(' ')} .."
     return shown(" | ".join(line for line in head.lines[:4] if line.strip()), characters)

@@ -129,7 +129,7 @@ _UNIT_OF = {seconds: unit for unit, seconds in CAMERA_SECONDS.items()}
 
 @dataclass
 class BodyRows:
-    """What a file says of bodies, a row a frame and body.
+    """What a file says of bodies, one row per frame and body.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class Conventions:
 
 @dataclass
 class RawSkeleton:
-    """Numbers of a file as written, a row a frame and body.
+    """Numbers of a file as written, one row per frame and body.
 
     Attributes
     ----------
@@ -356,7 +356,7 @@ class RawSkeleton:
         tables = BodyRows(time, self.body, position, state).skeletons(pattern, seconds)
         if not tables:
             raise RecordingError(
-                f"{self.path} holds no frame with a body; record again with the person in view."
+                f"{self.path} has no frame with a body; record again with the person in view."
             )
         return tables
 
@@ -368,8 +368,7 @@ class RawSkeleton:
         there = {joint: rows for joint, rows in filled.items() if np.isfinite(rows).any()}
         if filled and not there:
             raise RecordingError(
-                f"{self.path} names joints and holds no position of any; record again with the person in"
-                " view."
+                f"{self.path} names joints and has no position of any; record again with the person in view."
             )
         self.position = there
         self.rest = [
@@ -383,7 +382,7 @@ class RawSkeleton:
         numbers, rows = np.unique(self.body[np.isfinite(self.body)], return_counts=True)
         if len(numbers) > 10 and np.median(rows) < 3:
             self.body = None
-            self.notes.append("The column of the body counts rows; the file counts as one body.")
+            self.notes.append("The body column counts rows; assumed one body.")
 
     def _unit(self, conventions: Conventions) -> tuple[str, float]:
         """Name of the unit and metres in it."""
@@ -400,11 +399,13 @@ class RawSkeleton:
         unit, metres = fits
         if conventions.unit and unit != conventions.unit:
             self.notes.append(
-                f"Positions count as {unit}, not {conventions.unit} as the format has them as a rule: arms"
-                f" are {length * metres:.2f} m long so."
+                f"Assumed unit of positions: {unit}, not the usual {conventions.unit} (half an arm"
+                f" is then {length * metres:.2f} m long)."
             )
         elif not conventions.unit:
-            self.notes.append(f"Positions count as {unit}: half an arm is {length * metres:.2f} m long so.")
+            self.notes.append(
+                f"Assumed unit of positions: {unit} (half an arm is then {length * metres:.2f} m long)."
+            )
         return unit, metres
 
     def _axes(self, conventions: Conventions) -> tuple[CameraFrame | None, FloatArray | None]:
@@ -420,37 +421,35 @@ class RawSkeleton:
             if upright is None or stated is None or upright != (1, -stated[1]):
                 return conventions.frame, None
             self.notes.append(
-                f"Axes count as {axis_words(*upright)}, against the format's rule: so the body stands or sits"
-                " in most frames."
+                f"Assumed axes: {axis_words(*upright)}, not the usual ones (the body is then upright in"
+                " most frames)."
             )
             return frame_of(*upright, camera=True), None
         if upright is None:
-            self.notes.append(
-                "Which axis is up is not known: the file does not state it, nor does the body show it."
-            )
+            self.notes.append("It is not known which axis is up: neither the file nor the body shows it.")
             return None, None
-        self.notes.append(f"Axes count as {axis_words(*upright)}: so the body stands or sits in most frames.")
+        self.notes.append(f"Assumed axes: {axis_words(*upright)} (the body is then upright in most frames).")
         return frame_of(*upright, camera=False), down_of(*upright)
 
     def _times(self, conventions: Conventions) -> tuple[FloatArray, float | None, float | None]:
-        """What tells frames apart, seconds in a unit of it (None: no times), the rate without times."""
+        """What distinguishes frames, its unit in seconds (None: no times), the rate without times."""
         if self.time is not None and np.isfinite(self.time).any():
             self.time = np.where(np.isfinite(self.time), self.time, np.nan)
             scale = camera_time_scale(self.time, self.time_scale)
             if scale is None:
                 raise RecordingError(
-                    f"{self.path}: its times make no camera's rate in s, ms, us or ns; export the times of"
+                    f"{self.path}: its times give no plausible frame rate in s, ms, us or ns; export times of"
                     " the frames."
                 )
             if scale != self.time_scale:
                 self.notes.append(
-                    f"Times count as {_UNIT_OF.get(scale, scale)}: so they make a camera's rate."
+                    f"Assumed unit of times: {_UNIT_OF.get(scale, scale)} (gives a camera's frame rate)."
                 )
             return self.time, scale, None
         rate = self.rate_hz or conventions.rate_hz
         if self.rate_hz is None:
             self.notes.append(
-                f"The file has no times: {rate:g} frames a second count, evenly; a file with times is better."
+                f"The file has no times: assumed {rate:g} frames per second, evenly; export times if you can."
             )
         count = len(next(iter(self.position.values())))
         if self.frame is not None and np.isfinite(self.frame).all():

@@ -1,4 +1,4 @@
-"""Plain tables of skeletons with a header, a row a frame: a row of `SKELETON_FORMATS` each."""
+"""Plain tables of skeletons with a header, one row per frame: a row of `SKELETON_FORMATS` each."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _WORDS = {
 
 
 def header_of(head: FileHead) -> tuple[str, ...]:
-    """Names of the columns of a file's beginning; none where it is no table with a header."""
+    """Names of the columns of a file's beginning; none where it is not a table with a header."""
     layout = layout_of(head.lines) if head.text else None
     return () if layout is None else layout.names
 
 
 def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[RawSkeleton, JointColumns]:
-    """Read a table with one row a frame and body.
+    """Read a table with one row per frame and body.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[Ra
     Raises
     ------
     RecordingError
-        The file is no table.
+        The file is not a table.
     """
     sheet = read_sheet(path, expected)
     sheet.refuse_nameless()
@@ -148,7 +148,7 @@ def share_states(confidence: FloatArray) -> NDArray[np.int8]:
 
 
 def inferred_throughout(raw: RawSkeleton) -> None:
-    """Joints with positions that are never tracked count as inferred, with a note."""
+    """Joints with positions that are never tracked are treated as inferred, with a note."""
     joints = []
     for joint, state in raw.state.items():
         there = np.isfinite(raw.position[joint]).all(axis=1) & (raw.position[joint] != 0).any(axis=1)
@@ -157,7 +157,7 @@ def inferred_throughout(raw: RawSkeleton) -> None:
             joints.append(joint)
     if joints:
         raw.notes.append(
-            f"{', '.join(joints)}: confidence 0 in every frame, though with positions; they count as"
+            f"{', '.join(joints)}: confidence 0 in every frame, though with positions; they are treated as"
             " inferred, so they are kept and not measured by."
         )
 
@@ -246,7 +246,7 @@ def _in_image(raw: RawSkeleton) -> bool:
 
 @dataclass(frozen=True)
 class SkeletonFormat:
-    """An importer of a table with a header, a row a frame and body; see `DeviceFormat`.
+    """An importer of a table with a header, one row per frame and body; see `DeviceFormat`.
 
     Attributes
     ----------
@@ -262,7 +262,7 @@ class SkeletonFormat:
     conventions : Conventions, or callable of (RawSkeleton, JointColumns)
         What the format settles; or makes the skeletons in a way of its own.
     guesses : bool
-        Joints that are never tracked count as inferred.
+        Joints that are never tracked are treated as inferred.
     """
 
     key: str

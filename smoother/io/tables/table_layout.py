@@ -14,7 +14,7 @@ from .units import is_unit, split_unit
 
 #: Separators in the order in which they are believed where two fit; the last is any number of blanks.
 SEPARATORS = (";", "\t", "|", ",", " ")
-#: So many lines at the beginning settle the layout.
+#: This many lines at the beginning settle the layout.
 LAYOUT_LINES = 400
 #: How columns put stem and axis together.
 AXIS_FORMS = ("{} {}", "{}_{}", "{}{}", "{}.{}", "{}-{}", "{}[{}]", "{}({})", "{}/{}", "{} {}-axis")

@@ -39,7 +39,7 @@ def seconds_of_dates(cells: Sequence[str]) -> FloatArray:
     Parameters
     ----------
     cells : sequence of str
-        Dates without a zone count as UTC. `31.1.2026` is a day first, `1/31/2026` a month first.
+        Dates without a zone are treated as UTC. `31.1.2026` is a day first, `1/31/2026` a month first.
 
     Returns
     -------
@@ -167,7 +167,7 @@ def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequenc
         notes.append(f"{headers} left out.")
     if short:
         rows_are = amount(short, "row is", "rows are")
-        notes.append(f"{rows_are} shorter than the others; what is lacking counts as missing.")
+        notes.append(f"{rows_are} shorter than the others; what is lacking is treated as missing.")
     if long:
         rows_were = amount(
             long, "row with more cells than columns was", "rows with more cells than columns were"
@@ -205,7 +205,7 @@ def separators_in(row: str, mark: str) -> int:
 
 #: Cells without a value, in lower case.
 MISSING = ("", "nan", "na", "n/a", "none", "null", "-", "--", "#n/a", "+nan", "-nan")
-#: A column with a larger share of cells that are no numbers is refused.
+#: A column with a larger share of cells that are not numbers is refused.
 _WRONG = 0.05
 _PLAIN = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?$"
 _WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
@@ -221,7 +221,7 @@ class Sheet:
     layout : TableLayout
         Its separator, preamble, names, units and width.
     notes : list of str
-        What was dropped or counts as missing, a sentence each; grows while columns are read.
+        What was dropped or is treated as missing, a sentence each; grows while columns are read.
     """
 
     def __init__(
@@ -270,7 +270,7 @@ class Sheet:
         Raises
         ------
         RecordingError
-            More than 5 % of the cells that are not empty (and more than one) are no numbers.
+            More than 5 % of the cells that are not empty (and more than one) are not numbers.
         """
         if column not in self._numbers:
             self._numbers[column] = self._read_numbers(column)
@@ -317,7 +317,7 @@ class Sheet:
         Parameters
         ----------
         most : int
-            So many columns at the end may be without a name.
+            This many columns at the end may be without a name.
 
         Raises
         ------
@@ -372,7 +372,7 @@ class Sheet:
         return RecordingError(
             f"{self.path}, line {self.line(first)}: '{self._cell(column, first)}' in"
             f" {shown(self.name(column), 60)} is no {what}, and {len(rows):,} of its {filled:,} cells are"
-            " none, which is too many to leave out; mend the cells, or export the file again."
+            " none, which is too many to leave out; correct the cells, or export the file again."
         )
 
     def _note_wrong(self, column: int, rows: np.ndarray) -> None:
@@ -407,7 +407,7 @@ def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> She
     Raises
     ------
     RecordingError
-        The file cannot be read, is no text, or holds no table.
+        The file cannot be read, is not text, or has no table.
     """
     check_input(path, RecordingError)
     try:
@@ -418,7 +418,7 @@ def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> She
     if refused := no_table(raw[:HEAD_BYTES], text if len(text) < HEAD_BYTES else ""):
         raise RecordingError(f"{path} {refused}")
     if not text.strip():
-        what = "is empty" if not raw.strip() else "is no text"
+        what = "is empty" if not raw.strip() else "is not text"
         raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
     return sheet_of_text(path, text, expected, quote=quote)
 

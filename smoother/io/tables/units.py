@@ -66,7 +66,7 @@ _SPELLED = re.compile(
     r"|(timestamp|time|t|elapsed|epoch)_(s|ms|us|ns)",
     re.IGNORECASE,
 )
-#: What stands in brackets behind a name and belongs to it: dv[1], Acc (x).
+#: What is in brackets behind a name and belongs to it: dv[1], Acc (x).
 _INDEX = re.compile(r"\d+|[xyzw]", re.IGNORECASE)
 
 

@@ -18,7 +18,7 @@ SEPARATOR = "\t"
 _LOOKED_AT = 60
 #: Bytes that a workbook may have when it is unpacked; a file of a few kB can claim any number.
 _LARGEST = 4_000_000_000
-#: So many texts are kept for the next reader of the same workbook.
+#: This many texts are kept for the next reader of the same workbook.
 _KEPT = 4
 
 
@@ -35,7 +35,7 @@ def workbook_text(path: Path, rows: int | None = None) -> str:
     path : Path
         The workbook.
     rows : int, optional
-        So many rows at most; None for all.
+        This many rows at most; None for all.
 
     Returns
     -------

@@ -34,7 +34,7 @@ class CdrReader:
         self.position += -(self.position - 4) % min(size, self.widest)
 
     def values(self, kind: str, count: int) -> tuple[float, ...]:
-        """So many numbers of a `struct` kind; nothing is aligned where there are none."""
+        """A count of numbers of a `struct` kind; nothing is aligned where there are none."""
         if not count:
             return ()
         size = struct.calcsize(kind)

@@ -124,7 +124,7 @@ class Grouper:
     def groups_in(
         self, data: bytes, start: IntArray, stop: IntArray
     ) -> Iterator[tuple[IntArray, Block, MessageLayout]]:
-        """The same for payloads that lie in `data` from `start` to `stop`, (n,) each."""
+        """The same for payloads that are in `data` from `start` to `stop`, (n,) each."""
         sizes = stop - start
         for size in np.unique(sizes).tolist():
             index = np.flatnonzero(sizes == size)
@@ -172,7 +172,7 @@ def cut_out(data: bytes, start: IntArray, size: int) -> Block:
 
 
 def _cut(block: Block, offset: int, dtype: np.dtype, count: int) -> NDArray:
-    """Values (rows, count) that lie in each row from a byte on, wherever that is."""
+    """Values (rows, count) that are in each row from a byte on, wherever that is."""
     if not len(block):
         return np.empty((0, count), dtype)
     shape, strides = (len(block), count), (block.strides[0], dtype.itemsize)

@@ -32,7 +32,7 @@ class Slot:
     column : str
         Its name.
     offset : int, bytes
-        Where it lies in the message.
+        Where it is in the message.
     width : int, bytes
         Of a varint; 0 for doubles.
     first, count : int
@@ -74,7 +74,7 @@ class Template:
         Returns
         -------
         ndarray of uint8, shape (rows, HEAD_BYTES + size)
-            Bytes, a row a message, behind zeros for its head.
+            Bytes, one row per message, behind zeros for its head.
         """
         block = np.tile(np.frombuffer(bytes(HEAD_BYTES) + self.data, np.uint8), (rows, 1))
         for slot in self.slots:

@@ -1,5 +1,5 @@
 "use strict";
-/* What lies in space, drawn on a canvas without WebGL: it prints, and needs no graphics card.
+/* What is in space, drawn on a canvas without WebGL: it prints, and needs no graphics card.
    Drag turns, two fingers or Ctrl with the wheel come closer, arrows turn by keyboard, a double click resets. */
 var View3D = (() => {
   const LIGHT = { ink: "#1b1b1b", soft: "#666", paper: "#fff", faint: "#dfe3e6", seen: "#0072b2",
@@ -9,7 +9,7 @@ var View3D = (() => {
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const unit = (a) => { const n = Math.hypot(...a) || 1; return [a[0] / n, a[1] / n, a[2] / n]; };
 
-  /* Little-endian int16 in base64, with a scale and an offset a column; the lowest number is "nothing". */
+  /* Little-endian int16 in base64, with a scale and one offset per column; the lowest number is "nothing". */
   function unpack({ data, scale, offset }) {
     const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
     const raw = new DataView(bytes.buffer), n = bytes.length / 2, columns = offset.length;

@@ -71,7 +71,7 @@ class PanelSimulation(BaseModel):
         default=0.3, ge=0, le=1, description="fraction of the pixels on rims that show a depth in between"
     )
     quantised: bool = Field(default=True, description="round depths to whole millimetres")
-    mocap_noise_m: float = Field(default=0.0002, ge=0, description="sigma of a mocap marker, m an axis")
+    mocap_noise_m: float = Field(default=0.0002, ge=0, description="sigma of a mocap marker, m per axis")
 
     hold_s: float = Field(default=2.0, ge=1, le=60, description="how long each pose is held, s")
     move_s: float = Field(default=2.5, ge=1, le=60, description="from one pose to the next, s")
@@ -85,11 +85,11 @@ class PanelSimulation(BaseModel):
     imu_mounting_deg: float = Field(
         default=3.0, ge=0, le=180, description="the panel's IMU sits off the panel's axes, degrees"
     )
-    imu_rate_hz: float = Field(default=100.0, ge=20, le=1000, description="IMU samples a second")
+    imu_rate_hz: float = Field(default=100.0, ge=20, le=1000, description="IMU samples per second")
     accelerometer_noise: float = Field(default=0.002, ge=0, description="density, m/s^2/sqrt(Hz)")
     gyroscope_noise: float = Field(default=0.0002, ge=0, description="density, rad/s/sqrt(Hz)")
-    accelerometer_bias: float = Field(default=0.02, ge=0, description="sigma of the bias, m/s^2 an axis")
-    gyroscope_bias: float = Field(default=0.005, ge=0, description="sigma of the bias, rad/s an axis")
+    accelerometer_bias: float = Field(default=0.02, ge=0, description="sigma of the bias, m/s^2 per axis")
+    gyroscope_bias: float = Field(default=0.005, ge=0, description="sigma of the bias, rad/s per axis")
     imu_scale: float = Field(default=0.001, ge=0, description="sigma of each axis' scale error")
     magnetometer: bool = Field(default=False, description="both IMUs have a magnetometer")
     magnetometer_noise: float = Field(default=0.4, ge=0, description="sigma of a sample, uT an axis")

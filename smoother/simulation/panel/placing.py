@@ -84,7 +84,7 @@ def _rays(lens: RenderLens) -> FloatArray:
     return rays
 
 
-#: The whole panel lies at least this far inside the image, pixels.
+#: The whole panel is at least this far inside the image, pixels.
 MARGIN_PX = 6.0
 #: Height of the floor, the camera at 0, m.
 FLOOR_M = -1.1

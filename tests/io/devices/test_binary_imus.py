@@ -237,7 +237,7 @@ def test_a_broken_file_is_one_sentence(tmp_path: Path):
     path = mvnx(tmp_path, "sensorAcceleration", "sensorAngularVelocity")
     text = path.read_text()
     path.write_text(text[: len(text) // 2])
-    with pytest.raises(RecordingError, match="no sound MVNX"):
+    with pytest.raises(RecordingError, match="not sound MVNX"):
         read_mvnx(path)
     path.write_text(text.replace("0.0", "zero", 3))
     with pytest.raises(RecordingError, match="not three numbers a sensor"):

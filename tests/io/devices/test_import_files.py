@@ -67,7 +67,7 @@ def test_a_folder(files: Path, capsys: pytest.CaptureFixture[str]):
     out = files / "rec.mcap"
     assert run(["import", "files", str(files), "-o", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "notes.md is of no known format and was passed over" in printed
+    assert "notes.md has an unknown format and was passed over" in printed
     # a.csv and g.csv are the two files of one sensor
     assert {i.topic for i in open_recording(out).imus} == {
         *("/imu/Right_Wrist", "/imu/Sternum", "/imu/dot", "/imu/g")
@@ -92,9 +92,9 @@ def test_file_names_decide_nothing(tmp_path: Path):
             ["--imu", "forearm={0}/opal.csv"],
             r"holds 2 sensors \(Right Wrist, Sternum\).*opal.csv#Right Wrist",
         ),
-        (["--imu", "x={0}/opal.csv#Pelvis"], "holds no sensor Pelvis; it has Right Wrist, Sternum"),
-        (["--imu", "{0}/a.csv"], "holds no gyroscope"),
-        (["--imu", "{0}/dot.csv", "--imu-format", "dot"], "dot is no format; formats are xdf"),
+        (["--imu", "x={0}/opal.csv#Pelvis"], "has no sensor Pelvis; it has Right Wrist, Sternum"),
+        (["--imu", "{0}/a.csv"], "has no gyroscope"),
+        (["--imu", "{0}/dot.csv", "--imu-format", "dot"], "dot is not a format; formats are xdf"),
         (["--imu", "{0}/dot.csv", "--imu-format", "shimmer"], "is not of Shimmer"),
         (["--imu", "={0}/dot.csv"], "give NAME=FILE"),
         ([], "nothing to import"),

@@ -116,7 +116,7 @@ def test_a_mirrored_front_camera(scene, tmp_path: Path):
     assert moves["left"] > 5 * moves["right"]
     (table,) = PoseVideo(folder / "pose.task", mirrored=True).read(video)
     assert wrist_error_m(table, person).max() < TOLERANCE_M
-    assert any("exchanged left for right" in note for note in table.notes)
+    assert any("flipped left to right" in note for note in table.notes)
 
 
 def test_a_variable_frame_rate(scene, tmp_path: Path):
@@ -215,8 +215,8 @@ def test_wrong_ways(scene, tmp_path: Path):
         ((video,), "--model FILE"),
         ((video, "--model", tmp_path / "none.task"), "none.task does not exist"),
         ((video, "--model", text), "no model of the pose landmarker"),
-        ((cut, "--model", model), "no video that can be read"),
-        ((text, "--model", model), "no video (MP4"),
+        ((cut, "--model", model), "not a video that can be read"),
+        ((text, "--model", model), "not a video (MP4"),
         ((tmp_path / "no.mp4", "--model", model), "does not exist"),
         ((video, "--model", model, "--turn", "45"), "--turn is 90, 180 or 270"),
     ):

@@ -107,7 +107,7 @@ def test_z_up(tmp_path: Path) -> None:
     made.trc(path, {name: made.part(name, FRAMES)[:, [0, 2, 1]] * [1, -1, 1] for name in BODY_25[:9]})
     table = read(path, "trc")
     assert table.frame is CameraFrame.ZUP
-    assert any("Axes count as z up" in note for note in table.notes)
+    assert any("Assumed axes: z up" in note for note in table.notes)
 
 
 def test_arm_alone_is_y_up_by_the_format(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_arm_alone_is_y_up_by_the_format(tmp_path: Path) -> None:
     made.trc(path, {name: made.part(name, FRAMES) for name in ("RShoulder", "RElbow", "RWrist")})
     table = read(path, "trc")
     assert_array_equal(table.gravity_hint, [0, -1, 0])
-    assert any("the body does not show it" in note for note in table.notes)
+    assert any("the body does not show them" in note for note in table.notes)
 
 
 def test_lost_markers(tmp_path: Path) -> None:

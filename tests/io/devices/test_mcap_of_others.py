@@ -200,7 +200,7 @@ def test_mcap_with_joint_states_alone(tmp_path: Path) -> None:
         writer.add_message(channel, ZERO, b"\0\1\0\0", ZERO)
         writer.finish()
     with pytest.raises(
-        RecordingError, match=r"a\.mcap holds no IMU and no skeleton.*sensor_msgs/msg/JointState"
+        RecordingError, match=r"a\.mcap has no IMU and no skeleton.*sensor_msgs/msg/JointState"
     ):
         read(path, "mcap")
     assert any(

@@ -107,7 +107,7 @@ def test_dates_and_three_numbers_in_two_files_that_start_apart(tmp_path: Path):
     assert np.median(np.abs(imu.acc - ACC[at])) < 1e-3
     assert np.median(np.abs(imu.gyro - GYRO[at])) < 1e-3
     said = " ".join([*first.notes, *second.notes])
-    assert "counts as a gyroscope's" in said and "repeat or go back" in said
+    assert "assumed a gyroscope" in said and "repeat or go back" in said
 
 
 def test_a_table_that_looks_like_a_device_and_is_read_by_its_columns(tmp_path: Path):

@@ -80,8 +80,8 @@ def test_the_example_of_contributing(tmp_path: Path):
         ),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an Excel workbook of the old kind; save it as .xlsx"),
         (b"PK\x03\x04\x14\x00\x00\x00\x08\x00mimetype", "is an archive"),
-        (b"SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n", "holds no rows; export it again"),
-        (b"Zeit (s);Beschleunigung x (m/s^2)\r\n\r\n", "holds no rows; export it again"),
+        (b"SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n", "has no rows; export it again"),
+        (b"Zeit (s);Beschleunigung x (m/s^2)\r\n\r\n", "has no rows; export it again"),
     ],
 )
 def test_workbooks_archives_and_headers_alone(tmp_path: Path, raw: bytes, said: str) -> None:

@@ -149,7 +149,7 @@ def test_coco_takes_the_surest_person_and_its_visibilities(tmp_path: Path) -> No
     assert_allclose(elbow[:2], [[207.0, 200.0, 0.3], [57.0, 50.0, 0.3]])
     assert np.isnan(elbow[2]).all()
     assert table.state["elbow_left"].tolist() == [1, 1, 0]
-    assert "30 frames a second" in " ".join(table.notes)
+    assert "30 frames per second" in " ".join(table.notes)
 
 
 def test_a_number_of_keypoints_that_is_no_known_set(tmp_path: Path) -> None:

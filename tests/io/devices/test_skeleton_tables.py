@@ -253,7 +253,7 @@ def test_numbered_frames_keep_their_gaps(tmp_path: Path) -> None:
     (table,) = read(write(tmp_path / "a.csv", rows), "mediapipe")
     assert table.rate_hz == 30.0
     assert np.diff(table.t_s).max() == pytest.approx(11 / 30)
-    assert any("30 frames a second" in note for note in table.notes)
+    assert any("30 frames per second" in note for note in table.notes)
 
 
 def test_pixels_are_refused(tmp_path: Path) -> None:
@@ -270,7 +270,7 @@ def test_no_body_in_view(tmp_path: Path) -> None:
     made.azure_csv(path, FRAMES)
     header, *rows = path.read_text().splitlines()
     path.write_text("\n".join([header, *(";".join([*row.split(";")[:2], *["0"] * 128]) for row in rows)]))
-    with pytest.raises(RecordingError, match=r"a\.csv names joints and holds no position"):
+    with pytest.raises(RecordingError, match=r"a\.csv names joints and has no position"):
         read(path, "azure-kinect")
 
 

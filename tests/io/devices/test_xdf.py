@@ -90,7 +90,7 @@ def test_xdf_without_units(tmp_path: Path, unit: tuple[str, str]) -> None:
     _, (imu,) = read(path, "xdf")
     assert_allclose(imu.gyro, turning(1000, 100.0)[2], atol=1e-9)
     assert imu.units == ", ".join(unit)
-    assert any("so it turns as gravity does" in note for note in imu.notes)
+    assert any("it then turns as gravity does" in note for note in imu.notes)
 
 
 def test_xdf_in_which_nothing_shows_the_unit(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_xdf_without_motion(tmp_path: Path) -> None:
     eeg = {"name": "Cap", "type": "EEG", "rate": 250, "t_s": np.arange(50) / 250, "values": np.zeros((50, 4))}
     path = tmp_path / "a.xdf"
     made.xdf(path, [{**eeg, "channels": [(name, "uV") for name in ("Fz", "Cz", "Pz", "Oz")]}])
-    with pytest.raises(RecordingError, match=r"a\.xdf holds no stream.*Cap \(EEG, 4 channels\)"):
+    with pytest.raises(RecordingError, match=r"a\.xdf has no stream.*Cap \(EEG, 4 channels\)"):
         read(path, "xdf")
     path.write_bytes(b"XDF:" + bytes(range(200)))
     with pytest.raises(RecordingError, match=r"a\.xdf"):

@@ -123,7 +123,7 @@ def test_joints_that_are_never_there_together():
 
 def test_uneven_stamps(tmp_path):
     recovery = with_forearm_axes(made())
-    # A spline between noisy samples is no truth: a smooth motion is.
+    # A spline between noisy samples is not a truth: a smooth motion is.
     joints = {name: gaussian_filter1d(values, 20, axis=0) for name, values in recovery.joints.items()}
     recovery = replace(recovery, joints=joints)
     _, columns, even = read_mot(export(recovery, tmp_path / "a.mot"))

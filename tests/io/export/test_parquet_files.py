@@ -83,7 +83,7 @@ def test_configuration_and_figures_go_along(tmp_path):
         notes=("A note with “quotes”.",),
     )
     table = export(recovery, tmp_path / "a.parquet")
-    # A strict reading: NaN is no JSON.
+    # A strict reading: NaN is not JSON.
     kept = json.loads(table.schema.metadata[b"unocclude"], parse_constant=lambda text: pytest.fail(text))
     assert kept["config"] == {"camera": {"noise_m": 0.008}}
     assert kept["figures"] == {"rms_m": None, "biases": [1.0, 2.0]}

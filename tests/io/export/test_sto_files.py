@@ -142,7 +142,7 @@ def test_a_trunk_and_one_imu_alone(tmp_path: Path):
     *_, columns = read_sto(written(replace(recovery, trunk=trunk), tmp_path / "a.sto"))
     assert list(columns) == ["radius_imu", "humerus_imu", "torso_imu"]
     alone = prepare_export(replace(recovery, segments={}), "sto")
-    assert any("does not tell OpenSense how the elbow is bent" in note for note in alone.notes)
+    assert any("does not show OpenSense how the elbow is bent" in note for note in alone.notes)
     assert not prepare_export(recovery, "sto").notes
 
 

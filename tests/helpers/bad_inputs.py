@@ -1,0 +1,45 @@
+"""A folder of files that commands must refuse, and a sound recording beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from smoother.io import open_recording, write_recording
+from smoother.simulation import ArmSimulation, simulate_arm
+
+_TEXTS = {
+    "text.mcap": "this is not a recording\n" * 10,
+    "broken.toml": "[camera\n",
+    "unknown.toml": "[camera]\nfrob = 1\n",
+    "range.toml": "[camera]\ncauchy = -1\n",
+    "lever.toml": "[arm.right.lever_arm.elbow]\nposition_m = [30.0, -210.0, 0.0]\n",
+    "words.csv": "t_s,ax,ay,az,gx,gy,gz\n0,1,2,9.8,0,0,0\n0.01,1,two,9.8,0,0,0\n",
+    "lacks_z.csv": "t_s,ax,ay,gx,gy\n" + "".join(f"{0.01 * i:.2f},0,9.8,0,0\n" for i in range(200)),
+    "trials.csv": "name,start_s,end_s\nfirst,1,x\n",
+    "markers.trc": "PathFileType\t4\t(X/Y/Z)\tmarkers.trc\n",
+    "map.toml": "[markers]\nknee = ['KNE']\n",
+    "sessions.csv": "file,person,date\na.mcap,p1,31.3.2026\n",
+    "mdc.toml": "[mdc95]\nelbow_flexion_range_deg = 'much'\n",
+    "plain/recording.toml": "[camera]\nframe = 'sideways'\nskeleton = 'skeleton.csv'\n",
+    "half/recording.toml": "[camera]\nframe = 'kinect'\nskeleton = 'joints.csv'\n[imu.a]\nfile = 'a.csv'\n",
+    "panel.toml": "[panel]\nmarkers = [[0, 0], [1, 0], [2, 0], [3, 0]]\nextent = [[-1, -1], [4, 1]]\n",
+}
+
+
+def bad_inputs(folder: Path) -> None:
+    """Write them; `good.mcap` is sound, `no_imu.mcap`, `no_joints.mcap` and `cut.mcap` are parts of it."""
+    for name, text in _TEXTS.items():
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    (folder / "empty.mcap").touch()
+    (folder / "folder").mkdir()
+    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    good = folder / "good.mcap"
+    write_recording(simulate_arm(ArmSimulation(repetitions=1), 1).recording, good)
+    file = open_recording(good)
+    imus, file.imus = file.imus, []
+    write_recording(file, folder / "no_imu.mcap")
+    file.imus, file.arms = imus, []
+    write_recording(file, folder / "no_joints.mcap")
+    (folder / "cut.mcap").write_bytes(good.read_bytes()[:2000])
