@@ -108,7 +108,9 @@ def test_groups_that_nothing_links():
     network = solve_clocks([heard])
     assert [(link.from_clock, link.to_clock) for link in network.links()] == [("a", "b"), ("c", "d")]
     assert any("nothing links these groups" in text for text in verdict(network))
-    assert any("e received nothing" in text for text in open_questions(ClockCalibration("", network, (heard,))))
+    assert any(
+        "e received nothing" in text for text in open_questions(ClockCalibration("", network, (heard,)))
+    )
     with pytest.raises(CalibrationError, match="nothing links the clocks a and c"):
         network.between("a", "c")
     alone = replace(heard, event=np.arange(5))

@@ -12,7 +12,7 @@ from calib.file import CalibrationFile, read_calibration, write_calibration
 from calib.panel.definition import read_intrinsics
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
-from smoother.evaluation.measure_agreement import _detectable_of_user
+from smoother.evaluation.measure_files import _detectable_of_user
 from smoother.evaluation.mocap.markers import read_marker_map
 from smoother.io.plain.folder import _describe
 from smoother.runtime.inputs import MOST_DEEP, read_toml, toml_text
