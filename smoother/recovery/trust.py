@@ -23,7 +23,7 @@ from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, JointTracks, Record
 from ..result import Recovery, SelfCheck
 from ..result.verdict import gap_verdicts
 from ..selfcal.pairing import doubtful, unproved
-from .change_signs import camera_pushed, camera_turned, imu_lies_still, skeleton_filled, strap_slipped
+from .change_signs import camera_pushed, changes, imu_lies_still, skeleton_filled
 from .imu_signs import (
     PLATEAU_SHARE,
     SLOW_HZ,
@@ -213,7 +213,7 @@ def with_verdict(
         *wrong_scale(scale),
         *_mirror_image(recording),
         *lost.reasons,
-        *strap_slipped(recording.imu, _gyroscope_bias(recovery), recovery),
+        *changes(recovery, recording, _gyroscope_bias(recovery)),
         *(swapped.sentence for swapped in swapped_joints(recording.arm)),
         *unproved(recovery.estimates.pairing),
         *misfits,
@@ -222,7 +222,6 @@ def with_verdict(
         *_gravity(recovery, recording),
         *_clock(recovery, moved),
         *_camera(recovery, FAR_M),
-        *camera_turned(recovery, recording, _gyroscope_bias(recovery)),
         *_self_check(recovery.estimates.self_check),
     )
     cautions = (

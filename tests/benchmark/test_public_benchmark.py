@@ -140,7 +140,7 @@ def test_trials_and_splits(data: Path, tmp_path: Path):
     found, missing = find_trials(data, list(DATASETS), ("development", "test"))
     assert [(trial.name, trial.split) for trial in found] == [("03_slow", "development"), ("04_fast", "test")]
     assert [note.split(" is not there")[0] for note in missing] == ["UTD-MHAD", "SmartFallMM", "sevivi"]
-    with pytest.raises(UnoccludeError, match="no trial of sevivi is there"):
+    with pytest.raises(UnoccludeError, match="has no trial of sevivi"):
         find_trials(data, ["sevivi"], ("test",))
     files = {
         *("utd_mhad/Inertial/a1_s5_t1_inertial.mat", "utd_mhad/Skeleton/a1_s5_t1_skeleton.mat"),
@@ -223,7 +223,7 @@ def test_points_are_scored_as_plain_arithmetic_has_it():
         (("--answers", "pchip=."), "there is a method 'pchip' already"),
         (("--answers", "mine"), "NAME=FOLDER"),
         (("--answers", "mine=/no/such"), "/no/such is not a folder"),
-        (("--datasets", "kitti"), "--datasets is of broad, utd_mhad, smartfallmm, sevivi"),
+        (("--datasets", "kitti"), "--datasets takes broad, utd_mhad, smartfallmm, sevivi"),
         (("--method", "magic"), "there is no method 'magic'"),
         (("--data", "/no/such"), "is not a folder"),
     ],

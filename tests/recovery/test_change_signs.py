@@ -15,7 +15,14 @@ from smoother.config import Anatomy
 from smoother.io import import_broad
 from smoother.measurements.outliers import interpolated
 from smoother.recording import JOINTS, ImuStream, JointState
-from smoother.recovery.change_signs import JUMP_DEG, OVER_S, down_jumps, gyroscope_drift, strap_slipped
+from smoother.recovery.change_signs import (
+    JUMP_DEG,
+    OVER_S,
+    changes,
+    down_jumps,
+    gyroscope_drift,
+    strap_slipped,
+)
 from smoother.recovery.trust import with_verdict
 from smoother.result import Recovery
 from smoother.result.frame_residuals import BATCH_ROWS
@@ -176,6 +183,25 @@ def test_a_range_that_is_too_small(limit: float, trusted: bool, words: str):
     assert verdict[0] is trusted and words in verdict[1]
 
 
+@pytest.mark.parametrize(
+    ("seed", "preset", "duration_s"), [(14, "white", 12.0), (14, "azure", 12.0), (15, "white", 16.0)]
+)
+def test_a_slip_in_a_short_recording(seed: int, preset: str, duration_s: float):
+    """The answers are 47, 56 and 10 cm off; with so few moments elsewhere nothing is usual."""
+    arm = simulate_arm(ArmSimulation.preset(preset, protocol="random", duration_s=duration_s), seed)
+    assert smooth(replace(arm.recording, truth=None), config=ALONE).estimates.trusted
+    recovery = smooth(slipped(arm, 15.0), config=ALONE)
+    assert recovery.estimates.trusted is False
+    assert any("the strap slipped" in reason for reason in recovery.estimates.reasons)
+
+
+def test_scale_errors_of_the_gyroscope_are_no_slip():
+    config = ArmSimulation.preset("realistic", protocol="random", duration_s=30.0)
+    arm = simulate_arm(config.model_copy(update={"imu_scale": 0.03}), 81)
+    recovery = smooth(replace(arm.recording, truth=None), config=ALONE)
+    assert not list(changes(recovery, arm.recording, np.asarray(recovery.estimates.gyroscope_bias)))
+
+
 @pytest.fixture(scope="module")
 def answer() -> tuple[Recovery, ImuStream]:
     """A recovery whose orientations are exactly what its gyroscope adds up to, over more than a batch."""
@@ -215,8 +241,8 @@ def test_a_turn_that_was_not_felt_is_found_in_its_place(answer: tuple[Recovery, 
     imu = replace(imu, gyro=np.vstack([imu.gyro[:row], turn.inv().apply(imu.gyro[row:])]))
     drift = gyroscope_drift(replace(recovery, quaternion=quaternion), imu, np.zeros(3))
     near = np.abs(drift.at_s - imu.t_s[row]) < 0.5 * OVER_S - 0.5
-    assert drift.angle_deg[near] == pytest.approx(12.0, abs=0.3)  # the step itself mixes both axes
-    assert drift.angle_deg[np.abs(drift.at_s - imu.t_s[row]) > 0.5 * OVER_S + 0.5].max() < 1e-6
+    assert drift.angle_deg[near] == pytest.approx(12.0, abs=0.5)  # a little of it passes for scale errors
+    assert drift.angle_deg[np.abs(drift.at_s - imu.t_s[row]) > 0.5 * OVER_S + 0.5].max() < 0.5
     # over a pause nothing is added: nobody knows what the sensor felt meanwhile
     keep = np.ones(len(imu.t_s), bool)
     keep[row - 40 : row + 40] = False
@@ -239,6 +265,8 @@ def test_a_strap_that_slips_on_an_upright_forearm_is_told():
         bias = np.asarray(recovery.estimates.gyroscope_bias)
         if down_jumps(turned, bias)[:, 1].max() < JUMP_DEG:
             assert not list(strap_slipped(turned, bias))
-        sentences += list(strap_slipped(turned, bias, recovery))
+        sentences += list(changes(recovery, recording, bias))
         assert recovery.estimates.trusted is False
-    assert len(sentences) == 2 and all("the strap slipped" in sentence for sentence in sentences)
+    assert len(sentences) == 2 and all(
+        "strap slipped" in text or "turned on the arm" in text for text in sentences
+    )

@@ -371,8 +371,8 @@ class Sheet:
         first = int(rows[0])
         return RecordingError(
             f"{self.path}, line {self.line(first)}: '{self._cell(column, first)}' in"
-            f" {shown(self.name(column), 60)} is no {what}, and {len(rows):,} of its {filled:,} cells are"
-            " none, which is too many to leave out; correct the cells, or export the file again."
+            f" {shown(self.name(column), 60)} is not a {what}, like {len(rows):,} of its {filled:,} cells,"
+            " too many to leave out; correct the cells, or export the file again."
         )
 
     def _note_wrong(self, column: int, rows: np.ndarray) -> None:
