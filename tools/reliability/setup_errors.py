@@ -309,7 +309,7 @@ CASES: tuple[Callable[[Setup], Setup], ...] = (
 
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 PRESETS = ("white", "realistic", "azure")
-SHORTEST_S, LONGEST_S = 24.0, 60.0
+SHORTEST_S, LONGEST_S = 10.0, 60.0
 #: An answer that is off by more than this in the gaps must not be called trusted, m.
 LARGEST_ERROR_M = 0.10
 
