@@ -258,7 +258,7 @@ def find_strap(
     strap_width_m : float, m
         Along the arm.
     joint_sigma_m : float, m
-        Of elbow and wrist, an axis.
+        Of elbow and wrist, per axis.
 
     Returns
     -------
@@ -470,7 +470,7 @@ class Mounted:
     from_core : ndarray, shape (3,), m
         From the forearm's core to the sensor in {A}.
     sigma_m : float, m
-        Of that vector, an axis.
+        Of that vector, per axis.
     along : ndarray, shape (3,), optional
         Unit vector elbow to wrist in {A}, or None.
     radius_m : float, m

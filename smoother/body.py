@@ -56,7 +56,7 @@ class BodySegment:
 
     @property
     def carries_parent(self) -> bool:
-        """It lies between its parent and the trunk, as the upper arm does."""
+        """It is between its parent and the trunk, as the upper arm does."""
         return bool(self.parent) and self.as_forearm["wrist"] == self.shared_joint
 
     def seen_as_forearm(self, arm: JointTracks) -> JointTracks:

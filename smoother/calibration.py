@@ -94,7 +94,7 @@ class SegmentMounting:
     lever_arms : dict of str to LeverArm
         Of the segment's two joints, in that IMU's axes.
     tissue_m : float, m
-        How far the joints are from constant there, an axis: soft tissue.
+        How far the joints are from constant there, per axis: soft tissue.
     R_bone : ndarray, shape (3, 3), or None
         Maps a vector from that IMU's axes to the bone's (ISB); None where unknown.
     """
@@ -123,7 +123,7 @@ class ArmCalibration:
     gyroscope_bias : ndarray, shape (3,), rad/s, or None
         In {A}; None where unknown.
     sigma_factors : SigmaFactors or None
-        How much wider positions in gaps must be stated for this camera; None where nobody looked.
+        How much wider positions in gaps must be stated for this camera; None where not checked.
     mountings : dict of str to SegmentMounting
         Of IMUs on further segments, by the segment's name ("upper_arm": elbow and shoulder in {B}).
     """

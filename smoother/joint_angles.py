@@ -158,7 +158,7 @@ def arm_angles(
 ) -> dict[str, FloatArray]:
     """Angles (count,) by the names in `ANGLES`, degrees in (-180, 180]; nan where not known.
 
-    Values near a singular posture are given as they come out; `defined` says where to trust them.
+    Values near a singular posture are given as they come out; `defined` marks where to trust them.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def torso_axes(down: FloatArray, forward: FloatArray | None = None) -> FloatArra
         Direction of gravity in {K}.
     forward : ndarray, shape (3,), optional
         Where the person faces; if None, against the camera's z axis (the person faces the camera).
-        Where z is the vertical, x stands for it, and the plane of elevation counts from there.
+        Where z is the vertical, x is used instead, and the plane of elevation counts from there.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Rotations of space, as far as the recovery needs them.
 
 `Rotation` and `Slerp` behave like the classes of these names in `scipy.spatial.transform`, whose import takes
-a tenth of the time that a recording of half a minute takes in all. Everything that does not lie on the way
-from a recording to its recovery uses SciPy's.
+a tenth of the time that a recording of half a minute takes in all. Everything else that is
+not needed to recover a recording uses SciPy's.
 """
 
 from __future__ import annotations

@@ -108,9 +108,9 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
 }
 #: Survivors that no test can or should kill, with why.
 EXPLAINED = ROOT / "tools/mutants_explained.toml"
-#: A mutant may take so many times the processor time of the right program, and so much more, s.
+#: A mutant may take this many times the processor time of the right program, and this much more, s.
 TIMES, MORE_S = 3.0, 2.0
-#: And so many times that in all: the machine may be busy with something else.
+#: And this many times that in all: the machine may be busy with something else.
 WAIT = 60.0
 MEMORY = 8 << 30
 #: What the tests end in where the mutated module was never imported.

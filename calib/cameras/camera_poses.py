@@ -18,7 +18,7 @@ from ..protocol import Answer, Verdict
 
 #: The top-level table of a calibration file, one table per camera.
 TABLE = "cameras"
-#: A pose is good for the answer where its sigmas, an axis, are below these, degrees and m.
+#: A pose is good for the answer where its sigmas, per axis, are below these, degrees and m.
 GOOD_DEG, GOOD_M = 0.5, 0.01
 #: A rotation matrix may be off by this.
 ROUNDING = 1e-4

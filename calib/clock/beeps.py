@@ -15,7 +15,7 @@ from smoother.linalg import parabola_vertex, runs
 
 #: How long before the end of all sound the direct sound may have ended, s.
 LOOK_BACK_S = 0.35
-#: Nothing is looked for so shortly after the onset, s; means on both sides of a step are so long, s.
+#: The time after the onset that is not searched, s; length of the means on both sides of a step, s.
 ONSET_S, STEP_S = 0.02, 0.004
 #: Steps of at least this part of the largest may be the end as well; the last of them is taken.
 AS_LARGE = 0.75
@@ -206,7 +206,7 @@ SLACK_S, DOUBT_PART = 0.012, 0.5
 #: tail as loud as what stops.
 MODEL_SIGMA_S = 0.00015
 TAIL_PART = 0.03
-#: A tail as loud as this part of the beep, and so long, s, is the room's: its knee may hide the end.
+#: A tail as loud as this part of the beep, and this long, s, is the room's: its knee may hide the end.
 LOUD_TAIL, LONG_TAIL_S = 0.45, 0.015
 #: Batches of a long track, s.
 BATCH_S = 60.0

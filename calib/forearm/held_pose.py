@@ -49,7 +49,7 @@ class HeldPose:
     position : ndarray, shape (5, 3), m
         Mean of the joints in {K}; nan where a joint is not tracked.
     sigma_m : ndarray, shape (5,), m
-        Of the mean, an axis: noise that lasts some tenths of a second.
+        Of the mean, per axis: noise that lasts some tenths of a second.
     turning_rad_s : float, rad/s
         Rms of the sensor's angular velocity.
     chosen : str

@@ -32,7 +32,7 @@ class Coverage:
     towards : ndarray, shape (3,)
         Unit vector, the middle of that cap.
     share : float
-        Part of the sphere's 100 cells that hold a direction, 0 to 1.
+        Part of the sphere's 100 cells that contain a direction, 0 to 1.
     """
 
     hole_rad: float
@@ -73,7 +73,7 @@ def axis_words(direction: FloatArray) -> str:
     return f"between {parts[0]}, {parts[1]} and {parts[2]}"
 
 
-#: Stillness is judged over so long, s, and a rest lasts so long at least.
+#: Stillness is judged over this time, s, and a rest lasts at least this long, s.
 LOOK_S = 0.5
 SHORTEST_S = 0.8
 #: Still is what varies less than this many times the quietest part of the recording ..

@@ -18,7 +18,7 @@ from ..file import CalibrationFile
 
 @dataclass(frozen=True)
 class SensorCalibration:
-    """Corrections of one sensor; None where nobody measured.
+    """Corrections of one sensor; None where not measured.
 
     Attributes
     ----------

@@ -195,7 +195,7 @@ def running_bias(gyro: FloatArray) -> tuple[FloatArray, np.ndarray]:
     return path, stable
 
 
-#: Of a recording that rests for so much of its time and so long without a pause, noise is all that is asked.
+#: A recording at rest for this share of its time, and this long without a pause, s, is for noise only.
 _MOSTLY = 0.8
 LONG_REST_S = 20.0
 
@@ -272,7 +272,7 @@ def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
     Raises
     ------
     CalibrationError
-        The recording shows neither; the text says what to record.
+        The recording shows neither; the message states what to record.
     """
     rests = find_rests(imu)
     noise: tuple[SensorNoise | None, SensorNoise | None] = (None, None)

@@ -72,7 +72,7 @@ class ArmEstimates:
     camera : dict of str to JointError
         Errors of the camera's joints, by name.
     joint_bias_sigma_m : float, m
-        How large a joint's constant error is, an axis.
+        How large a joint's constant error is, per axis.
     given : tuple of str
         What was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`.
     """

@@ -229,7 +229,7 @@ def not_determined(
     known : ArmCalibration
         What was given beforehand; nothing is said of it.
     joint_bias_m : float, m
-        Constant error of the camera's joints, an axis, a part of every sigma; it is named once, as it is no
+        Constant error of the camera's joints, per axis, a part of every sigma; it is named once, as it is no
         fault of the motion.
 
     Returns
@@ -308,7 +308,7 @@ def _bias(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: floa
     if not joint_bias_m > JOINT_BIAS_M or not set(calibration.lever_arms) - set(known.lever_arms):
         return []
     return [
-        f"the camera places joints some {1e3 * joint_bias_m:.0f} mm off (an axis), always in the same way: "
+        f"the camera places joints some {1e3 * joint_bias_m:.0f} mm off (per axis), always in the same way: "
         "lever arms and lengths are known no better, whatever the motion"
     ]
 

@@ -225,7 +225,7 @@ class Blobs:
     rays : ndarray, shape (N, 2)
         Undistorted, x/z and y/z.
     sigmas_px : ndarray, shape (N,), pixels
-        Of a centroid, an axis.
+        Of a centroid, per axis.
     radii_px : ndarray, shape (N,), pixels
         Of a disc of the same area.
     heights : ndarray, shape (N,)

@@ -128,7 +128,7 @@ def calibrate_panel(
     panel, lens : Panel and Intrinsics
         The panel's definition and the camera's lens.
     mocap_sigma_m : float, m
-        Noise of a mocap marker, an axis.
+        Noise of a mocap marker, per axis.
 
     Returns
     -------

@@ -41,13 +41,13 @@ class PoseData:
     rays : ndarray, shape (4, 2)
         Of the markers, undistorted.
     sigmas : ndarray, shape (4,)
-        Of a ray, an axis.
+        Of a ray, per axis.
     plane : Plane
         From the depth.
     markers_E : ndarray, shape (4, 3), m
         In the mocap frame.
     sigma_E_m : float, m
-        Of a marker, an axis.
+        Of a marker, per axis.
     height_m : float, m
         Of the markers over the plane.
     name : str

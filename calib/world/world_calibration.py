@@ -180,7 +180,7 @@ def solve(
         How far `R_P_I` may lie from no rotation at all: the IMU was lined up with the panel by eye. None
         where the poses alone decide.
     bias_m_s2 : float, m/s^2
-        Sigma of the accelerometers' biases, an axis.
+        Sigma of the accelerometers' biases, per axis.
 
     Returns
     -------
@@ -209,7 +209,7 @@ def solve(
     return WorldSolution(at, covariance[np.ix_(kept, kept)], left, by_pose.max(axis=1), cost)
 
 
-#: An IMU that was lined up with the panel by eye is off by this, an axis.
+#: An IMU that was lined up with the panel by eye is off by this, per axis.
 BY_EYE_RAD = np.radians(3.0)
 #: Poses whose residuals exceed this many sigmas contradict the others and are left out.
 CONTRADICTS_SIGMA = 5.0
@@ -340,7 +340,7 @@ def calibrate_world(
     notes : sequence of str
         What happened before.
     bias_m_s2 : float, m/s^2
-        Sigma of the accelerometers' biases, an axis.
+        Sigma of the accelerometers' biases, per axis.
 
     Returns
     -------

@@ -32,7 +32,7 @@ class WorldAccuracy:
     rotation_deg : ndarray, shape (3,), degrees
         Of camera from base IMU about the camera's axes.
     tilt_deg : float, degrees
-        Of down in the camera, an axis, for a camera that stands as in the poses (the worst of them).
+        Of down in the camera, per axis, for a camera that stands as in the poses (the worst of them).
     heading_deg : float, degrees
         Of the turn between camera and base IMU about the vertical.
     mounting_deg : ndarray, shape (3,), degrees

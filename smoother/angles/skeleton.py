@@ -1,7 +1,7 @@
 """Elbow, shoulder and forearm from joints and one IMU's orientation, each angle with its sigma.
 
 Sigma is by first-order propagation through `joint_angles.arm_angles` itself, of the pose of the forearm's IMU
-(it moves the elbow and turns the forearm), of the shoulder's position, and of how the forearm lies in the
+(it moves the elbow and turns the forearm), of the shoulder's position, and of the forearm's direction in the
 IMU's axes. The shoulder's errors are treated as independent of the IMU's, as a recovery keeps no covariance
 between them; of what both add up to, a measured part counts (`UPPER_ARM_SHARE`).
 """
@@ -35,7 +35,7 @@ Angles = dict[str, FloatArray]
 STRAP_RAD = np.radians(1.1)
 #: What an upper arm's direction is off by, as a part of the variance that shoulder and elbow state together.
 #: What all of a camera's joints are off by turns no arm, and slow noise is stated as white noise of the
-#: same long-run size; no covariance between joints is kept that would say how much. On simulated arms it is
+#: same long-run size; no covariance between joints is kept that would determine it. On simulated arms it is
 #: 0.28 (`azure`), 0.46 (`realistic`) and 0.5 (`white`).
 UPPER_ARM_SHARE = 0.5
 #: A forearm's length where the lever arms do not say it, m.
@@ -61,7 +61,7 @@ def skeleton_angles(arm: MovingArm, mounting: ForearmMounting) -> tuple[Angles, 
     angles, sigmas : dict of str to ndarray, shape (N,), deg
         By the names in `JOINT_ANGLES` but for those against the trunk. nan where not known; near a hanging
         or upright arm plane and rotation are hardly determined, near a straight elbow rotation and pronation:
-        sigma grows there to 180 degrees, which says nothing of the angle.
+        sigma grows there to 180 degrees, which means that the angle is unknown.
     """
     names = [angle.name for angle in (*SHOULDER, PRONATION)]
     values, sigmas = _with_sigma(arm, mounting, names, None, None)
@@ -82,7 +82,7 @@ def skeleton_trunk_angles(arm: MovingArm, mounting: ForearmMounting) -> tuple[An
     Returns
     -------
     angles, sigmas : dict of str to ndarray, shape (N,), deg
-        By the names of the angles against the trunk; sigma holds the trunk's orientation and its mounting.
+        By the names of the angles against the trunk; sigma includes the trunk's orientation and its mounting.
     """
     trunk = arm.trunk
     if trunk is None:

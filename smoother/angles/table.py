@@ -92,7 +92,7 @@ class _Source:
     is_shown : callable
         Whether a recording has these rows at all.
     absent : str
-        Why it has not, a sentence; "" where nobody would ask.
+        The reason why not, a sentence; "" where it is obvious.
     """
 
     angles: tuple[JointAngle, ...]

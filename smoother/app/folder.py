@@ -78,7 +78,7 @@ class Choices:
     video_offset_s : float, s
         From the recording's first sample to the video's first picture.
     video_mirrored : bool
-        The video that stands for the camera is a mirror image.
+        The video used as the camera is a mirror image.
     video_turn : int
         Its pictures are turned clockwise by this many degrees (0, 90, 180, 270).
     """
@@ -200,7 +200,7 @@ class AppFolder:
                 yield each.name
 
     def loose_files(self) -> list[Path]:
-        """MCAP files that lie in the folder itself and are in no recording yet, by name."""
+        """MCAP files in the folder itself and are in no recording yet, by name."""
         loose = [
             path
             for path in sorted(self.path.iterdir())

@@ -35,7 +35,7 @@ class JobState:
     kind : str
         What it is for ("describe", "recover", ..).
     state : str
-        "waiting", "running", "done", "failed", "held" (a check says that the result could not be trusted),
+        "waiting", "running", "done", "failed", "held" (by the check, the result could not be trusted),
         "cancelled" by the user, or "stopped" with the program or the computer.
     step, steps : int
         The command that runs or was the last, from 0, and how many there are.
@@ -73,7 +73,7 @@ def latest(folder: Path) -> Path | None:
 
 
 def state_of(job: Path, printed: bool = False) -> JobState:
-    """How far a job is, by what lies on disk.
+    """How far a job is, by its files on disk.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """A job's own process: runs its commands one after the other, and writes down how far it is.
 
-It outlives the page, the tab and the server. It holds a lock as long as it works; a job that was begun, is
-not ended and is not locked was stopped with the computer.
+It outlives the page, the tab and the server. It keeps a file locked as long as it works; a job that was
+begun, is not ended and is not locked was stopped with the computer.
 
     python -P -m smoother.app.runner FOLDER/ID/jobs/0001
 """
@@ -23,7 +23,7 @@ from filelock import FileLock, Timeout
 
 #: So often it looks whether it is to stop, s.
 _LOOK_S = 0.1
-#: A command that has to stop has so long to take its outputs away, s.
+#: Time in which a command that has to stop can remove its outputs, s.
 _GRACE_S = 10.0
 #: Whoever looks whether a job is locked holds its lock for a moment, s.
 _LOCK_S = 5.0

@@ -262,7 +262,7 @@ async def _upload(request: Request) -> Any:
         if name.endswith(".task") and is_model(place / "files" / name):
             _folder(request).keep_model(place / "files" / name)
     except ClientDisconnect:
-        return Response(status_code=400)  # nobody is there to read it
+        return Response(status_code=400)  # the client is gone
     finally:
         with suppress(OSError):
             beside.unlink()
@@ -300,7 +300,7 @@ def begin(folder: AppFolder, desk: JobDesk, place: Path, kind: str, wish: dict[s
     Raises
     ------
     AppError
-        It cannot be done yet; says what is missing.
+        It cannot be done yet; the message names what is missing.
     """
     if kind == "describe":
         todo = steps.describe_steps(folder, place)

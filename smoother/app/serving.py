@@ -12,7 +12,7 @@ from pathlib import Path
 from ..errors import UnoccludeError
 from .folder import AppFolder, read_json
 
-#: Where it is served, and to nobody else.
+#: The only address where it is served.
 ADDRESS = "127.0.0.1"
 
 

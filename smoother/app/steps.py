@@ -86,7 +86,7 @@ def import_steps(folder: AppFolder, place: Path) -> list[Step]:
     streams = [each for each in files if each["kind"] not in _NO_STREAM]
     film = None if _is_described(files) else camera_video(files)
     if not streams and not film and not _is_described(files):
-        raise AppError("There is no file of a camera or an IMU yet; drop them.")
+        raise AppError("There is no camera or IMU file yet; drop them here.")
     steps: list[Step] = []
     if _is_described(files):
         words = ["import", "csv", "files", *_templates(folder), "-o", target, "--force"]
@@ -125,7 +125,7 @@ def sensor_keys(files: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def camera_video(files: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-    """The video that stands for the camera: where no file holds a skeleton."""
+    """The video used as the camera, where no file contains a skeleton."""
     if any(stream["kind"] == "skeleton" for each in files for stream in each["streams"]):
         return None
     return next((each for each in files if each["kind"] == "video"), None)
@@ -152,7 +152,7 @@ def _local(about: dict[str, Any]) -> str:
 def _import_words(
     folder: AppFolder, files: Sequence[dict[str, Any]], choices: Choices, target: str
 ) -> list[str]:
-    """`import files` with what was chosen; a file that nobody knows is named too, so that it is said why."""
+    """`import files` with what was chosen; an unrecognised file is named too, so that the reason is shown."""
     skeletons = [each for each in files if any(s["kind"] == "skeleton" for s in each["streams"])]
     words = [word for each in skeletons for word in ("--skeleton", _local(each))]
     unnamed = [_local(each) for each in files if not each["streams"]]
@@ -163,7 +163,7 @@ def _import_words(
 def _video_words(
     folder: AppFolder, film: dict[str, Any], files: Sequence[dict[str, Any]], choices: Choices
 ) -> list[str]:
-    """The video that stands for the camera, with the model and how its pictures are stored."""
+    """The video used as the camera, with the model and how its pictures are stored."""
     model = model_of(folder, files)
     if not model:
         raise AppError(NO_MODEL)
@@ -180,7 +180,7 @@ def _end_words(folder: AppFolder, choices: Choices, target: str) -> list[str]:
 
 
 def _imu_words(files: Sequence[dict[str, Any]], choices: Choices, every: bool = False) -> list[str]:
-    """`--imu` of all sensors; with `every` also of files that nobody knows, so that it is said why."""
+    """`--imu` of all sensors; with `every` also of unrecognised files, so that the reason is shown."""
     words: list[str] = []
     halves: dict[str, list[tuple[str, str]]] = {}
     for each in files:
@@ -253,7 +253,7 @@ def _arm_words(place: Path, kept: KeptRecording) -> list[str]:
 
 
 def check_steps(folder: AppFolder, place: Path, strict: bool = False) -> list[Step]:
-    """Import and check; with `strict`, a set-up that seems wrong holds the job there."""
+    """Import and check; with `strict`, a set-up that seems wrong stops the job there."""
     words = ["check", recording_of(place), *_arm_words(place, read_kept(place)), "--json", CHECK, "--force"]
     verdict: Step = {"ok": [0], "held": [3]} if strict else {"ok": [0, 3]}
     return [*import_steps(folder, place), {"name": "check", "argv": words, **verdict}]
@@ -268,7 +268,7 @@ def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[
     place : Path
         The recording's.
     anyway : bool
-        Also where the check says that the result is not to be trusted.
+        Also where by the check the result is not to be trusted.
     """
     kept = read_kept(place)
     words = ["smooth", recording_of(place), "-o", RESULT, "--report", REPORT, "--json", FIGURES, "--force"]

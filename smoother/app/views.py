@@ -108,7 +108,7 @@ def recording(folder: AppFolder, name: str) -> dict[str, Any]:
 
 
 def _camera_video(folder: AppFolder, choices: Choices, files: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """The video that stands for the camera: its file, the model's, and whether MediaPipe is there."""
+    """The video used as the camera: its file, the model's, and whether MediaPipe is there."""
     used = [each for each in files if Path(each["file"]).name not in choices.left_out]
     film = camera_video(used)
     if film is None:
@@ -123,7 +123,7 @@ def _camera_video(folder: AppFolder, choices: Choices, files: list[dict[str, Any
 def _proposals(place: Path, choices: Choices, files: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Where each IMU is worn by `match`, by the key that a choice names it with.
 
-    The import says which topic each file went to; of several sensors of a file in their order.
+    The import states each file's topic; of several sensors of a file in their order.
     """
     matches = {each["imu"]: each for each in read_json(place / MATCHES).get("matches", [])}
     topics: dict[str, list[str]] = {}

@@ -2,11 +2,11 @@
 
 The published form answers live from the last frames (`predict`); here the same joint prior (4.24) is
 conditioned on everything in a window, before and after a gap: its best within what was published. Windows
-hold a gap and its margins, or some seconds of visible motion, so that cost grows with the length only. The
+contain a gap and its margins, or some seconds of visible motion, so that cost grows with the length only. The
 process is about the window's mean position.
 
 Hyper-parameters by maximum likelihood on visible motion (2.13), started from the published ones. A few
-seconds say nothing of how far a movement goes in the end, so v0 is the points' variance over the whole
+seconds do not show how far a movement goes in the end, so v0 is the points' variance over the whole
 segment, and no less than published; w and the acceleration's noise, a wrong orientation included, are the
 likeliest. The camera's noise is the scene's.
 

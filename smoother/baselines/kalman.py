@@ -143,7 +143,7 @@ def kalman(scene: Scene) -> Path:
     """Recover one segment; nan before the camera first sees the arm (Le, thesis, Texas A&M 2017).
 
     A Kalman filter [p v a] per axis behind low-passes, at its best within what was published: the work was
-    done offline in MATLAB and says nothing of the direction of filtering, so the low-passes run forwards and
+    done offline in MATLAB and does not state the direction of filtering, so the low-passes run forwards and
     backwards and delay nothing. The Kalman filter itself is a filter: inside a gap it has seen the camera
     only up to the gap, and it jumps where the camera comes back. The gyroscope's low-pass belongs to the
     orientation, which the scene gives. While the camera sees, he recommends to trust it much more than the
@@ -254,7 +254,7 @@ def state_model(
     acceleration : ndarray, shape (n, 3), m/s^2
         Without gravity, in {K}.
     sigma_m, sigma_acc : ndarray, shape (3,), m and m/s^2
-        Standard deviations of the two, an axis each.
+        Standard deviations of the two, per axis each.
 
     Returns
     -------

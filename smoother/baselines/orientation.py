@@ -185,7 +185,7 @@ def comotti(samples: EvenSamples) -> FloatArray:
     four-space, and noise is alike on all four components, so the covariance stays p I and the gain is one
     number: with q the gyroscope's, r the observation's variance of a quaternion's component (a quarter of
     the angle's), p' = p + q, k = p' / (p' + r), p = (1 - k) p'. Without a field, or where it is disturbed,
-    the prediction's own heading stands for it: then only the tilt is observed.
+    the prediction's own heading is used instead: then only the tilt is observed.
     """
     q: Quaternion = tuple(start_attitude(samples).as_quat(scalar_first=True))
     quaternion = np.empty((len(samples), 4))

@@ -136,7 +136,7 @@ def transition(states: InertialTrajectory, motion: Preintegration) -> FloatArray
     """Jacobian (n - 1, 21, 21) of the next node's error to this one's, over a whole interval.
 
     Sola, Quaternion kinematics for the error-state Kalman filter (arXiv 1711.02508, 2017), section 7 (global
-    angular errors). Bias derivatives hold the rotation inside an interval to first order.
+    angular errors). Bias derivatives treat the rotation inside an interval to first order.
     """
     h, R = motion.dt[:, None, None], states.R[:-1]
     eye = np.eye(3)
@@ -260,7 +260,7 @@ class CameraAtNodes:
     joints : ndarray, shape (n, 5, 3), m
         In {K}; nan where nothing was seen.
     sigma_m : ndarray, shape (5,), m
-        Noise of the joints, an axis.
+        Noise of the joints, per axis.
     levers : dict of ndarray, shape (3,), m
         Lever arms in {A}, by joint.
     upper_arm_m, upper_arm_sigma_m : float, m

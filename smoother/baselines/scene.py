@@ -43,7 +43,7 @@ class Scene:
     R_K_A : ndarray, shape (n, 3, 3)
         Orientation at the samples by the chosen filter, aligned to the camera.
     attitude_sigma_rad : float, rad
-        One standard deviation of that orientation, an axis.
+        One standard deviation of that orientation, per axis.
     gravity : ndarray, shape (3,), m/s^2
     acceleration : ndarray, shape (n, 3), m/s^2
         Of the sensor, without gravity, from that orientation.
@@ -56,14 +56,14 @@ class Scene:
     point : ndarray, shape (f, 3), m
         The IMU's position at visible frames, the mean over joints of joint - R_K_A lever; nan elsewhere.
     point_sigma_m : float, m
-        Noise of `point`, an axis.
+        Noise of `point`, per axis.
     gaps : tuple of Gap
         The gaps inside.
     calibration : ArmCalibration
         Lever arms and measures.
     point_effective_sigma_m : float, m
         Deviation of a white noise with the long-run variance of the noise of `point`, which has a memory:
-        what a filter of independent samples needs, an axis; nan where unknown.
+        what a filter of independent samples needs, per axis; nan where unknown.
     rows : slice
         Which of the recording's IMU samples these are.
     """

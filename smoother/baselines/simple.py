@@ -184,7 +184,7 @@ def linear_drift(scene: Scene, boundary_s: float = BOUNDARY_S) -> Path:
 def boundary(
     t: FloatArray, point: FloatArray, start_s: float, end_s: float, at_end: bool = True
 ) -> Boundary | None:
-    """Position and velocity at the later (or earlier) of two times, by a line through what lies between.
+    """Position and velocity at the later (or earlier) of two times, by a line through the samples between.
 
     One visible point alone gives no velocity: zero is used instead. None without any point.
 
@@ -282,7 +282,7 @@ def _notes(scene: Scene) -> tuple[str, ...]:
     return ("shoulder and upper arm are not known: gaps are recovered without the shoulder's constraint",)
 
 
-#: The camera's latency where nobody says otherwise, s (Feng's Kinect).
+#: The camera's latency by default, s (Feng's Kinect).
 LATENCY_S = 0.1
 #: Frames that the predictor looks back (L = 5), and the display's velocity is taken over.
 FRAMES = 5

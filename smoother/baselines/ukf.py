@@ -25,7 +25,7 @@ from ..window.prepare import states_from_camera
 from .rts import TURN, P, V, joint_sigma, levers_of, orientation_at, seen_joints, turned, white_noise
 from .scene import Path, Scene, no_answer
 
-#: Process noise: m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); the first holds a bias that nobody took off.
+#: Process noise: m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); the first covers a bias that was not subtracted.
 ACC_DENSITY = 0.06
 GYRO_DENSITY = 0.004
 #: What is known at the first visible frame: m, m/s, rad.
@@ -176,7 +176,7 @@ def updated(state: NavigationState, joints: FloatArray, arms: FloatArray, sigma_
     arms : ndarray, shape (j, 3), m
         The joints' lever arms in {A}.
     sigma_m : float, m
-        Noise of a joint, an axis.
+        Noise of a joint, per axis.
     """
     seen = np.isfinite(joints[:, 0])
     points = sigma_points(state.covariance)

@@ -1,10 +1,10 @@
 """How a method that is not ours takes part: its tasks as plain files, and its answers read.
 
 A task is a folder, `DATASET/TRIAL` where gaps of all lengths are in one copy, else `DATASET/TRIAL_LENGTHs`.
-It holds a recording as `unocclude import csv` takes it (`recording.toml`, `skeleton.csv`, `imu_forearm.csv`),
-hidden frames as `not_tracked`, and `task.json`. An answer is a file of the task's name and `.csv` with the
-columns `t_s, x, y, z` and, where sigma is stated, `sigma_x, sigma_y, sigma_z` (one standard deviation),
-on the camera's clock and in its axes.
+It contains a recording as `unocclude import csv` takes it (`recording.toml`, `skeleton.csv`,
+`imu_forearm.csv`), hidden frames as `not_tracked`, and `task.json`. An answer is a file of the task's name
+and `.csv` with the columns `t_s, x, y, z` and, where sigma is stated, `sigma_x, sigma_y, sigma_z` (one
+standard deviation), on the camera's clock and in its axes.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The public data sets, a loader each; whoever runs the benchmark brings the files.
 
-The `development` split is what this project was developed on; nobody here has seen the rest.
+The `development` split is what this project was developed on; the rest has not been looked at.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def smartfallmm_trials(folder: Path) -> Iterator[BenchmarkTrial]:
 
 
 def open_smartfallmm(trial: BenchmarkTrial) -> Recording:
-    """A trial as `unocclude import files` makes it, with what the importer knows of its clocks."""
+    """A trial as `unocclude import files` makes it, with what the importer found about its clocks."""
     return imported(trial.name, trial.files[0], trial.files[1:])
 
 
@@ -174,7 +174,7 @@ DATASETS: Mapping[str, BenchmarkData] = {
             "BROAD",
             "Laidig, Caruso, Cereatti, Seel, Data 6(7):72, 2021; CC BY 4.0",
             "the IMU, against optical motion capture; its positions at 30 Hz with 8 mm of white noise"
-            " stand for the camera",
+            " serve as the camera",
             (0.5, 1.0, 2.0, 3.0),
             4,
             True,

@@ -112,7 +112,7 @@ def move_between(
         Rows of each part.
     t : ndarray, shape (n,), s
     placed_m : float, m
-        Parts that fit worse by themselves say nothing.
+        Parts that fit worse by themselves are ignored.
     """
     values, variances = np.array([each[0] for each in shifts]), np.array([each[1] for each in shifts])
     misfit_m = float(np.median([each[2] for each in shifts]))
@@ -171,7 +171,7 @@ def _shift(placement: Placement, together: Overlap) -> tuple[FloatArray, FloatAr
     return np.concatenate([turned, shifted]), _variances(there, together), float(np.median(distance))
 
 
-#: Errors of a skeleton last so long, s: of this many samples as are in it one counts.
+#: Errors of a skeleton last this long, s: samples within it are treated as one.
 MEMORY_S = 1.0
 
 

@@ -26,7 +26,7 @@ RAYS_M = 0.04
 
 
 def join_cameras(recording: Recording, store: Store | None = None) -> tuple[Recording, CameraRig | None]:
-    """A recording whose `arm` holds the frames of all cameras that agree.
+    """A recording whose `arm` contains the frames of all cameras that agree.
 
     Constant errors of the joints differ between cameras; each camera's joints are moved to the mean of all.
 
@@ -192,7 +192,7 @@ def _alone(name: str, rows: list[RigCamera]) -> str:
     """Why keypoints of one camera are not solved."""
     left_out = "".join(f"; {row.name} was left out: {row.reason}" for row in rows)
     return (
-        f"{name}: keypoints of one camera without depth are read and not solved yet, for nothing says how far"
+        f"{name}: keypoints of one camera without depth are read but not solved yet, as nothing shows how far"
         f" away the arm is; add a camera with depth, or a second one whose place is known{left_out}"
     )
 

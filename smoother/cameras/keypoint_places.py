@@ -21,7 +21,7 @@ from .overlap import Overlap, overlap
 from .placing import OFFSET_M
 from .rig import RelativeClock, RigCamera
 
-#: Samples of one block share their error, s, and errors of joints in space last so long.
+#: Samples of one block share their error, s, and errors of joints in space last this long.
 BLOCK_S = 3.0
 #: What constant errors of joints, m, leave of a place however long the recording is.
 JOINTS_M = 0.01
@@ -48,7 +48,7 @@ class KeypointPlacement:
     covariance : ndarray, shape (7, 7)
         Of a turn about the joints' centre, a shift there, and the clock.
     offset_m : ndarray, shape (5, 3), m
-        By how much the first camera's joints lie beside what this one calls so, in {K}: constant errors.
+        Offset of the first camera's joints from this one's of the same name, in {K}: constant errors.
     """
 
     R: FloatArray
@@ -241,7 +241,7 @@ def _step(
     np.add.at(vectors, block, vectors_of)
     vectors -= vectors.mean(axis=0)
     meat = vectors.T @ vectors
-    # neighbours share their errors: this many of them count as one, which the prior is weighed against
+    # neighbours share their errors: this many of them are treated as one, which the prior is weighed against
     pose = np.arange(6)
     alike = float(np.clip(np.mean(meat[pose, pose] / np.maximum(information[pose, pose], 1e-9)), 1.0, 100.0))
     information, meat, vector = information / alike, meat / alike**2, vectors_of.sum(axis=0) / alike

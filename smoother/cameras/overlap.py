@@ -10,7 +10,7 @@ from ..array_types import BoolArray, FloatArray, IntArray
 from ..recording import JOINTS, JointTracks
 from .rig import RelativeClock
 
-#: Frames of the other camera that a moment lies between are no farther apart than this, s.
+#: Frames of the other camera before and after a moment are no farther apart than this, s.
 APART_S = 0.12
 #: Velocities are differences over this many frames on both sides.
 BESIDE = 2
@@ -32,11 +32,11 @@ class Overlap:
         In {C}, between its frames.
     velocity : ndarray, shape (n, 5, 3), m/s
         Of the first camera's joints, by frames on both sides of each moment: noise of the moment itself is
-        in neither, and does not draw the clock to where frames lie between each other. Zero where unknown.
+        in neither, and does not draw the clock to where frames interleave. Zero where unknown.
     both : ndarray of bool, shape (n, 5)
         Tracked by both.
     step_s : float, s
-        Time that a moment stands for.
+        Time that a moment represents.
     """
 
     t: FloatArray
@@ -51,7 +51,7 @@ class Overlap:
 
     @property
     def length_s(self) -> float:
-        """For so long both saw elbow, wrist or another joint of the forearm, s."""
+        """Time during which both saw elbow, wrist or another joint of the forearm, s."""
         return float(self.both[:, 1:].any(axis=1).sum()) * self.step_s
 
     def rows(self, rows: slice | BoolArray) -> Overlap:

@@ -57,7 +57,7 @@ class RigCamera:
     misfit_m : float, m
         Median distance between its joints and the first camera's, all that is constant taken off.
     together_s : float, s
-        For so long both saw something of the arm.
+        Time during which both saw some part of the arm.
     reason : str
         Why it was left out; "" where it takes part.
     note : str

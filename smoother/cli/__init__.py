@@ -50,7 +50,7 @@ def _open_closed_streams() -> None:
 
 
 def _flush() -> None:
-    """Write what is still to be printed; where nobody reads it any more, forget it."""
+    """Write what is still to be printed; discard it where the reader is gone."""
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:

@@ -208,6 +208,6 @@ def warn(recoveries: Sequence[Recovery]) -> None:
 
 
 def end_strictly(verdicts: Iterable[bool | None]) -> None:
-    """End with the exit code of results that are not to be trusted, where one is not, or nobody judged it."""
+    """End with the exit code of results that are not to be trusted, where one is not, or was not judged."""
     if not all(trusted is True for trusted in verdicts):
         raise typer.Exit(NOT_TRUSTED)

@@ -276,7 +276,7 @@ def batch(
     check_outputs(True, [None if inside else page, json_file], inputs)
     for path in (page, json_file):
         if path is not None and path.is_file() and not _is_of_a_study(path):
-            check_output(path, force)  # what an earlier run wrote is renewed, nobody else's file
+            check_output(path, force)  # what an earlier run wrote is renewed, never another program's file
     work = (
         partial(run_local, processes=processes or 0)
         if scheduler is None
@@ -343,7 +343,7 @@ def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> N
     ]
     for _, page in todo:
         if page.is_file() and _PAGE_MARKS[0] not in page.read_bytes()[:1000]:
-            check_output(page, force=False)  # nobody else's file is replaced
+            check_output(page, force=False)  # another program's file is not replaced
     with Pool(processes, frames=10**9 if len(todo) > 1 else 0) as workers:
         for _ in workers.map(_write_report, todo):
             pass
@@ -394,7 +394,7 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
 
 
 def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row per arm, untrusted ones first, then the least certain; of several the name says which."""
+    """One row per arm, untrusted ones first, then the least certain; of several the name includes the arm."""
     from ..recording import arm_words
     from ..study.folder import arms_of, least_trusted
 

@@ -89,7 +89,7 @@ def benchmark(
     if folder is None:
         raise typer.BadParameter(f"name the folder of the data sets with --data, or in {VARIABLE}")
     if not folder.is_dir():
-        raise UnoccludeError(f"{folder} is not a folder; name the folder that holds the data sets")
+        raise UnoccludeError(f"{folder} is not a folder; name the folder that contains the data sets")
     keys = _chosen("--datasets", datasets, tuple(DATASETS))
     splits = _chosen("--split", split, SPLITS)
     names = tuple(choose(method))

@@ -187,7 +187,7 @@ def _by_side(
     Raises
     ------
     CalibrationError
-        Recordings are of several people, or do not say which of two arms they are of.
+        Recordings are of several people, or do not state which of two arms was recorded.
     """
     loaded = [(path, *arm) for path in recording_files for arm in load_arms(path, known_file, selection)]
     for path, recording, _ in loaded:
@@ -232,7 +232,7 @@ def imu(
     from calib.imu.sensor_calibration import calibrate_imu
 
     if not 9.7 <= gravity <= 9.9:
-        raise typer.BadParameter("--gravity on Earth lies between 9.76 and 9.84 m/s^2")
+        raise typer.BadParameter("--gravity on Earth is between 9.76 and 9.84 m/s^2")
     stream, notes = _load(recording_file, output, name, to)
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
@@ -313,7 +313,7 @@ def forearm(
     """Lever arms, lengths, mounting, from a held pose.
 
     The forearm raised beside the head, palm to the camera, still for a second or more; motion in the same
-    recording says how the sensor is turned against the camera, and is held against the pose. A
+    recording shows how the sensor is turned against the camera, and is compared with the pose. A
     calibration that exists is added to, without --force.
     """
     from calib.forearm.forearm_summary import compare, forearm_answer

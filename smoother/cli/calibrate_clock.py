@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from calib.clock.links import Receptions
     from calib.clock.motion_clock import MotionClock
 
-#: Clock of the sound, clock of the event time, where nobody names them.
+#: Clock of the sound, clock of the event time, by default.
 SOUND_CLOCKS = "camera,base"
 
 

@@ -52,7 +52,7 @@ def panel(
     panel_file: PanelFile = None,
     mocap_sigma_mm: Annotated[
         float,
-        typer.Option("--mocap-sigma-mm", min=0.001, max=20.0, help="Noise of a mocap marker, an axis."),
+        typer.Option("--mocap-sigma-mm", min=0.001, max=20.0, help="Noise of a mocap marker, per axis."),
     ] = 0.2,
     to: Outputs = NO_FILES,
 ) -> None:
@@ -122,7 +122,7 @@ def _session(
 
 @contextmanager
 def pictured(path: Path) -> Iterator[None]:
-    """Where the markers could not be identified, write a picture of what was seen, and say where it lies."""
+    """Where the markers could not be identified, write a picture of what was seen, and print its path."""
     from calib.panel.identify import NotIdentified
 
     try:

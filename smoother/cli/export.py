@@ -91,7 +91,7 @@ def export(
 ) -> None:
     """Write a result for OpenSim, MATLAB, R, Excel and others.
 
-    Several arms give one file each; rrd and bids hold all of them.
+    Several arms give one file each; rrd and bids contain all of them.
 
     csv and parquet: one row per sample of the forearm IMU with poses, joints and sigmas, in metres and the
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and

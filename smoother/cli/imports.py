@@ -145,7 +145,7 @@ def _skeleton_beside(inertial: Path) -> Path:
 
 
 def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path | None, force: bool) -> None:
-    """Write what was imported, and say what it holds."""
+    """Write what was imported, and print what it contains."""
     from ..io import describe, write_recording
 
     write_recording(recording, output, force=force)
@@ -260,7 +260,7 @@ def write_imported(
     force: bool,
     passed_over: Sequence[str] = (),
 ) -> None:
-    """Say what was recognised in files, write the recording that they make, and say what it holds."""
+    """Print what was recognised in files, write their recording, and print what it contains."""
     from ..io import describe, write_recording
 
     for report in reports:

@@ -182,7 +182,7 @@ def engine_session(
             lag_s,
             info.gravity_hint,
             info.camera_frame,
-            None if source.speed else InlineCalibrator(),  # nobody waits for the background either
+            None if source.speed else InlineCalibrator(),  # the background may be waited for too
         )
         stack.enter_context(engine)
         yield LiveSession(source, engine, calibration, recording, receivers)

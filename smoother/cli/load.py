@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
-#: How the reader of a file says that it was cut off or is damaged.
+#: Words by which the reader of a file reports that it was cut off or is damaged.
 DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
 
 
@@ -62,7 +62,7 @@ def load_arm(
     remedy: Remedy | None = None,
     **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
-    """Read a recording and the calibration of its arm, and say what was chosen.
+    """Read a recording and the calibration of its arm, and print what was chosen.
 
     Where the recording leaves the side open, a calibration of one arm settles it. Parameters as of
     `io.recording.read`.
@@ -83,7 +83,7 @@ def load_arms(
     remedy: Remedy | None = None,
     **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
-    """Read every arm of a recording that has an IMU, with its calibration, and say what was chosen.
+    """Read every arm of a recording that has an IMU, with its calibration, and print what was chosen.
 
     Parameters as of `load_arm`.
     """
@@ -124,7 +124,7 @@ def load_recoveries(path: Path, side: str | None = None, body: int | None = None
 
 
 def damage(notes: Iterable[str]) -> list[str]:
-    """Of some notes those that say that a file was cut off or is damaged."""
+    """Of some notes those on a file that was cut off or is damaged."""
     return [note for note in notes if any(words in note for words in DAMAGED)]
 
 

@@ -34,7 +34,7 @@ def app(
 ) -> None:
     """Open the local page: from files to report in the browser.
 
-    The address that is printed holds a token; without it nobody is let in, and no other computer at all.
+    The printed address contains a token, which is required; other computers are refused in any case.
     Ctrl-C ends it: what is running then is stopped and can be repeated, all else is kept in the folder.
     """
     for name, package in (("uvicorn", "uvicorn"), ("starlette", "starlette")):

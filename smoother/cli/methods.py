@@ -184,7 +184,7 @@ def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
     Returns
     -------
     recovery : Recovery
-        With the limit among its estimates, from which `io.usable` derives the marks, and a note that says how
+        With the limit among its estimates, from which `io.usable` derives the marks, and a note on how
         many samples it concerns.
     """
     if max_sigma_m is None:

@@ -57,7 +57,7 @@ _NO_PAGE = {".pdf", ".doc", ".docx", ".odt", ".png", ".json", ".csv", ".toml", "
 
 
 def _page(path: Path | None) -> Path | None:
-    """Refuse a report whose ending says that it is not a page, before any work is done for it."""
+    """Refuse a report whose ending is not that of a page, before any work is done for it."""
     if path is not None and path.suffix.lower() in _NO_PAGE:
         name = path.with_suffix(".html")
         raise typer.BadParameter(f"a report is an HTML page; name it {name} (a browser prints it to PDF)")
@@ -324,8 +324,8 @@ def with_groups(
     Parameters
     ----------
     command : callable
-        Parameters whose type is a dataclass stand for its fields, which are annotated as options, or groups
-        again.
+        Parameters whose type is a dataclass are replaced by its fields, which are annotated as options, or
+        groups again.
     settings : mapping of str to FieldInfo, optional
         Of a simulation, which the command takes as `**settings`; None where it is not given.
 
@@ -357,7 +357,7 @@ def with_groups(
 
 
 def _options(parameter: inspect.Parameter) -> list[inspect.Parameter]:
-    """The parameter itself, or those that its group stands for."""
+    """The parameter itself, or those of its group."""
     group = parameter.annotation
     if not is_dataclass(group):
         return [parameter]

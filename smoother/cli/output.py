@@ -44,7 +44,7 @@ def laid_out(title: str, columns: Sequence[str], cells: Cells, width: int) -> Re
     columns : sequence of str, length n
         Heads.
     cells : sequence of sequence of str, shape (rows, n)
-        The first of a row says what the row is.
+        The first of a row is its title.
     width : int, characters
         Of the terminal.
 
@@ -177,7 +177,7 @@ def progress_bar(text: str) -> Iterator[Progress]:
 
 #: Variable of the environment that names a file for how far a command is.
 PROGRESS_FILE = "UNOCCLUDE_PROGRESS"
-#: It is written at most once in so long, s.
+#: Shortest time between two updates, s.
 _PROGRESS_STEP_S = 0.1
 
 
@@ -245,7 +245,7 @@ def _identity(path: Path) -> set[object]:
     )
 
 
-#: Endings that say that a file is something else than MCAP; those of `unocclude export` first.
+#: Endings of files of other formats than MCAP; those of `unocclude export` first.
 _OTHER_ENDINGS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "sto")
 _NO_RESULT = ("html", "json", "toml", "txt", "mat", "bag", "rrd", "osim", "npz")
 

@@ -53,7 +53,7 @@ def progress(
         bool,
         typer.Option(
             "--reliability",
-            help="If nobody changed between the sessions: ICC, SEM, smallest detectable change.",
+            help="For sessions without true change: ICC, SEM, smallest detectable change.",
         ),
     ] = False,
     plots: Annotated[
@@ -178,7 +178,7 @@ def _print_reliability(repeated: Sequence[Reliability]) -> None:
         raise UnoccludeError(
             f"--reliability needs {FEWEST_PERSONS} persons with two sessions each; no measure has them"
         )
-    print_table("Reliability, if nobody changed between the sessions", COLUMNS, reliability_cells(repeated))
+    print_table("Reliability, for sessions without true change", COLUMNS, reliability_cells(repeated))
 
 
 def _write_plots(
@@ -235,7 +235,7 @@ def _counted(progress: PersonProgress) -> str:
     if compared >= 5:
         together = sum(each.change.p_together < 0.05 for each in progress.clear if each.change is not None)
         text += (
-            f"; about {0.05 * compared:.1f} of so many would be called so by chance without any change, and"
+            f"; about {0.05 * compared:.1f} would be called so by chance without any change, and"
             f" {together} of them stand when all are counted together (Holm)"
         )
     return f"{text}."
@@ -293,7 +293,7 @@ def _rows(series: Series) -> Iterable[list[object]]:
 
 
 def _cell(value: object) -> object:
-    """A cell that no spreadsheet takes for a formula; empty where there is no number."""
+    """A cell that no spreadsheet takes for a formula; empty where the value is missing."""
     if isinstance(value, float):
         return "" if value != value else f"{value:.6g}"
     if isinstance(value, str) and value.startswith(_FORMULA):

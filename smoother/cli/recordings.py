@@ -119,7 +119,7 @@ def _say_verdicts(about: RecordingInfo) -> None:
         if each["trusted"] is not False and (times := each["untrusted"]):
             assert isinstance(times, list)
             count = f"{len(times)} {'time' if len(times) == 1 else 'times'}"
-            say(f"{of}not to be trusted at {count}; export says which")
+            say(f"{of}not to be trusted at {count}; export lists them")
 
 
 def print_missing(about: RecordingInfo) -> None:
@@ -127,7 +127,7 @@ def print_missing(about: RecordingInfo) -> None:
     if "smooth" in about.missing:
         say(f"cannot be recovered: {about.missing['smooth']}")
     elif about.result:
-        say("holds a result: validate and export read it")
+        say("contains a result: use validate or export")
     else:
         for arm in about.arms:
             of = f"{arm.label}: " if len(about.arms) > 1 else ""
@@ -276,7 +276,7 @@ def print_losses(report: RepairReport) -> None:
         say(f".. and {len(lines) - MOST_ROWS} places more; --json has them all")
 
 
-#: A table longer than this helps nobody on a terminal.
+#: A table longer than this is too long for a terminal.
 MOST_ROWS = 25
 
 

@@ -79,7 +79,7 @@ def run(arguments: Sequence[str]) -> int:
     from .app import app
 
     if not debugging():
-        warnings.simplefilter("ignore")  # a library's warning says nothing to a user
+        warnings.simplefilter("ignore")  # a library's warning is of no use to a user
     say_what_can_be_shown()
     try:
         with ending_tidily():

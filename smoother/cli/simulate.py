@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 _MAP_HEAD = """# Markers of {name}: the mean of a joint's markers is its centre. The plate on the IMU is
-# rigid; its mean is the IMU, and [imu_plate] says where its markers are in the IMU's axes, m.
+# rigid; its mean is the IMU, and [imu_plate] gives the positions of its markers in the IMU's axes, m.
 # Use: unocclude validate OUT.mcap --truth {name} --markers {map} --calibration {calibration}
 """
 
@@ -307,7 +307,7 @@ def strap(
 ) -> None:
     """An arm with images of its strap, for `import strap`.
 
-    Beside FILE lies FILE_truth.toml: where the strap sits. FILE holds the true motion of the IMU.
+    FILE_truth.toml is written beside FILE: the strap's place. FILE contains the IMU's true motion.
     """
     from ..io.media.strap import write_strap_recording
     from ..simulation import ArmSimulation, simulate_arm

@@ -94,7 +94,7 @@ def imu(
         float, typer.Option("--offset", min=0.0, help="Of the accelerometer, m/s^2 per axis.")
     ] = 0.5,
     scale: Annotated[
-        float, typer.Option("--scale", min=0.0, max=0.2, help="Largest error of an axis' scale.")
+        float, typer.Option("--scale", min=0.0, max=0.2, help="Largest scale error of any axis.")
     ] = 0.03,
     cross: Annotated[
         float, typer.Option("--cross", min=0.0, max=0.2, help="Largest cross-axis term.")
@@ -157,7 +157,7 @@ def magnetometer(
 
 
 def _write(to: SimulatedFile, stream: ImuStream, truth: dict[str, Any]) -> None:
-    """Write the recording of a sensor alone, and its truth; say what was written."""
+    """Write the recording of a sensor alone, and its truth; print what was written."""
     from calib.imu.sensor import sensor_name
 
     from ..io import write_recording

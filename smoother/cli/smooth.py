@@ -105,7 +105,7 @@ def smooth(
     """Recover the motion in every gap, with its uncertainty.
 
     Every arm that has an IMU is recovered, of every person; --side, --body and --imu restrict. Where the
-    names of the IMUs leave open where they are worn, motion settles it, and the notes say how.
+    names of the IMUs leave open where they are worn, motion settles it, and the notes describe the result.
 
     The exit code is 0 where the result was written, whatever its verdict; with --strict it is 3 where the
     verdict on an arm is "not to be trusted". Single gaps that are not to be trusted do not count for it.
@@ -337,7 +337,7 @@ def print_rejected(recovery: Recovery) -> None:
         print_table("Tracked samples that were rejected", columns, table)
 
 
-#: A table longer than this helps nobody on a terminal; without --verbose this many gaps are shown.
+#: A table longer than this is too long for a terminal: without --verbose this many gaps are shown.
 MOST_ROWS, FEW_GAPS = 25, 4
 #: An arm takes this many lines; this many grave remarks are printed anyway; lines of a table besides rows.
 MOST_LINES, MOST_GRAVE, TABLE_LINES = 15, 3, 5

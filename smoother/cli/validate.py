@@ -345,7 +345,7 @@ def _angle_cells(name: str, all_samples: Agreement, in_gaps: Agreement) -> tuple
 
 
 def _agreement_cells(each: Agreement) -> tuple[str, str, str]:
-    """RMSE, bias and limits; `--json` has the ICC, which over the samples of one arm says nothing."""
+    """RMSE, bias and limits; `--json` has the ICC, which has no meaning over the samples of one arm."""
 
     def text(value: float | None, digits: int) -> str:
         return "-" if value is None else f"{value:.{digits}f}"

@@ -34,7 +34,7 @@ def view(
 ) -> None:
     """Show a result in Rerun: the arm in space, curves, gaps.
 
-    Needs rerun-sdk (`pip install '.[view]'`). It listens on 127.0.0.1 alone and speaks to nobody
+    Needs rerun-sdk (`pip install '.[view]'`). It listens on 127.0.0.1 alone and contacts no one
     else: no usage statistics, no questions for newer versions. A window closes as usual; --web is ended
     by Ctrl-C.
     """

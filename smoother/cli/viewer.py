@@ -1,4 +1,4 @@
-"""Rerun's viewer as a process, and its web page, which speak to nobody but this machine."""
+"""Rerun's viewer as a process, and its web page, which communicate with this machine only."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LINK_ELSEWHERE = re.compile(rb"<link\b[^>]*https?://[^>]*>")
 
 
 def free_port() -> int:
-    """A port of the loopback address that nobody has."""
+    """A free port of the loopback address."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         port: int = probe.getsockname()[1]
@@ -115,7 +115,7 @@ class WebPage:
         self._server.server_close()
 
 
-#: The port `discard`, where nobody answers.
+#: The port `discard`, where nothing answers.
 NOWHERE = f"http://{LOOPBACK}:9"
 
 
@@ -176,7 +176,7 @@ def check_ports(*ports: int) -> None:
 
 
 def environment() -> dict[str, str]:
-    """The viewer's environment, in which it speaks to nobody but this machine.
+    """The viewer's environment, in which it communicates with this machine only.
 
     Rerun reports its use to tel.rerun.io unless `CI` is set, and asks GitHub for newer versions whatever is
     set: its way out leads to a proxy that is not there.

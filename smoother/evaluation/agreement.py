@@ -358,7 +358,7 @@ class AngleComparison:
     carrying_truth_deg : float, degrees, or None
         Median of the truth's carrying angle, None without markers on the epicondyles.
     notes : tuple of str
-        What to know of the comparison, one sentence each.
+        Notes on the comparison, one sentence each.
     """
 
     t_s: FloatArray
@@ -436,7 +436,7 @@ def compare_angles(
 def _true_forearm(
     recovery: Recovery, reference: Truth, joints: dict[str, FloatArray], at: dict[str, FloatArray]
 ) -> tuple[FloatArray | None, list[str]]:
-    """The truth's `R_K_F` (N, 3, 3), and what to say of it and of the other angles."""
+    """The truth's `R_K_F` (N, 3, 3), and notes on it and on the other angles."""
     notes = [
         "Angles are in ISB order; the thorax is not seen, so shoulder angles are relative to gravity and to a"
         " person who faces the camera.",

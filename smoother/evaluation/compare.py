@@ -123,7 +123,7 @@ class Comparison:
         return None if row.validation is None else figures_of(row.validation, self.point, part)
 
     def title(self, text: str) -> str:
-        """The title of one of its results: says where the truth was aligned."""
+        """The title of one of its results: states where the truth was aligned."""
         return f"{text} ({self.alignment.title})" if self.alignment.title else text
 
     @property
@@ -175,7 +175,7 @@ def compare(
     Parameters
     ----------
     recording : Recording
-        What the methods are given; it should hold no truth.
+        What the methods are given; it should contain no truth.
     graph : Recovery
         The graph's recovery of this very recording, which also gave the clock.
     truth : Truth

@@ -31,7 +31,7 @@ class StatedAndActual:
     sigma_m : ndarray, shape (n,), m
         Stated standard deviation, mean over the axes.
     error_m : ndarray, shape (n,), m
-        Length of the error over the square root of 3: an axis's part of it.
+        Length of the error over the square root of 3: the part per axis.
     """
 
     squared: FloatArray

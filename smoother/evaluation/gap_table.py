@@ -258,8 +258,8 @@ ALIKE = 1.15
 
 # The camera loses an arm when it moves fast, turns away or passes behind something; gaps can only be hidden
 # where it saw the arm. The IMU feels both kinds: how fast the forearm turned and was accelerated in real
-# gaps against hidden ones says how far the test flatters, and how the errors of the hidden gaps grow with
-# movement says what that costs.
+# gaps against hidden ones shows how optimistic the test is, and how the errors of the hidden gaps grow with
+# movement shows what that costs.
 @dataclass(frozen=True)
 class RealGaps:
     """Movement in the real gaps of some recordings against their hidden ones.
@@ -285,7 +285,7 @@ class RealGaps:
 
     @property
     def sentence(self) -> str:
-        """What a reader must know of it."""
+        """Notes for the reader."""
         start = "gaps were hidden where the camera saw the arm, which is easier than where it lost it"
         if self.turning_ratio is None or self.acceleration_ratio is None:
             return f"{start}: real gaps may be worse, and this recording has no real gap to show by how much"

@@ -215,7 +215,7 @@ def row_of(
 __all__ = ["GapFigures", "GapRow", "GapTable", "evaluate_gaps", "hide", "pooled"]
 
 
-#: Gaps of these lengths are hidden, s; what lies between is read off the line through them.
+#: Gaps of these lengths are hidden, s; values between are read off the line through them.
 LENGTHS_S = (1.0, 3.0, 10.0)
 GAPS = 3
 #: What a gap is to stay within, m.
@@ -229,8 +229,8 @@ class TriedGaps:
     Attributes
     ----------
     length_s, sigma_m : tuple of float, s and m
-        Of the gaps that could be hidden: the median of the largest sigma on an axis, widened where the errors
-        against what was hidden are larger than stated.
+        Of the gaps that could be hidden: the median of the largest sigma of the three axes, widened where the
+        errors against what was hidden are larger than stated.
     not_determined : tuple of str
         What the motion left open.
     """

@@ -312,7 +312,7 @@ def _against_camera(
         covariance = recovery.joint_covariance.get(joint, np.full((len(recovery), 3, 3), np.nan))
     answer = position_at(recovery.t_s, known, t_s)
     stated = linear_at(recovery.t_s, covariance.reshape(-1, 9), t_s).reshape(-1, 3, 3)
-    # a hidden sample has the camera's own noise, which the answer's covariance knows nothing of
+    # a hidden sample has the camera's own noise, which the answer's covariance does not include
     noise = camera_noise(noise_of, joint)
     scored = np.ones(len(t_s), dtype=bool)
     errors = _errors(joint, answer, reference, stated, noise, np.full(len(t_s), np.nan), scored)

@@ -65,7 +65,7 @@ class MeasurePair:
 
     @property
     def inside(self) -> bool | None:
-        """Whether the interval holds the reference; None without one."""
+        """Whether the interval contains the reference; None without one."""
         if not math.isfinite(self.low) or not math.isfinite(self.high):
             return None
         return self.low <= self.reference <= self.high
@@ -192,7 +192,7 @@ class KeyAgreement:
     recordings : int
         Of how many recordings the pairs are.
     inside : int
-        Intervals that hold the reference.
+        Intervals that contain the reference.
     intervals : int
         Pairs with an interval.
     agreement : PairAgreement
@@ -278,7 +278,7 @@ def compare_measures(
     processes : int
         Worker processes for the drawn motions, 0 = one a core.
     progress : callable, optional
-        Is told how many of them are measured.
+        Called with the number of them measured so far.
 
     Returns
     -------

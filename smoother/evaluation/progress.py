@@ -134,7 +134,7 @@ class SessionValue:
     n_draws : int
         How many draws the interval is of.
     note : str
-        What to know of it; where the value is nan, why.
+        A note on it; where the value is nan, the reason.
     recording : str
         What it was measured on.
     """

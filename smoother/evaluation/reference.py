@@ -64,7 +64,7 @@ class ReferenceAlignment:
 
     @property
     def title(self) -> str:
-        """What every title of a result says of it; "" where nothing was aligned."""
+        """What every title of a result adds about it; "" where nothing was aligned."""
         return {
             "none": "",
             "calibration": "clock aligned, frame from the calibration",

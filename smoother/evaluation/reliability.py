@@ -1,4 +1,4 @@
-"""Reliability and measurement error of a measure over sessions in which nobody changed, in COSMIN's words.
+"""Reliability and measurement error of a measure over sessions without true change, in COSMIN's words.
 
 Sources: Mokkink et al., J Clin Epidemiol 63:737-745 (2010), the terms; Shrout and Fleiss, Psychological
 Bulletin 86:420-428 (1979), and McGraw and Wong, Psychological Methods 1:30-46 (1996), ICC(2,1) = ICC(A,1) and

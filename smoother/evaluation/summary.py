@@ -1,4 +1,4 @@
-"""What a recovery says of itself, in a few numbers: its gaps and how sure it is in them."""
+"""A recovery summarised in a few numbers: its gaps and how sure it is in them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class GapSummary:
     answered : float
         Part of the samples in it that have an answer, 0 to 1.
     verdict : GapVerdict or None
-        Whether its answer is to be trusted; None where nobody judged.
+        Whether its answer is to be trusted; None where not judged.
     error_95_m : float or None, m
         The IMU's position lies within this distance in 95 of 100 cases, at the least certain moment of it.
     orientation_95_deg : float or None, degrees
@@ -57,7 +57,7 @@ class GapSummary:
 
     @property
     def trusted(self) -> bool | None:
-        """Whether its answer is to be trusted; None where nobody judged."""
+        """Whether its answer is to be trusted; None where not judged."""
         return None if self.verdict is None else self.verdict.trusted
 
     @property
@@ -226,7 +226,7 @@ def verdict_figures(estimates: Estimates) -> dict[str, object]:
 
 
 def trust_word(trusted: bool | None, gaps: int | None, untrusted: int | None) -> str:
-    """For a table over results: "no", "2 of 5 gaps not", "yes", or "" where nobody judged.
+    """For a table over results: "no", "2 of 5 gaps not", "yes", or "" where not judged.
 
     Parameters
     ----------

@@ -83,7 +83,7 @@ class TableOne:
     camera_share : float
         Part of the scored samples for which the camera states a position at all.
     note : str
-        What a reader must know of it, in a sentence.
+        A note for the reader, in a sentence.
     """
 
     rows: tuple[TableRow, ...]
@@ -245,11 +245,11 @@ class Validation:
     all, occluded, visible : Figures
         Figures of all samples, of those in gaps, and of the others.
     notes : tuple of str
-        What a reader must know of the comparison, one sentence each.
+        Notes on the comparison for the reader, one sentence each.
     points : dict[str, dict[str, Figures]]
         Figures of each joint that truth and answer share, by joint and part.
     gaps : tuple[tuple[Gap, Figures], ...]
-        Figures of each gap that holds a sample with truth.
+        Figures of each gap that contains a sample with truth.
     angles : AngleComparison or None
         Joint angles of both.
     angle_figures : dict[str, dict[str, Agreement]]
@@ -306,7 +306,7 @@ class Validation:
         }
 
     def title(self, text: str) -> str:
-        """The title of one of its results: says where the truth was aligned."""
+        """The title of one of its results: states where the truth was aligned."""
         return f"{text} ({self.alignment.title})" if self.alignment.title else text
 
 
@@ -365,7 +365,7 @@ def validate(
     processes : int
         Worker processes that measure the drawn motions, 0 = one a core.
     progress : callable, optional
-        Is told how many of them are measured.
+        Called with the number of them measured so far.
 
     Returns
     -------

@@ -178,7 +178,7 @@ def one_sample(differences: FloatArray) -> CurveTest:
     Parameters
     ----------
     differences : ndarray, shape (n, points), deg
-        One per person. What the drawn motions state of their errors lies in the scatter between persons.
+        One per person. What the drawn motions state of their errors is part of the scatter between persons.
     """
     n = len(differences)
     is_exact = 2**n <= MOST_RELABELLINGS
@@ -223,7 +223,7 @@ def _ratio(mean: FloatArray, variance: FloatArray) -> FloatArray:
 def _tested(observed: FloatArray, largest: FloatArray, difference: FloatArray, is_exact: bool) -> CurveTest:
     """Threshold, probability and stretches by the distribution of the largest statistic."""
     ordered = np.sort(largest)
-    # strictly beyond the threshold lie at most 5 of 100
+    # at most 5 of 100
     threshold = float(ordered[min(math.ceil((1 - LEVEL) * len(ordered)) - 1, len(ordered) - 1)])
 
     def p_of(value: float) -> float:

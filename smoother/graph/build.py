@@ -45,7 +45,7 @@ from .variables import keys_of
 PARENT_TIE_M = 0.005
 #: How long a movement of the tissue lasts, s.
 TISSUE_S = 1.0
-#: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
+#: A bias variable for about this long, s: one for a recording is too stiff to follow scale errors.
 BIAS_LENGTH_S = 4.0
 #: A window has no more of them: they take part in every step of the solution. In gaps of minutes, where alone
 #: windows are that long, the arm's reach says more than the integrated IMU.
@@ -231,7 +231,7 @@ def stacked_measurements(
     position : ndarray, shape (m, 3), m
         The joint at the node in {K}.
     sigma_m : ndarray, shape (m,), m
-        Standard deviation an axis.
+        Standard deviation per axis.
     """
     at_node = measured.position - measured.shift
     node, first, count = np.unique(measured.node, return_index=True, return_counts=True)

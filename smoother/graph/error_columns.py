@@ -1,4 +1,4 @@
-"""How a window's data follow errors that are constant over a recording, and what the window says of them.
+"""How a window's data follow errors that are constant over a recording, and the window's evidence on them.
 
 The errors are no variables of the graph: they enter its linearised equations as further columns, to be told
 by all windows together (`evidence`), or to be considered in the covariance (Schmidt, Application of
@@ -68,7 +68,7 @@ def constant_error_columns(
     ).reshape(-1, SIZE)
     for factors in camera:
         # an error moves the joint along an axis of {K}: a whitened unit matrix, whose weight any row has;
-        # that of a strap which stands for the IMU along an axis of {A}
+        # that of a strap which represents the IMU along an axis of {A}
         block = np.zeros((len(factors.nodes), POINT_ROWS, SIZE))
         error = JOINT_ERRORS.start + 3 * JOINTS.index(factors.joint)
         block[:, :, error : error + 3] = R[factors.nodes] if is_place(factors.joint, window) else np.eye(3)
@@ -122,7 +122,7 @@ class CameraRows:
 
 
 def camera_rows(jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup]) -> Iterator[CameraRows]:
-    """Where each joint's camera factors stand in a window's Jacobian, in their order.
+    """Where each joint's camera factors are in a window's Jacobian, in their order.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def _weight(jacobian: Jacobian, rows: slice, joint: str, window: Window) -> Floa
 def evidence(
     system: LinearSystem, values: gtsam.Values, mean: FloatArray, window: Window, biases: IntArray
 ) -> ErrorEvidence:
-    """What a window says of the shared constants and the constant errors.
+    """A window's evidence on the shared constants and the constant errors.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ class LagFactors:
         On the shared quantities.
     noise : NoiseModel
     sigma_m : ndarray, shape (5,), m
-        Noise of the camera's joints, an axis.
+        Noise of the camera's joints, per axis.
     gravity_magnitude : float, m/s^2
     """
 
@@ -289,7 +289,7 @@ class LagWindow:
         On the shared quantities, before the first node.
     noise : NoiseModel
     sigma_m : ndarray, shape (5,), m
-        Noise of the camera's joints, an axis.
+        Noise of the camera's joints, per axis.
     gravity_magnitude : float, m/s^2
     length_s : float, s
         Nodes older than this against the newest leave.

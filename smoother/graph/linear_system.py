@@ -181,7 +181,7 @@ class LinearSystem:
             What the rows of each group say; a group's columns are padded to the widest one's w, and the s
             others are the border, the extra columns and the right-hand side.
         loose : ndarray, shape (s, s)
-            What the rows say that are about the border alone.
+            Information from the rows that concern the border alone.
         """
         jacobian, count = self.jacobian, len(self._groups)
         wide, borders = max(len(columns) for columns in self._groups), len(self._border)
@@ -222,7 +222,7 @@ class LinearSystem:
         coupling = right[:, :, wide:].reshape(count * wide, -1).copy()
         forward = np.empty_like(right)
         for g in range(count):
-            if g > 0:  # what the groups before say of this one
+            if g > 0:  # information from the groups before about this one
                 said = right[g - 1, :, :wide].T @ forward[g - 1]
                 own[g] -= said[:, :wide]
                 right[g, :, wide:] -= said[:, wide:]

@@ -1,7 +1,7 @@
 """The optimum of a window's graph, also where a long gap has several.
 
-In a gap of many seconds the camera says where the arm vanishes and where it comes back; in between the
-upper arm holds the elbow on a sphere about the shoulder, which is not convex: from a poor start the optimiser
+In a gap of many seconds the camera shows where the arm disappears and reappears; in between the
+upper arm keeps the elbow on a sphere about the shoulder, which is not convex: from a poor start the optimiser
 ends in a minimum that is decimetres off. So windows with a long gap are solved in stages, the sphere loose
 at first (graduated non-convexity; Blake and Zisserman, Visual Reconstruction, 1987), and the answer has to
 pass a likelihood-ratio test against the solution with the loose sphere, which is unique in practice.

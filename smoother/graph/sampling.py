@@ -1,7 +1,7 @@
 """Motions drawn from a window's posterior: `GaussianBayesNet.sample` for the chain with a border.
 
-`LinearSystem` holds the factorisation that GTSAM's Bayes net is: each group of nodes given the next one and
-the border. The border is drawn first, then the groups from the last to the first (back substitution). The
+`LinearSystem` contains the factorisation that GTSAM's Bayes net is: each group of nodes given the next one
+and the border. The border is drawn first, then the groups from the last to the first (back substitution). The
 order of elimination is that of the nodes' times, and the random numbers are the nodes' own, so that
 neighbouring windows draw the same motion where they overlap.
 """
@@ -43,7 +43,7 @@ _FIRST = dict(
         strict=True,
     )
 )
-#: Random numbers of the biases belong to slices of time so long, s, as windows cut them differently.
+#: Random numbers of the biases belong to slices of time of this length, s, as windows cut them differently.
 _SLICE_S = 0.5
 
 

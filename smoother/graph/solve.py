@@ -129,7 +129,7 @@ def solution_of(
     with_message : bool
         Also the covariance of the message; its mean is there in any case.
     with_evidence : bool
-        Also what the window says of errors that are constant over the recording.
+        Also the window's evidence on errors that are constant over the recording.
     plan : DrawPlan, optional
         Also motions drawn from the posterior; needs the covariance.
     with_blocks : bool
@@ -257,7 +257,7 @@ def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) ->
 
 
 def _bodies(values: gtsam.Values, window: Window, biases: IntArray) -> list[SegmentSolution]:
-    """What the variables say of each IMU, without covariances.
+    """The solution of each IMU, read from the variables, without covariances.
 
     GTSAM hands out a letter's variables in the order of their numbers, and poses in that of the letters.
     """
@@ -289,7 +289,7 @@ def _stamp_knots(window: Window) -> FloatArray:
 class _Following:
     """Covariances of a system's variables in time, with what they follow of considered errors.
 
-    `shared` says how the border follows the errors, `covariance` how large they are: first those that are
+    `shared` gives the border's response to the errors, `covariance` their size: first those that are
     constant over the recording, then those of the frames' times at knots.
     """
 
@@ -344,7 +344,7 @@ def _with_covariance(body: SegmentSolution, following: _Following, window: Windo
     """The covariances of an IMU's states at the nodes, of (position, rotation) in {K}.
 
     They change slowly where the camera sees the arm: they are taken more often near a gap and in it, and
-    interpolated between. The forearm's place is the tracked point's, where that stands for the IMU.
+    interpolated between. The forearm's place is the tracked point's, where that is used for the IMU.
     """
     t, nodes, keys = window.t, _covariance_nodes(window), keys_of(body.segment)
     is_forearm = body.segment == FOREARM.name

@@ -247,7 +247,7 @@ DOUBTED_SIGMA_S = 0.05
 
 
 class Calibrations:
-    """Asks for a self-calibration when it is time, and holds the last one that worked.
+    """Starts a self-calibration when it is due, and keeps the last one that worked.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from .monitor import joint_rows
 from .prediction import Prediction, predict
 from .tracker import Tracker
 
-#: A discontinuity is spread over so long, s.
+#: A discontinuity is spread over this long, s.
 SPREAD_S = 0.2
 
 

@@ -17,8 +17,8 @@ from ..units import GRAVITY
 
 #: No sensor that is worn measures more, m/s^2 (32 g) and rad/s (4,300 deg/s).
 LARGEST_FORCE, LARGEST_RATE = 320.0, 75.0
-#: A value is held where it repeats so often on all axes, while the other sensor, or its own value, says that
-#: the arm moves: rad/s, m/s^2.
+#: A value is held where it repeats this often on all axes, while the other sensor, or its own value, shows
+#: that the arm moves: rad/s, m/s^2.
 REPEATS = 4
 MOVING_RATE, MOVING_FORCE = 0.15, 0.6
 #: .. or where repeats were no more than this share of the samples before, and this many come in a row.
@@ -27,7 +27,7 @@ USUAL_REPEATS, UNUSUAL = 0.02, 8
 SPIKE_FORCE, SPIKE_RATE = 15.0, 10.0
 #: A spike may have been a knock: this share of it may be missing from the velocity; from the turn, this one.
 KNOCK_SHARE, TURN_SHARE = 0.4, 0.05
-#: The specific force is never so small for so long, nor so large, in g and s; nor the rate, rad/s.
+#: The specific force is never so small for this long, nor so large, in g and s; nor the rate, rad/s.
 SMALLEST_G, SMALL_S = 0.3, 0.15
 LARGE_G, LARGE_S = 3.0, 0.3
 LARGE_RATE, LARGE_RATE_S = 20.0, 0.15
@@ -183,7 +183,7 @@ def _over_runs(rows: BoolArray, values: FloatArray) -> FloatArray:
 
 
 def _clipped(values: FloatArray, largest: FloatArray, floor: float) -> BoolArray:
-    """Samples (n,) of which an axis repeats a large value, as only a limit of the sensor explains.
+    """Samples (n,) of which one axis repeats a large value, as only a limit of the sensor explains.
 
     The largest of the session counts where it comes twice in a row, another where it comes three times.
     """
@@ -210,7 +210,7 @@ def _spikes(values: FloatArray, limit: float) -> tuple[BoolArray, FloatArray]:
 
 
 def _on_average(rows: BoolArray, usual_s: float, seconds: float) -> BoolArray:
-    """Rows of stretches so long of which nearly all hold, without a pause for single ones."""
+    """Rows of stretches of this length in which nearly all are true, without a pause for single ones."""
     width = max(round(seconds / usual_s), 3)
     if len(rows) < width or rows.sum() < 0.8 * width:
         return np.zeros(len(rows), bool)

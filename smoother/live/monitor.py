@@ -30,9 +30,9 @@ from .signal import DoubtfulSignal
 CONTRADICTS, CONTRADICTS_M = 30.0, 0.06
 #: The camera's slow error, m per axis, which its noise does not contain.
 SLOW_M = 0.017
-#: A solution so long ago is compared with every second frame, s; this many in a row must contradict it.
+#: A solution of this age, s, is compared with every second frame; this many in a row must contradict it.
 BEFORE_S, EACH, FRAMES_IN_A_ROW = 0.45, 2, 3
-#: .. with a mean squared error in sigmas of an axis above this.
+#: .. with a mean squared error per axis, in sigmas, above this.
 CONTRADICTS_BEFORE = 9.0
 #: Frames fit again where this many in a row do, with a squared error in sigmas below this.
 FITS_IN_A_ROW, FITS = 3, 12.0
@@ -55,9 +55,9 @@ OTHER_LENGTH, OTHER_SIGMAS = 0.15, 4.0
 #: A joint jumps by itself where it is so far from its own last motion, m, and by this share of what it is
 #: from the prediction.
 JUMPS_M, JUMPS_SHARE = 0.12, 0.5
-#: The IMU is doubted for so long, s, and twice as long where it had just been, up to this.
+#: The IMU is doubted for this long, s, and twice as long where it had just been, up to this.
 DOUBT_S, LONGEST_DOUBT_S = 0.5, 4.0
-#: .. and from so long before a frame that contradicts at once.
+#: .. and from this long before a frame that contradicts at once.
 DOUBT_BEFORE_S = 0.2
 #: Values that repeat while the IMU turns or is shaken, rad/s and m/s^2.
 FROZEN_REPEATS, FROZEN_RATE, FROZEN_FORCE = 2, 0.15, 0.5
@@ -471,7 +471,7 @@ class CameraMonitor:
 
 
 def _rests(first: _Seen, before: JointResiduals, last: _Seen, after: JointResiduals) -> bool:
-    """Whether the joints hardly moved from one frame to another, while the IMU says that they did."""
+    """Whether the joints hardly moved from one frame to another, while they did by the IMU."""
     moved, seen = [0.0], [0.0]
     for a, k in enumerate(before.column):
         if k in after.column:
@@ -486,7 +486,7 @@ _ANEW = "camera and answer contradict each other, and which is wrong does not sh
 
 
 def _mean_squared(residuals: JointResiduals) -> float:
-    """Squared error in sigmas of the joints' mean, an axis: what they share is not noise."""
+    """Squared error in sigmas of the joints' mean, per axis: what they share is not noise."""
     mean = residuals.residual.mean(axis=0)
     # their errors are nearly the prediction's, which they share
     covariance = residuals.covariance.mean(axis=0)

@@ -22,7 +22,7 @@ from ..window.problem import ImuIncrements
 from ..window.solution import NodeState
 from .buffers import ImuBuffer
 
-#: The signal begins so long before what is integrated, s: the spline's end has no effect there.
+#: The signal begins this long before what is integrated, s: the spline's end has no effect there.
 BEFORE_S = 0.1
 #: ... and is read so far back at least, so that one serves a whole step, s.
 CACHED_S = 0.8

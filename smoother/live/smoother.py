@@ -23,13 +23,13 @@ from .monitor import Culprit
 from .tracker import LONGEST_PAUSE_S, Tracker
 from .tracker_handover import TrackerHandover
 
-#: Samples are held for so long: what a self-calibration may read, s.
+#: Samples are held for this long: what a self-calibration may read, s.
 BUFFER_S = 120.0
 #: More frames than this at once are a backlog; those in between are dropped.
 MOST_FRAMES = 12
-#: Without frames a node comes so often, s, and so long after the frames' usual delay.
+#: Without frames, nodes are this far apart, s, and come this long after the frames' usual delay.
 EMPTY_S = 0.1
-#: No sample of the IMU for so long: it is lost, s.
+#: No sample of the IMU for this long: it is lost, s.
 LOST_S = 0.5
 #: Rates and load are of the last this many seconds.
 RATE_S = 2.0

@@ -86,7 +86,7 @@ def first_state(
     return NodeState(float(at[0]), R, p, v)
 
 
-#: Nodes stay for so long after the newest, s; longer where `settled` asks for it.
+#: Nodes stay for this long after the newest, s; longer where `settled` asks for it.
 LENGTH_S = 1.2
 #: A frame nearer than this to the newest node joins it, s.
 SAME_S = 0.004

@@ -10,14 +10,14 @@ from .calibrations import Calibrations
 from .monitor import Culprit
 from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
 
-#: A first tracker begins so long before the present, s, and catches up by this many frames a step: ten take
+#: A first tracker begins this long before the present, s, and catches up by this many frames a step: ten take
 #: 13 to 17 ms of processor time, so that a step stays within 20 ms.
 CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 10
 #: A successor catches up beside the one at work by this many frames a step.
 SUCCESSOR_FRAMES = 2
 #: After a pause of the IMU it takes so much to begin anew, s.
 FRESH_S = 1.0
-#: The camera must not have contradicted a first tracker for so long, s.
+#: The camera must not have contradicted a first tracker for this long, s.
 PROVED_S = 0.8
 
 

@@ -1,4 +1,4 @@
-"""What a paper says of a result: a paragraph, a table, references, and what is left to its authors."""
+"""A result in the form of a paper: a paragraph, a table, references, and what is left to its authors."""
 
 from .document import Document, methods_document
 from .facts import ArmFacts, arm_facts

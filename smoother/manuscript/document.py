@@ -31,7 +31,7 @@ TO_FILL_IN = (
     "Validation against an independent reference in your laboratory, if there was one.",
     "Availability of data and code.",
 )
-#: Those that a simulation leaves open too: nobody took part in it, and no device.
+#: Those that a simulation leaves open too: it has neither participants nor devices.
 OF_ANY = tuple(item for item in TO_FILL_IN if item.startswith(("What was computed", "Availability")))
 
 

@@ -17,7 +17,7 @@ from ..recording import JOINTS
 from ..result import Recovery
 from ..result.verdict import Pairing, SelfCheck
 
-#: Settings that the program itself adapts to a recording where nobody set them.
+#: Settings that the program itself adapts to a recording where they were not set.
 ADAPTED = ("imu.accelerometer_density", "imu.gyroscope_density", "arm.shoulder_walk")
 
 
@@ -45,7 +45,7 @@ class SegmentImu:
 
 @dataclass(frozen=True)
 class JointFacts:
-    """A joint of the arm: what the camera saw of it, and where it lies on the forearm's IMU.
+    """A joint of the arm: what the camera saw of it, and where it is from the forearm's IMU.
 
     Attributes
     ----------
@@ -266,7 +266,7 @@ def arm_facts(recovery: Recovery, version: str = "", simulation: str = "") -> Ar
         gap_sigma_deg=_largest(each.sigma_max_deg for each in summaries),
         tracked_samples=tracked,
         rejected_samples=rejected,
-        # a baseline's file repeats what the graph found, and what that is worth says nothing of its own path
+        # a baseline's file repeats what the graph found, and the check of that does not apply to its own path
         self_check=estimates.self_check if is_graph else None,
         sigma_factors=tuple(factor for factor in estimates.sigma_factors if factor != 1.0),
         verdict=estimates.verdict,

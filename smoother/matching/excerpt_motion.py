@@ -1,8 +1,8 @@
-"""What camera and IMUs say of the same seconds, low-passed alike on one grid, free of mounting and heading.
+"""Camera and IMU motion over the same seconds, low-passed alike on one grid, free of mounting and heading.
 
 An excerpt is up to 10 s of the recording. A limb, one of the two segments of every arm that the camera saw,
 gives its direction and the acceleration of a point on it, in {K}. An IMU gives its orientation `R_E_A` and
-its acceleration in a frame {E} of its own, with z up and a heading that nobody knows, by an offline inertial
+its acceleration in a frame {E} of its own, with z up and an unknown heading, by an offline inertial
 filter (VQF; Laidig and Seel, Information Fusion 2023). The IMU's samples reach farther on both sides, so that
 clocks may be apart.
 """
@@ -26,7 +26,7 @@ from ..units import GRAVITY
 
 #: A segment's joints: from, to; and how far along it the IMU's acceleration is taken.
 SEGMENTS = {"wrist": ("elbow", "wrist", 1.0), "upper_arm": ("shoulder", "elbow", 0.7)}
-#: Where the camera saw no wrist, the point that stands for the forearm's IMU.
+#: Where the camera saw no wrist, the point used for the forearm's IMU.
 _INSTEAD = ("strap", "hand", "elbow")
 
 

@@ -68,7 +68,7 @@ def probabilities(weight: FloatArray, none: FloatArray) -> FloatArray:
     for i in range(k):
         others = np.delete(columns, i, axis=0)
         for j in range(m + 1):
-            # `none` takes nobody's limb; another IMU keeps its own `none`
+            # `none` takes no limb; another IMU keeps its own `none`
             free = np.delete(others, j if j < m else m + i, axis=1)
             rows, chosen = linear_sum_assignment(-free)
             total[i, j] = (weight[i, j] if j < m else none[i]) + free[rows, chosen].sum()
@@ -161,7 +161,7 @@ class ImuMatch:
 
 @dataclass(frozen=True)
 class PairEvidence:
-    """What the motion says of k IMUs and m limbs.
+    """Evidence from the motion on k IMUs and m limbs.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ def match_imus(
     the camera's noise and a part of the motion that soft tissue and stamps spoil, and a number of independent
     samples that saturates, as constant errors do not average out. Its constants (in `excerpt_motion` and
     `rigid_fit`) were set on trials 1 and 2 of UTD-MHAD and on simulated scenes of seeds from 1000 on;
-    `tools/match_accuracy.py` holds the probabilities against other trials and seeds. The share of independent
+    `tools/match_accuracy.py` checks the probabilities on other trials and seeds. The share of independent
     samples was first looked at on all four trials.
 
     Parameters
@@ -237,7 +237,7 @@ def pair_evidence(
     method: str = "motion",
     reach_s: float = 5.0,
 ) -> PairEvidence:
-    """What the motion says of every pair, before anything is assigned; parameters as `match_imus`."""
+    """Evidence from the motion on every pair, before anything is assigned; parameters as `match_imus`."""
     if method not in METHODS:
         raise UnoccludeError(f"there is no method '{method}' to match with; methods: {', '.join(METHODS)}")
     excerpts = read_excerpts(imus, limbs, reach_s)

@@ -56,7 +56,7 @@ class Segment:
     synthetic_stamps : bool
         The camera's stamps were not measured (`timestamps.synthetic_stamps`).
     down_sigma_rad : float, rad, or None
-        How well `down` is known, an axis; None = roughly.
+        How well `down` is known, per axis; None = roughly.
     core_start_s, core_end_s : float, s
         What the answer is wanted for; the time around it only supports it.
     further : tuple of ImuRun

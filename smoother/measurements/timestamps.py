@@ -120,7 +120,7 @@ SHORT_STEP, FEW = 0.25, 0.003
 PAUSE_TICKS, PAUSE_S = 4.0, 0.08
 #: Stamps that catch up do so within this time, s; the level before a pause is taken over the second.
 CATCH_UP_S, BEFORE_S = 6.0, 1.0
-#: Stamps' level is taken over so long, s; this many of them are compared with their neighbours.
+#: Stamps' level is taken over this long, s; this many of them are compared with their neighbours.
 LEVEL_S, LEVELS = 2.0, 5
 #: A sensor is even where its rate over `LEVEL_S` scatters by no more than this part.
 EVEN = 0.04

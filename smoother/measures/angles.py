@@ -14,7 +14,7 @@ ZONE_DEG = 10
 PERCENTILES = (5, 50, 95)
 #: An extreme rests on the samples this near to it, degrees; a peak speed on those this near to it, as a part.
 NEAR_DEG, NEAR_SHARE = 2.0, 0.05
-#: Fewer known samples than this say nothing of an angle, s.
+#: Fewer known samples than this do not determine an angle, s.
 SHORTEST_S = 0.3
 
 

@@ -132,7 +132,7 @@ FEWEST_DRAWS = 20
 LEVEL = 0.95
 
 
-# Drawn motions say how far a measure may be off, not on which side. Noise makes a path longer and an
+# Drawn motions show how far a measure may be off, not on which side. Noise makes a path longer and an
 # extreme more extreme; a drawn motion is the answer and an error on top, rougher than the error in the
 # answer, which is the smoothest motion that fits. So draws lie to one side of the answer, and by more than
 # the answer lies off the truth (on simulated arms, docs/measures.md). Quantiles of the draws as they are

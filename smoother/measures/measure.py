@@ -26,7 +26,7 @@ class Movement:
     start_s, end_s : float, s
         On the recovery's times.
     kind : {"movement", "repetition"}
-        A movement lies between two rests of the hand; a repetition is one round of an exercise.
+        A movement is between two rests of the hand; a repetition is one round of an exercise.
     """
 
     start_s: float
@@ -87,7 +87,7 @@ class Measure:
     value : float
         Of the recovered motion; nan where it cannot be measured.
     low, high : float
-        The interval that holds the true value with 95 %, by the draws; nan without draws.
+        The 95 % interval of the true value, by the draws; nan without draws.
     sigma : float
         Standard deviation by the draws; nan without them.
     recovered_share : float, 0 to 1
@@ -101,7 +101,7 @@ class Measure:
     n_draws : int
         How many draws the interval is of; 0 = there is no interval.
     note : str
-        What to know of it; where the value is nan, why.
+        A note on it; where the value is nan, the reason.
     untrusted_share : float, 0 to 1
         How much of it comes from samples that are not to be trusted (`Recovery.trusted`).
     """
@@ -169,7 +169,7 @@ class Measures:
     movements, repetitions : tuple of Movement
         In the order of time; a measure's `movement` counts in them.
     trusted : bool, optional
-        Whether the recovery is to be trusted; None where nobody judged.
+        Whether the recovery is to be trusted; None where not judged.
     verdict : str
         The recovery's verdict, one sentence.
     n_draws : int
@@ -211,7 +211,7 @@ class Measures:
         return {row.key: row for row in self.rows if (row.scope, row.movement) == (scope, number)}
 
     def to_table(self) -> pyarrow.Table:
-        """All measures as an Arrow table, a row a measure; null where there is no number.
+        """All measures as an Arrow table, one row per measure; null where the value is missing.
 
         Returns
         -------
@@ -256,7 +256,7 @@ class Measures:
         -------
         figures : dict
             `measures` by key (of the session), `movements` and `repetitions` (each with its own `measures`),
-            and what to know of them.
+            and notes on them.
         """
 
         def listed(scope: Scope, places: tuple[Movement, ...]) -> list[dict[str, object]]:

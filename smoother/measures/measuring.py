@@ -19,7 +19,7 @@ from .measure import UNKNOWN, Figure, Measure, Measures
 from .motion import ElbowBend, Motion, grid_of, motion_of, nearest_rows
 from .settings import MeasureSettings
 
-#: A drawn motion takes as long to measure as so many camera frames to recover, or longer.
+#: A drawn motion takes at least as long to measure as this many camera frames take to recover.
 FRAMES_A_DRAW = 200
 #: A shoulder turns about its long axis by some 180 degrees; a wider range is one of the angles' definition.
 WIDE_ROTATION_DEG = 180.0
@@ -45,7 +45,7 @@ class DrawnFigures:
     processes : int
         Worker processes, 0 = one a core; the figures are the same with any number.
     progress : callable, optional
-        Is told how much is done.
+        Called with the share done.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class Measuring:
         processes: int = 1,
         progress: Progress | None = None,
     ) -> Measuring:
-        """Measure a recovery and its draws, these on so many worker processes (0 = one a core)."""
+        """Measure a recovery and its draws, these on this many worker processes (0 = one per core)."""
         grid = grid_of(recovery, settings.smoothing)
         motion = motion_of(recovery, grid, settings.smoothing.cutoff_hz)
         layout = Layout.of(motion, settings)
@@ -295,7 +295,7 @@ def measure(
     processes : int
         Worker processes for the drawn motions, 0 = one a core; the measures are the same with any number.
     progress : callable, optional
-        Is told how much is done (0 to 1), and of what.
+        Called with the share done (0 to 1) and its label.
 
     Returns
     -------
@@ -327,7 +327,7 @@ def measures_of(measuring: Measuring) -> Measures:
 
 
 def _notes(measuring: Measuring) -> list[str]:
-    """What to know of all measures of an arm."""
+    """Notes on all measures of an arm."""
     recovery, motion, notes = measuring.recovery, measuring.motion, []
     if not len(motion.grid.t_s):
         notes.append("There is no answer to measure.")

@@ -176,7 +176,7 @@ def nearest_rows(t_s: FloatArray, at: FloatArray) -> np.ndarray:
 
 
 def is_within(t_s: FloatArray, start_s: float, end_s: float) -> BoolArray:
-    """(n,) whether times lie between two others, both included."""
+    """(n,) whether times are between two others, both included."""
     return np.asarray((t_s >= start_s) & (t_s <= end_s))
 
 
@@ -196,7 +196,7 @@ MEASURED_ANGLES = (
     "shoulder_plane_trunk",
     "shoulder_rotation_trunk",
 )
-#: What stands for the hand, the best first; the IMU's own place where there is none of them.
+#: What represents the hand, the best first; the IMU's own place where there is none of them.
 HAND_JOINTS = ("hand", "wrist", "strap")
 
 
@@ -213,7 +213,7 @@ class Motion:
     hand : ndarray, shape (n, 3), m
         In {K}.
     hand_joint : str
-        Which joint stands for it: one of `HAND_JOINTS`, or "imu".
+        Which joint represents it: one of `HAND_JOINTS`, or "imu".
     velocity : ndarray, shape (n, 3), m/s
         Of the hand.
     joints : dict of str to ndarray, shape (n, 3), m

@@ -42,7 +42,7 @@ class CameraPose:
     p_K_C_m : ndarray, shape (3,), m
         Its origin in {K}.
     sigma_rad, sigma_m : float, rad and m
-        One standard deviation, an axis; the second is of the place at which it sees the arm.
+        One standard deviation, per axis; the second is of the place at which it sees the arm.
     """
 
     R_K_C: FloatArray

@@ -18,7 +18,7 @@ FOREARM_JOINTS = ("elbow", "wrist", "hand", "strap")
 
 
 class JointState(IntEnum):
-    """What the camera says of a joint in a frame (Kinect SDK's three tracking states)."""
+    """The camera's tracking state of a joint in a frame (Kinect SDK's three tracking states)."""
 
     NOT_TRACKED = 0
     INFERRED = 1

@@ -77,7 +77,7 @@ class Recording:
     notes : tuple of str
         What was dropped or decided on reading, one sentence each.
     gravity_sigma_rad : float, rad, optional
-        How well `gravity_hint` is known, an axis; to some degrees where None.
+        How well `gravity_hint` is known, per axis; to some degrees where None.
     further_imus : mapping of str to ImuStream
         IMUs on other segments of the same arm (`body.SEGMENTS`: "upper_arm"), each on a clock of its own, in
         its own axes.

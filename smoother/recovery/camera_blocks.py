@@ -32,20 +32,20 @@ from .self_check import HiddenStretch
 
 #: A block is suspicious from this score on: the largest of sound simulated recordings were 0.05 to 1.1.
 SUSPICIOUS = 3.0
-#: .. or where more than this share of what the camera tracked in so long a time, s, was rejected, looked
-#: at in steps of this length, s.
+#: .. or where more than this share of what the camera tracked in this time, s, was rejected, looked at in
+#: steps of this length, s.
 REJECTED_SHARE, REJECTED_S, STEP_S = 0.5, 2.0, 0.5
-#: So often the recording is solved again without what is left out.
+#: Times that the recording is solved again without what is left out.
 ROUNDS = 3
-#: What the camera saw so long before and after a suspect, s, goes with it until it is predicted.
+#: What the camera saw this long before and after a suspect, s, goes with it until it is predicted.
 BESIDE_S = 3.0
 #: Of the visible time at most this share is left out: else it cannot be said who is wrong.
 MOST_EXCLUDED = 0.4
-#: .. and with no more than this left out the rest still says by chance whether camera and IMU are a pair.
+#: .. and with no more than this left out the rest still decides by chance whether camera and IMU are a pair.
 FEW_EXCLUDED = 0.15
-#: A slice of so long, s, is readmitted where its mean error in sigmas squared / 3 is below this; the camera's
-#: slow error, m per axis, or its whole noise where that is more, counts into sigma, and the prediction has to
-#: be this good, m per axis: another 18 cm are then distinguished from none.
+#: A slice of this length, s, is readmitted where its mean error in sigmas squared / 3 is below this; the
+#: camera's slow error, m per axis, or its whole noise where that is more, is part of sigma, and the prediction
+#: has to be this good, m per axis: another 18 cm are then distinguished from none.
 SLICE_S, READMITTED = 0.5, 3.0
 SLOW_M, PREDICTED_M = 0.017, 0.05
 #: The camera's shoulder is readmitted with them where it is no farther from the answer's, m.
@@ -72,13 +72,13 @@ class Suspect(NamedTuple):
 
 @dataclass
 class CameraEvidence:
-    """What all sections say of the camera against the rest, collected as they are solved."""
+    """The evidence of all sections on the camera against the rest, collected as they are solved."""
 
     shifts: list[BlockShift] = field(default_factory=list)
     stretches: list[HiddenStretch] = field(default_factory=list)
 
     def collecting(self, answers: Iterable[SecondAnswer]) -> Iterator[SecondAnswer]:
-        """The answers as they come; what they say of the camera is kept."""
+        """The answers as they come; their evidence on the camera is kept."""
         for answer in answers:
             self.shifts += answer.check.shifts
             self.stretches += answer.check.stretches
@@ -87,7 +87,7 @@ class CameraEvidence:
 
 @dataclass(frozen=True)
 class Solved:
-    """A recovery with what it says of its own camera and calibration.
+    """A recovery with its evidence on its own camera and calibration.
 
     Attributes
     ----------
@@ -277,7 +277,7 @@ def _mostly_rejected(recovery: Recovery, own: IntArray) -> Iterator[tuple[float,
         np.convolve(np.bincount(step, each), np.ones(steps), "full")[steps - 1 :]
         for each in (rejected.sum(axis=1), tracked.sum(axis=1), np.full(len(t), 1.0))
     ]
-    # a time that the camera hardly saw says nothing of the rest of it
+    # a time that the camera hardly saw is no evidence on the rest of it
     wrong = (sums[0] > REJECTED_SHARE * sums[1]) & (sums[1] >= sums[2]) & (sums[2] > 2 * steps)
     for first in np.flatnonzero(wrong).tolist():
         wrong_t = t[(step >= first) & (step < first + steps) & rejected.any(axis=1)]

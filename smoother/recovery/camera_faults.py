@@ -15,7 +15,7 @@ from ..result import Recovery, UntrustedInterval
 
 #: Bones that are off by this share of their usual length, and by so much, m, are another body's.
 OTHER_LENGTH, OTHER_LENGTH_M = 0.15, 0.035
-#: Joints that move less than this, m, while the rest says that they move this much more are guessed.
+#: Joints that move less than this, m, while by the rest they move this much more are guessed.
 HELD_M, HELD_SHARE = 0.03, 4.0
 
 _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("elbow", "wrist"))

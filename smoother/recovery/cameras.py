@@ -1,4 +1,4 @@
-"""What a recovery says of its cameras: where each stands, and when it saw the forearm."""
+"""A recovery's cameras: where each is, and when it saw the forearm."""
 
 from __future__ import annotations
 

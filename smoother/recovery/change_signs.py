@@ -23,7 +23,7 @@ from ..result import Recovery
 from ..result.verdict import UntrustedInterval
 from ..rotation import Rotation, chained
 
-#: Over so long a time, s; looked at so often, s.
+#: Length of the stretches and step between them, s.
 OVER_S, STEP_S = 4.0, 0.5
 #: Scale errors of a gyroscope's axes, and what is left of such a turn of the answer without any, degrees.
 SCALE_SIGMA, DRIFT_NOISE_DEG = 0.02, 2.0
@@ -146,13 +146,13 @@ STEP_S = 0.5
 #: arms and BROAD's fast trials stay below 9, a strap that slips by 15 shows 9 to 18.
 JUMP_DEG, JUMP_TIMES_USUAL = 9.0, 3.0
 #: What is usual is taken from moments farther from the largest jump than this, s; where there are fewer
-#: than so many of them nothing is usual, and 9 degrees are a jump.
+#: than this many of them nothing is usual, and 9 degrees are a jump.
 ELSEWHERE_S, FEW_ELSEWHERE = 4.0, 4
-#: The answer leaves its gyroscope where it turns by so many degrees, sigmas, and as a share of all turning
-#: within `OVER_S`, and where it turns by less while down jumps by so many degrees at about that time, s. Of
+#: The answer leaves its gyroscope where it turns by this many degrees, sigmas, and as a share of all turning
+#: within `OVER_S`, and where it turns by less while down jumps by this many degrees at about that time, s. Of
 #: 280 sound simulated recordings, with gyroscopes of 3 % scale error among them, the largest turn is 6.2
 #: degrees, and 2.1 where down jumps by more than 4; straps that slip by 15 show 3.3 to 17 degrees. At rest
-#: heading is not determined, which sigma says.
+#: heading is not determined, which sigma shows.
 LEFT_DEG, LEFT_SIGMAS, LEFT_SHARE = 9.0, 1.0, 0.009
 SMALL_LEFT_DEG, SMALL_SIGMAS, SMALL_SHARE = 3.2, 0.5, 0.0055
 SMALL_JUMP_DEG, TOGETHER_S = 4.5, 4.0
@@ -170,7 +170,7 @@ MEAN_SIGMA_DEG = 0.4
 TURNED_DEG, TURNED_SIGMAS, TURNED_SHARE = 4.5, 3.5, 0.7
 #: Fewer filled samples are not worth a word.
 FEW_FILLED = 5
-#: An IMU lies still that turns by less than this, rad/s (mean over so long, s), for so long, s. The forearm
+#: An IMU that turns by less than this, rad/s (mean over a time, s), for this long, s, is at rest. The forearm
 #: turns where more than a share of at least this many frames is this far from their median direction: noise
 #: of 3 cm on a forearm is 7 degrees.
 STILL_RAD_S, STILL_MEAN_S, STILL_S = 0.03, 0.1, 3.0
@@ -374,7 +374,7 @@ def imu_lies_still(
     if residuals is None or len(imu) < 3:
         return
     slow = np.zeros(len(imu), bool)
-    for first, last in _batches(imu):  # its columns may lie on disk
+    for first, last in _batches(imu):  # its columns may be on disk
         speed = np.linalg.norm(np.asarray(imu.gyro[first:last]) - gyroscope_bias, axis=1)
         mean = gaussian_smoothed(speed[:, None], max(STILL_MEAN_S * imu.rate_hz, 1.0))[:, 0]
         slow[first:last] = mean < STILL_RAD_S
@@ -427,6 +427,6 @@ def skeleton_filled(recovery: Recovery) -> Iterator[str]:
     count = int(np.count_nonzero(recovery.residuals.reason == Rejection.INTERPOLATED))
     if count > FEW_FILLED:
         yield (
-            f"a program filled gaps of the skeleton and called them tracked ({count} samples lie on lines"
+            f"a program filled gaps of the skeleton and called them tracked ({count} samples are on lines"
             " or cubics): treated as not seen; export the skeleton without filling and filtering"
         )

@@ -82,7 +82,7 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Seen:
-    """What the camera saw beside what the answer's attitude and the IMU say of it.
+    """What the camera saw beside its prediction from the answer's attitude and the IMU.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Seen:
 
 
 def seen(recovery: Recovery, excerpts: Sequence[Segment]) -> Seen | None:
-    """What was seen in some excerpts; None where that says nothing of the mounting.
+    """What was seen in some excerpts; None where that does not determine the mounting.
 
     Parameters
     ----------

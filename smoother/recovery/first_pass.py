@@ -103,7 +103,7 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
     solutions = [
         solve(
             window,
-            with_covariance=task.magnetometer,  # it is judged by what this pass knows of the attitude
+            with_covariance=task.magnetometer,  # it is judged by this pass's attitude
             with_offset=task.with_clock and k == middle,
             tolerance=TOLERANCE,
         )

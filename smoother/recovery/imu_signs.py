@@ -32,7 +32,7 @@ from ..units import STANDARD_GRAVITY
 
 #: An IMU slower than this, Hz, says too little; one slower than the second is used with care.
 TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
-#: A range's end is a plateau: this many samples of an axis at its largest value, this many of them in a row.
+#: A range's end is a plateau: this many samples of one axis at its largest value, this many of them in a row.
 PLATEAU_SAMPLES, PLATEAU_IN_A_ROW = 12, 3
 #: Where a larger share of the samples is at a range's end, the IMU missed too much.
 PLATEAU_SHARE = 0.02
@@ -45,7 +45,7 @@ UNSEEN_S = 0.3
 SCALE_CARE, SCALE_WRONG = 0.05, 0.15
 #: And by this many of its sigmas.
 CARE_SIGMAS, WRONG_SIGMAS = 2.0, 3.0
-#: Specific force is averaged over so long a time, s, or a shorter recording of so much at least; at most so
+#: Specific force is averaged over this time, s, or over a shorter recording of at least this, s; at most this
 #: many times in a recording.
 FORCE_S, LEAST_FORCE_S, MOST_FORCES = 4.0, 1.5, 300
 #: By how much velocity differs between two moments, m/s; the bias of an accelerometer, m/s^2 per axis: one of
@@ -254,7 +254,7 @@ def _mean_force(
 
 
 def _plateaus(axis: FloatArray) -> list[float]:
-    """Sizes of the largest and the smallest value of an axis (N,), where the sensor stood at it."""
+    """Sizes of the largest and the smallest value of each axis (N,), where the sensor stood at it."""
     return [
         abs(float(end))
         for end in (axis.max(initial=0.0), axis.min(initial=0.0))
@@ -270,7 +270,7 @@ SMOOTHED_S, GRID_S = 0.12, 0.02
 APART_S, EDGE_S = 0.12, 0.2
 #: Offsets that are tried on both sides, beyond the one that was estimated, s.
 OFFSETS_S = 0.6
-#: Costs are summed over so long, s; each side needs so much time in view, s.
+#: Costs are summed over this long, s; each side needs this much time in view, s.
 BLOCK_S, LEAST_S = 0.5, 4.0
 #: A step is one from so much log-likelihood and this size on, s: sound simulated arms stay below a gain of 1,
 #: those that lost 0.1 s have 4 to 24. Synthetic stamps of a camera hide frames that were dropped: there it
@@ -353,7 +353,7 @@ def clock_steps(recovery: Recovery, recording: Recording) -> list[ClockStep]:
     Parameters
     ----------
     recovery : Recovery
-        Its orientation turns what the gyroscope feels into the camera's frame, its residuals hold the frames'
+        Its orientation turns what the gyroscope feels into the camera's frame, its residuals give the frames'
         times.
     recording : Recording
         What it was made of.

@@ -24,7 +24,7 @@ from ..window.problem import FieldMeasurements, Window
 from ..window.shared import axes_across
 from ..window.solution import Solution
 
-#: The field is averaged over so long: a place's disturbance lasts about as long as the arm stays.
+#: The field is averaged over this long: a place's disturbance lasts about as long as the arm stays.
 MEAN_S = 2.0
 #: A field so much stronger or weaker than the recording's own is disturbed, and one that is so much
 #: stronger or weaker than where the magnetometer was calibrated is another one.
@@ -48,7 +48,7 @@ LEAST_SIGMA_RAD = np.radians(0.7)
 FACTOR_SIGMA_RAD = np.radians(2.0)
 #: How often the direction is solved anew without the means that contradict it.
 ROUNDS = 4
-#: A sample farther than this from a node says nothing of it, s.
+#: A sample farther than this from a node is not used for it, s.
 NEAR_S = 0.05
 
 

@@ -1,4 +1,4 @@
-"""What a reader must know of a result, one sentence each."""
+"""Notes on a result for its reader, one sentence each."""
 
 from __future__ import annotations
 

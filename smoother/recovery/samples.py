@@ -199,7 +199,7 @@ def unknown_mounting(model: SelfCalibration) -> tuple[float, float]:
 def widen_turns(pose_covariance: FloatArray) -> FloatArray:
     """Pose covariances (n, 6, 6) with large angles widened, and positions by what depends on them.
 
-    A linearised problem overrates what it knows of an angle that is hardly known: an angle's variance v
+    A linearised problem overrates its information on an angle that is hardly known: an angle's variance v
     becomes v (1 + v / LINEAR_RAD^2)^2. Small angles keep what they have.
     """
     wide = large_rotation_uncertainty(pose_covariance)
@@ -335,7 +335,7 @@ APART_S = 1.0
 
 @dataclass(frozen=True)
 class ElbowAxis:
-    """What some samples with a bent elbow say of its axis, as a segment's IMU sees it.
+    """Evidence of samples with a bent elbow on its axis, as a segment's IMU sees it.
 
     Attributes
     ----------

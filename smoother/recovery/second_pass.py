@@ -49,7 +49,7 @@ class SecondAnswer:
 
 @dataclass(frozen=True)
 class SectionCheck:
-    """What a section says of the camera against the rest.
+    """A section's evidence on the camera against the rest.
 
     Attributes
     ----------

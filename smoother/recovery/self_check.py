@@ -69,7 +69,7 @@ class HiddenStretch:
     stated_95_m : float, m
         Distance within which 95 of 100 of them should lie.
     contradicting : tuple of int
-        Cameras whose samples lie where the rest says that they cannot; of one camera as `contradicted` says.
+        Cameras whose samples lie where by the rest they cannot be; of one camera as in `contradicted`.
     """
 
     start_s: float
@@ -90,7 +90,7 @@ class HiddenStretch:
 
     @property
     def contradicted(self) -> bool:
-        """What was seen lies where the rest says that it cannot."""
+        """What was seen is where by the rest it cannot be."""
         return self.nees > FAILED_NEES and self.rms_m > FAILED_M
 
 
@@ -370,8 +370,8 @@ RAMP_S = 0.3
 def with_sigma_factors(recovery: Recovery, factors: SigmaFactors | None) -> Recovery:
     """The recovery with the covariance of positions in every gap multiplied by the factor's square.
 
-    What the camera saw, the shoulder and orientations stay: hidden gaps say nothing of them. Correlations
-    stay too. The covariance columns and the drawn motions, which may lie on disk, are changed where they are.
+    What the camera saw, the shoulder and orientations stay: hidden gaps do not test them. Correlations
+    stay too. The covariance columns and the drawn motions, which may be on disk, are changed where they are.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ class Task:
     with_clock : bool
         The first pass asks every section for the clock.
     asked_windows : int
-        This many windows of each section it asks for what all share; 0 = all.
+        This many windows of each section are solved for what all share; 0 = all.
     plan : DrawPlan or None
         Of the motions to draw from the posterior in the second pass; None where not asked for.
     stretches : int
@@ -96,7 +96,7 @@ class Task:
         present = recording.arm.present
         length_s = config.windows.length_s
         windows = sum(max(round(section.length_s / length_s), 1) for section in sections.all)
-        # a magnetometer is read with what the first pass knows of the attitude: everywhere
+        # a magnetometer is read with the first pass's attitude: everywhere
         with_field = takes_part(recording.imu)
         some = windows > ASKED_WINDOWS and not with_field
         return cls(

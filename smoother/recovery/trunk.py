@@ -92,7 +92,7 @@ def _motion(
 
 
 class _TrunkData:
-    """What IMU and camera say of the trunk, a section at a time."""
+    """Evidence of IMU and camera on the trunk, a section at a time."""
 
     def __init__(self, imu: ImuStream, other: JointTracks, recovery: Recovery, recording: Recording) -> None:
         self._imu, self._other, self._recovery, self._recording = imu, other, recovery, recording

@@ -153,7 +153,7 @@ FROM_AXIS_M, FAR_FROM_AXIS_M = 0.10, 0.20
 LEVER_ARM_M = 0.45
 #: Gravity farther than this from where the camera's frame has down is not a tilted camera, degrees.
 GRAVITY_DEG = 60.0
-#: A frame (or an axis) fits where its down is nearer to gravity than this, degrees: cameras tilt a little.
+#: A frame (or one axis) fits where its down is nearer to gravity than this, degrees: cameras tilt a little.
 FRAME_DEG = 40.0
 #: Where the camera sees a joint, the answer is nearer than this in half of the frames, m: simulated arms stay
 #: below 0.03, Kinect v1 with synthetic stamps below 0.08 (some above 0.05), wrong set-ups begin at 0.1.

@@ -25,7 +25,7 @@ MOST_BYTES = 8_000_000
 #: About the size of a picture, bytes: what the rate of a long film is chosen by.
 USUAL_BYTES = 9_000
 _QUALITY = 60
-#: A picture stands for no longer than this, or two of its intervals, s.
+#: A picture is shown for no longer than this, or two of its intervals, s.
 _HELD_S = 0.5
 
 

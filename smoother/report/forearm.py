@@ -21,7 +21,7 @@ from ..recording import JOINTS, Recording
 from .sheet import Page, figure, listing, tabulated
 from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, curve, dots, dress
 
-#: The sensor is drawn as a cube of this size, and its axes so long, cm.
+#: The sensor is drawn as a cube of this size with axes of this length, cm.
 CUBE_CM, AXIS_CM = 2.0, 4.5
 #: Ellipses hold 95 of 100 cases of two coordinates, at this many sigmas; of one coordinate these many.
 SIGMAS, SIGMAS_OF_ONE = 2.448, 1.96

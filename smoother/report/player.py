@@ -134,7 +134,7 @@ def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | Non
 
 
 def _upright(up: FloatArray) -> tuple[tuple[tuple[int, bool], tuple[int, bool]], ...]:
-    """Two views of axes that nobody named: the one that gravity says points up is drawn upwards."""
+    """Two views of unnamed axes: the one that gravity says points up is drawn upwards."""
     upright = int(np.argmax(np.abs(up)))
     across = [axis for axis in range(3) if axis != upright]
     return tuple(((axis, False), (upright, bool(up[upright] < 0))) for axis in across)

@@ -224,7 +224,7 @@ def tabulated(heading: str, caption: str, columns: Sequence[str], rows: Iterable
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table; a dash stands for None and nan."""
+    """A table; a dash marks None and nan."""
     rows = list(rows)
     head = "".join(f"<th>{escape(column)}</th>" for column in columns)
     body = "".join(
@@ -260,7 +260,7 @@ def _sentence(text: str) -> str:
     return text if text.endswith((".", "!", "?", ":")) else f"{text}."
 
 
-#: What both pages say of themselves.
+#: General notes on both pages.
 NO_DIAGNOSIS = (
     "This page measures motion. It is not a diagnosis and does not explain a motion; what"
     " follows from it is for the person who treats to decide."

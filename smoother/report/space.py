@@ -15,7 +15,7 @@ from ..linalg import unit
 from ..recording import CameraFrame
 from .sheet import data_block, headed
 
-#: Largest number of the packed values, and the one that says that there is none.
+#: Largest number of the packed values, and the one that marks a missing value.
 _LARGEST, _NOTHING = 32000, -32768
 #: Shades of a colour scale.
 _SHADES = 64

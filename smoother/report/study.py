@@ -29,7 +29,7 @@ MOST_WORST, MOST_POINTS = 200, 5000
 _BINS = 40
 #: Measures in the table of recordings.
 MOST_SHOWN = 4
-#: Decimals that are drawn: an axis never spans rounding errors.
+#: Decimals that are drawn, so that no axis spans rounding errors only.
 _DIGITS = 3
 
 
@@ -69,7 +69,7 @@ def write_study(
     recovered = rows.filter(pc.equal(rows["status"], "done"))
     failed = rows.filter(pc.equal(rows["status"], "failed"))
     columns = {name: _numbers(recovered, name) for name in _PLOTTED}
-    sound = columns["trusted"] != 0  # nan where nobody judged
+    sound = columns["trusted"] != 0  # nan where not judged
     for name in ("sigma_max_m", "error_95_m", "clock_offset_s"):
         columns[name] = np.where(sound, columns[name], np.nan)
     sections = [_failures(failed)] if len(failed) else []
@@ -324,7 +324,7 @@ def _failures(failed: pa.Table) -> str:
 
 
 def _notes(recovered: pa.Table) -> str:
-    """What results say of themselves most often."""
+    """The most frequent notes of the results."""
     import pyarrow.compute as pc
 
     texts = pc.list_flatten(recovered["note_texts"].combine_chunks())

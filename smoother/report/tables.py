@@ -271,7 +271,7 @@ def measured(comparison: Validation) -> str:
 
 _MEASURED = (
     "The same functions on the answer and on the reference, over the session. Inside: the answer's 95 %"
-    " interval holds the reference's value."
+    " interval contains the reference's value."
 )
 _AGREED = (
     "Answer minus reference over recordings or movements. Limits of agreement: 95 % of differences lie"

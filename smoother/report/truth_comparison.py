@@ -164,7 +164,7 @@ _TABLE = (
 
 
 def compared(recovery: Recovery, truth: Truth, validation: Validation) -> Iterator[Section]:
-    """The sections of a comparison; the titles say where the reference was aligned."""
+    """The sections of a comparison; the titles state where the reference was aligned."""
     yield validation.title("Error over time"), _OVER_TIME, error_over_time(recovery, truth), _gaps(validation)
     if validation.angles is not None and validation.angles.compared:
         figures = _angle_table(validation)

@@ -33,7 +33,7 @@ class CameraEstimate:
     misfit_m : float, m
         Median distance of its joints from the first one's, what is constant taken off.
     together_s : float, s
-        For so long both saw the forearm.
+        Time during which both saw the forearm.
     joint_sigma_m : dict of str to float, m per axis
         Noise of its joints' samples.
     reason : str

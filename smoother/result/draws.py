@@ -14,7 +14,7 @@ from ..splines import cubic_spline
 
 #: Names of the columns of joints begin so, those of further segments' rotations end so.
 JOINT, TURN = "joint_", "_rotation"
-#: This many motions are drawn where nobody says how many: three lie beyond the ends of a 95 % interval.
+#: This many motions are drawn by default: three lie beyond the ends of a 95 % interval.
 USUAL_DRAWS = 64
 #: Drawn times further apart than this do not belong to one motion, s.
 APART_S = 1.0

@@ -34,11 +34,11 @@ class Estimates:
     given : tuple of str
         What of the arm was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`.
     max_sigma_m : float, m, optional
-        Samples less certain than this on an axis are marked as not to be used.
+        Samples less certain than this on any axis are marked as not to be used.
     sigma_factors : tuple of float, optional
         By gap what its sigma of positions was multiplied by, as a calibration asks for.
     trusted : bool, optional
-        Nothing says that the set-up was wrong or the answer impossible.
+        There is no sign that the set-up was wrong or the answer impossible.
     reasons : tuple of str
         Why it is not trusted.
     cautions : tuple of str
@@ -88,7 +88,7 @@ class Estimates:
 
     @property
     def verdict(self) -> str:
-        """One sentence to act on; "" where nobody judged."""
+        """One sentence to act on; "" where not judged."""
         if self.trusted is None:
             return ""
         if not self.trusted and self.cause:

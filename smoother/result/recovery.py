@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from ..angles import AngleTable
 
-#: More gaps than this make a page that nobody reads.
+#: More gaps than this make the page too long to read.
 MOST_GAPS = 20
 _VERDICT_LENGTH = 200
 
@@ -86,7 +86,7 @@ class Recovery:
     side, name : str
         Of the recording.
     notes : tuple of str
-        What a reader must know of this result, one sentence each.
+        Notes on this result for the reader, one sentence each.
     config : dict
         The effective configuration, as plain values.
     estimates : Estimates
@@ -313,7 +313,7 @@ class Recovery:
 
     @property
     def trusted(self) -> BoolArray:
-        """(N,) whether a sample is to be trusted; all are where nobody judged."""
+        """(N,) whether a sample is to be trusted; all of them if the result was not judged."""
         return trusted_at(self.t_s, self.estimates.trusted, self.estimates.untrusted)
 
     @property
@@ -324,7 +324,7 @@ class Recovery:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether anybody judged it: `trusted` says nothing of a result that nobody did."""
+        """Whether it was judged; otherwise `trusted` has no meaning."""
         return self.estimates.trusted is not None or bool(self.estimates.untrusted)
 
     def _of_each(self, value: Callable[[Recovery], NDArray], kind: type) -> NDArray:
@@ -438,7 +438,7 @@ class Recovery:
         IMU on the upper arm its `upper_imu`, `upper_imu_quaternion`, `upper_sigma` and `upper_sigma_deg`;
         with one on the trunk `trunk_quaternion` and `trunk_sigma_deg`. Then the joint angles (N,) and their
         sigmas, `elbow_flexion_deg`, `elbow_flexion_sigma_deg` .. (see `angles`). The last is `trusted`
-        (N,), a mask of the samples to be trusted; a result that nobody judged has none.
+        (N,), a mask of the samples to be trusted; a result that was not judged has none.
         """
         arrays: dict[str, FloatArray | BoolArray] = {
             "t_s": self.t_s,
@@ -468,7 +468,7 @@ class Recovery:
         -------
         table : pyarrow.Table
             One row per sample; null where there is no answer. `trusted`, the last column, is null in every
-            row of a result that nobody judged. `table.schema.field(NAME).metadata` has the unit.
+            row of a result that was not judged. `table.schema.field(NAME).metadata` has the unit.
             `.to_pandas()` gives a pandas table where pandas is installed.
         """
         return arrow_table(flat_columns(self.to_arrays()), len(self))

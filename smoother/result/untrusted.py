@@ -15,7 +15,7 @@ MOST_NAMED = 6
 def usable(recovery: Recovery) -> BoolArray:
     """(N,) samples with an answer that is to be trusted and is certain enough.
 
-    Of a result that nobody judged every sample counts as trusted.
+    Of a result that was not judged every sample is treated as trusted.
     """
     return certain(recovery) & recovery.trusted
 
@@ -88,7 +88,7 @@ def untrusted_sentences(recovery: Recovery) -> tuple[str, ...]:
 
 
 def standing(recovery: Recovery) -> str:
-    """The verdict and the gaps that are not to be trusted, on one line; "" where nobody judged."""
+    """The verdict and the gaps that are not to be trusted, on one line; "" where not judged."""
     parts = [recovery.estimates.verdict]
     if partly_untrusted(recovery):
         numbers = untrusted_gaps(recovery)

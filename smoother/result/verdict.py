@@ -65,7 +65,7 @@ def gap_verdicts(
     ----------
     gaps : sequence of Gap
     trusted : bool, optional
-        Of the whole recording; None where nobody judged.
+        Of the whole recording; None where not judged.
     reasons : sequence of str
         Why the recording is not trusted.
     untrusted : sequence of UntrustedInterval
@@ -81,7 +81,7 @@ def gap_verdicts(
 
 
 def trusted_at(t_s: FloatArray, trusted: bool | None, untrusted: Sequence[UntrustedInterval]) -> BoolArray:
-    """Which times are trusted, (N,); all of them where nobody judged.
+    """Which times are trusted, (N,); all of them where not judged.
 
     Parameters
     ----------

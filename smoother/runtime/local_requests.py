@@ -1,7 +1,7 @@
 """Who may ask a server of this computer: its own pages, by Host, Origin, Sec-Fetch-Site and a token.
 
 Any page that a browser shows may send requests to this computer, and may do so under a name of its own that
-it points here (DNS rebinding). The browser says which name was asked (Host), which page asks (Origin, RFC
+it points here (DNS rebinding). The browser sends the requested name (Host), the requesting page (Origin, RFC
 6454; RFC 6455, 10.2 for WebSockets) and whether that is the same site (Sec-Fetch-Site, Fetch Metadata).
 """
 
@@ -51,7 +51,7 @@ class LocalDoor:
         headers : mapping of str to str
             By names in small letters; from `joined` where they may repeat.
         changes : bool
-            It changes something: then it has to say that our own page asks.
+            It changes something, so it must state that it comes from our own page.
         by_address : bool
             It has the token in its address: who opens it may come from any page.
         """

@@ -1,7 +1,7 @@
 """Outputs that are either whole or not there, and none left half by a program that was killed.
 
-A file is locked while its program works on it; the system lets go of the lock however that ends. What nobody
-has locked was left behind.
+A file is locked while its program works on it; the system lets go of the lock however that ends. A file that
+is not locked was left behind.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ READER_S = 3.0
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
-    """Whether a name stands for a pipe, for this program's own standard output, or for the null device."""
+    """Whether a name refers to a pipe, for this program's own standard output, or for the null device."""
     try:
         about = os.stat(path)
     except (OSError, ValueError):
@@ -87,7 +87,7 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def _handle(path: str | os.PathLike[str]) -> int:
-    """Open a pipe or device; without O_NONBLOCK a pipe that nobody reads would hold this program for ever."""
+    """Open a pipe or device; without O_NONBLOCK a pipe without a reader would block this program for ever."""
     deadline = time.monotonic() + READER_S
     while True:
         try:
@@ -102,7 +102,7 @@ _ENDING = ".unocclude.tmp"
 _NAME = re.compile(r"\..*\.[0-9a-f]{24}" + re.escape(_ENDING) + r"(\.\w+)?")
 #: Characters of the output's name in that of its temporary file: four bytes each at most, of 255.
 _NAME_CHARACTERS = 40
-#: Folders are looked through once per process: one may hold a million results.
+#: Folders are looked through once per process: one may contain a million results.
 _swept: set[Path] = set()
 
 
@@ -179,7 +179,7 @@ def remove_stale_tempfiles(folder: Path, again: bool = False) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove what nobody has locked; never what belongs to someone else."""
+    """Remove what is not locked; never what belongs to someone else."""
     about = os.lstat(path)
     is_folder = stat.S_ISDIR(about.st_mode)
     if not (is_folder or stat.S_ISREG(about.st_mode)):
@@ -221,7 +221,7 @@ def _lock(handle: int) -> bool:
 def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
     """Yield a hidden name beside `path` to write to; it becomes `path` when all went well.
 
-    Until then the file is for its owner alone, under a name that nobody can foresee. It then has the mode of
+    Until then the file is for its owner alone, under an unpredictable name. It then has the mode of
     the file that it replaces, or what the umask says. What goes to a pipe, the terminal or the null device is
     written to a temporary file first, and then there.
 
@@ -304,7 +304,7 @@ def _check_kind(target: Path) -> None:
             raise UnoccludeError(f"{target}: {error.strerror}; give another name.") from error
         return
     except ValueError as error:  # a NUL in the name
-        raise UnoccludeError(f"{str(target)!r} is no name of a file; give another.") from error
+        raise UnoccludeError(f"{str(target)!r} is not a valid file name; give another.") from error
     if stat.S_ISDIR(mode):
         raise UnoccludeError(f"{target} is a folder; name a file to write to.")
     if not stat.S_ISREG(mode):

@@ -63,7 +63,7 @@ def extra_module(
     Raises
     ------
     UnoccludeError
-        It is not installed, or too old; the sentence says how to get it.
+        It is not installed, or too old; the message explains how to install it.
     """
     try:
         module = import_module(name)

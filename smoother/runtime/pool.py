@@ -155,7 +155,7 @@ def _wake() -> None:
     """Nothing: a worker that has run it has loaded its libraries."""
 
 
-#: What is told how much is done, 0 to 1, and of what.
+#: Callback that receives the share done, 0 to 1, and its label.
 Progress = Callable[[float, str], None]
 
 Item = TypeVar("Item")
@@ -193,7 +193,7 @@ class Pool:
     ) -> None:
         if self._executor is not None:
             if error is not None:
-                _end_workers(self._executor)  # nobody waits for what they are doing
+                _end_workers(self._executor)  # their results are not needed
             self._executor.shutdown(wait=True, cancel_futures=True)
 
     def map(self, job: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:

@@ -117,7 +117,7 @@ def refined_clocks(
 
 @dataclass(frozen=True)
 class ClockScore:
-    """What camera samples say of the clock offset: the score of their likelihood, and its Fisher information.
+    """Evidence of camera samples on the clock offset: their likelihood's score, and its Fisher information.
 
     The loss falls by residual . velocity / sigma^2 a second of later offset (envelope theorem). Information
     is velocity^2 / sigma^2 less what the states follow of a shift (`graph.error_columns`).
@@ -152,7 +152,7 @@ class ClockScore:
 
 
 def clock_score(windows: Sequence[Window], solutions: Sequence[Solution]) -> ClockScore:
-    """The score of the samples that lie in the windows' own time.
+    """The score of the samples in the windows' own time.
 
     Parameters
     ----------

@@ -135,7 +135,7 @@ STRAP_RAD = np.radians(2.0)
 #: A joint's constant error is never taken for larger, m: an Azure Kinect's are 13 to 17 mm. On an arm that
 #: hardly turns a wrong mounting looks like such an error.
 LARGEST_JOINT_M = 0.025
-#: Where a tracked strap that stands for the IMU is from the chip in its case, m per axis (BROAD: 8 mm).
+#: Where a tracked strap that represents the IMU is from the chip in its case, m per axis (BROAD: 8 mm).
 STRAP_PLACE_M = 0.010
 #: For this many elements a share of that counts when the recording shows how large they are, in this many
 #: steps.
@@ -205,7 +205,7 @@ class ConstantErrors:
         stamp_sigma_s : float, s
             How far the frames' times may be off, beyond one offset for all; 0 where they were measured.
         """
-        place = "strap" not in prior.layout.joints  # a tracked strap then stands for the IMU
+        place = "strap" not in prior.layout.joints  # a tracked strap then represents the IMU
         joints = _told(windows, place)
         before = np.concatenate([self.imu.ravel(), self.joints.error_m.ravel(), np.zeros(9)])
         pooled = PooledEvidence.of(windows, solutions, prior, recording_of_window, before)
@@ -241,7 +241,7 @@ class _Sizes:
     """How large an element of each kind of error is: a prior's sigmas, learnt from the recording.
 
     Expectation-maximisation of the sigmas (Dempster, Laird and Rubin 1977) with a weak prior on them. That of
-    a strap that stands for the IMU is not learnt; None where it is a joint like the others.
+    a strap that represents the IMU is not learnt; None where it is a joint like the others.
     """
 
     accelerometer: float
@@ -286,7 +286,7 @@ class _Sizes:
 def _told(windows: Sequence[Window], place: bool = True) -> tuple[str, ...]:
     """Joints of the forearm with enough samples; none where there are not two.
 
-    A strap that stands for the IMU (`place`) is none of them.
+    A strap that represents the IMU (`place`) is none of them.
     """
     counts: dict[str, int] = {}
     for window in windows:

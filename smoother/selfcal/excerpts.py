@@ -21,7 +21,7 @@ EXCERPTS_S = 80.0
 WANTED = int(EXCERPTS_S / EXCERPT_S)
 #: The inertial filter runs over so much more on both sides of an excerpt, s.
 CONTEXT_S = 12.0
-#: Turning is judged over so long, s.
+#: Turning is judged over this long, s.
 TURN_S = 0.1
 
 Candidate = TypeVar("Candidate")

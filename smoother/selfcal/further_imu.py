@@ -49,7 +49,7 @@ FEWEST_SAMPLES = 40
 
 @dataclass(frozen=True)
 class FurtherImu:
-    """What the visible motion says of an IMU on a segment beyond the forearm.
+    """Evidence of the visible motion on an IMU on a segment beyond the forearm.
 
     Attributes
     ----------

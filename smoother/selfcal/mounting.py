@@ -391,7 +391,7 @@ OTHERWISE_DEG = 18.0
 #: Lengths between joints that differ by more than this, and by three sigmas, contradict, m: cameras place
 #: both ends some centimetres off.
 LENGTH_M = 0.08
-#: Fewer frames say nothing of a length.
+#: Fewer frames do not determine a length.
 FEWEST_FRAMES = 30
 
 
@@ -403,7 +403,7 @@ def contradictions(segments: Sequence[Segment], given: ArmCalibration) -> Iterat
     segments : sequence of Segment
         Of one recording.
     given : ArmCalibration
-        Without lever arms of elbow and wrist, or an upper arm, there is nothing to say of them.
+        Without lever arms of elbow and wrist, or an upper arm, there is nothing to report on them.
     """
     excerpts = choose_excerpts(list(segments))
     yield from _direction(excerpts, given)

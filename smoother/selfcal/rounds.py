@@ -1,4 +1,4 @@
-"""Self-calibration: what nobody measured, solved from the visible motion before the recovery.
+"""Self-calibration: unmeasured quantities, solved from the visible motion before the recovery.
 
 The mounting starts in closed form (`mounting`). Then a few rounds on excerpts of the recordings: window
 graphs with lever arms and upper arm as variables, their answers pooled, the camera's noise measured from
@@ -196,7 +196,7 @@ def self_calibrate(
         except CalibrationError:
             if numbers == everything:
                 raise
-            numbers = everything  # what can be used lies in the other half
+            numbers = everything  # what can be used is in the other half
             continue
         windows = current.windows
         solutions = list(workers.map(solve_once, windows))
@@ -241,7 +241,7 @@ def self_calibrate(
 
 
 def _interrupted_s(excerpts: list[Segment]) -> float:
-    """Median length of the segments that one recording's excerpts lie in, where it is short; else nan."""
+    """Median length of the segments that contain one recording's excerpts, where it is short; else nan."""
     if len(excerpts) < SHORT_SEGMENTS or any(excerpt.recording for excerpt in excerpts):
         return float("nan")
     length_s = float(np.median([excerpt.signal.end_s - excerpt.signal.start_s for excerpt in excerpts]))

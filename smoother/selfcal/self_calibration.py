@@ -40,7 +40,7 @@ class SelfCalibration:
     joint_noise : dict of str to JointNoise
         Of each forearm joint, by camera (`noise_key`).
     joint_sigma_m : ndarray, shape (5,) or (c, 5), m
-        Effective noise an axis, in the order of `JOINTS`; of each camera where there are c of them.
+        Effective noise per axis, in the order of `JOINTS`; of each camera where there are c of them.
     errors : ConstantErrors
         Of IMU and camera.
     upper_arm_sigma_m : float, m

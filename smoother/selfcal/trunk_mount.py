@@ -1,4 +1,4 @@
-"""How an IMU sits on the trunk, its clock, and what the camera's two shoulders say of its heading.
+"""How an IMU sits on the trunk, its clock, and the evidence of the camera's two shoulders on its heading.
 
 The thorax {T} has the ISB's axes: x forward, y up, z to its right. Up is where gravity has it in the trunk's
 usual posture (the median over the recording), as a skeleton's shoulders do not show how far a trunk leans; z
@@ -17,10 +17,10 @@ from ..linalg import nearest_rotation, parabola_vertex, unit
 from ..measurements.inertial import InertialAttitude
 from ..rotation import Rotation
 
-#: Errors of the shoulders last about so long, s: frames that are nearer say together no more than one. The
-#: mounting is found on frames so far apart, s.
+#: Errors of the shoulders last about this long, s: nearer frames give together no more information than one.
+#: The mounting is found on frames this far apart, s.
 MEMORY_S, FRAME_S = 0.7, 0.15
-#: The heading is a line in time over about so long on both sides, s: a gyroscope's bias turns it steadily.
+#: The heading is a line in time over about this long on both sides, s: a gyroscope's bias turns it steadily.
 #: It is computed so often, s.
 LOCAL_S, STEP_S = 12.0, 1.0
 #: How fast the heading may leave that line, rad/s, where there is no frame with both shoulders.
@@ -166,7 +166,7 @@ class TrunkMount:
     offset_s : float, s
         t_trunk = t_forearm + offset.
     line_sigma_rad : float, rad
-        Of the camera's line of shoulders in a frame, an axis across it.
+        Of the camera's line of shoulders in a frame, per axis perpendicular to it.
     sigma_rad : ndarray, shape (3,), rad
         How far the mounting may be off about each of the thorax's axes.
     """
@@ -191,7 +191,7 @@ def mount_trunk(lines: Sequence[ShoulderLine], up_K: FloatArray, joint_bias_m: f
     up_K : ndarray, shape (3,)
         Against gravity, unit vector.
     joint_bias_m : float, m
-        Constant error of a shoulder, an axis.
+        Constant error of a shoulder, per axis.
 
     Returns
     -------

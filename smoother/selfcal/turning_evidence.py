@@ -36,8 +36,8 @@ LENGTHS = (0.5, 1.6)
 OVERLAP_SHARE, OVERLAP_S = 0.35, 8.0
 #: Nothing shorter than this is looked at, s.
 SHORTEST_S = 1.0
-#: What is left unexplained grows with speed: a sample weighs 1 / (this + the power about it, over so long,
-#: against the mean power), so that one burst does not stand for the whole recording.
+#: What is left unexplained grows with speed: a sample weighs 1 / (this + the power about it, over this long,
+#: against the mean power), so that one burst does not dominate the whole recording.
 WEIGHT_FLOOR, WEIGHT_S = 0.3, 0.25
 #: Autocorrelation is summed up to this, s; no offset explains more than this part.
 CORRELATED_S, MOST_EXPLAINED = 4.0, 0.999

@@ -244,7 +244,7 @@ class ArmSimulation(SensorErrors):
     rgb_noise_px: float = Field(
         default=3.0,
         ge=0,
-        description="their joints' noise, pixels an axis; half of its variance has the "
+        description="their joints' noise, pixels per axis; half of its variance has the "
         "memory of the preset's noise",
     )
 

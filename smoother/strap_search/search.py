@@ -66,7 +66,7 @@ def import_strap(
     skeleton, side : str
         Topic and arm that the strap belongs to.
     joint_sigma_m : float, m
-        Noise of the camera's elbow and wrist, an axis.
+        Noise of the camera's elbow and wrist, per axis.
     colour_topic, depth_topic : str, optional
         Names, or parts of them, where there are several.
     passthrough_images : bool

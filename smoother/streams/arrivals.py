@@ -202,7 +202,7 @@ class Source(Protocol):
         """The session's time, s."""
 
     def wait(self, seconds: float) -> None:
-        """Until something comes, at most so long."""
+        """Until something comes, at most this long."""
 
     def arrivals(self) -> Arrivals:
         """What came since the last call."""

@@ -135,7 +135,7 @@ class ImuChannels:
         Raises
         ------
         RecordingError
-            A label or a unit is missing; the sentence says which.
+            A label or a unit is missing; the message names it.
         """
         stream.check_numbers()
         name = printable(stream.name)

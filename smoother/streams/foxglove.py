@@ -203,7 +203,7 @@ def foxglove_module() -> ModuleType:
     Raises
     ------
     UnoccludeError
-        It is not installed, or too old; the sentence says how to get it.
+        It is not installed, or too old; the message explains how to install it.
     """
     return extra_module("foxglove", "foxglove-sdk", "live", ["Context", "start_server"])
 

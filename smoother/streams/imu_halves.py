@@ -63,7 +63,7 @@ class HalfChannels:
         Raises
         ------
         RecordingError
-            A label or a unit is missing; the sentence says which.
+            A label or a unit is missing; the message names it.
         """
         stream.check_numbers()
         what, units, such_as = _WORDS[kind]

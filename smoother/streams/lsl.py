@@ -51,7 +51,7 @@ def lsl_module() -> ModuleType:
     Raises
     ------
     UnoccludeError
-        It is not installed, or it finds no library liblsl; the sentence says what to do.
+        It is not installed, or it finds no library liblsl; the message explains what to do.
     """
     try:
         pylsl = extra_module("pylsl", "pylsl", "live")

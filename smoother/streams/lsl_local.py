@@ -25,7 +25,7 @@ from ..measurements.visibility import Gap
 from .arrivals import FrameRows, SourceInfo
 from .lsl import LslOutlet, user_settings
 
-#: The program may take so long to begin, and to end, s.
+#: The program may take this long to begin, and to end, s.
 _BEGINS_S, _ENDS_S = 60.0, 3.0
 #: This many answers wait for it at most; one that comes too late for that is not sent.
 _MOST_WAITING = 60

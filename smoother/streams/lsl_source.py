@@ -163,7 +163,7 @@ class LslSource:
         return float(lsl_module().local_clock()) - self._start_s
 
     def wait(self, seconds: float) -> None:
-        """Until something comes, at most so long."""
+        """Until something comes, at most this long."""
         self._something.wait(seconds)
         self._something.clear()
 

@@ -17,7 +17,7 @@ from ..runtime.local_requests import LOOPBACK, OWN_NAMES, LocalDoor, joined
 DOOR = LocalDoor(guests=("app.foxglove.dev", "foxglove.dev", *OWN_NAMES), schemes=("file", "foxglove", "app"))
 #: The head of a request is awaited so long, s, and is no longer than this, bytes.
 _HEAD_S, _HEAD_BYTES = 5.0, 16384
-#: A side that takes nothing for so long is let go, s; and how often it is looked whether all ends.
+#: A side that takes nothing for this long is let go, s; and how often it is looked whether all ends.
 _PATIENCE_S, _LOOKED_S = 10.0, 0.5
 _REFUSAL = (
     b"HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain\r\nConnection: close\r\n\r\n"

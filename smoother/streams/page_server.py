@@ -28,7 +28,7 @@ from .arrivals import FrameRows, SourceInfo
 PAGE_PORT = 8766
 #: The page is sent no more than this often, s; without news this is sent that often that it lives.
 _EACH_S, _ALIVE_S = 1 / 60, 1.0
-#: A browser that takes nothing for so long is let go, s.
+#: A browser that takes nothing for this long is let go, s.
 _PATIENCE_S = 5.0
 #: What a browser may send: a mark of this many letters, this many bytes.
 _LONGEST_MARK, _LONGEST_BODY = 200, 2000

@@ -201,7 +201,7 @@ class Replay:
         return self._now
 
     def wait(self, seconds: float) -> None:
-        """Until the next sample or frame is due, at most so long."""
+        """Until the next sample or frame is due, at most this long."""
         if not self.speed:
             return
         if self._began is None:

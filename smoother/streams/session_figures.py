@@ -47,7 +47,7 @@ class DelayCounts:
         return min((at + 1) * _BIN_S, self.largest_s)
 
     def share_within(self, seconds: float) -> float:
-        """Share of them that took at most so long; nan without any."""
+        """Share of them that took at most this long; nan without any."""
         if not self.count:
             return float("nan")
         return float(self._counts[: round(seconds / _BIN_S)].sum()) / self.count

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: A file of results has no more rows than this.
 MOST_ROWS = 1000
-#: Rows wait at most this share of the time that the run has taken, and at most so long, s.
+#: Rows wait at most this share of the time that the run has taken, and at most this long, s.
 _SHARE, _SOONEST_S, _LATEST_S = 0.05, 0.5, 30.0
 _LOOKED_UP = (
     *("id", "recording", "status", "retry", "input", "input_place", "input_bytes"),

@@ -77,7 +77,7 @@ def smooth(
     store : Store, optional
         Where what grows with the recording's length lives; in memory where None.
     processes : int, optional
-        Worker processes, 0 for one per core; as the configuration says where None.
+        Worker processes, 0 for one per core; None uses the configuration's value.
     clock : Clock, optional
         The camera's against the IMU's as it was measured, with its sigma.
     draws : int

@@ -24,7 +24,7 @@ DRAWN_S = 0.04
 
 @dataclass(frozen=True)
 class DrawPlan:
-    """What all windows have to know of the motions that are drawn.
+    """What all windows need for drawing motions.
 
     Attributes
     ----------

@@ -176,7 +176,7 @@ class RelativeMotion:
         return self.velocity_change + np.einsum("kij,kj->ki", self.R_frame, around)
 
 
-#: The angular rate at a frame is the mean over so long, s.
+#: The angular rate at a frame is the mean over this long, s.
 RATE_S = 0.02
 
 

@@ -41,7 +41,7 @@ class _Information:
         return _Information(self.matrix[k], self.vector[k])
 
     def among(self, rows: IntArray, count: int) -> _Information:
-        """A stack of this many, these in their rows; the others say nothing."""
+        """A stack of this many, these in their rows; the others carry no information."""
         matrix = np.zeros((count, *self.matrix.shape[1:]))
         vector = np.zeros((count, *self.vector.shape[1:]))
         matrix[rows], vector[rows] = self.matrix, self.vector
@@ -222,7 +222,7 @@ def _between_window_variance(own: _Information) -> FloatArray:
         return np.zeros(size)
     total = own.sum()
     mean = _Information(total.matrix + 1e-9 * np.eye(size), total.vector).gaussian().mean
-    # each window's own estimate along an axis, others held at the common mean
+    # each window's own estimate along each axis, others held at the common mean
     weight = np.einsum("kii->ki", own.matrix)
     estimate = mean + (own.vector - own.matrix @ mean) / np.maximum(weight, 1e-12)
     spread = np.zeros(size)

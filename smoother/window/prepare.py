@@ -95,7 +95,7 @@ class PreparedSegment:
     accepted : ndarray of bool, shape (f, 5)
         Samples that may take part.
     sigma_m : ndarray, shape (f, 5), m
-        Their standard deviation an axis.
+        Their standard deviation per axis.
     gaps : tuple of Gap
         Inside, in order of time.
     acceleration_std : ndarray, shape (n,), m/s^2
@@ -154,7 +154,7 @@ def prepare(
     clock : Clock
         Takes the camera's times to the IMU's.
     sigma_m : ndarray, shape (5,) or (c, 5), m
-        Noise of the camera's joints, an axis; of each camera where there are c of them.
+        Noise of the camera's joints, per axis; of each camera where there are c of them.
     margin_s : float, s
         Nodes reach so far beyond what the answer is wanted for.
     alignment : Alignment, optional
@@ -255,7 +255,7 @@ def _nodes(
 
 
 def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) -> tuple[float, float]:
-    """What has to be solved for an answer: its margins, and the far side of a gap that an end of it lies in.
+    """What has to be solved for an answer: its margins, and the far side of a gap that contains an end of it.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ def states_from_camera(t: FloatArray, R: FloatArray, frame_t_imu: FloatArray, po
     """Position and velocity at the nodes from the IMU's positions at visible frames.
 
     Local lines through the positions give value and slope at each frame, cubic Hermite polynomials what
-    lies between; beyond the first and the last frame the IMU rests.
+    is between; beyond the first and the last frame the IMU rests.
 
     Parameters
     ----------
@@ -381,7 +381,7 @@ def prepare_further(
     accepted : ndarray of bool, shape (f, 5)
         Samples that may take part.
     calibration : ArmCalibration
-        Its `mountings` hold the joints in the IMUs' axes.
+        Its `mountings` contain the joints in the IMUs' axes.
     t : ndarray, shape (n,), s
         Nodes.
     parent : States, optional

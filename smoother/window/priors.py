@@ -24,7 +24,7 @@ LEAST_DENSITY_SHARE = 0.3
 #: The upper arm's length varies by no more than this, m.
 LARGEST_UPPER_ARM_SIGMA_M = 0.04
 #: How the shoulder moves is read off means over this time, s, this many of them apart; of the largest moves
-#: the share beyond the quantile is treated as jumps of the tracker. Fewer pairs say nothing.
+#: the share beyond the quantile is treated as jumps of the tracker. Fewer pairs are ignored.
 SHOULDER_STEP_S, SHOULDER_APART = 0.2, 2
 SHOULDER_QUANTILE, FEWEST_PAIRS = 0.98, 20
 
@@ -38,7 +38,7 @@ class InitialValues:
     down : ndarray, shape (3,)
         Direction of gravity in {K}.
     down_sigma_rad : float, rad
-        How well it is known, an axis.
+        How well it is known, per axis.
     gyroscope_bias : ndarray, shape (3,), rad/s
         In {A}.
     has_shoulder : bool
@@ -151,7 +151,7 @@ def upper_arm_length_sigma(segments: list[Segment], config: Config, sample_m: fl
     config : Config
         Its `arm.upper_arm_flex_m` is the least.
     sample_m : float, m
-        Noise of a joint's sample, an axis.
+        Noise of a joint's sample, per axis.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def _upper_arm_lengths(segments: list[Segment], fewest: int) -> list[FloatArray]
 def with_measured_noise(config: Config, imu: ImuStream) -> Config:
     """The configuration with the sensor's own white noise where somebody measured it.
 
-    What a configuration states itself counts more. The default stands for a consumer device with all that
+    What a configuration states itself has precedence. The default represents a consumer device with all that
     a model of it lacks; a share of that stays for a better sensor (`LEAST_DENSITY_SHARE`).
 
     Parameters
@@ -272,7 +272,7 @@ def calibration_from(
     before : ArmCalibration
         Everything else stays as it is here.
     joint_bias_m : float, m
-        Constant error of the camera's joints, an axis. Their common part goes into the lever arms and
+        Constant error of the camera's joints, per axis. Their common part goes into the lever arms and
         lengths and shows in no residual, so it widens their sigmas.
 
     Returns

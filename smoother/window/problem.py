@@ -82,7 +82,7 @@ class JointMeasurements:
     position : ndarray, shape (k, 3), m
         In {K}.
     sigma_m : ndarray, shape (k,), m
-        Standard deviation an axis.
+        Standard deviation per axis.
     shift : ndarray, shape (k, 3), m
         The joint at the frame less the joint at the node in {K}, by the IMU; zero for a frame that is a
         node.
@@ -145,7 +145,7 @@ class ShoulderMeasurements:
     position : ndarray, shape (k, 3), m
         In {K}; nan where the camera saw no shoulder.
     sigma_m : ndarray, shape (k,), m
-        Standard deviation an axis.
+        Standard deviation per axis.
     start : ndarray, shape (k, 3), m
         Initial value in {K}.
     root_information : ndarray, shape (k, 3, 3), 1/m, optional
@@ -191,7 +191,7 @@ class FieldMeasurements:
     in_K : ndarray, shape (3,)
         Unit vector of the field in {K}.
     sigma_rad : float, rad
-        Of each, an axis.
+        Of each, per axis.
     """
 
     node: IntArray

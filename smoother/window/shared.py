@@ -137,7 +137,7 @@ SIZE = STRAP_ERRORS.stop
 STRAP_PLACE = slice(
     JOINT_ERRORS.start + 3 * JOINTS.index("strap"), JOINT_ERRORS.start + 3 * JOINTS.index("strap") + 3
 )
-#: Errors of synthetic stamps are straight lines between times so far apart, s, and last so long, s: a frame
+#: Errors of synthetic stamps are straight lines between times so far apart, s, and last this long, s: a frame
 #: that was dropped shifts all that follow, until the offset that wanders has followed.
 STAMP_KNOT_S = 0.5
 STAMP_MEMORY_S = 1.0
@@ -145,7 +145,7 @@ STAMP_MEMORY_S = 1.0
 
 @dataclass(frozen=True)
 class ErrorEvidence:
-    """What a window says of the shared constants and the constant errors, its prior on them taken off.
+    """A window's evidence on the shared constants and the constant errors, its prior on them taken off.
 
     In information form, about [gravity, upper arm, lever arms (rows 6.. of the shared vector); errors], the
     errors counted from what the window's data were corrected by.

@@ -108,7 +108,7 @@ def test_one_whose_place_is_not_known_is_refused() -> None:
 
 
 def test_one_camera_alone_is_refused() -> None:
-    with pytest.raises(SolveError, match="one camera without depth are read and not solved yet"):
+    with pytest.raises(SolveError, match="one camera without depth are read but not solved yet"):
         smooth(made("first").recording)
 
 

@@ -74,7 +74,7 @@ def test_info_says_first_what_counts(session, capsys):
     assert said[0] == "ready for `unocclude smooth`"
     assert said[1].startswith("not in the file, not needed to recover: magnetometer (")
     done(["info", session / "out.mcap"])
-    assert "holds a result: validate and export read it" in capsys.readouterr().out
+    assert "contains a result: use validate or export" in capsys.readouterr().out
 
 
 def test_info_of_what_cannot_be_recovered(tmp_path, capsys):

@@ -143,7 +143,7 @@ def test_info_says_the_verdict_of_a_result(tmp_path: Path, capsys: pytest.Captur
     results(tmp_path)
     words = {
         "sound": "Usable.",
-        "partly": "not to be trusted at 1 time; export says which",
+        "partly": "not to be trusted at 1 time; export lists them",
         "wrong": WRONG.verdict,
         "both": f"right: {WRONG.verdict}",
     }

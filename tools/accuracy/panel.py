@@ -116,7 +116,7 @@ def _show(title: str, rows: list[dict[str, Any]]) -> Iterator[str]:
             median, most, worst = np.nanpercentile(values[:, column], [50, 95, 100])
             yield (f"  {name:9} {unit:3}  median {median:6.3f}  95 % {most:6.3f}  worst {worst:6.3f}")
     inside, squared = (np.mean([row[key] for row in good]) for key in ("inside", "squared"))
-    yield (f"  inside 2 sigma, an axis: {100 * inside:.0f} %; squared error / sigma^2 {squared:.2f}")
+    yield (f"  inside 2 sigma, per axis: {100 * inside:.0f} %; squared error / sigma^2 {squared:.2f}")
 
 
 # A real panel

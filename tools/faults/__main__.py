@@ -32,7 +32,7 @@ from tools.faults import write_table
 from tools.faults.cases import Case, Workshop, all_cases
 
 ENDS = ("right", "note", "sentence", "SILENT", "UNEXPECTED")
-#: A case may take so long, s of the processor and (on a busy machine) in all, and so much memory more, bytes.
+#: A case may take this long, s of the processor and (on a busy machine) in all, and this much memory, bytes.
 MOST_CPU_S, MOST_S, MOST_MEMORY = 40, 300, 3 << 30
 #: An answer is another one where it is off by more than this, m, and by this many of its own sigmas.
 OFF_M, OFF_SIGMAS = 0.02, 4.0
@@ -94,7 +94,7 @@ class Answer:
 
     @property
     def notes(self) -> set[str]:
-        """Lines that tell of something, and the notes among the figures."""
+        """Lines on something to look at, and the notes among the figures."""
         lines = {
             line for line in self.out.splitlines() if line.startswith(("note:", "cannot be", "not ready"))
         }

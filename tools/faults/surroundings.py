@@ -33,7 +33,7 @@ QUICK = (
     "-c",
     "import smoother.runtime.pool as pool; pool.WORTH_FRAMES = 10; from smoother.cli import main; main()",
 )
-#: A command may take so long, s; one that waits for something that never comes takes longer.
+#: A command may take this long, s; one that waits for something that never comes takes longer.
 LONGEST_S = 600
 #: Mounts what it is given, runs the command, lists OUT and copies what is there for all to see.
 SHELL = 'eval "$MOUNTS"; "$@"; code=$?; ls -AR "$OUT" > "$LISTING"; cp -r "$OUT" "$COPY"; exit $code'

@@ -23,7 +23,7 @@ from tools.fuzz.corpus import write_seeds
 from tools.fuzz.one import Limits
 from tools.fuzz.targets import LONGEST, names, once
 
-#: An input may take so long on the wall, s, and the process with what atheris keeps so much memory, MB; what
+#: An input may take this long on the wall, s, and the process with atheris this much memory, MB; what
 #: an input may take by itself: `limits`.
 _MOST_S, _MOST_MB = 200, 6000
 #: What libFuzzer calls its findings.
@@ -58,7 +58,7 @@ class Count:
 
 
 def fuzz(target: str, seconds: int, folder: Path) -> Count:
-    """Fuzz one target for so long; it ends at its first finding."""
+    """Fuzz one target for some time; it ends at its first finding."""
     corpus = folder / target
     before = _findings(corpus)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)

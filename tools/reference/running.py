@@ -33,7 +33,7 @@ ENVIRONMENT = {
     "TZ": "UTC",
     "LC_ALL": "C.UTF-8",
 }
-#: A group may take so long, s; one that hangs must not hold the others up.
+#: A group may take this long, s; one that hangs must not hold the others up.
 MOST_S = 900
 #: Imported once, before processes are forked.
 _PRELOADED = (

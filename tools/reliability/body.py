@@ -165,7 +165,7 @@ class Jitter:
     Attributes
     ----------
     sway_m : float, m
-        Slow sway of the trunk, an axis.
+        Slow sway of the trunk, per axis.
     wander_deg : float, degrees
         Slow wandering of the arm's angles.
     tremor_deg, tremor_hz : float

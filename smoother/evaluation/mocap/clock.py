@@ -55,7 +55,7 @@ class MocapClock:
     mount_sigma_rad : float, rad
         Its sigma; nan where it was not.
     notes : tuple of str
-        What to know of it, one sentence each.
+        Notes on it, one sentence each.
     """
 
     offset_s: float

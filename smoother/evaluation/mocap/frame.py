@@ -69,7 +69,7 @@ def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFr
     Raises
     ------
     CalibrationError
-        The table is missing or wrong, or the recording does not say which axes it has.
+        The table is missing or wrong, or the recording does not state its axes.
     """
     if not isinstance(table, dict):
         raise CalibrationError(
@@ -141,7 +141,7 @@ def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> C
 
 
 def _typical_variance(covariance: FloatArray) -> float:
-    """Mean variance an axis, m^2, of a point while it is seen; zero where none is stated."""
+    """Mean variance per axis, m^2, of a point while it is seen; zero where none is stated."""
     known = np.trace(covariance, axis1=1, axis2=2) / 3.0
     known = known[np.isfinite(known)]
     return float(np.median(known)) if len(known) else 0.0

@@ -49,7 +49,7 @@ PLATE = "imu_plate"
 
 @dataclass(frozen=True)
 class MarkerMap:
-    """Names of markers by what they stand for.
+    """Names of markers by what they represent.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a motion capture says of the arm, in its own frame {E} and on its own clock."""
+"""The arm's motion by motion capture, in its own frame {E} and on its own clock."""
 
 from __future__ import annotations
 

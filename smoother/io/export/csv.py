@@ -53,7 +53,7 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
     Notes
     -----
     Metres in the camera frame; `imu_q*` is the rotation IMU axes to camera; `t_s` is the IMU's own
-    stamp with nine decimals; sigmas are one standard deviation an axis; velocity of the IMU, m/s.
+    stamp with nine decimals; sigmas are one standard deviation per axis; velocity of the IMU, m/s.
     `trusted` is 1 where the answer is to be trusted, 0 where it is not, and empty without a verdict;
     `usable` (the last column) is 1 where there is an answer that is not distrusted, below the limit on sigma
     if one was set.
@@ -95,7 +95,7 @@ def column_groups(recovery: Recovery) -> list[ColumnGroup]:
     nothing = np.full((count, 3), np.nan)
     position, sigma = (
         ("m", "position in the camera's frame"),
-        ("m", "one standard deviation, an axis of the camera"),
+        ("m", "one standard deviation, per axis of the camera"),
     )
     sigma_deg = "square root of the trace of the orientation's covariance"
     groups: list[tuple[list[str], FloatArray, str, str]] = [
@@ -152,7 +152,7 @@ def _segment(segment: BodySegment, motion: SegmentMotion) -> list[tuple[list[str
             "1",
             f"rotation {imu} axes to camera, quaternion",
         ),
-        (_xyz(segment.sigma_name), motion.sigma_m, "m", "one standard deviation, an axis of the camera"),
+        (_xyz(segment.sigma_name), motion.sigma_m, "m", "one standard deviation, per axis of the camera"),
         ([f"{segment.sigma_name}_deg"], motion.sigma_deg, "deg", f"as sigma_deg, of the {imu}"),
     ]
 

@@ -37,7 +37,7 @@ class MotTable:
     notes : tuple of str
         What a reader must know, one sentence each.
     trusted : ndarray of bool, shape (G,), optional
-        Which rows are to be trusted; None where nobody judged.
+        Which rows are to be trusted; None where not judged.
     """
 
     t_s: FloatArray

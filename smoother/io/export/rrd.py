@@ -392,7 +392,7 @@ def rerun_module() -> ModuleType:
     Raises
     ------
     UnoccludeError
-        It is not installed, or too old; the sentence says how to get it.
+        It is not installed, or too old; the message explains how to install it.
     """
     return extra_module("rerun", "rerun-sdk", "view", ["StateChange"], ["blueprint"])
 

@@ -370,7 +370,7 @@ def import_broad(
     rate_hz : float, Hz
         Frame rate of the camera.
     noise_m : float, m
-        Standard deviation of the noise, an axis.
+        Standard deviation of the noise, per axis.
     seed : int
         Of the noise.
 

@@ -21,7 +21,7 @@ ZERO, FROZEN = "all zero", "frozen"
 #: No gyroscope of a body-worn sensor reads beyond this, rad/s per axis (2000 deg/s), no accelerometer beyond
 #: that, m/s^2 per axis.
 GYRO_LIMIT, ACC_LIMIT = 35.0, 500.0
-#: A value that stands still to the last bit for so long, s and samples, is frozen, if the sensor turns ..
+#: A value that stands still to the last bit for this long, s and samples, is frozen, if the sensor turns ..
 _FROZEN_S, _FROZEN_SAMPLES = 0.25, 8
 #: .. so fast, rad/s, or is moved so much, m/s^2.
 _TURNS, _MOVES = 0.2, 2.0
@@ -245,7 +245,7 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
 
 
 def _drop_points(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> list[str]:
-    """Joints of frames in which elbow and wrist are in one point become not tracked; a note says how many."""
+    """Joints become not tracked in frames whose elbow and wrist are in one point; a note gives the number."""
     claimed = (state[:, _ELBOW] != JointState.NOT_TRACKED) & (state[:, _WRIST] != JointState.NOT_TRACKED)
     same = np.zeros(len(state), bool)
     for part in batches(len(state)):

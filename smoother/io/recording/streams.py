@@ -347,7 +347,7 @@ def kept(values: NDArray, keep: BoolArray, store: Store) -> NDArray:
 
 
 def drop_timestamp_outliers(file: RecordingFile, store: Store) -> None:
-    """Drop samples whose stamps lie far from all others of their stream; a note says how many."""
+    """Drop samples whose stamps lie far from all others of their stream; a note gives the number."""
     streams: list[ImuSamples | ArmFrames | PoseSamples] = [*file.imus, *file.arms, *file.poses]
     cleaned = {id(stream): without_outlying(stream, file.notes, store) for stream in streams}
     file.imus = [cleaned[id(stream)] for stream in file.imus]  # type: ignore[misc]

@@ -36,7 +36,7 @@ def gap_messages(
     side : str
         Of the arm; "" where it is not known.
     verdicts : sequence of GapVerdict, optional
-        Whether each is to be trusted; None where nobody judged them. An event then has no `trusted`.
+        Whether each is to be trusted; None where not judged. An event then has no `trusted`.
 
     Returns
     -------

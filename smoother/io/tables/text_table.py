@@ -265,7 +265,7 @@ class Sheet:
         Returns
         -------
         ndarray, shape (n,)
-            nan where the cell is empty, or no finite number (a note says how many).
+            nan where the cell is empty, or no finite number (a note gives the number).
 
         Raises
         ------

@@ -92,8 +92,8 @@ class PanelSimulation(BaseModel):
     gyroscope_bias: float = Field(default=0.005, ge=0, description="sigma of the bias, rad/s per axis")
     imu_scale: float = Field(default=0.001, ge=0, description="sigma of each axis' scale error")
     magnetometer: bool = Field(default=False, description="both IMUs have a magnetometer")
-    magnetometer_noise: float = Field(default=0.4, ge=0, description="sigma of a sample, uT an axis")
-    magnetometer_bias: float = Field(default=0.5, ge=0, description="sigma of what iron adds, uT an axis")
+    magnetometer_noise: float = Field(default=0.4, ge=0, description="sigma of a sample, uT per axis")
+    magnetometer_bias: float = Field(default=0.5, ge=0, description="sigma of what iron adds, uT per axis")
 
     @classmethod
     def ideal(cls, **changes: Any) -> Self:

@@ -17,7 +17,7 @@ from .config import PanelSimulation
 from .placing import RenderLens
 from .scene import Hits, PanelScene
 
-#: Rays an axis in a pixel where surfaces meet.
+#: Rays per axis in a pixel where surfaces meet.
 FINE = 10
 #: A white surface at 1.5 m shows this fraction of the infrared image's full scale.
 _DIFFUSE = 0.1
