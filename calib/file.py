@@ -273,7 +273,7 @@ class CalibrationFile:
             )
         (other,) = self.arms
         raise CalibrationError(
-            f"{self.source} holds the {other} arm only, and the recording is of the {side} arm; "
+            f"{self.source} is for the {other} arm only, and the recording is of the {side} arm; "
             f"calibrate the {side} arm or give --side {other}."
         )
 
@@ -463,7 +463,7 @@ def sigma_factors_of(calibration: CalibrationFile) -> SigmaFactors | None:
         raise CalibrationError(f"{calibration.source}: {key}: {words[0].lower()}{words[1:]}.") from error
     lengths = [gap.length_s for gap in table.gaps]
     if len(set(lengths)) < len(lengths):
-        raise CalibrationError(f"{calibration.source}: {TABLE}.gaps holds a length_s twice.")
+        raise CalibrationError(f"{calibration.source}: {TABLE}.gaps contains a length_s twice.")
     ordered = sorted(table.gaps, key=lambda gap: gap.length_s)
     return SigmaFactors(tuple(SigmaFactor(gap.length_s, gap.factor, gap.count) for gap in ordered))
 

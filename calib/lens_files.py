@@ -31,7 +31,7 @@ PLACE_RAD, PLACE_M = float(np.radians(0.3)), 0.01
 
 @dataclass(frozen=True)
 class CameraFile:
-    """A camera of a calibration file: its lens, and `x_camera = R x_world + t` if it says where it is."""
+    """A camera of a calibration file: its lens, and `x_camera = R x_world + t` where the file has it."""
 
     lens: Intrinsics
     R: FloatArray | None = None
@@ -69,7 +69,7 @@ def read_camera_file(path: Path) -> dict[str, CameraFile]:
         cameras[str(table.get("name", key))] = before = camera
     if not cameras:
         raise CalibrationError(
-            f"{path} holds no lens: neither camera_matrix (OpenCV, ROS), nor intrinsics (Kalibr), nor matrix"
+            f"{path} has no lens: neither camera_matrix (OpenCV, ROS), nor intrinsics (Kalibr), nor matrix"
             " (Pose2Sim), nor fx, fy, cx, cy."
         )
     return cameras
@@ -92,7 +92,7 @@ def _document(path: Path) -> dict[str, Any]:
             f"{path} is no calibration that can be read (TOML, JSON or YAML): {error}."
         ) from error
     if not isinstance(found, dict):
-        raise CalibrationError(f"{path} holds no table of a camera.")
+        raise CalibrationError(f"{path} contains no table of a camera.")
     return found
 
 
@@ -203,7 +203,7 @@ def _lens(where: str, table: Mapping[str, Any]) -> Intrinsics:
 def _place(
     table: Mapping[str, Any], before: CameraFile | None
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """`R` and `t` of `x_camera = R x_world + t`; Kalibr's chain stands in its first camera's frame."""
+    """`R` and `t` of `x_camera = R x_world + t`; Kalibr's chain is in its first camera's frame."""
     if "rotation" in table and "translation" in table:
         turn, t_m = _numbers(table["rotation"]), _numbers(table["translation"])
         R = turn.reshape(3, 3) if turn.size == 9 else Rotation.from_rotvec(turn.reshape(3)).as_matrix()

@@ -451,7 +451,7 @@ def _core(
     return core, covariance
 
 
-#: Core of the forearm to the sensor where nobody measured it, m.
+#: Core of the forearm to the sensor where it was not measured, m.
 USUAL_RADIUS = Length(0.035, 0.008)
 
 

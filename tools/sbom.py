@@ -118,7 +118,7 @@ def component(package: Package) -> dict[str, Any]:
 
 
 def licence_of(package: Package) -> str:
-    """What the installed package says of its licence; "" where another version or none is installed."""
+    """The licence stated by the installed package; "" where another version or none is installed."""
     try:
         about = metadata.metadata(package.name)
     except metadata.PackageNotFoundError:

@@ -290,9 +290,7 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
         tone = _tone(samples, rate_hz, start, end, float(frequency[at]))
         beeps.append(_fit_end(samples, rate_hz, start, end, tone, above))
     if not beeps:
-        raise CalibrationError(
-            "a tone was heard that does not end in the sound; record the quiet after it too"
-        )
+        raise CalibrationError("the sound contains a tone that does not end; record the quiet after it too")
     return beeps
 
 

@@ -19,7 +19,7 @@ SKEW_SIGMA = 5e-4
 
 @dataclass(frozen=True)
 class Receptions:
-    """Who heard what, and when on its own clock.
+    """Which node heard what, and when on its own clock.
 
     Attributes
     ----------
@@ -229,7 +229,7 @@ def beeps_of_tracks(
     Raises
     ------
     CalibrationError
-        No track holds a beep; the reason is that of the last one.
+        No track contains a beep; the reason is that of the last one.
     """
     beeps: list[Beep] = []
     reason: CalibrationError | None = None

@@ -160,7 +160,7 @@ def solve_clocks(receptions: Sequence[Receptions], links: Sequence[ClockLink] = 
     Parameters
     ----------
     receptions : sequence of Receptions
-        An event that one node alone heard says nothing and is passed over.
+        An event that one node alone heard is ignored.
     links : sequence of ClockLink
         Measured in another way (motion).
 

@@ -122,7 +122,7 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
     Returns
     -------
     answer : Answer
-        Its table holds the arm, and under `forearm` what an arm has no key for.
+        Its table contains the arm, and under `forearm` what an arm has no key for.
     """
     rows = compare(calibration)
     arm, measures = without_wrong_axes(calibration.calibration, rows), calibration.measured.lengths
@@ -215,7 +215,7 @@ def open_questions(calibration: ForearmCalibration) -> list[str]:
         )
     if calibration.measured.strap_from == "usual":
         said.append(
-            "the strap's place was neither seen nor measured: usual values stand for it (5 +- 2 cm to the"
+            "the strap's place was neither seen nor measured: usual values are used (5 +- 2 cm to the"
             " wrist, 3.5 +- 0.8 cm to the forearm's core)"
         )
     if calibration.pose.turning_rad_s > RESTLESS_RAD_S:

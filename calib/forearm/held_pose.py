@@ -201,7 +201,7 @@ def _pose(recording: Recording, frames: BoolArray, offset_s: float, chosen: str)
 #: How well a palm that faces the camera does, and a sensor that is put on the back of the wrist, rad.
 PALM_SIGMA_RAD = np.radians(15.0)
 PLACED_SIGMA_RAD = np.radians(15.0)
-#: A strap that nobody saw or measured, m: to the wrist, to the forearm's core.
+#: A strap that was neither seen nor measured, m: to the wrist, to the forearm's core.
 USUAL_STRAP_TO_WRIST = Length(0.05, 0.020)
 USUAL_RADIUS = Length(0.035, 0.008)
 #: A length by ruler, m.

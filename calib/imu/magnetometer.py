@@ -21,7 +21,7 @@ from .accelerometer import Coverage, axis_words, cover
 
 #: Fewer samples than this are not taken for a calibration.
 FEWEST_SAMPLES = 200
-#: Samples beyond this many tell nothing more; evenly spread ones are taken.
+#: Samples beyond this many add nothing; evenly spread ones are taken.
 MOST_SAMPLES = 20_000
 #: A hole in the coverage that refuses, and one that is worth a word.
 LARGEST_HOLE_RAD = np.radians(60.0)
@@ -82,7 +82,7 @@ def calibrate_magnetometer(raw: FloatArray) -> MagnetometerCalibration:
     ------
     CalibrationError
         There are too few samples, they do not lie on an ellipsoid, or they leave a part of the
-        sphere open (a rotation about one axis); the text says what to record.
+        sphere open (a rotation about one axis); the message states what to record.
     """
     samples = raw[np.isfinite(raw).all(axis=1)]
     if len(samples) < FEWEST_SAMPLES:

@@ -98,7 +98,7 @@ def sensors_in(file: CalibrationFile) -> dict[str, Any]:
     """The tables of all sensors, by name."""
     held = file.tables.get("imu", {})
     if not isinstance(held, dict) or not all(isinstance(table, dict) for table in held.values()):
-        raise CalibrationError(f"{file.source}: imu must hold a table for each sensor, [imu.NAME].")
+        raise CalibrationError(f"{file.source}: imu must contain a table for each sensor, [imu.NAME].")
     return held
 
 
@@ -186,7 +186,7 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
 
 
 def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tuple[list[ImuStream], bool]:
-    """Streams of one IMU with what the file knows of it taken off, and whether its accelerometer is known.
+    """Streams of one IMU corrected by the file's values, and whether its accelerometer is known.
 
     Parameters
     ----------

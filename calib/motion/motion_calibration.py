@@ -144,7 +144,7 @@ def motion_answer(estimates: ArmEstimates) -> Answer:
     Returns
     -------
     answer : Answer
-        Its table holds the arm alone: clock offsets belong to their recordings.
+        Its table contains the arm alone: clock offsets belong to their recordings.
     """
     arm = estimates.calibration
     levers = {f"lever_arm_{joint}": lever for joint, lever in arm.lever_arms.items()}
@@ -249,7 +249,7 @@ def _drift(recovery: Recovery, recording: Recording | None) -> float:
     return float(np.ptp(recovery.arm.t_s - recording.arm.t_s))
 
 
-#: Lever arms of two recordings that differ by more than this on an axis, m and sigmas, are of two mountings.
+#: Lever arms of two recordings that differ by more than this on any axis, m and sigmas, are of two mountings.
 APART_M, APART_SIGMAS = 0.04, 4.0
 #: A shorter recording, s, says too little alone to contradict another.
 ALONE_S = 10.0
@@ -353,7 +353,7 @@ def _require_one_mounting(
     for number, name in enumerate(names):
         own = [replace(segment, recording=0) for segment in segments if segment.recording == number]
         if sum(segment.end_s - segment.start_s for segment in own) >= ALONE_S:
-            with suppress(CalibrationError):  # one that shows nothing alone contradicts nobody
+            with suppress(CalibrationError):  # one that shows nothing alone contradicts no other
                 label = name if names.count(name) == 1 else f"{name} ({number + 1})"
                 alone[label] = self_calibrate(own, known, config, pool).estimate
     groups = mountings(alone)

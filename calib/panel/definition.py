@@ -161,7 +161,7 @@ def _check(model: type[Any], values: dict[str, Any], where: str) -> Any:
 
 #: Fewer points than this make no group for a principal component.
 FEWEST = 20
-#: Principal components are taken of not more points than this: more say nothing new and cost seconds.
+#: Principal components are taken of not more points than this: more add nothing and cost seconds.
 MOST = 20_000
 #: Statistical removal of outliers: neighbours looked at, and sigmas allowed.
 NEIGHBOURS, SIGMAS = 20, 2.5

@@ -92,7 +92,7 @@ def identify_spots(
     """The spots that are the panel's markers.
 
     Every set of four spots is put on the plane of the depth between them; the distances of the four points
-    tell which marker each is, and that the panel faces the camera leaves its mirror image out.
+    identify each marker, and that the panel faces the camera leaves its mirror image out.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def _planes(corners: FloatArray, depth_m: FloatArray, rays: FloatArray) -> tuple
 
 
 def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
-    """What to say where no four spots fit the panel; `places` (S, 4, 3) of all sets of four."""
+    """The message where no four spots fit the panel; `places` (S, 4, 3) of all sets of four."""
     if _on_one_line(blobs):
         return _edge_on_line(name)
     if len(blobs) > 4:

@@ -369,7 +369,7 @@ def drawn_spots(infrared: FloatArray, blobs: Blobs, markers: tuple[int, ...] = (
     image = cv2.resize(grey(infrared), None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     for index, (pixel, radius) in enumerate(zip(blobs.pixels, blobs.radii_px, strict=True)):
-        # the centre of pixel (0, 0) lies in the middle of its enlarged square
+        # the centre of pixel (0, 0) is in the middle of its enlarged square
         x, y = (factor * (pixel + 0.5) - 0.5).tolist()
         known = index in markers
         colour = MARKER if known else SPOT

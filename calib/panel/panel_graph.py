@@ -88,7 +88,7 @@ class PanelSolution:
     depth_offset_m, depth_offset_sigma_m : float, m
         The camera's depth is this much too long; 0 and inf where it was not solved.
     offset_apart_m, offset_apart_sigma_m : float, m
-        What the markers' spacing alone says of that error.
+        That error by the markers' spacing alone.
     ray_residuals : ndarray, shape (poses, 4)
         Of a marker's ray from where the answer puts the mocap marker; times the focal length in pixels.
     marker_residuals_m : ndarray, shape (poses, 4), m

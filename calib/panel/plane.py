@@ -255,7 +255,7 @@ class Regions:
     depth_m : ndarray, shape (N,), m
         Theirs.
     panel_P : ndarray, shape (N, 2), m
-        Where they lie on the panel by the first pose.
+        Where they are on the panel by the first pose.
     along_x, along_y : ndarray of bool, shape (N,)
         Those of the strips.
     covered : float

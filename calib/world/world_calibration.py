@@ -279,7 +279,7 @@ class PanelView:
 def world_poses(
     views: Sequence[PanelView], panel: Sequence[ImuStream], base: Sequence[ImuStream]
 ) -> tuple[list[WorldPose], list[str]]:
-    """What camera and IMUs know of each pose; poses in which an IMU moves are left out, with a note.
+    """Each pose as measured by camera and IMUs; poses in which an IMU moves are left out, with a note.
 
     Parameters
     ----------

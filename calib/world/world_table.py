@@ -265,7 +265,7 @@ def read_table(file: CalibrationFile) -> CameraFromBase | None:
             sigma = np.radians(np.array(table["rotation_sigma_deg"], float).reshape(3))
             covariance = np.diag(np.r_[sigma**2, np.zeros(3)])
     except (KeyError, TypeError, ValueError) as error:
-        what = f"lacks {error}" if isinstance(error, KeyError) else f"holds a wrong value ({error})"
+        what = f"lacks {error}" if isinstance(error, KeyError) else f"contains a wrong value ({error})"
         raise CalibrationError(
             f"{file.source}: [{NAME}] {what}; run `unocclude calibrate world` again."
         ) from None

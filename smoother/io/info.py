@@ -51,7 +51,7 @@ class ArmInfo:
     allows : str
         What the recording allows, in a line.
     ready : bool
-        Nothing says that no answer could be trusted.
+        There is no sign that no answer could be trusted.
     cameras : list of str
         Further cameras that saw the arm, a line each.
     """
@@ -186,9 +186,9 @@ class RecordingInfo:
     allows : str
         What the recording allows, in a line; empty where it cannot be recovered.
     ready : bool
-        All arms can be recovered, and nothing says that no answer could be trusted.
+        All arms can be recovered, and there is no sign that no answer could be trusted.
     result : bool
-        The file holds a recovery already.
+        The file contains a recovery already.
     verdicts : list of dict
         On each arm of that: `arm` ("" for the only one), `trusted`, `verdict`, and `untrusted`, times that
         are not to be trusted where the rest is.

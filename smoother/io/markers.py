@@ -378,7 +378,7 @@ def _whole(path: Path, point: dict[str, Any]) -> None:
     """Refuse a file that ends before the last frame that its header counts; the library makes frames up.
 
     Words of the header (c3d.org): 2 points, 3 analog samples per frame, 4 and 5 first and last frame, 9 the
-    first block of 512 bytes that holds data. A scale below zero says that numbers have four bytes, else two.
+    first block of 512 bytes that contains data. A scale below zero means four bytes a number, else two.
     """
     with open(path, "rb") as file:
         header = file.read(512)

@@ -31,7 +31,7 @@ ALIGN_STEP_S = 2.0
 ACCELERATION_HALF_S = 0.4
 #: Frames that a parabola needs.
 FEWEST_FRAMES = 6
-#: Standard deviations: of a joint an axis, of the inertial filter's attitude, of an acceleration (m/s^2),
+#: Standard deviations: of a joint per axis, of the inertial filter's attitude, of an acceleration (m/s^2),
 #: of the rough direction of gravity.
 POINT_SIGMA_M = 0.012
 FILTER_SIGMA_RAD = np.radians(3.0)
@@ -260,7 +260,7 @@ def _spread(profiles: FloatArray, decay: float) -> FloatArray:
 
 
 def located(calibration: ArmCalibration) -> BoolArray:
-    """(5,) joints that can take part: of the others nobody knows where they are on the arm."""
+    """(5,) joints that can take part: of the others the place on the arm is unknown."""
     known = {"shoulder", *(joint for joint in JOINTS if lever_of(calibration, joint) is not None)}
     for name, mounting in calibration.mountings.items():
         known |= set(SEGMENTS[name].camera_joints) & mounting.lever_arms.keys()
@@ -287,7 +287,7 @@ def pairs(
     accepted : ndarray of bool, shape (f, 5)
         Samples that may take part.
     calibration : ArmCalibration
-        Its lever arms say which joints can take part.
+        Its lever arms determine which joints can take part.
 
     Returns
     -------

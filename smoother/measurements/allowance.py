@@ -2,7 +2,7 @@
 
 A rule of thumb with three parts. A floor: the camera's noise, and speed times how well frames are dated. A
 growth with the length of the gap: 7 mm a second for a sensor whose ends alone are seen (BROAD: 0.5, 0.9, 1.3
-and 2.1 cm at 0.5, 1, 2 and 3 s), half of it where a shoulder holds the arm, more for a slow IMU or a
+and 2.1 cm at 0.5, 1, 2 and 3 s), half of it where a shoulder constrains the arm, more for a slow IMU or a
 mounting that does not show. And what must move for the mounting to show. Slow errors of a body tracker show
 in no single recording; `gaps` measures them.
 """
@@ -32,7 +32,7 @@ ASKED_M = (0.02, 0.05, 0.10)
 SHORTEST_S, LONGEST_S = 0.3, 30.0
 #: An IMU or a camera slower than this, Hz, allows nothing; one slower than the second little.
 TOO_SLOW_HZ, SLOW_HZ, CAMERA_SLOW_HZ = 15.0, 38.0, 8.0
-#: Words of a sentence that says that the mounting does not show.
+#: Words of the sentence for a mounting that does not show.
 NOTHING = "nothing determines"
 #: Least time in view, s, and rms turn rate about the two liveliest axes, rad/s, that show the mounting.
 IN_VIEW_S, FIRST_AXIS, SECOND_AXIS = 5.0, 0.2, 0.1
@@ -74,7 +74,7 @@ class Allowance:
         within = f"{100 * self.within_m:.0f} cm"
         if self.longest_s is None:
             first = f"allows no gap within {within}"
-        else:  # `check` tries the lengths: two numbers for one thing help nobody
+        else:  # `check` tries the lengths: two numbers for one thing confuse
             some = "some seconds" if self.longest_s >= SOME_SECONDS_S else "a second or less"
             first = f"allows gaps of {some} within {within}, by a rule of thumb; `unocclude check` tries them"
         return "; ".join([first, *self.undetermined])
@@ -124,8 +124,8 @@ def _obstacles(recording: Recording) -> Iterator[str]:
         yield "the forearm is never tracked"
     if arm.pixel_rad is not None and all(camera.pose is None for camera in recording.cameras):
         yield (
-            "keypoints of one camera without depth do not say how far away the arm is; a camera with depth or"
-            " a second one whose place is known does"
+            "keypoints of one camera without depth do not show how far away the arm is; a camera with depth"
+            " or a second one whose place is known does"
         )
     start_s, end_s = max(arm.t_s[0], imu.t_s[0]), min(arm.t_s[-1], imu.t_s[-1])
     if end_s - start_s < 2.0:

@@ -23,7 +23,7 @@ from ..splines import cubic_spline
 FINE_STEP_S = 1.0 / 240.0
 #: Intervals are done together when their step counts differ by less than this; the finer count counts.
 STEP_FACTOR = 1.42
-#: Longest step that one pair of equivalent samples stands for, s (see `equivalent_samples`).
+#: Longest step that one pair of equivalent samples represents, s (see `equivalent_samples`).
 STEP_S = 0.036
 #: Share of an impact's impulse that the samples may have missed.
 IMPACT_SHARE = 0.2
@@ -273,7 +273,7 @@ def equivalent_samples(motion: Preintegration) -> tuple[FloatArray, FloatArray, 
 
     GTSAM's `PreintegratedImuMeasurements` advances by p += v h + R a h^2/2, v += R a h, R = R Exp(w h) with R
     at the beginning of a sample. Two such samples over half the step each, with one common rate, have six
-    unknowns in a: they reproduce (delta_v, delta_p) of the fine integration, so that two calls stand for any
+    unknowns in a: they reproduce (delta_v, delta_p) of the fine integration, so that two calls replace any
     number.
 
     Parameters

@@ -13,7 +13,7 @@ from ..runtime.store import Store, batches
 
 AXES = ("x", "y", "z")
 SENSORS = ("accelerometer", "gyroscope")
-#: Joints whose names may be swapped; the strap is no joint of a skeleton.
+#: Joints whose names may be swapped; the strap is not a joint of a skeleton.
 SWAPPED = ("shoulder", "elbow", "wrist", "hand")
 
 

@@ -269,7 +269,7 @@ def without_spikes(imu: ImuStream) -> ImuStream:
 
 @dataclass(frozen=True)
 class Timeline:
-    """What every step needs to know of a recording's times.
+    """What every step needs of a recording's times.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Stamps: pauses, jitter taken off, stamps that nobody measured, counters, clocks that were set back."""
+"""Stamps: pauses, jitter taken off, stamps that were not measured, counters, clocks that were set back."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ WRAPS_S = (
     2**16 * 1e-3,
     86_400.0,
 )
-#: After a wrap the next stamp follows within this many ticks, or so long, s.
+#: After a wrap the next stamp follows within this many ticks, or this long, s.
 WRAP_TICKS, WRAP_S = 50.0, 1.0
 #: A step is a repeat or a burst's where it is shorter than this part of a tick; stamps with a smaller share
 #: of those are left as they are.
@@ -333,7 +333,7 @@ _MOST_RESETS = 6
 #: This many steps on both sides are regular: this share of them lies within these parts of the usual
 #: interval.
 _BESIDE, _REGULAR = 12, (0.25, 3.0, 0.8)
-#: Fewer than this on one side tell nothing.
+#: Fewer than this on one side are not enough.
 _FEWEST_ROWS = 4
 #: The level of the stamps is compared over this many rows; it falls by the step, to this part of it.
 _LEVEL_ROWS, _SAME = 50, 0.3

@@ -41,10 +41,10 @@ ROUNDS = 3
 BESIDE_S = 3.0
 #: Of the visible time at most this share is left out: else it cannot be said who is wrong.
 MOST_EXCLUDED = 0.4
-#: .. and with no more than this left out the rest still decides by chance whether camera and IMU are a pair.
+#: .. and with no more than this left out the rest still shows whether camera and IMU are a pair.
 FEW_EXCLUDED = 0.15
 #: A slice of this length, s, is readmitted where its mean error in sigmas squared / 3 is below this; the
-#: camera's slow error, m per axis, or its whole noise where that is more, is part of sigma, and the prediction
+#: camera's slow error, m per axis, or its whole noise where that is more, is part of sigma; the prediction
 #: has to be this good, m per axis: another 18 cm are then distinguished from none.
 SLICE_S, READMITTED = 0.5, 3.0
 SLOW_M, PREDICTED_M = 0.017, 0.05

@@ -427,6 +427,6 @@ def skeleton_filled(recovery: Recovery) -> Iterator[str]:
     count = int(np.count_nonzero(recovery.residuals.reason == Rejection.INTERPOLATED))
     if count > FEW_FILLED:
         yield (
-            f"a program filled gaps of the skeleton and called them tracked ({count} samples are on lines"
+            f"a program filled gaps of the skeleton and called them tracked ({count} samples lie on lines"
             " or cubics): treated as not seen; export the skeleton without filling and filtering"
         )

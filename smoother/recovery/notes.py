@@ -120,7 +120,7 @@ def _contradicted(residuals: FrameResiduals) -> BoolArray:
 
 
 def _open_gaps(gaps: tuple[Gap, ...], two_imus: bool) -> list[str]:
-    why = f", by {'both IMUs' if two_imus else 'one IMU'}: its sigma says how far"
+    why = f", by {'both IMUs' if two_imus else 'one IMU'}: its sigma gives its accuracy"
     return [
         f"the gap from {gap.start_s:.1f} s to {gap.end_s:.1f} s is open at its"
         f" {'start' if gap.open_start else 'end'}: it is recovered from one side{why}"

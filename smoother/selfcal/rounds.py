@@ -121,7 +121,7 @@ def with_initial_values(prepared: PreparedSegment, trajectory: Trajectory | None
 ROUNDS = 4
 #: A round ends when an iteration lowers the error by less than this share of it.
 TOLERANCE = 1e-3
-#: Rounds end when nothing moved more than this, m (a clock's s count as m at a hand's pace, m/s), or more
+#: Rounds end when nothing moved more than this, m (a clock's s as m at a hand's pace, m/s), or more
 #: than this share of its own sigma: the windows solve lever arms again.
 SETTLED_M, SETTLED_SIGMAS = 0.001, 0.4
 CLOCK_WEIGHT = 1.0

@@ -164,7 +164,7 @@ def record_arm(
     Parameters
     ----------
     config : ArmSimulation
-        Sensors and errors; the protocol says where occlusions come from.
+        Sensors and errors; the protocol determines where occlusions come from.
     name : str
         Of the recording.
     measures : BodyMeasures

@@ -61,7 +61,7 @@ def draw_measures(rng: np.random.Generator) -> BodyMeasures:
     """A random adult and a random way to put on the strap."""
     upper_arm = rng.uniform(0.26, 0.34)
     forearm = rng.uniform(0.23, 0.28)
-    # The IMU lies on the back of the wrist: rolled round the arm, turned on its face, a little tilted.
+    # The IMU is on the back of the wrist: rolled round the arm, turned on its face, a little tilted.
     roll = Rotation.from_euler("y", rng.normal(0, 15), degrees=True)
     face = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # z of {A} along x of {F}
     turn = Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
@@ -87,7 +87,7 @@ def arm_chain(
     posture : ndarray, shape (N, 8)
         See the column names of this module.
     reference : Rotation
-        The upper arm's rotation `R_T_U` that a zero shoulder rotation vector stands for.
+        The upper arm's rotation `R_T_U` of a zero shoulder rotation vector.
     measures : BodyMeasures
         The person.
     """

@@ -47,7 +47,7 @@ _REALISTIC_ARM = {
     "upper_clock_ppm": 30.0,
 }
 # Measured: the constant errors' sizes and, for shoulder, elbow and wrist, those of the slow ones (memory of
-# 0.5 to 0.7 s). The hand is treated as the wrist; the strap is no joint of the skeleton and as in REALISTIC.
+# 0.5 to 0.7 s). The hand is treated as the wrist; the strap, not a joint of the skeleton, is as in REALISTIC.
 _AZURE: dict[str, Any] = _REALISTIC | {
     "noise_correlated_m": 0.0,
     "noise_correlated_s": 0.6,
@@ -82,7 +82,7 @@ class SensorErrors(BaseModel):
     joint_off_m: tuple[_Size, ...] = Field(
         default=(),
         max_length=2,
-        description="a joint's constant error, added: its 3D size lies between these two, m",
+        description="a joint's constant error, added: its 3D size is between these two, m",
     )
     latency_s: float = Field(
         default=0.0, description="camera stamps late by this; t_imu = t_camera - latency_s"
@@ -134,7 +134,7 @@ class ArmSimulation(SensorErrors):
     repetitions: int = Field(default=2, ge=1, description="how often the protocol `behind` is done")
     duration_s: float = Field(default=30.0, gt=1, description="length of `random` and `hang`, s")
     flexion_rad: tuple[float, float] = Field(
-        default=(0.5, 2.0), description="the elbow's flexion in `random` lies between these two, rad"
+        default=(0.5, 2.0), description="the elbow's flexion in `random` is between these two, rad"
     )
     side: Literal["left", "right"] = "right"
     camera_frame: CameraFrame = CameraFrame.KINECT

@@ -289,7 +289,7 @@ class TrunkImuMotion:
 
 
 def draw_trunk_axes(rng: np.random.Generator) -> FloatArray:
-    """How the IMU lies on the breastbone: turned as it comes, a little tilted, (3, 3) from {D} to {T}."""
+    """The IMU's orientation on the breastbone: turned at random, a little tilted, (3, 3) from {D} to {T}."""
     turn = Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
     tilt = Rotation.from_rotvec(rng.normal(0, 12, 3), degrees=True)
     return np.asarray((tilt * turn).as_matrix())

@@ -1,7 +1,7 @@
-"""Several people before one camera, both arms of each, and a box of IMUs that nobody labelled.
+"""Several people before one camera, both arms of each, and a box of unlabelled IMUs.
 
-Every person has measures of their own and two arms that move by a protocol of their own; IMUs lie on
-forearms, upper arms or the table, on clocks of their own, and the recording's names say nothing. The truth
+Every person has measures of their own and two arms that move by a protocol of their own; IMUs are on
+forearms, upper arms or the table, on clocks of their own, and the recording's names are of no use. The truth
 is kept beside.
 """
 
@@ -44,7 +44,7 @@ class PeopleSimulation(BaseModel):
 
     people: int = Field(default=2, ge=1, le=6, description="persons before the camera, both arms of each")
     sensors: int = Field(default=4, ge=1, le=24, description="IMUs in the recording")
-    on_table: int = Field(default=1, ge=0, description="how many of them lie on the table")
+    on_table: int = Field(default=1, ge=0, description="how many of them are on the table")
     hanging: float = Field(default=0.25, ge=0, le=1, description="chance that an arm hangs while others move")
     in_time: float = Field(
         default=0.5, ge=0, le=1, description="chance that all do the same movements at the same time"
@@ -64,7 +64,7 @@ class WornImu:
     Attributes
     ----------
     stream : ImuStream
-        Its samples, on its own clock; the name says nothing of where it is.
+        Its samples, on its own clock; the name does not show where it is.
     body : int, optional
         Who wears it; None on the table.
     joint : str
@@ -163,7 +163,7 @@ def simulate_people(
     Parameters
     ----------
     people : PeopleSimulation, optional
-        Who and what; None for two people with four IMUs, one of which lies on the table.
+        Who and what; None for two people with four IMUs, one of which is on the table.
     arm : ArmSimulation, optional
         Motion, camera and sensors of every arm; None for 20 s of random motion with realistic errors.
     seed : int

@@ -62,7 +62,7 @@ def with_pixels(tracks: JointTracks) -> JointTracks:
 
 
 def calibrated(R_K_C: FloatArray, p_K_C_m: FloatArray, rng: np.random.Generator) -> CameraPose:
-    """Where a calibration says that a camera stands, with its errors."""
+    """A camera's place by a calibration, with its errors."""
     sigma_rad = float(np.radians(CALIBRATED_DEG))
     turn = Rotation.from_rotvec(sigma_rad * rng.normal(size=3)).as_matrix()
     return CameraPose(R_K_C @ turn, p_K_C_m + CALIBRATED_M * rng.normal(size=3), sigma_rad, CALIBRATED_M)

@@ -192,7 +192,7 @@ class Source(Protocol):
 
     @property
     def speed(self) -> float:
-        """How fast its time goes, 1 being as usual; 0 waits for nobody."""
+        """How fast its time goes, 1 being as usual; 0 does not wait."""
 
     @property
     def ended(self) -> bool:

@@ -29,7 +29,7 @@ _BODY = re.compile(
 #: The channel format of strings (`pylsl.cf_string`).
 _STRINGS = 3
 Axes = tuple[int, int, int]
-#: Words of a label beside a joint's that say that its numbers are a Kinect's states, not shares of one.
+#: Words of a label beside a joint's whose numbers are a Kinect's states, not shares of one.
 _STATES = {"state", "trackingstate", "status", "level"}
 
 
@@ -203,7 +203,7 @@ class SkeletonChannels:
     metres : float
         In one of their units.
     camera_frame : CameraFrame, optional
-        Where the joints' names say which camera it is.
+        Where the joints' names identify the camera.
     """
 
     side: str
@@ -232,7 +232,7 @@ class SkeletonChannels:
         Raises
         ------
         RecordingError
-            Labels or units are missing, or both arms are there and nothing says which is meant.
+            Labels or units are missing, or both arms are there and nothing shows which is meant.
         """
         stream.check_numbers()
         stream = _of_one_body(stream, body)

@@ -209,7 +209,7 @@ def foxglove_module() -> ModuleType:
 
 
 class FoxgloveServer:
-    """Sends messages to whoever is connected; one who is slow misses some and holds nobody up.
+    """Sends messages to whoever is connected; a slow client misses some and does not delay the others.
 
     Parameters
     ----------

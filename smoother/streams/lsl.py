@@ -218,7 +218,7 @@ class LslInlet:
         return None
 
     def _compare(self, before: StreamLabels, now: StreamLabels, stream: Any) -> None:
-        """Refuse a stream that came back as another one; say what else is new."""
+        """Refuse a stream that came back as another one; warn of other changes."""
         difference = before.difference(now)
         if difference:
             raise UnoccludeError(
@@ -289,7 +289,7 @@ _AXES = "XYZ"
 class LslOutlet:
     """Sends `now` as a stream NAME and `settled` as NAME_settled, of type MoCap, a sample a step.
 
-    Of each joint x, y, z and the largest sigma of an axis, of the IMU its orientation as well; then `state`
+    Of each joint x, y, z and the largest sigma of any axis, of the IMU its orientation as well; then `state`
     (0 calibrating, 1 visible, 2 gap, 3 the IMU is lost), `gap` (s since it began, 0 outside) and `lag` (s
     before the present). Joints without an answer are nan. Stamps are this computer's LSL clock at the moment
     that the sample speaks of.

@@ -38,7 +38,7 @@ _LOCAL = {
 
 
 class LocalLslOutlet:
-    """Sends `now` and `settled` as `LslOutlet` does, from a program that only this computer hears of.
+    """Sends `now` and `settled` as `LslOutlet` does, from a program that only this computer can find.
 
     Programs of this computer find the streams as any others. The library listens for receivers on all
     network cards all the same: who knows address and port can ask; a firewall keeps that out.
@@ -128,7 +128,7 @@ class LocalLslOutlet:
             while (output := self._waiting.get()) is not None:
                 pickle.dump(output, self._pipe, pickle.HIGHEST_PROTOCOL)
                 self._pipe.flush()
-        with suppress(Empty):  # nobody is to wait for a place
+        with suppress(Empty):  # no sender may wait for a place
             while True:
                 self._waiting.get_nowait()
 

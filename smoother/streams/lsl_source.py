@@ -83,7 +83,7 @@ class LslSource:
         seconds : float, s
             How long at most.
         stopped : callable
-            True where nobody wants to wait any more.
+            True where the wait is cancelled.
         say : callable
             Told once a stream is there.
 
@@ -97,7 +97,7 @@ class LslSource:
         UnoccludeError
             A stream did not come; the sentence lists those that are there.
         RecordingError
-            A stream's labels do not say what its channels are.
+            A stream's labels do not identify its channels.
         """
         imu_inlet, skeleton_inlet = self._inlets[:2]
         for inlet in self._inlets:

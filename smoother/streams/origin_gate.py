@@ -1,6 +1,6 @@
 """A door before a WebSocket server of this computer: pages of other web sites do not get in.
 
-Any page that a browser shows may connect to a WebSocket on this computer; the browser says which page it is
+Any page that a browser shows may connect to a WebSocket on this computer; the browser sends the page's origin
 (Origin, RFC 6455, 10.2). A client that sends no Origin is a program of this computer.
 """
 
@@ -15,7 +15,7 @@ from ..runtime.local_requests import LOOPBACK, OWN_NAMES, LocalDoor, joined
 
 #: Whose pages may connect: Foxglove's own and those of this computer, and its desktop application.
 DOOR = LocalDoor(guests=("app.foxglove.dev", "foxglove.dev", *OWN_NAMES), schemes=("file", "foxglove", "app"))
-#: The head of a request is awaited so long, s, and is no longer than this, bytes.
+#: The head of a request is awaited this long, s, and is no longer than this, bytes.
 _HEAD_S, _HEAD_BYTES = 5.0, 16384
 #: A side that takes nothing for this long is let go, s; and how often it is looked whether all ends.
 _PATIENCE_S, _LOOKED_S = 10.0, 0.5

@@ -42,8 +42,8 @@ _POLICY = (
 class LivePage:
     """Serves the page on this computer alone, to who has its address; a receiver.
 
-    The address holds a token, and requests of other pages that the browser shows are refused by their Host
-    and Origin. One browser that is slow holds nobody up: it misses moments.
+    The address contains a token, and requests of other pages that the browser shows are refused by their Host
+    and Origin. A slow browser does not delay the others: it misses moments.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ class LogTimes:
         ----------
         stamp_ns : ndarray of int, shape (n,), ns
         latency_s : float, s, optional
-            Asked for; None takes the recording's log times, or `CAMERA_LATENCY_S` where they say nothing.
+            Asked for; None takes the recording's log times, or `CAMERA_LATENCY_S` where they do not show it.
         """
         if latency_s is None and self._skeleton in self._log:
             delay = self._log[self._skeleton] - self._stamp[self._skeleton]

@@ -222,7 +222,7 @@ class LiveSession:
         if len(imu):
             self.engine.add_imu(ImuBatch(imu.t_s, imu.acc, imu.gyro))
         frames = arrivals.frames
-        # the smoother follows the camera's clock by itself, and knows how uncertain that is
+        # the smoother follows the camera's clock by itself, with its uncertainty
         t_s = frames.t_s - self._frame_steps.stepped_s
         rows = zip(t_s.tolist(), frames.arrival_s.tolist(), frames.position, frames.state, strict=True)
         for stamp_s, arrival_s, position, state in rows:

@@ -65,7 +65,7 @@ class DelayCounts:
 
 #: Rates and delays are those of the last seconds.
 _RECENT_S = 5.0
-#: A stream is treated as lost after so long without anything, s.
+#: A stream is treated as lost after this long without a sample, s.
 LOST_S = 1.0
 #: Samples and frames are missing where two are farther apart than this many usual intervals.
 _MISSING = 1.6

@@ -29,7 +29,7 @@ from .arrivals import Arrivals, SourceInfo
 if TYPE_CHECKING:
     from .foxglove import LiveMessages
 
-#: What came is written after so long, s: more a killed program cannot lose.
+#: What came is written after this long, s: a killed program loses no more.
 _FLUSH_S = 1.0
 #: What was shown and what was marked; readers of recordings leave both alone.
 SHOWN_TOPIC, MARKS_TOPIC = "/live/forearm", "/live/marks"

@@ -159,7 +159,7 @@ def run_cluster(jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, No
 def dask_setup(worker: object) -> None:
     """Prepare a process of `run_local`; Dask calls this."""
     if _be_quiet():
-        warnings.simplefilter("ignore")  # a library's warning says nothing to a user
+        warnings.simplefilter("ignore")  # a library's warning is of no use to a user
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the client ends its processes
 
 

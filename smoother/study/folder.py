@@ -4,7 +4,7 @@
 
     DIR/results/*.parquet     rows, written once and never changed
     DIR/day1/a.mcap           outputs, named as the recordings
-    DIR/.unocclude/study      a word by which a worker knows that it sees this very folder
+    DIR/.unocclude/study      a word by which a worker checks that it sees this very folder
     DIR/.unocclude/stage/     outputs that are being written
     DIR/.unocclude/rows/      rows of recordings that are done, until they are among the results
 
@@ -71,7 +71,7 @@ class StudyFolder:
         return self.path / name
 
     def open(self, force: bool = False) -> str:
-        """Make the folder or take up one that holds a study.
+        """Make the folder or take up one that contains a study.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class StudyFolder:
         Returns
         -------
         word : str
-            By which a worker knows that it sees this folder.
+            By which a worker checks that it sees this folder.
 
         Raises
         ------
@@ -208,7 +208,7 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("input_hash", "string", "", "SHA-256 of the recording's bytes"),
     ("input_bytes", "int64", "B", "size of the recording"),
     ("input_mtime_ns", "int64", "ns", "with --keep-paths: when the recording was changed last, since 1970"),
-    ("input_state", "string", "", "by which the study knows that it was not changed; a hash with a key"),
+    ("input_state", "string", "", "by which the study checks that it was not changed; a hash with a key"),
     ("config_hash", "string", "", "SHA-256 of configuration and choices, number of processes left out"),
     ("calibration", "string", "", "the calibration file: its name, with --keep-paths its path"),
     ("calibration_hash", "string", "", "SHA-256 of the calibration file, empty without one"),
@@ -232,7 +232,7 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("sigma_max_deg", "double", "deg", "largest standard deviation of the orientation in a gap"),
     ("clock_offset_s", "double", "s", "t_imu = t_camera + offset"),
     ("clock_offset_sigma_s", "double", "s", "one standard deviation of it"),
-    ("notes", "int64", "", "what the result says of itself: number of sentences"),
+    ("notes", "int64", "", "notes of the result: number of sentences"),
     ("note_texts", "list", "", "the sentences"),
     ("arms", "int64", "", "recovered arms; the figures are the worst of them, and sums of gaps and samples"),
     ("arm_figures", "string", "", "with several arms: JSON, a list with these columns' figures of each"),
@@ -264,7 +264,7 @@ MEASURE_FIELDS: tuple[tuple[str, str, str, str], ...] = (
     ("sigma", "double", "", "standard deviation by the draws"),
     ("recovered_share", "double", "", "how much of it comes from samples that the camera did not see"),
     ("n_draws", "int64", "", "how many draws the interval is of"),
-    ("note", "string", "", "what to know of it"),
+    ("note", "string", "", "a note on it"),
 )
 
 
@@ -292,7 +292,7 @@ def schema() -> pa.Schema:
 
 
 def figures_of(recording: Recording, recovery: Recovery) -> Row:
-    """The columns that tell of a recovery."""
+    """The columns on a recovery."""
     from ..evaluation.summary import recovery_figures
 
     figures: dict[str, Any] = recovery_figures(recovery)
@@ -325,7 +325,7 @@ _SUMMED = ("samples", "answered", "gaps", "gaps_untrusted", "occluded_s")
 
 
 def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Sequence[str] = ()) -> Row:
-    """The columns that tell of a recording's arms: of several the worst, or their sum, and each by itself.
+    """The columns on a recording's arms: of several the worst, or their sum, and each by itself.
 
     `left_out`: sentences on topics that did not go into the result; they join the notes.
     """

@@ -1,6 +1,6 @@
 """The recordings of a study: those of a folder, of a pattern, or of a list; and whose sessions they are.
 
-What a result depends on, as hashes, and what rows say of the machine: nothing, unless asked for.
+What a result depends on, as hashes, and what rows record about the machine: nothing, unless asked for.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def person_of(name: str) -> str:
 
 
 def relative_day(word: str, person: str, origin_ns: int) -> float | None:
-    """When a recording was made, in days from a time that nobody but the study knows.
+    """When a recording was made, in days from a time that only the study knows.
 
     The time is another one for each person, so that days of one person can be subtracted and nothing else.
 
@@ -341,7 +341,7 @@ def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
         return Path(os.path.commonpath([_absolute(file.parent) for file, _ in files])), files
     except ValueError as error:  # Windows: several drives
         raise UnoccludeError(
-            f"{path}: the recordings lie on several drives; make a list for each of them"
+            f"{path}: the recordings are on several drives; make a list for each of them"
         ) from error
 
 

@@ -167,7 +167,7 @@ class Job:
     folder : str
         The study's folder, absolute.
     word : str
-        The study's word, by which the worker knows that it sees the same folder.
+        The study's word, by which the worker checks that it sees the same folder.
     config, choice : Config, InputSelection
         Settings.
     config_hash : str
@@ -303,7 +303,7 @@ def run_job(job: Job) -> Row:
 
 
 def _check_machine(job: Job, folder: StudyFolder) -> None:
-    """Refuse work that this machine could not do, or whose result nobody would find."""
+    """Refuse work that this machine could not do, or whose result could not be found."""
     host = socket.gethostname()
     if job.version != __version__:
         raise _Surroundings(

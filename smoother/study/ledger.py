@@ -177,7 +177,7 @@ class Ledger:
             return schema().empty_table()
         try:
             return rows_table(files, columns)
-        except MemoryError:  # says nothing of the files
+        except MemoryError:  # the files may be intact
             raise
         except (pa.ArrowException, OSError):
             sound = [file for file in files if self._is_sound(file)]

@@ -89,12 +89,12 @@ def sessions_of(
     sessions : dict of str to SessionEntry
         By the recordings' names.
     left_out : list of str
-        Recordings that are of nobody, one sentence each.
+        Recordings without a person, one sentence each.
 
     Raises
     ------
     UnoccludeError
-        The table cannot be used, or no recording lies in a folder.
+        The table cannot be used, or a folder contains no recording.
     """
     names = [row["recording"] for row in rows]
     if table is not None:

@@ -80,7 +80,7 @@ class Tally:
     began : float, s
         `time.monotonic` at the start of the run.
     notes : list of str
-        What the user must know of the study itself.
+        Notes for the user on the study itself.
     """
 
     total: int

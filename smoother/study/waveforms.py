@@ -89,7 +89,7 @@ def shared_errors(deviations: FloatArray) -> FloatArray:
     """What the errors of all repetitions have in common: components of its covariance.
 
     A deviation's mean over n repetitions has the variance c + e / n, a single one's c + e: c is shared (joint
-    centres, calibration), and e lies in the scatter between repetitions, where it is not counted again.
+    centres, calibration), and e is part of the scatter between repetitions, where it is not counted again.
 
     Parameters
     ----------

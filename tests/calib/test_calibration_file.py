@@ -229,7 +229,7 @@ def test_sides(tmp_path: Path):
     one = CalibrationFile().with_arm(right)
     assert one.arm("right").side == "right"
     assert one.arm("").side == "right"
-    with pytest.raises(CalibrationError, match="holds the right arm only"):
+    with pytest.raises(CalibrationError, match="is for the right arm only"):
         one.arm("left")
     assert one.with_arm(both).arm("left").side == ""
     assert one.with_arm(both).arm("").side == ""

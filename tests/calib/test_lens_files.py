@@ -107,7 +107,7 @@ def test_pose2sims_calibration(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("a: 1\n", "holds no lens"),
+        ("a: 1\n", "has no lens"),
         ("camera_matrix:\n  data: [1.0, 2.0]\n", "not whole"),
         ("camera_matrix: [-9, 0, 1, 0, 9, 1, 0, 0, 1]\n", "above zero"),
         ("cam0:\n  camera_model: pinhole\n  distortion_model: equidistant\n  intrinsics: [9, 9, 4, 4]\n"

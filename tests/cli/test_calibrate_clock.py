@@ -177,7 +177,7 @@ def test_refusals(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
             1,
             "a has a second time in round 1 (the first is in line 2)",
         ),
-        (("--broadcast", tmp_path / "one.csv"), 1, "holds the times of 1 node"),
+        (("--broadcast", tmp_path / "one.csv"), 1, "contains the times of 1 node"),
         (("--broadcast", tmp_path / "apart.csv"), 1, "no event was received by two clocks"),
         (("--broadcast", times, "-o", times), 1, "is read by this command"),
         (("--motion", tmp_path / "none.mcap"), 1, "none.mcap does not exist"),

@@ -98,7 +98,7 @@ def test_crop_is_the_same_in_python() -> None:
     ("text", "says"),
     [
         ("start_s,end_s\n1,2\n", "the column name is missing"),
-        ("name,start_s,end_s\n../a,1,2\n", "line 2: '../a' is no name for a file"),
+        ("name,start_s,end_s\n../a,1,2\n", "line 2: '../a' is not a valid file name"),
         ("name,start_s,end_s\na,1,x\n", "line 2: end_s of a is not a number of seconds"),
         ("name,start_s,end_s\na,4,2\n", "line 2: a ends at 2 s, before it starts"),
         ("name,start_s,end_s\n", "there is no trial"),

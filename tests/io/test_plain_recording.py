@@ -117,7 +117,7 @@ def change(old: str, new: str, stem: str = "recording") -> tuple[str, str, str]:
         (change(",", ";", "imu"), "separated by semicolons"),
         (change("elbow_right", "elbo_right", "skeleton"), r"line 3: joint 'elbo_right' is not known"),
         (change("not_tracked", "lost", "skeleton"), r"line \d+: state 'lost' is not known"),
-        (change("0.1,1,2,3", "nan,1,2,3", "truth"), "no time in seconds"),
+        (change("0.1,1,2,3", "nan,1,2,3", "truth"), "not a time in seconds"),
     ],
 )
 def test_what_is_wrong_is_named(plain_folder: Folder, edit: tuple[str, str, str], said: str) -> None:

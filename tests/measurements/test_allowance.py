@@ -96,4 +96,4 @@ def test_one_camera_without_depth_is_not_enough_and_two_are() -> None:
     both, alone = allowance(recording), allowance(replace(recording, cameras=()))
     assert both.ready
     assert not alone.ready
-    assert "one camera without depth do not say how far away the arm is" in alone.sentence
+    assert "one camera without depth do not show how far away the arm is" in alone.sentence

@@ -43,7 +43,7 @@ class Check:
     name : str
         `python -m tools.accuracy NAME`.
     rows : callable
-        From the options to the lines that are printed; its docstring says what is measured.
+        From the options to the lines that are printed; its docstring states what is measured.
     options : tuple of Option
     """
 

@@ -28,7 +28,7 @@ from tools.accuracy.check import Check, option, rms, seeds_option
 LATENCY_S, OFFSET_S = 0.1, -0.02
 #: Borders of the time since the last frame, s.
 BORDERS_S = (0.0, 0.25, 0.5, 1.0, 1.5, 2.2)
-#: The first answers are those of so long, s: until about the second calibration.
+#: The first answers are those of this time, s: until about the second calibration.
 FIRST_S = 7.0
 
 

@@ -1,9 +1,9 @@
 """How well measures hold, and changes of them between sessions: `measures` and `progress`.
 
-`measures`, for each preset: how often the 95 % interval of a measure holds the truth's, its rms error and its
-bias; occlusions are those of the simulated body. The truth is measured by the same functions over the same
-samples. The elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to 7
-degrees). Then the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from
+`measures`, for each preset: how often the 95 % interval of a measure contains the truth's, its rms error and
+its bias; occlusions are those of the simulated body. The truth is measured by the same functions over the
+same samples. The elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to
+7 degrees). Then the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from
 recovered samples: movements in a gap against the same movements with the camera's view whole.
 
 `progress`: simulated persons, each with three sessions: the same motion twice (other sensor errors, another
@@ -12,7 +12,7 @@ recovered from its recording and measured; a change is called as `unocclude prog
 
 - False alarms: calls between the first two sessions, though their motion is the same.
 - Found: calls of the elbow's range between the first and the third session.
-- Held: how often the interval of a difference holds the true one (both pairs).
+- Held: how often the interval of a difference contains the true one (both pairs).
 """
 
 from __future__ import annotations
@@ -262,7 +262,7 @@ def accuracy_csv(tables: dict[str, list[dict[str, object]]]) -> str:
 
 
 def measures(options: argparse.Namespace) -> Iterator[str]:
-    """How often the 95 % interval of a measure holds the truth's, its rms error and its bias."""
+    """How often the 95 % interval of a measure contains the truth's, its rms error and its bias."""
     seeds = options.seeds
     tables = {}
     for preset in options.presets:

@@ -40,7 +40,7 @@ from tools.accuracy.check import (
 
 #: What is seen between two gaps, about, and before one at the end, s.
 BETWEEN_GAPS_S, BEFORE_END_S = 8.0, 45.0
-#: Gaps that one IMU still holds well, s; a recording has some of each, and is so long, s.
+#: Gaps that one IMU still covers well, s; a recording has some of each, and this length, s.
 SHORT_GAPS_S = (0.5, 1.0, 2.0, 3.0, 5.0)
 SHORT_RECORDING_S = 60.0
 #: How much larger the error with two IMUs may be.

@@ -218,7 +218,7 @@ def _show_gaps(length_s: float, gaps: list[GapErrors]) -> Iterator[str]:
 
 
 def _coverage(squared_sigmas: np.ndarray, shares: tuple[float, ...] = (0.2, 0.4, 0.6, 0.8, 0.95)) -> str:
-    """Share of occluded samples inside the regions that should hold a given share."""
+    """Share of occluded samples inside the regions that should contain a given share."""
     known = squared_sigmas[np.isfinite(squared_sigmas)]
     inside = [(p, np.mean(known <= chi2.ppf(p, df=3))) for p in shares]
     return "   ".join(f"{100 * p:.0f} %: {100 * share:.0f} %" for p, share in inside)

@@ -106,7 +106,7 @@ LOOK_S = 0.2
 
 
 class Stopped(Exception):
-    """The function was stopped at a limit; the text says which.
+    """The function was stopped at a limit; the message states which.
 
     Attributes
     ----------

@@ -84,7 +84,7 @@ def smooth_arguments(source: Path, result: Path, processes: int) -> list[str]:
 
 
 def profile(source: Path, result: Path, processes: int, inside_gtsam: bool) -> Spent:
-    """Run the command here and say where its time went; call it in a process of its own.
+    """Run the command here and print where its time went; call it in a process of its own.
 
     Parameters
     ----------

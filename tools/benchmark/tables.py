@@ -36,7 +36,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """Digits after the point; "-" where there is no number."""
+    """Digits after the point; "-" where the value is missing."""
     return "-" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 

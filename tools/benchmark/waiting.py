@@ -14,7 +14,7 @@ from pathlib import Path
 from smoother.cli.output import PROGRESS_FILE
 from tools.benchmark.whole import COMMAND, Made
 
-#: Longer than this nobody should wait without seeing how far it is, s.
+#: Longest time without a display of progress, s.
 PATIENCE_S = 3.0
 #: After this a command is given up, s.
 LIMIT_S = 1800.0

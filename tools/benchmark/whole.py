@@ -78,7 +78,7 @@ def make(
     Parameters
     ----------
     truth_inside : bool
-        The file holds the true motion too, as `unocclude simulate` writes it.
+        The file contains the true motion too, as `unocclude simulate` writes it.
     image_kb : float, kB, or None
         Size of an image, kB, one per frame; None = no file with images.
     """

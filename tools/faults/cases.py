@@ -39,7 +39,7 @@ class Case:
     kind : str
         What is compared: `info`, `smooth` or `figures`.
     command : tuple of str
-        Words; IN/ stands for the folder of the inputs, OUT/ for that of the outputs.
+        Words; IN/ is the folder of the inputs, OUT/ that of the outputs.
     change : callable
         Damages the inputs in a folder.
     compares : tuple of str

@@ -81,7 +81,7 @@ def children(process: int) -> list[int]:
 
 
 def is_alive(process: int) -> bool:
-    """Whether a process runs; one that has ended and that nobody has asked about does not."""
+    """Whether a process runs; one that has ended but was not waited for does not."""
     try:
         stat = Path(f"/proc/{process}/stat").read_text()
     except OSError:
@@ -223,7 +223,7 @@ def _command_line(process: int) -> bytes:
 
 
 def words_of(command: str, recordings: list[Path], processes: int = 2) -> list[str]:
-    """Words of a command on recordings; OUT stands for the folder of its outputs."""
+    """Words of a command on recordings; OUT is the folder of its outputs."""
     first = str(recordings[0])
     few = ["--gaps-per-run", "2", "--lengths", "1"]
     return {

@@ -141,7 +141,7 @@ def end_of(ended: Ended, wrong: str, allowed: Sequence[str] = ()) -> End:
 
 
 def words_of(shop: Path) -> dict[str, list[str]]:
-    """Commands that write files, on what the workshop holds; OUT stands for the folder of their outputs."""
+    """Commands that write files, on what the workshop holds; OUT is the folder of their outputs."""
     first, plain = shop / "ours", ["--processes", "1"]
     smooth = ["smooth", f"{first}/rec.mcap", "--calibration", f"{first}/cal.toml", "-o", "OUT/out.mcap"]
     return {

@@ -32,7 +32,7 @@ def main() -> None:
     )
     two.add_argument("--seeds", type=int, default=3, help="simulated recordings")
     two.add_argument("--processes", type=int, default=2)
-    two.add_argument("--minutes", type=float, default=float("inf"), help="begin no job after so long")
+    two.add_argument("--minutes", type=float, default=float("inf"), help="begin no job after this time")
     three = commands.add_parser("tables", help="the figures of docs/curves.json as tables in Markdown")
     three.add_argument("file", type=Path, nargs="?", default=HERE / "docs" / "curves.json")
     four = commands.add_parser("docs", help="the tutorial's pictures")

@@ -57,7 +57,7 @@ def streams_of(simulation: SimulatedArm) -> Streams:
 
 
 class StreamsSource:
-    """Streams as the source of a session whose time is theirs; nobody is waited for.
+    """Streams as the source of a session whose time is theirs; it never waits.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from smoother import __version__
 
 PROJECT = Path(__file__).parents[2]
 _VERSION = re.escape(__version__)
-#: Patterns and what stands for them, in this order; each says where it comes from.
+#: Patterns and their replacements, in this order; each names its source.
 MASKS: tuple[tuple[str, str], ...] = (
     # `unocclude 0.1.0`, and the metadata of results and of JSON
     (rf"\bunocclude {_VERSION}", "unocclude VERSION"),

@@ -18,7 +18,7 @@ from tools.reference.masks import masked
 
 #: Lines that are longer are broken after commas, brackets and semicolons, so that a difference can be shown.
 LONG_LINE = 300
-#: Bytes that a line of any other file stands for, where the file has no more than SMALL bytes; else a block.
+#: Bytes that a line of any other file represents, where the file has no more than SMALL bytes; else a block.
 _ROW, _SMALL, _BLOCK = 64, 1 << 16, 1 << 12
 #: Columns of Parquet files that hold times of the wall or figures of the machine, in studies.
 MASKED_COLUMNS = re.compile(

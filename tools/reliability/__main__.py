@@ -1,9 +1,9 @@
 """Run the second simulator: `python -m tools.reliability --seed S --count N --sound N [--only CASE]`.
 
 Each case is a set-up, drawn from the seed: an exercise, a person, a tracker, a sensor, and what went wrong.
-`smooth` runs on it without a word of warning. A row says how far the worst gap is off, what the answer states
-of it, and whether it calls it trusted; the summary counts what must not be. `--pairs presets|own|real` runs
-wrong pairs instead. `--held-out` draws from seeds that no run without it ever sees: for the very end.
+`smooth` runs on it without a word of warning. A row shows how far the worst gap is off, what the answer
+states of it, and whether it calls it trusted; the summary counts what must not be. `--pairs presets|own|real`
+runs wrong pairs instead. `--held-out` draws from seeds that no run without it ever sees: for the very end.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def sound_at_another_rate(scene: Scene) -> Scene:
 
 
 def sound_guesses_called_inferred(scene: Scene) -> Scene:
-    """In gaps the tracker guesses a hanging arm, and says that it guesses."""
+    """In gaps the tracker guesses a hanging arm, and marks them as guesses."""
     return scene.stating(scene.film.hidden, FOREARM, _hanging(scene), JointState.INFERRED)
 
 
@@ -490,7 +490,7 @@ def _camera_changed(scene: Scene, change: Callable[[FloatArray], FloatArray]) ->
 
         return view
 
-    # While the arm is hidden nobody can know the moment: any within the gap is treated as right.
+    # While the arm is hidden the moment cannot be known: any within the gap is treated as right.
     views = (switched(start_s), switched(moment_s), switched(end_s))
     return scene.changed(film=replace(scene.film, position=position), views=views)
 

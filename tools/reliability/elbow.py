@@ -1,8 +1,8 @@
 """Measures of a stiff elbow: `python -m tools.reliability.elbow [--exercise pendulum] [--count N]`.
 
 Noise can only bend a straight arm, so range and maximum of a straight elbow are biased unless that is counted
-on. Each recording is smoothed with draws and measured as a user would; the table says how far each measure of
-the elbow's flexion is off the truth's, and how often its 95 % interval holds it.
+on. Each recording is smoothed with draws and measured as a user would; the table shows how far each measure
+of the elbow's flexion is off the truth's, and how often its 95 % interval contains it.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def main() -> None:
         off, held = (np.array(column) for column in zip(*values, strict=True))
         print(
             f"{key:6} bias {off.mean():+6.2f}  rms {np.sqrt((off**2).mean()):5.2f}"
-            f"  95 % interval holds the truth: {100 * held.mean():3.0f} %"
+            f"  95 % interval contains the truth: {100 * held.mean():3.0f} %"
         )
 
 

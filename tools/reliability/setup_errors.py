@@ -2,7 +2,7 @@
 
 Each case is a mistake that people make with sensors, axes, clocks, units or names, put into a simulated
 recording; which case, recording, preset and length is drawn from the seed. `smooth` runs on it without a word
-of warning. The table says how far the answer is off in the gaps, what sigma it states there, or the sentence
+of warning. The table shows how far the answer is off in the gaps, what sigma it states there, or the sentence
 that it ends with, and whether the result is called trusted. `--sound` adds recordings without a mistake.
 
 Mistakes that people make with sensors, axes, clocks, units and names, put into simulated recordings.
@@ -42,7 +42,7 @@ class Setup:
     Attributes
     ----------
     simulated : SimulatedArm
-        Where the skeleton comes from; says what the camera could not see.
+        Where the skeleton comes from; gives what the camera could not see.
     config : ArmSimulation
         What was simulated.
     rng : Generator
@@ -255,7 +255,7 @@ def one_wild_gyroscope_sample(setup: Setup) -> Setup:
 
 
 def frames_far_away(setup: Setup) -> Setup:
-    """4 % of the frames hold 1e6 m, a mark of nothing that nobody took out."""
+    """4 % of the frames contain 1e6 m, a mark of missing values that was left in."""
     position = setup.recording.arm.position.copy()
     position[setup.rng.uniform(size=len(position)) < 0.04] = 1e6
     return setup.with_arm(position=position)

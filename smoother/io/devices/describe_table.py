@@ -216,7 +216,7 @@ _TIME = (
 _COUNTER = r"(?:^|[^a-z])(?:counter|count|packet\w*|sample\w*|index|frame\w*|no|n|seq\w*|row)(?=$|[^a-z])"
 _SHORT = re.compile(r"^(a|g|w|m)_?([xyz])$")
 _AXIS = re.compile(r"(?:^|[^a-z0-9])([xyz])(?=$|[^a-z0-9])|(?<=[a-z])([XYZ])$|(?<=[a-z])([xyz])$")
-#: Words that say that a triple is not what a sensor measures.
+#: Words of a triple that a sensor does not measure.
 _DERIVED = re.compile(
     r"free|linear|world|global|user|quat|euler|filtered|gravity|mat\b|roll|pitch|yaw|std", re.I
 )

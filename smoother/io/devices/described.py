@@ -279,7 +279,7 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
     importer : DeviceFormat or None
         None where it has an unknown format.
     sheet, guess : Sheet and Guess, or None
-        None where a recognised file is no table of text.
+        None where a recognised file is not a text table.
 
     Raises
     ------

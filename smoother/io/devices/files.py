@@ -126,7 +126,7 @@ def import_files(
     Raises
     ------
     RecordingError
-        A file cannot be read or used; the message names it and says what to do.
+        A file cannot be read or used; the message names it and states what to do.
     """
     if not skeletons and not imus:
         raise RecordingError("There is nothing to import: name files with --skeleton and --imu.")

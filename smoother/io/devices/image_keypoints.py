@@ -25,7 +25,7 @@ Row = tuple[float, float, list[float]]
 
 
 def keypoint_rows(value: Any, frames: list[tuple[float, float, Any]]) -> list[Row] | None:
-    """The first person's keypoints by frame; None where the file holds no keypoints in images.
+    """The first person's keypoints by frame; None where the file contains no keypoints in images.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def keypoint_table(path: Path, rows: list[Row], scale: float | None, rate_hz: fl
     for at, (_, _, flat) in enumerate(rows):
         if len(flat) == 3 * count:
             table[at] = np.array([_float(each) for each in flat]).reshape(count, 3)
-    table[~(table[..., 2] > 0.0)] = np.nan  # what was not found stands at 0, 0
+    table[~(table[..., 2] > 0.0)] = np.nan  # what was not found is stored as 0, 0
     joints: dict[str, FloatArray] = {}
     for column, name in enumerate(names[:count]):
         meaning = joint_name(name)

@@ -20,7 +20,7 @@ from ..tables.units import METRES
 
 #: A position farther away is a damaged number.
 _FARTHEST_M = 1e6
-#: What stands for a joint if there are several, the best first.
+#: What is used as a joint if there are several, the best first.
 _ORDER = ("centre", "joint", "skin")
 
 
@@ -107,7 +107,7 @@ def _in_metres(position: dict[str, FloatArray], unit: str, path: Path) -> list[s
 
 
 def _taken(candidates: list[tuple[JointName, int]], markers: Markers) -> tuple[FloatArray, str, bool]:
-    """Positions (F, 3) of a joint, words for what they are, whether they lie on the skin."""
+    """Positions (F, 3) of a joint, words for what they are, whether they are on the skin."""
     for kind in _ORDER:
         of_kind = [(name, column) for name, column in candidates if name.kind == kind]
         first = {name.pair: column for name, column in reversed(of_kind)}

@@ -388,7 +388,7 @@ def _stream(entry: dict[str, Any]) -> _Stream | None:
 
 
 def _channels(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
-    """What the file says of each channel; a joint's name and its axis are put together as the label."""
+    """The file's description of each channel; a joint's name and its axis are put together as the label."""
     try:
         channels = [dict(channel) for channel in info["desc"][0]["channels"][0]["channel"]]
     except (KeyError, IndexError, TypeError, ValueError):

@@ -18,7 +18,7 @@ _UNKNOWN = "NOT KNOWN"
 
 @dataclass(frozen=True)
 class NamedImu:
-    """Tables whose columns say what they are; `import describe` prints the same guess to be edited.
+    """Tables whose columns identify themselves; `import describe` prints the same guess to be edited.
 
     Attributes
     ----------

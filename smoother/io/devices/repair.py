@@ -25,7 +25,7 @@ from ..tables.protocol import ImuTable, SkeletonTable, amount
 _FAR_S = 3600.0
 #: A stamp farther than this from the others is none, s: files keep nanoseconds in 64 bits, +-292 years.
 _FARTHEST_S = 4e9
-#: A counter holds the samples' numbers where so much of its steps is one.
+#: A column is the samples' counter where at least this share of its steps is one.
 _COUNTS = 0.5
 #: Rows are out of order where, sorted, this share of the steps lies within these parts of the usual one.
 _IN_ORDER = (0.6, 1.6, 0.97)
@@ -48,7 +48,7 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     Returns
     -------
     ImuTable
-        `t_s` increases strictly; `notes` say what was done.
+        `t_s` increases strictly; `notes` list what was done.
 
     Raises
     ------

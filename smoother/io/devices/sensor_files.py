@@ -174,7 +174,7 @@ class Axivity:
         Raises
         ------
         RecordingError
-            There are no blocks of samples, or they hold no gyroscope.
+            There are no blocks of samples, or they contain no gyroscope.
         """
         try:
             raw = path.read_bytes()

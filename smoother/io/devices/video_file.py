@@ -80,7 +80,7 @@ class PoseVideo:
         Raises
         ------
         RecordingError, UnoccludeError
-            It is not a video, nobody is in it, MediaPipe is not installed, or there is no model.
+            It is not a video, it shows no person, MediaPipe is not installed, or there is no model.
         """
         mediapipe_module()  # what is missing is said before minutes of work
         model = check_model(self.model)
@@ -91,7 +91,7 @@ class PoseVideo:
         seen = _seen(numbers, t_s)
         if not seen:
             raise RecordingError(
-                f"{path}: nobody was found in {amount(len(poses), 'picture', 'pictures')}; record so that"
+                f"{path}: no person was found in {amount(len(poses), 'picture', 'pictures')}; record so that"
                 " head, shoulders and hips are in the picture, from the front and in good light."
             )
         raw = _raw(path, t_s, poses, numbers, seen)
@@ -115,7 +115,7 @@ def _seen(numbers: list[list[int]], t_s: FloatArray) -> list[int]:
 def _raw(
     path: Path, t_s: FloatArray, poses: list[list[Pose]], numbers: list[list[int]], seen: list[int]
 ) -> RawSkeleton:
-    """A row a picture and person, as a file of world landmarks has them; one too where nobody is seen."""
+    """A row a picture and person, as a file of world landmarks has them; one too where no person is seen."""
     rows: list[tuple[float, float, FloatArray]] = []
     nothing = np.full((len(BLAZEPOSE), 4), np.nan)
     for t, frame, mine in zip(t_s, poses, numbers, strict=True):
@@ -174,7 +174,7 @@ def _about(video: Video, poses: list[list[Pose]], numbers: list[list[int]], seen
     mine = [frame[who.index(seen[0])] for frame, who in zip(poses, numbers, strict=True) if seen[0] in who]
     absent = len(poses) - len(mine)
     if absent:
-        notes.append(f"In {absent} of {len(poses)} pictures nobody was found; the arm is occluded there.")
+        notes.append(f"In {absent} of {len(poses)} pictures no person was found; the arm is occluded there.")
     if len(seen) > 1:
         notes.append(
             f"{len(seen)} people are in the video; the motion shows who wears the IMU, or choose --body 0 to"

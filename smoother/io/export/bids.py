@@ -387,7 +387,7 @@ _README = """# Arms recorded by a depth camera and IMUs
 
 Motion-BIDS, written by unocclude. `sub-*/motion` holds what was recorded: a tracking system is a stream with
 a clock of its own (`tracksys-camera..`, `tracksys-imu..`). The channel `latency` is the time in seconds since
-the stream's first sample; `acq_time` in `*_scans.tsv` says how far apart the streams began by their own
-stamps, from an invented date. `derivatives/unocclude` holds the recovered arm with its deviations, on the
-forearm IMU's clock.
+the stream's first sample; `acq_time` in `*_scans.tsv` gives the time between the streams' beginnings by their
+own stamps, from an invented date. `derivatives/unocclude` contains the recovered arm with its deviations, on
+the forearm IMU's clock.
 """

@@ -229,7 +229,7 @@ def _add_events(file: Any, content: C3dContent) -> None:
 
 
 def _check_size(path: Path, frames: int, numbers: int) -> None:
-    """ezc3d says nothing when the disk is full; a file that was cut short is not to be delivered."""
+    """ezc3d reports no error when the disk is full; a file that was cut short is not to be delivered."""
     size = path.stat().st_size if path.exists() else 0
     start = 0
     if size >= _BLOCK:

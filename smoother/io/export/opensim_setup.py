@@ -74,7 +74,7 @@ def opensim_files(
     # Scale turns the forearm as the angles say, so that it finds where the hand's markers are
     turned = ("pro_sup",) if "pro_sup" in angles.angles else ()
     placed = [name for name in names if name in measures.places]
-    # Scale would place every marker that it may move, also one of which this arm's model knows nothing
+    # Scale would place every marker that it may move, also one that this arm's model does not have
     adult = replace(
         GENERIC,
         side=side,

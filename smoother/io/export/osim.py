@@ -318,7 +318,7 @@ Turn = tuple[str, FloatArray, tuple[float, float], float]
 def _joint(
     name: str, parent: str, child: str, turns: list[Turn], at: FloatArray | None = None, locked: bool = False
 ) -> str:
-    """A joint that turns about an axis or two, at a place (3,) of its parent, m."""
+    """A joint that turns about one axis or two, at a place (3,) of its parent, m."""
     coordinates = "".join(_coordinate(turn, span, start, locked) for turn, _, span, start in turns)
     axes = [axis for _, axis, _, _ in turns]
     # The axes that do not move may not lie along those that do.

@@ -34,10 +34,9 @@ def export_parquet(
 ) -> None:
     """Write one row a forearm-IMU sample, null where the method has no answer.
 
-    The columns are those of the CSV export and `stamp_ns`; `occluded`, `trusted` (null where nobody
-    judged) and `usable` are booleans. Each
-    column's metadata has `unit` and `description`; the file's metadata has the key `unocclude`, a JSON object
-    with method, configuration, figures, calibration, gaps, clock and notes.
+    The columns are those of the CSV export and `stamp_ns`; `occluded`, `trusted` (null where not judged) and
+    `usable` are booleans. Each column's metadata has `unit` and `description`; the file's metadata has the
+    key `unocclude`, a JSON object with method, configuration, figures, calibration, gaps, clock and notes.
 
     Parameters
     ----------

@@ -350,7 +350,7 @@ def whole_recording(rr: Any) -> Any:
 
 
 def top_sigma_cm(arms: list[RerunArm]) -> float:
-    """The largest sigma of an axis that is shown; its curve begins at zero."""
+    """The largest sigma of any axis that is shown; its curve begins at zero."""
     tops = []
     for arm in arms:
         for batch in arm.recovery.batches():

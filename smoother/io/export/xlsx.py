@@ -1,4 +1,4 @@
-"""A recovery as an Excel workbook: the CSV's table, and a sheet that says what its columns are."""
+"""A recovery as an Excel workbook: the CSV's table, and a sheet that describes its columns."""
 
 from __future__ import annotations
 

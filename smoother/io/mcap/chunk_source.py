@@ -158,7 +158,7 @@ class Definitions:
 
 #: Messages outside chunks are gathered to chunks of this size.
 _GATHER = 1 << 20
-#: All metadata records together hold no more bytes.
+#: All metadata records together have no more bytes than this.
 _METADATA_LIMIT = 1 << 26
 
 

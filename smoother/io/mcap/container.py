@@ -2,8 +2,8 @@
 
 Messages are read in the order in which they lie, so that a file that was cut off gives all that it still
 has; the mcap package gives nothing of a chunk that is cut. Behind a damage reading resumes at the next
-records that make sense (`top_level`); what was lost is counted. What the file says of itself at its end
-(`summary`) serves for channels whose own records are lost, and to tell how many messages are missing.
+records that make sense (`top_level`); what was lost is counted. The summary at the file's end
+(`summary`) serves for channels whose own records are lost, and shows how many messages are missing.
 Messages stay columns: 0.05 s where the package takes 0.75 s.
 """
 

@@ -68,7 +68,7 @@ def cut_container(
     zero_ns : int, ns
         Log time of the recording's time zero.
     of_recording : str
-        Name of the metadata record that says which rows of a truth are scored.
+        Name of the metadata record that states which rows of a truth are scored.
     force : bool
         Overwrite outputs that exist.
 

@@ -251,7 +251,7 @@ def time_batches(axes: Sequence[TimeAxis], most: int = SLICE) -> Iterator[TimeBa
             return
 
 
-#: Metadata record that says what the file had lost when it was repaired.
+#: Metadata record that lists what the file had lost when it was repaired.
 REPAIRED = "unocclude.repair"
 #: This many messages are written together.
 _TOGETHER = 4096
@@ -357,7 +357,7 @@ def repair_container(
 
 
 def repair_notes(metadata: dict[str, dict[str, str]]) -> list[str]:
-    """What a repaired file says that it had lost, as notes."""
+    """What a repaired file had lost by its own record, as notes."""
     try:
         notes = json.loads(metadata.get(REPAIRED, {}).get("notes", "[]"))
     except (ValueError, RecursionError):

@@ -74,7 +74,7 @@ class Loss:
     start, stop : int, bytes
         Where it is in the file.
     first_ns, last_ns : int, ns, optional
-        Log times that it lies between; None if unknown.
+        Log times before and after it; None if unknown.
     counts : dict of str to int
         Messages lost by topic, as far as indexes tell.
     is_kept : bool
@@ -96,7 +96,7 @@ class Loss:
             parts.append(listed(self.counts))
         if zero_ns is not None and self.first_ns is not None and self.last_ns is not None:
             first, last = (max((time - zero_ns) / 1e9, 0.0) for time in (self.first_ns, self.last_ns))
-            if last < 1e8:  # a time that is damaged itself says nothing
+            if last < 1e8:  # a time that is damaged itself is of no use
                 parts.append(f"{first:.3f} to {max(first, last):.3f} s after the first message")
         return f"{self.what} ({', '.join(parts)})" if parts else self.what
 
@@ -134,14 +134,14 @@ class DamageLog:
             self.notes.append(sentence)
 
     def lost(self, loss: Loss) -> None:
-        """Take down a loss; if its time is unknown, it lies between the messages around it."""
+        """Take down a loss; if its time is unknown, it is between the messages around it."""
         if loss.first_ns is None and self._last_ns is not None:
             loss.first_ns = self._last_ns
             self._open.append(loss)
         self.losses.append(loss)
 
     def met(self, log_ns: NDArray[np.uint64]) -> None:
-        """Messages (n,), at least one: what was lost before lies between the ones before and these."""
+        """Messages (n,), at least one: what was lost before is between the ones before and these."""
         first, last = int(log_ns.min()), int(log_ns.max())
         for loss in self._open:
             loss.last_ns = max(first, loss.first_ns or 0)

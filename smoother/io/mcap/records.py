@@ -1,4 +1,4 @@
-"""The records of an MCAP file, where those of a chunk lie, and what the file says of itself at its end."""
+"""The records of an MCAP file, where those of a chunk are, and the summary at the file's end."""
 
 from __future__ import annotations
 

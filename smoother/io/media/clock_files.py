@@ -269,7 +269,7 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"{path} cannot be read as CSV: {error}.") from error
     if len(set(node)) < 2:
-        raise RecordingError(f"{path} holds the times of {len(set(node))} node; two or more are needed.")
+        raise RecordingError(f"{path} contains the times of {len(set(node))} node; two or more are needed.")
     sigma = np.full(len(t), resolution_s / np.sqrt(12))  # stamps are rounded to their step
     return Receptions(np.array(event, dtype=np.int64), node, np.array(t), sigma, f"broadcast {path.name}")
 

@@ -133,7 +133,7 @@ def read_images(
                 try:
                     yield _decode(topic, bytes(message.data), message.log_ns)
                 except (ValueError, struct.error, IndexError):
-                    damaged += 1  # it says nothing of the others
+                    damaged += 1  # the others may be intact
     if notes is not None:
         notes += container.notes
         if damaged:

@@ -283,7 +283,7 @@ def _scene_markers(payloads: list[bytes], logs: list[int]) -> list[tuple[int, st
         try:
             entities = parsed(_SCENE, payload).entities
         except ValueError:
-            continue  # a damaged message says nothing of the others
+            continue  # the other messages may be intact
         for entity in entities:
             stamp = entity.timestamp.ToNanoseconds() or log
             for number, sphere in enumerate(entity.spheres):

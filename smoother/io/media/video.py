@@ -37,7 +37,7 @@ class Video:
     count : int
         Pictures, as the container states it; 0 where it does not.
     stored_turn_deg : int
-        By how much the file says that its pictures are to be turned; that is done.
+        The rotation of its pictures as stated in the file; it is applied.
     turn_deg : int
         By how much they are turned besides, clockwise.
     mirrored : bool
@@ -99,7 +99,7 @@ class Video:
 
 
 def _rising(t_s: FloatArray) -> FloatArray | None:
-    """Times of which single ones that do not rise lie between their neighbours; None where many do not."""
+    """Times, of which single ones that do not rise are put between their neighbours; None if many do not."""
     good = np.append(True, t_s[1:] > np.maximum.accumulate(t_s)[:-1])[: len(t_s)]
     if good.mean() < 0.99:
         return None

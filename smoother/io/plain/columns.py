@@ -94,7 +94,7 @@ def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
     folder : Path
         Where the files are.
     keys : ImuKeys
-        What recording.toml says of them.
+        Their section of recording.toml.
 
     Returns
     -------
@@ -283,7 +283,7 @@ def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     path : Path
         The file.
     keys : CameraKeys
-        What recording.toml says of it.
+        Its section of recording.toml.
 
     Returns
     -------
@@ -394,8 +394,8 @@ def _states(sheet: Sheet, column: int, keys: CameraKeys) -> NDArray[np.int64]:
         plain = plain if plain in words else plain.removesuffix(".0")
         if plain not in words:
             raise RecordingError(
-                f"{sheet.path}: {sheet.name(column)} holds '{shown(cell, 40)}'; say what its values mean, as"
-                ' in states = { "0" = "not_tracked", "1" = "inferred", "2" = "tracked" }.'
+                f"{sheet.path}: {sheet.name(column)} contains '{shown(cell, 40)}'; state its values' meaning,"
+                ' as in states = { "0" = "not_tracked", "1" = "inferred", "2" = "tracked" }.'
             )
         codes[cell] = int(words[plain])
     return np.array([codes[cell] for cell in cells], np.int64)

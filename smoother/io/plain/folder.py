@@ -87,7 +87,7 @@ def open_csv(
     outside : bool
         Also read files outside the folder: a recording from a stranger could name any file of yours.
     templates : sequence of TableTemplate
-        How tables are read whose section says nothing of their columns.
+        How tables are read whose section does not describe their columns.
 
     Returns
     -------
@@ -345,7 +345,7 @@ def _stamps(t_s: FloatArray, path: Path) -> IntArray:
     if not usable.all():
         row = int(np.flatnonzero(~usable)[0])
         raise RecordingError(
-            f"{path}: t_s is {t_s[row]} in row {row + 1}, which is no time in seconds; correct it."
+            f"{path}: t_s is {t_s[row]} in row {row + 1}, which is not a time in seconds; correct it."
         )
     return nanoseconds(t_s, 0)
 
@@ -361,7 +361,7 @@ def import_broad(
     """Make a recording of a trial of BROAD (Laidig et al., Data 6(7):72, 2021).
 
     A rigid body with an IMU, moved by hand under optical motion capture. The optical position,
-    sampled at the camera's rate with white noise added, stands for the camera's `strap` joint.
+    sampled at the camera's rate with white noise added, is used as the camera's `strap` joint.
 
     Parameters
     ----------
@@ -430,7 +430,7 @@ def import_utd_mhad(inertial_mat: str | os.PathLike[str], skeleton_mat: str | os
 
     Kinect v1 skeleton and one IMU on the right wrist. The files have no times: the IMU runs at
     50 Hz, and the frames are spread evenly over the IMU's interval, both at the centre of the
-    interval that they stand for.
+    interval that they represent.
 
     Parameters
     ----------

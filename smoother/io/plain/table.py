@@ -94,7 +94,7 @@ def _check_header(header: list[str], path: Path, required: Sequence[str]) -> Non
             f"{path} is separated by {mark}; export it with commas, and points as decimal marks."
         )
     missing = [name for name in required if name not in header]
-    if len(missing) == len(required):  # another kind of file, whose first line is nobody's business
+    if len(missing) == len(required):  # another kind of file, whose first line may be private
         raise RecordingError(
             f"{path} has none of the columns {', '.join(required)} in its first line; name the right file."
             f" `unocclude import describe {path}` helps with other layouts."

@@ -110,7 +110,7 @@ Keys = TypeVar("Keys", ImuKeys, CameraKeys, CameraKeys | None)
 
 
 def with_template(keys: Keys, folder: Path, templates: Sequence[TableTemplate]) -> Keys:
-    """A section of recording.toml that says nothing of its table's columns, with a template for that table.
+    """A section of recording.toml without its table's columns, with a template for that table.
 
     Parameters
     ----------

@@ -181,7 +181,7 @@ def _pair_by_motion(
 
 
 def _named_apart(pairs: list[tuple[ImuSamples, ArmFrames]]) -> bool:
-    """Whether names say which IMU is on which arm, and only the arm is open."""
+    """Whether names show which IMU is on which arm, and only the arm is open."""
     sides = {named_side(imu.topic, imu.frame_id) for imu, _ in pairs}
     return "" not in sides and len(sides) == len(pairs)
 

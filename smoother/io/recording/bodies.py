@@ -28,7 +28,7 @@ _ASKED = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand"
 
 
 class WornAgreement(Protocol):
-    """What IMUs say of two bodies; see `WornImus.agree`."""
+    """Evidence of IMUs on two bodies; see `WornImus.agree`."""
 
     def agree(self, earlier: list[int], later: int, topic: str) -> bool | None:
         """Whether a body wears what another wore; None where that is open."""
@@ -130,13 +130,13 @@ def _continues(earlier: ArmFrames, later: ArmFrames) -> bool:
     for joint in _ASKED:
         if earlier.state[lost, joint] and later.state[back, joint]:
             step = np.linalg.norm(later.position[back, joint] - earlier.position[lost, joint])
-            # Only the forearm's joints may have moved on while nobody looked.
+            # Only the forearm's joints may have moved on while not seen.
             reach = _APART_M + (0.4 if JOINTS[joint] in FOREARM_JOINTS else 0.0)
             return bool(step < reach)
     return False
 
 
-#: Between two frames this close in time nobody walks to where another stood.
+#: Between two frames this close in time no person walks to where another stood.
 _SOON_NS = 200_000_000
 #: Both jump at least this far, m; what is left after exchanging is at most this share of the jumps.
 _JUMP_M, _LEFT = 0.4, 0.35

@@ -124,7 +124,7 @@ def _is_noisy(same: BoolArray, gyro: FloatArray) -> bool:
 
 
 def _plateaus(acc: FloatArray, gyro: FloatArray, highest: FloatArray) -> BoolArray:
-    """Samples in runs of an axis's largest value, where that may be the end of a range."""
+    """Samples in runs of the largest value of an axis, where that may be the end of a range."""
     clipped = np.zeros(len(acc), bool)
     for sensor, (values, least) in enumerate(((acc, _SMALLEST_ACC), (gyro, _SMALLEST_GYRO))):
         for axis in np.flatnonzero(highest[sensor] > least).tolist():
@@ -186,7 +186,7 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
     for cause in (FROZEN, ZERO):
         if cause in causes:
             usable &= ~causes[cause]
-    _check_units(stream, usable, source)  # values beyond any range may tell of a unit
+    _check_units(stream, usable, source)  # values beyond any range may be due to a wrong unit
     keep, notes = _keep(stream.stamp_ns, finite, causes, stream.topic, source, "samples")
     cleaned = replace(
         stream,

@@ -170,12 +170,12 @@ def proto_grouper(schema: str) -> Grouper:
 
 
 SIDES = ("", "left", "right")
-#: State of a joint of which a row says nothing.
+#: State of a joint that a row does not contain.
 UNREPORTED = -128
 
 
 class JointRows:
-    """What messages say of arms, gathered over a recording: a row is what one message says of one arm.
+    """Arms in messages, gathered over a recording: a row is one arm in one message.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ class SkeletonDecoder:
         self._stamps.append(stamp)
 
     def _arms(self, index: IntArray, block: Block, layout: MessageLayout) -> list[tuple[NDArray, ...]]:
-        """What messages of one layout say of each side."""
+        """Each side in messages of one layout."""
         body, count = layout.integer(block, "body") & 0xFFFFFFFF, len(block)
         sides: dict[int, tuple[NDArray, NDArray]] = {}
         for i in range(layout.counts.get(self.elements, 0)):

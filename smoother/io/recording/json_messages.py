@@ -234,7 +234,7 @@ def json_decoder(topic: Topic, store: Store | None = None) -> JsonStream | JsonS
 
 #: Encodings whose content is what the schema says.
 _ENCODINGS = {"cdr", "protobuf", "ros1", "json"}
-#: Schemas of motion, time and lenses: they show nobody, name nobody, and say nothing of where somebody lives.
+#: Schemas of motion, time and lenses: they contain no image, name or address of a person.
 _SCHEMAS = {
     f"{package}{name}"
     for package, names in {
@@ -323,7 +323,7 @@ def may_copy(topic: Topic, passthrough_images: bool) -> bool:
     Parameters
     ----------
     topic : Topic
-        By its schema and encoding; its name says nothing.
+        By its schema and encoding; its name is not used.
     passthrough_images : bool
         Copy everything.
     """

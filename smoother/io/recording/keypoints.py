@@ -27,7 +27,7 @@ TRACKED_SCORE, INFERRED_SCORE = 0.5, 0.1
 
 
 def states_of_scores(score: FloatArray) -> NDArray[np.int8]:
-    """What a network's scores, 0 to 1, say of joints; nan is none."""
+    """The state of joints by a network's scores, 0 to 1; nan is none."""
     with np.errstate(invalid="ignore"):
         tracked, inferred = score >= TRACKED_SCORE, score >= INFERRED_SCORE
     return np.where(tracked, JointState.TRACKED, np.where(inferred, JointState.INFERRED, 0)).astype(np.int8)
@@ -52,7 +52,7 @@ def keypoint_decoder(topic: Topic, store: Store | None = None) -> KeypointDecode
 
 
 def with_lenses(file: RecordingFile, topics: set[str]) -> None:
-    """Give keypoints their lenses; those of a camera whose lens nobody knows are left out, with a note.
+    """Give keypoints their lenses; those of a camera with an unknown lens are left out, with a note.
 
     Parameters
     ----------

@@ -146,7 +146,7 @@ def match_streams(
     Parameters
     ----------
     file : RecordingFile
-        For its name, and for what it says of gravity.
+        For its name, and for its note on gravity.
     imus : sequence of ImuSamples
         The IMUs.
     arms : sequence of ArmFrames

@@ -110,7 +110,7 @@ def _usable_field(field: FieldSamples) -> tuple[IntArray, FloatArray]:
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"
 METADATA = "unocclude.recording"
-#: What its metadata says of `clocks` where those of IMU and camera have nothing in common.
+#: The value of `clocks` in its metadata where those of IMU and camera have nothing in common.
 CLOCKS_UNRELATED = "unrelated"
 #: The option that exchanges the skeleton's arms.
 SWAPPED_SIDES = "--swap left,right"
@@ -252,7 +252,7 @@ def read_recording(
     Returns
     -------
     Recording
-        The recording; `notes` say what was dropped and what was chosen.
+        The recording; `notes` list what was dropped and what was chosen.
 
     Raises
     ------
@@ -414,7 +414,7 @@ def read_arm(
     remedy: Remedy | None = None,
     **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
-    """Read a recording, corrected by what a calibration file knows of its sensors.
+    """Read a recording, corrected by a calibration file's values of its sensors.
 
     Where the recording leaves the side open, a calibration of one arm settles it.
 

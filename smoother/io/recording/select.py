@@ -80,7 +80,7 @@ def opposite_arm(
         return None
     try:
         other, _ = clean_arm(others[0], str(file.path), store)
-    except RecordingError:  # that arm cannot be used, and nobody asked for it
+    except RecordingError:  # that arm cannot be used, and it was not asked for
         return None
     return tracks_of(other, seconds(other.stamp_ns, origin_ns, store), store)
 

@@ -115,7 +115,7 @@ def role(stream: ImuSamples) -> str:
 
 
 def role_among(stream: ImuSamples, imus: Sequence[ImuSamples]) -> str:
-    """Its role in a file: an IMU named after a hand stands for the forearm's where that arm has no other."""
+    """Its role in a file: an IMU named after a hand is used as the forearm's where that arm has no other."""
     named = role(stream)
     if named != "hand":
         return named

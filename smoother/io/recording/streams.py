@@ -213,7 +213,7 @@ class RecordingFile:
     gravity_hint : ndarray, shape (3,), optional
         Unit vector of down in {K}, or None.
     notes : list of str
-        What was wrong with the file, and what it says of itself.
+        What was wrong with the file, and what its metadata states.
     metadata : dict of str to dict of str to str
         Its metadata records, by name.
     damage : list of str
@@ -289,7 +289,7 @@ def sort_arrivals(file: RecordingFile, metadata: dict[str, str], store: Store) -
     Parameters
     ----------
     file : RecordingFile
-        As read; left alone unless its metadata says that messages stand as they arrived.
+        As read; left alone unless its metadata states that messages are stored as they arrived.
     metadata : dict of str to str
         Its own metadata record.
     store : Store

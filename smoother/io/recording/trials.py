@@ -88,7 +88,7 @@ def _trial(path: Path, line: int, row: dict[str, str]) -> Trial:
     name = (row["name"] or "").strip()
     if not name or len(name) > _LONGEST_NAME or _FORBIDDEN & set(name) or name.strip(".") == "":
         raise RecordingError(
-            f"{path}, line {line}: '{name[:_LONGEST_NAME]}' is no name for a file; name every trial by"
+            f"{path}, line {line}: '{name[:_LONGEST_NAME]}' is not a valid file name; name every trial by"
             " letters, numbers, spaces and dashes"
         )
     times = []

@@ -183,7 +183,7 @@ def common_down(recoveries: Iterable[Recovery], level_down: FloatArray | None = 
     recoveries : iterable of Recovery
         The arms that one camera saw.
     level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if it stands level, where a file says how they lie.
+        Down in the camera's axes if it stands level, where a file states their directions.
 
     Returns
     -------

@@ -106,7 +106,7 @@ def _draws(recovery: Recovery) -> dict[str, object]:
 
 
 def _lasting(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The configuration without the number of processes: it says nothing of the result."""
+    """The configuration without the number of processes: it does not affect the result."""
     return {
         section: {key: value for key, value in settings.items() if (section, key) != ("windows", "processes")}
         if isinstance(settings, Mapping)

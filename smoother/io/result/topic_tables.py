@@ -156,7 +156,7 @@ def kind_of(topic: Topic) -> str:
 SCHEMA = "unocclude.Draws"
 #: Drawn times in a message.
 ROWS = 25
-#: What stands for no answer; the largest number beside it is as far from zero on the other side.
+#: The number that marks a missing answer; the largest number beside it is as far from zero on the other side.
 _NOTHING, _MOST = -32768, 32767
 _KIND = np.dtype("<i2")
 

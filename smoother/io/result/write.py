@@ -43,7 +43,7 @@ def write_recovery(
     (the camera's joints on the IMU's clock), `/unocclude/residuals`, and where motions were drawn
     `/unocclude/draws`. With several arms each topic ends
     in the arm's side, with several people in `body_N/SIDE` (`result.arm_tags`). The metadata record
-    `unocclude.result` holds all else as JSON. `read_recovery` gives everything back. The same input
+    `unocclude.result` contains all else as JSON. `read_recovery` gives everything back. The same input
     gives the same bytes.
 
     Parameters

@@ -38,7 +38,7 @@ _GYRO = {
 }
 _MAG = {"mag", "magn", "magnetometer", "magnetic", "magfield"}
 _LETTERS = {"a": "acc", "g": "gyro", "w": "gyro", "m": "mag"}
-#: Words that say that it is not a raw signal of a sensor.
+#: Words of columns that are not a raw signal of a sensor.
 _DERIVED = {
     "free",
     "linear",
@@ -111,7 +111,7 @@ def find_sensors(labels: Sequence[str], types: Sequence[str], stream: str) -> li
     labels, types : sequence of str
         Of the channels; "" where there is none.
     stream : str
-        Name and type of the stream, which say what unnamed x, y, z are.
+        Name and type of the stream, which identify unnamed x, y, z.
 
     Returns
     -------
@@ -267,7 +267,7 @@ def _unit_by_turning(table: ImuTable) -> str:
     return "deg/s" if 0.3 < np.degrees(scale) < 3.0 else ""
 
 
-#: The letter of an axis in a column's name: between signs, a capital behind a word, or the last letter.
+#: The axis letter in a column's name: between signs, a capital behind a word, or the last letter.
 _AXIS = re.compile(r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])|(?<=[a-z])[XYZ](?![a-z])|(?<=[A-Za-z])[xyzXYZ]$")
 _AXES = ("xyz", "XYZ")
 #: Of several incomplete vectors this many are named.

@@ -1,4 +1,4 @@
-"""Tables of one inertial sensor: checked by gravity, and put together where two files hold a half each."""
+"""Tables of one inertial sensor: checked by gravity, and put together where two files contain a half each."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def _means(values: FloatArray, width: int) -> FloatArray:
 
 
 def paired(tables: list[ImuTable], source: str) -> ImuTable:
-    """One IMU of tables that hold a part of it each, on the gyroscope's times.
+    """One IMU of tables that each contain a part of it, on the gyroscope's times.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
         return tables[0]
     acc, gyro = (_only(tables, part, name, source) for part, name in _PARTS)
     if acc is gyro:
-        raise RecordingError(f"{source}: one file holds the whole sensor already; name it alone.")
+        raise RecordingError(f"{source}: one file contains the whole sensor already; name it alone.")
     assert acc.t_s is not None and gyro.t_s is not None and acc.acc is not None
     first, last = max(acc.t_s[0], gyro.t_s[0]), min(acc.t_s[-1], gyro.t_s[-1])
     if not last > first:

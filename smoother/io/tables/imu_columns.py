@@ -64,8 +64,8 @@ class ImuFormat:
     lacks : str, or callable of TableLayout
         What a table without both sensors is, and what to do, behind the title.
     acc, gyro, mag : tuple of str
-        Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first; `{}` stands for what
-        names the sensor.
+        Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first; `{}` is replaced by
+        what names the sensor.
     axes : str
         What stands behind the stem, `{}` for the axis, where that is none of the usual ways.
     acc_unit, gyro_unit : str
@@ -225,7 +225,7 @@ class ImuFormat:
 
 
 def named_columns(layout: TableLayout, forms: tuple[str, ...]) -> Columns | None:
-    """Columns of x, y and z by labels in which `{}` stands for the axis; the first form that fits counts."""
+    """Columns of x, y and z by labels in which `{}` is the axis; the first form that fits counts."""
     for form in forms:
         columns = [layout.find(form.format(axis)) for axis in "xyz"]
         if None not in columns:
@@ -314,7 +314,7 @@ def _in_si(
     if (stated or unit) not in units:
         raise RecordingError(
             f"{sheet.path} states the unit '{shown(stated, 40)}' of {shown(sheet.name(columns[0]), 60)},"
-            f" which is no unit of {what}; export calibrated values in {', '.join(list(units)[:1])}."
+            f" which is not a unit of {what}; export calibrated values in {', '.join(list(units)[:1])}."
         )
     return sheet.vectors(columns) * (sign * units[stated or unit])
 

@@ -55,7 +55,7 @@ POINT_SETS = {
     75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE,
 }  # fmt: skip
 
-#: Words that say nothing of which joint is meant.
+#: Words that do not identify a joint.
 _NOISE = {
     *(
         "k",
@@ -139,7 +139,7 @@ class JointName:
     kind : str
         "centre" (a joint's centre, said so), "joint" (a joint of a skeleton), "skin" (a marker on the skin).
     pair : str
-        "a" or "b" where two skin markers lie on both sides of the joint, else "".
+        "a" or "b" where two skin markers are on both sides of the joint, else "".
     """
 
     part: str

@@ -339,7 +339,7 @@ def _android_times(sheet: Sheet) -> tuple[FloatArray, list[str]]:
 
 
 def _by_name(sheet: Sheet, kinds: int, columns: Columns, t_s: FloatArray, notes: list[str]) -> list[ImuTable]:
-    """The halves of a log whose rows name their sensor; () where the names say nothing."""
+    """The halves of a log whose rows name their sensor; () where the names are of no use."""
     names = np.array([text.lower() for text in sheet.texts(kinds)])
     values, tables = sheet.vectors(columns), []
     for part, units in (("acc", ACCELERATION), ("gyr", ANGULAR_VELOCITY)):
@@ -369,7 +369,7 @@ def _by_name(sheet: Sheet, kinds: int, columns: Columns, t_s: FloatArray, notes:
 
 
 def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) -> ImuTable:
-    """A vector whose columns do not say what it is, by its unit or the size of its values."""
+    """A vector whose columns have no telling names, by its unit or the size of its values."""
     stated = plain_unit(sheet.unit(columns[0]))
     values = sheet.vectors(columns)
     if not np.isfinite(values).all(axis=1).any():

@@ -201,7 +201,7 @@ HEAD_ROWS = 500
 SHOWN_CHARACTERS = 200
 #: Among the first characters, more of these than one in this many are not text.
 _CONTROL_SHARE = 0.02
-#: Dashes that stand for a minus: before a number or the digits of an exponent, not between two numbers.
+#: Dashes that are used as a minus: before a number or the digits of an exponent, not between two numbers.
 _DASH = re.compile(r"(?:(?<!\w)|(?<=\d[eE]))[\u2012\u2013](?=[.,]?\d)")
 
 

@@ -91,7 +91,7 @@ def up_axis(points: list[tuple[JointName, FloatArray]]) -> tuple[int, int] | Non
 
 
 def down_of(axis: int, sign: int) -> FloatArray:
-    """Unit vector of down where an axis is up."""
+    """Unit vector of down for the axis that points up."""
     down = np.zeros(3)
     down[axis] = -sign
     return down
@@ -129,7 +129,7 @@ _UNIT_OF = {seconds: unit for unit, seconds in CAMERA_SECONDS.items()}
 
 @dataclass
 class BodyRows:
-    """What a file says of bodies, one row per frame and body.
+    """The bodies of a file, one row per frame and body.
 
     Attributes
     ----------
@@ -463,7 +463,7 @@ def require_arm(position: dict[str, FloatArray], path: Path, what: str, names: l
     Raises
     ------
     RecordingError
-        It is so; the message says which joints are needed and what the file names.
+        It is so; the message lists the joints that are needed and those of the file.
     """
     for side in ("left", "right"):
         if f"elbow_{side}" in position and ({f"wrist_{side}", f"hand_{side}"} & position.keys()):

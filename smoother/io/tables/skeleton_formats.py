@@ -230,7 +230,7 @@ def _middle_of_hips(raw: RawSkeleton) -> FloatArray | None:
 
 
 def _in_image(raw: RawSkeleton) -> bool:
-    """Whether shoulders and elbows lie between 0 and 1 in x and y, y down, as in an image."""
+    """Whether shoulders and elbows are between 0 and 1 in x and y, y down, as in an image."""
     hips = [rows[:, 1] for name, rows in raw.rest if name.part == "hip"]
     shoulders = [rows[:, 1] for joint, rows in raw.position.items() if joint.startswith("shoulder")]
     if hips and shoulders and np.nanmedian(np.concatenate(shoulders)) > np.nanmedian(np.concatenate(hips)):

@@ -91,7 +91,7 @@ class TableLayout:
         return None
 
     def stated(self, *subjects: str) -> str:
-        """What the preamble says of a subject ("120Hz" behind "OutputRate:"), "" where it says nothing."""
+        """The preamble's value of a subject ("120Hz" behind "OutputRate:"), "" where it has none."""
         for line in self.preamble:
             plain = line.strip().lstrip("/#%").strip().strip('"')
             for subject in subjects:
@@ -135,7 +135,7 @@ def layout_of(lines: Sequence[str]) -> TableLayout | None:
     Returns
     -------
     TableLayout or None
-        None where there is no table of two columns or more with numbers in it.
+        None where the file contains no table of two columns or more with numbers in it.
     """
     return _layout_of(tuple(lines[:LAYOUT_LINES]))
 

@@ -449,7 +449,7 @@ def sheet_of_text(
     Raises
     ------
     RecordingError
-        There is no table in it.
+        It contains no table.
     """
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")

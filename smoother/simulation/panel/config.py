@@ -97,7 +97,7 @@ class PanelSimulation(BaseModel):
 
     @classmethod
     def ideal(cls, **changes: Any) -> Self:
-        """No error at all and nobody in the picture: for tests of the geometry."""
+        """No error at all and no person in the picture: for tests of the geometry."""
         none: dict[str, Any] = {
             "hand": False,
             "infrared_noise": 0.0,

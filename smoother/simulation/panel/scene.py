@@ -66,7 +66,7 @@ class PanelScene:
         self._kinds.append(kind)
 
     def cast(self, rays: FloatArray) -> Hits:
-        """Cast rays (N, 2), x and y where z is 1, and say what they meet."""
+        """Cast rays (N, 2), x and y where z is 1, and return what they meet."""
         directions = np.ones((len(rays), 6), np.float32)
         directions[:, :3] = 0.0
         directions[:, 3:5] = rays
@@ -85,7 +85,7 @@ class PanelScene:
         return Hits(z, surface, cosine, albedo, marker)
 
     def _on_a_disc(self, rays: FloatArray, z: FloatArray) -> BoolArray:
-        """Which hits on the board lie on a flat marker: exact circles, not triangles."""
+        """Which hits on the board are on a flat marker: exact circles, not triangles."""
         discs = _shown(self.config) if self.config.marker_shape == "disc" else []
         spots = [*(self.config.markers[i] for i in discs), *self.config.extra_markers]
         on_board = (np.column_stack([rays * z[:, None], z]) - self.p_K_P) @ self.R_K_P
