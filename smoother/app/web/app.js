@@ -505,7 +505,7 @@ function fileBox(view, about, file, open) {
     file.guess && !out ? templateForm(view, file, open) : null, tick);
 }
 
-// the video that stands for the camera: what it needs, and how its pictures are stored
+// the video that is used as the camera: what it needs, and how its pictures are stored
 function filmBox(view, about, open) {
   const film = about.camera_video, turns = [0, 90, 180, 270].map((each) => [String(each), t(`turn_${each}`)]);
   return [h("p", {}, t("film_is")),
@@ -664,7 +664,7 @@ function exportSection(view, about, open) {
     links.length ? h("p", {}, `${t("downloads")}: `, links.flatMap(([href, name], k) => [k ? ", " : "", h("a", { href, download: name }, name)])) : null);
 }
 
-// ---- a table that nobody knows
+// ---- an unknown table
 
 function templateForm(view, file, open) {
   const guess = file.guess, width = guess.rows[0]?.length || guess.names.length;
