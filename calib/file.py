@@ -197,7 +197,7 @@ def to_toml(document: dict[str, Any], text: str = "") -> str:
             continue
         if not start or tomllib.loads(changed) == document:
             return changed
-    raise CalibrationError(f"A calibration file cannot hold such a value: {reason}.") from reason
+    raise CalibrationError(f"A calibration file cannot contain such a value: {reason}.") from reason
 
 
 def _update(table: Any, values: dict[str, Any]) -> None:

@@ -191,8 +191,8 @@ def verdict(network: ClockNetwork) -> list[str]:
 def disagreements(network: ClockNetwork) -> list[str]:
     """Links that were measured in two ways which contradict each other."""
     return [
-        f"{each.source} ({each.node[0]}) is {1e3 * each.residual_s[0]:+.1f} ms off from what the other"
-        f" measurements say, {abs(each.residual_s[0]) / each.sigma_s:.0f} of its sigmas: one of them is wrong"
+        f"{each.source} ({each.node[0]}) is {1e3 * each.residual_s[0]:+.1f} ms off the other"
+        f" measurements, {abs(each.residual_s[0]) / each.sigma_s:.0f} of its sigmas: one of them is wrong"
         for each in network.leftovers
         if len(each.residual_s) == 1 and abs(each.residual_s[0]) > DISAGREE * each.sigma_s
     ]

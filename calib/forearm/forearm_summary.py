@@ -193,7 +193,7 @@ def verdict(calibration: ForearmCalibration, rows: list[Compared]) -> list[str]:
     said = [f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s"]
     if not rows:
         why = calibration.why_not or "the motion showed nothing of the forearm"
-        return [*said, f"there is no motion to hold it against: {why}"]
+        return [*said, f"there is no motion to compare it with: {why}"]
     broken = [row for row in rows if not row.agrees]
     if not broken:
         return [*said, f"pose and motion agree in all {len(rows)} measures within their sigmas"]

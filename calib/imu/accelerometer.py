@@ -398,7 +398,7 @@ def _poses_words(rests: Rests) -> str:
     if not len(rests):
         return "the sensor never lay still"
     same = f" in {len(rests)} rests" if len(rests) > rests.poses else ""
-    return f"the recording holds {rests.poses} different rest pose{'s' * (rests.poses != 1)}{same}"
+    return f"the recording contains {rests.poses} different rest pose{'s' * (rests.poses != 1)}{same}"
 
 
 def _remarks(worst: float, weak: FloatArray, residual: FloatArray) -> list[str]:

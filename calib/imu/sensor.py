@@ -127,7 +127,7 @@ def _numbers(table: dict[str, Any], key: str, shape: tuple[int, ...], where: str
     except (TypeError, ValueError):
         values = np.full(1, np.nan)
     if values.shape != shape or not np.isfinite(values).all():
-        raise CalibrationError(f"{where}.{key} must hold {' x '.join(map(str, shape))} numbers.")
+        raise CalibrationError(f"{where}.{key} must contain {' x '.join(map(str, shape))} numbers.")
     return values
 
 

@@ -86,7 +86,7 @@ def verdict(calibration: PanelCalibration) -> Verdict:
     use = {
         "good": "good for comparing arm motion with motion capture to a centimetre and a degree",
         "usable": "usable for comparing arm motion with motion capture to some centimetres",
-        "not good enough": "not good enough for comparing with motion capture; record again as said below",
+        "not good enough": "not good enough for comparing with motion capture; record again as follows",
     }[grade]
     sentence = (
         f"Rotation within {rotation:.2f} degrees, positions within"
@@ -111,7 +111,7 @@ def _findings(calibration: PanelCalibration) -> list[str]:
             "A constant depth error of the camera is ignored: one pose separates it from the markers'"
             f" spacing only as {1e3 * solution.offset_apart_m:+.1f} +-"
             f" {1e3 * solution.offset_apart_sigma_m:.1f} mm, and it would pass into the distance; several"
-            " poses would tell it."
+            " poses would show it."
         )
     if solution.misfit > CONTRADICTS:
         pose, marker = np.unravel_index(

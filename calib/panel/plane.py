@@ -127,7 +127,7 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
         if rough or within.sum() < max(FEWEST, LEAST_SHARE * len(within)):
             raise CalibrationError(
                 f"{what}: the depth under the panel is not a plane ({within.sum()} of {len(within)} pixels"
-                f" agree to {1e3 * noise:.0f} mm); see that nothing stands before it."
+                f" agree to {1e3 * noise:.0f} mm); check that nothing is in front of it."
             )
         theta = _least_squares(full[within], depth_m[within], theta)
         if (within == inliers).all():

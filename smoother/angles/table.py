@@ -220,9 +220,7 @@ def _why_no_arm(arm: MovingArm, mounting: ForearmMounting, name: str) -> str:
     if name == PRONATION.name and mounting.R_F_A is None:
         return mounting.reason
     if name in (angle.name for angle in SHOULDER) and not np.isfinite(arm.gravity_direction).all():
-        return (
-            f"The method {arm.method} does not solve the direction of gravity, which the angle counts from."
-        )
+        return f"The method {arm.method} does not solve the direction of gravity, the angle's reference."
     if name == PRONATION.name:
         return f"The method {arm.method} gives no orientation of the forearm's IMU."
     return f"{', '.join(needed[:-1]).capitalize()} and {needed[-1]} are never known at the same time."

@@ -212,6 +212,6 @@ def moved_from(found: CameraPose, known: CameraPose, points: FloatArray) -> str:
     if turned < turned_most and shifted_m < shifted_most:
         return ""
     return (
-        f"stands {100 * shifted_m:.0f} cm and {np.degrees(turned):.0f} degrees from where the calibration"
-        " says: it was moved since, and the calibration's place was not used; run `calibrate cameras` again"
+        f"stands {100 * shifted_m:.0f} cm and {np.degrees(turned):.0f} degrees from its calibrated place: it"
+        " was moved since, and that place was not used; run `calibrate cameras` again"
     )

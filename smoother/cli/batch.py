@@ -202,7 +202,7 @@ def batch(
     ] = 0.0,
     measures: Annotated[
         bool,
-        typer.Option("--measures", help="Also measure each arm, for `unocclude progress`: rows hold it."),
+        typer.Option("--measures", help="Also measure each arm, for `unocclude progress`: rows contain it."),
     ] = False,
     draws: Annotated[
         int | None,
@@ -220,7 +220,7 @@ def batch(
     ] = False,
     keep_paths: Annotated[
         bool,
-        typer.Option("--keep-paths", help="Let rows and JSON hold absolute paths and the machine's name."),
+        typer.Option("--keep-paths", help="Include in rows and JSON absolute paths and the machine's name."),
     ] = False,
     strict: Strict = False,
     force: Annotated[

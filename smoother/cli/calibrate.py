@@ -201,8 +201,8 @@ def _by_side(
     for path, recording, _ in loaded:
         if not recording.side:
             raise CalibrationError(
-                f"{path} does not say whether it is the left or the right arm's, and the others are of both;"
-                " calibrate it apart"
+                f"{path} does not state whether it is the left or the right arm's, and the others are of"
+                " both; calibrate it apart"
             )
     arms = []
     for one in sides:

@@ -77,7 +77,7 @@ def clock(
     audio_rate_hz: Annotated[
         int,
         typer.Option(
-            "--audio-rate-hz", min=4000, help="Of a ROS audio topic (16-bit PCM), which does not say."
+            "--audio-rate-hz", min=4000, help="Of a ROS audio topic (16-bit PCM), which does not state it."
         ),
     ] = 16000,
     sound_start: Annotated[

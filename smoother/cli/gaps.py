@@ -140,7 +140,7 @@ def print_factors(factors: Sequence[LengthFactor]) -> None:
         )
         for row in factors
     ]
-    print_table("Factor by which sigma would have to grow to hold", columns, rows)
+    print_table("Sigma correction factor", columns, rows)
 
 
 def gaps(
@@ -178,7 +178,7 @@ def gaps(
         typer.Option(
             "--keep-in",
             metavar="CAL.toml",
-            help="Keep by what sigma must grow to hold; `smooth --calibration CAL.toml` applies it.",
+            help="Save the sigma correction factors; `smooth --calibration CAL.toml` applies it.",
         ),
     ] = None,
     json_file: Json = None,

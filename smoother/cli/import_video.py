@@ -48,7 +48,7 @@ def video(
         typer.Option(
             "--turn",
             metavar="90|180|270",
-            help="Turn the pictures clockwise, degrees; what the file itself says is done already.",
+            help="Turn the pictures clockwise, degrees; the file's own rotation is already applied.",
         ),
     ] = 0,
     people: Annotated[
@@ -56,7 +56,7 @@ def video(
     ] = 2,
     template: Templates = None,
     one_session: Annotated[
-        bool, typer.Option("--one-session", help="Refuse files whose dates lie a day apart or more.")
+        bool, typer.Option("--one-session", help="Refuse files whose dates are a day apart or more.")
     ] = False,
     json_file: Json = None,
     force: Force = False,

@@ -73,7 +73,7 @@ def broad(
     mat: Annotated[Path, typer.Argument(metavar="TRIAL.mat", help="A trial of BROAD.", show_default=False)],
     output: Output,
     rate_hz: Annotated[
-        float, typer.Option("--rate-hz", help="Frames a second of the stand-in camera.")
+        float, typer.Option("--rate-hz", help="Frames per second of the stand-in camera.")
     ] = 30.0,
     noise_m: Annotated[float, typer.Option("--noise-m", help="Its noise, m per axis.")] = 0.008,
     seed: Seed = 0,
@@ -107,7 +107,7 @@ def bids(
     check_mcap(output)
     check_outputs(force, [output, json_file])
     if not folder.is_dir():
-        raise UnoccludeError(f"{folder} is not a folder; name the one that holds dataset_description.json")
+        raise UnoccludeError(f"{folder} is not a folder; name the one that contains dataset_description.json")
     _finish(open_bids(folder, subject, session, task), output, json_file, force)
 
 
@@ -171,8 +171,8 @@ def files(
         typer.Option(
             "--skeleton",
             metavar="[NAME=]FILE",
-            help="A file with the skeleton; of several cameras each with its NAME, in the first one's frame"
-            " stand the results.",
+            help="A file with the skeleton; of several cameras each with its NAME, the results in the first"
+            " one's frame.",
         ),
     ] = None,
     imu: Annotated[
@@ -214,7 +214,7 @@ def files(
         bool,
         typer.Option(
             "--one-session",
-            help="Refuse files whose dates lie a day apart or more, as those of a FOLDER always are.",
+            help="Refuse files whose dates are a day apart or more, as those of a FOLDER always are.",
         ),
     ] = False,
     json_file: Json = None,
@@ -321,7 +321,7 @@ def describe(
         list[Path],
         typer.Argument(
             metavar="FILE",
-            help="Any table of text; or several files or a folder, to list what each of them holds.",
+            help="Any table of text; or several files or a folder, to list what each of them contains.",
             show_default=False,
         ),
     ],

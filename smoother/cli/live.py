@@ -310,7 +310,7 @@ def live(
             metavar="S",
             min=0.0,
             max=2.0,
-            help="Of the camera in a replay; by default what the recording says, else 0.1 s.",
+            help="Of the camera in a replay; by default the recording's, else 0.1 s.",
         ),
     ] = None,
     foxglove: Annotated[

@@ -158,7 +158,7 @@ Negate = Annotated[
 CameraAxes = Annotated[
     str | None,
     typer.Option(
-        "--camera-frame", metavar="kinect|optical|zup", help="The camera's axes, whatever the file says."
+        "--camera-frame", metavar="kinect|optical|zup", help="The camera's axes, overriding the file's."
     ),
 ]
 ClockOffset = Annotated[

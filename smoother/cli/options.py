@@ -128,7 +128,7 @@ Lenses = Annotated[
     typer.Option(
         "--intrinsics",
         metavar="FILE",
-        help="Lenses, and places, of cameras whose files hold keypoints in images: OpenCV or ROS (YAML,"
+        help="Lenses, and places, of cameras whose files contain keypoints in images: OpenCV or ROS (YAML,"
         " JSON), Kalibr's camchain, Pose2Sim's Calib.toml; its names are the NAMEs of --skeleton.",
     ),
 ]
@@ -152,7 +152,7 @@ SolveLeverArms = Annotated[
     bool,
     typer.Option(
         "--solve-lever-arms",
-        help="Also find how far the tracked strap lies from the IMU; without this it is the IMU's place.",
+        help="Also find how far the tracked strap is from the IMU; without this it is the IMU's place.",
     ),
 ]
 

@@ -37,7 +37,7 @@ def progress(
             "--sessions",
             metavar="FILE.csv",
             help="Person and date of each recording: file, person, session or date [, task]; without it"
-            " folders say it: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap.",
+            " they are taken from folders: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap.",
         ),
     ] = None,
     mdc: Annotated[
@@ -236,7 +236,7 @@ def _counted(progress: PersonProgress) -> str:
         together = sum(each.change.p_together < 0.05 for each in progress.clear if each.change is not None)
         text += (
             f"; about {0.05 * compared:.1f} would be called so by chance without any change, and"
-            f" {together} of them stand when all are counted together (Holm)"
+            f" {together} of them remain clear after correction for their number (Holm)"
         )
     return f"{text}."
 

@@ -133,7 +133,7 @@ def read_reference(
     path = Path(path)
     if path.suffix.lower() not in MARKER_FORMATS:
         if markers is not None:
-            raise RecordingError(f"{path} holds poses, not markers, so --markers has no use; leave it out")
+            raise RecordingError(f"{path} contains poses, not markers, so --markers has no use; leave it out")
         truth = read_truth(path, recovery)
         if calibration is None and not align:
             return truth, ReferenceAlignment()

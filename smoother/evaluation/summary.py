@@ -151,7 +151,7 @@ def camera_sentences(recovery: Recovery) -> list[str]:
         if camera.reason:
             continue  # the verdict says why it was left out
         if camera is cameras[0]:
-            sentences.append(f"{camera.name}: the first, in whose frame results stand; {seen}")
+            sentences.append(f"{camera.name}: the first, whose frame the results are in; {seen}")
             continue
         assert camera.R_K_C is not None
         assert camera.p_K_C_m is not None

@@ -167,7 +167,7 @@ def read_trc(path: Path) -> Markers:
         notes.append(f"{path.name}: the header states {stated} markers and names {len(names)}.")
     if cut_off:
         notes.append(
-            f"{path.name}: the header counts {counted} frames and the file holds {len(table)}; it may be"
+            f"{path.name}: the header counts {counted} frames and the file contains {len(table)}; it may be"
             " cut off."
         )
     return Markers(names, t_s, position, rate, unit, source=str(path), notes=tuple(notes))
@@ -392,7 +392,7 @@ def _whole(path: Path, point: dict[str, Any]) -> None:
     if last >= first and held < needed:
         share = max(held, 0) / max(needed, 1)  # a header may count no points
         raise RecordingError(
-            f"{path}: the C3D file is cut off: it holds {100 * share:.0f} % of the frames"
+            f"{path}: the C3D file is cut off: it contains {100 * share:.0f} % of the frames"
             " that its header counts; copy or export it again"
         )
 

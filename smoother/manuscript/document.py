@@ -284,8 +284,8 @@ def _uncertainty(facts: ArmFacts) -> Iterator[str]:
         yield "That compares with the camera's own joints, not with an independent reference."
     if facts.draws:
         yield (
-            f"The result holds {facts.draws} motions drawn from the posterior distribution, for intervals of"
-            " what is computed from it."
+            f"The result contains {facts.draws} motions drawn from the posterior distribution, for intervals"
+            " of what is computed from it."
         )
 
 

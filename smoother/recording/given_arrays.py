@@ -18,7 +18,7 @@ def times_of(values: FloatArray, what: str, name: str) -> FloatArray:
     """Times (n,), at least two, that increase; `what` they are for the message."""
     t = _rows(values, np.shape(values)[:1] or (0,), what, name, finite=True)
     if len(t) < 2 or not (np.diff(t) > 0).all():
-        raise RecordingError(f"{name}: {what} must hold at least two times that increase")
+        raise RecordingError(f"{name}: {what} must contain at least two times that increase")
     return t
 
 
@@ -84,5 +84,5 @@ def _rows(
     if array.shape != shape:
         raise RecordingError(f"{name}: {what} has the shape {array.shape}; it must be {shape}")
     if finite and not np.isfinite(array).all():
-        raise RecordingError(f"{name}: {what} holds values that are not finite; take those samples out")
+        raise RecordingError(f"{name}: {what} contains values that are not finite; take those samples out")
     return array

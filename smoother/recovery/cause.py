@@ -227,7 +227,7 @@ def likeliest_cause(
         return None if down is None else _wrong_gravity(as_it_is, recording, down)
     if measured is not None and _fits_without(recording, measured, given, as_it_is):
         return Cause(
-            "the clock that was given does not fit, and what the motion says does: it is likely to be of"
+            "the clock that was given does not fit, but the one by motion does: it is likely to be of"
             " another session; run again without --clock-offset and without [clock] in the calibration"
         )
     if given is not None and given.lever_arms:

@@ -287,7 +287,7 @@ def _self_check(check: SelfCheck | None) -> Iterator[str]:
     if check is not None and check.failed > max(1, FAILED_SHARE * check.stretches):
         yield (
             f"{check.failed} of {check.stretches} visible stretches that were hidden as a test could not be"
-            " recovered within what sigma says"
+            " recovered within the stated sigma"
         )
 
 

@@ -51,7 +51,7 @@ def _sections(calibration: ClockCalibration) -> Iterator[str]:
         if len(leftover.residual_s) > 1:
             yield figure(
                 f"What is left: {leftover.source}",
-                "How far each time is from what the solved clocks say; the band is one standard deviation."
+                "How far each time is from the solved clocks; the band is one standard deviation."
                 " Crosses were rejected.",
                 residuals(leftover),
             )

@@ -340,7 +340,7 @@ _GAPS = (
     " one seen on one side only is not."
 )
 _BAND = "The pale blue band holds 95 of 100 true values of each coordinate."
-_NO_BAND = "No band is drawn: it would not hold."
+_NO_BAND = "No band is drawn: it would not be valid."
 _ERRORS = (
     "rms: root mean square. NEES: mean squared error in standard deviations; 1 where the stated uncertainty"
     " is consistent with the errors, above 1 where it is over-confident. In the last column 95 % is"

@@ -216,7 +216,7 @@ def _world_sections(calibration: WorldCalibration, notes: Sequence[str]) -> Iter
     yield listing("What else was found", judgement.findings)
     yield on_the_camera(
         "The base IMU on the camera",
-        "Solid: the camera's axes. Dashed: those of the IMU on it, turned as the answer says. The large dots"
+        "Solid: the camera's axes. Dashed: those of the IMU on it, turned as solved. The large dots"
         " are down as each pose has it (the pose's name is under the pointer): far apart where the camera was"
         " tilted between poses, which is what gives the heading. Drag to turn.",
         calibration,

@@ -251,8 +251,8 @@ def _worst(
     more = f" The other {rest} are among the results." if rest else ""
     caption = (
         "What is not to be trusted first, with the reason and without its uncertainty; then by how uncertain"
-        " the gaps are. Names lead to the reports (`batch --reports`), else to the results. Measures stand"
-        f" with their 95 % intervals; those of what is not to be trusted are left out.{more}"
+        " the gaps are. Names lead to the reports (`batch --reports`), else to the results. Measures are"
+        f" given with their 95 % intervals; those of what is not to be trusted are left out.{more}"
     )
     return tabulated("Recordings", caption, heads, cells)
 

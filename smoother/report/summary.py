@@ -76,7 +76,7 @@ def _what_is_wrong(estimates: Estimates) -> list[str]:
     if signs:
         said.append(f"What shows it: {'; '.join(signs)}.")
     said.append(
-        "Do not use the figures of this result. What it stated of its uncertainty holds only for a sound"
+        "Do not use the figures of this result. What it stated of its uncertainty is valid only for a sound"
         " set-up and is withdrawn from this page; curves and pictures are left, in red, to help to find the"
         " cause."
     )
@@ -90,7 +90,7 @@ def _untrusted(recovery: Recovery) -> str:
         return ""
     more = f"; and {len(sentences) - MOST_NAMED} more" if len(sentences) > MOST_NAMED else ""
     named = "; ".join(sentences[:MOST_NAMED])
-    return f"Not to be trusted, and red on this page: {named}{more}. Leave them out; the rest stands."
+    return f"Not to be trusted, and red on this page: {named}{more}. Leave them out; the rest is valid."
 
 
 def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:

@@ -99,7 +99,7 @@ def share_inside(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndA
         whole = StatedAndActual(squared, squared, squared)
         parts.append(f"{100 * whole.inside(0.95):.0f} % of the camera's samples")
     parts += [f"{100 * errors.inside(0.95):.0f} % of the errors {name}" for name, errors in truth.items()]
-    return f"Inside the region that should hold 95 % lie {', '.join(parts)}." if parts else ""
+    return f"Inside the region that should contain 95 % are {', '.join(parts)}." if parts else ""
 
 
 def timeline(recovery: Recovery) -> go.Figure | None:

@@ -153,8 +153,8 @@ class ImuChannels:
         if len(whole) > 1:
             names = printable(", ".join(sensor.name for sensor in whole))
             raise RecordingError(
-                f"The stream {name} holds several IMUs ({names}); send that of the forearm in a stream of its"
-                " own."
+                f"The stream {name} contains several IMUs ({names}); send that of the forearm in a stream"
+                " of its own."
             )
         acc, gyro = whole[0].axes["acc"], whole[0].axes["gyro"]
         acc_unit = unit_factor(stream, acc, ACCELERATION, "accelerometer", "m/s^2 or g")

@@ -79,7 +79,7 @@ class LogTimes:
             delay = self._log[self._skeleton] - self._stamp[self._skeleton]
             if np.ptp(delay) > 0 or abs(float(np.median(delay))) > 0:
                 arrival = self._arrivals(self._skeleton, stamp_ns, self._shift())
-                return arrival, "Frames arrive when the recording's log times say."
+                return arrival, "Frames arrive at the recording's log times."
         seconds = CAMERA_LATENCY_S if latency_s is None else latency_s
         return stamp_ns + round(seconds * 1e9), f"Frames arrive {seconds:g} s after their stamps."
 

@@ -93,7 +93,7 @@ class StudyFolder:
         # Asked again behind the look: another command may have begun this very study meanwhile.
         if not force and not self.mark.exists() and self._holds_others() and not self.mark.exists():
             raise UnoccludeError(
-                f"{self.path} holds files that are not of a study; name a new folder, or --force"
+                f"{self.path} contains files that are not of a study; name a new folder, or --force"
             )
         self._make_folders()  # of an older study, some may have been removed
         with self.alone():  # two that begin at once would each give it a word
@@ -204,7 +204,7 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("error", "string", "", "why it failed, one sentence"),
     ("retry", "bool", "", "it failed by its surroundings, and is tried again by the same command"),
     ("input", "string", "", "the recording: its name, with --keep-paths its path"),
-    ("input_place", "string", "", "by which the study knows the recording's place again; a hash with a key"),
+    ("input_place", "string", "", "by which the study recognises the recording's place; a hash with a key"),
     ("input_hash", "string", "", "SHA-256 of the recording's bytes"),
     ("input_bytes", "int64", "B", "size of the recording"),
     ("input_mtime_ns", "int64", "ns", "with --keep-paths: when the recording was changed last, since 1970"),

@@ -221,7 +221,7 @@ def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
         if any(entry["trusted"] is False for entry in mine):
             why.append(f"{arm} result is not to be trusted")
         elif len({entry["body"] for entry in mine}) > 1:
-            why.append(f"it holds several persons' {side} arms; recover one with --body")
+            why.append(f"it contains several persons' {side} arms; recover one with --body")
         else:
             usable += mine
     return usable, why

@@ -89,7 +89,7 @@ def test_refusals_name_file_and_sensor_and_write_nothing(tmp_path, capsys):
     out = tmp_path / "cal.toml"
     eight, _ = rest_poses(sensor(), 8)
     path = record(tmp_path / "eight.mcap", eight)
-    failed(capsys, ["calibrate", "imu", path, "-o", out], f"eight.mcap, {TOPIC}: the recording holds 8")
+    failed(capsys, ["calibrate", "imu", path, "-o", out], f"eight.mcap, {TOPIC}: the recording contains 8")
     failed(capsys, ["calibrate", "magnetometer", path, "-o", out], "has no magnetometer")
     plane = np.random.default_rng(0).normal(0.0, 0.3, (len(eight), 3))
     angle = np.linspace(0.0, 30.0, len(eight))
@@ -126,7 +126,7 @@ def test_corrections_are_applied_as_a_recording_is_loaded(tmp_path, capsys):
     assert any("taken as it is" in note for note in load_arm(path, cal)[0].notes)
     cal.write_text(other.replace("imu.base", "imu.forearm_right").replace("[0.1, 0.2, 0.3]", '["a", 0, 0]'))
     assert run(["smooth", str(path), "-o", str(tmp_path / "o.mcap"), "--calibration", str(cal)]) == 1
-    assert "imu.forearm_right.accelerometer.offset must hold 3 numbers" in capsys.readouterr().err
+    assert "imu.forearm_right.accelerometer.offset must contain 3 numbers" in capsys.readouterr().err
 
 
 def test_plain_files_of_a_sensor_alone(tmp_path, capsys):

@@ -36,7 +36,7 @@ def test_keep_and_apply(folder: Path, capsys: pytest.CaptureFixture[str]):
     kept.write_text("[imu.base.gyroscope]\n# kept\noffset = [0.0, 0.0, 0.0]\n", encoding="utf-8")
     assert hide(folder, "--keep-in", kept, "--json", figures, "--report", folder / "gaps.html") == 0
     printed = capsys.readouterr().out
-    assert "Factor by which sigma would have to grow" in printed
+    assert "Sigma correction factor" in printed
     assert "Gaps were hidden where the camera saw the arm" in printed
     values = json.loads(figures.read_text())
     assert {row["recording"] for row in values["rows"]} == {"1.mcap", "2.mcap"}

@@ -135,7 +135,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys) -> None:
         held.unlink()
     (tmp_path / "d" / "notes.txt").write_text("mine")
     assert run(["simulate", "clock", "-o", str(tmp_path / "d"), "--force"]) == 1
-    assert "holds other things than a simulation" in capsys.readouterr().err
+    assert "contains other things than a simulation" in capsys.readouterr().err
 
 
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, capsys) -> None:

@@ -56,11 +56,11 @@ def test_without_states_a_finite_position_is_tracked(made: SimulatedArm) -> None
     ("change", "sentence"),
     [
         ({"acc": np.zeros((3, 3))}, r"acc has the shape \(3, 3\); it must be"),
-        ({"imu_t_s": np.zeros(0)}, "imu_t_s must hold at least two times"),
+        ({"imu_t_s": np.zeros(0)}, "imu_t_s must contain at least two times"),
         ({"joints": {"knee": np.zeros((5, 3))}}, "knee is not a joint; joints are shoulder, elbow"),
         ({"side": "middle"}, "left or right, not middle"),
         ({"camera_frame": "upside"}, "one of kinect, optical, zup, not upside"),
-        ({"gravity_hint": [0.0, np.nan, 0.0]}, "gravity_hint holds values that are not finite"),
+        ({"gravity_hint": [0.0, np.nan, 0.0]}, "gravity_hint contains values that are not finite"),
     ],
 )
 def test_what_does_not_fit_is_one_sentence(made: SimulatedArm, change: dict, sentence: str) -> None:

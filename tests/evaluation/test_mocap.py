@@ -217,7 +217,7 @@ class TestReference:
 
     def test_refused_in_a_sentence(self, recovery, files, tmp_path):
         chosen = files()
-        with pytest.raises(RecordingError, match="no marker 'WRX'; it holds SHO, EL_M"):
+        with pytest.raises(RecordingError, match="no marker 'WRX'; it has SHO, EL_M"):
             (tmp_path / "wrong.toml").write_text(MAP.replace("WR_R", "WRX"))
             read_reference(chosen["path"], recovery, markers=tmp_path / "wrong.toml")
         with pytest.raises(RecordingError, match=r"--markers MAP\.toml which markers make a joint"):
@@ -227,7 +227,7 @@ class TestReference:
             rng = np.random.default_rng(0)
             rolled = Rotation.from_rotvec(np.cumsum(rng.normal(size=(len(recovery), 3)) * 0.2, axis=0))
             read_reference(recovery=replace(turned, quaternion=rolled.as_quat(scalar_first=True)), **chosen)
-        with pytest.raises(RecordingError, match="holds poses, not markers"):
+        with pytest.raises(RecordingError, match="contains poses, not markers"):
             read_reference(tmp_path / "t.csv", recovery, markers=chosen["markers"])
         with pytest.raises(CalibrationError, match=r"no \[camera_from_mocap\]"):
             stated_frame(None, CameraFrame.KINECT, "cal.toml")

@@ -94,7 +94,7 @@ def test_a_c3d_file_that_is_cut_off_is_refused(tmp_path, share):
     data = whole.read_bytes()
     cut.write_bytes(data[: int(share * len(data))])
     with pytest.raises(
-        RecordingError, match=r"cut.c3d: the C3D file is cut off: it holds \d+ % of the frames"
+        RecordingError, match=r"cut.c3d: the C3D file is cut off: it contains \d+ % of the frames"
     ):
         read_markers(cut)
 

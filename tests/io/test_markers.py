@@ -277,5 +277,5 @@ def test_a_c3d_header_without_points_whose_data_begin_behind_the_end(tmp_path: P
     header[0], header[8] = 0x5002, 9  # the parameters' block, and that of the data
     path = tmp_path / "a.c3d"
     path.write_bytes(header.tobytes() + bytes(40))
-    with pytest.raises(RecordingError, match="cut off: it holds 0 % of the frames"):
+    with pytest.raises(RecordingError, match="cut off: it contains 0 % of the frames"):
         _whole(path, {})

@@ -167,7 +167,7 @@ def test_what_is_refused(dataset: Path, result: Path, tmp_path: Path, capsys):
     with pytest.raises(UnoccludeError, match="exists already"):
         write_bids(dataset, names, [make_recording()], recoveries, "1")
     (tmp_path / "letter.txt").write_text("mine")
-    with pytest.raises(UnoccludeError, match="holds other files"):
+    with pytest.raises(UnoccludeError, match="contains other files"):
         write_bids(tmp_path, names, [], recoveries, "1")
     assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
     assert (

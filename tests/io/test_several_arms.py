@@ -169,7 +169,7 @@ def test_one_arm_is_written_as_before(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"skeleton": "left"}, "a topic may hold both arms: for the left one give --side left"),
+        ({"skeleton": "left"}, "a topic may contain both arms: for the left one give --side left"),
         (
             {"imu": "right", "side": "left"},
             "is on the right arm by its name: leave --side out, or give --side",

@@ -93,7 +93,7 @@ def test_each_figure_of_the_paragraph_is_the_results(result: Path):
         f"for {check.length_s:.1f} s (median) where it was visible, and recovered within"
         f" {100 * check.error_95_m:.1f} cm in 95 of 100 cases (stated: {100 * check.stated_95_m:.1f} cm;",
         f"{100 * check.inside_95:.0f} % of the samples inside the stated 95 % region",
-        "The result holds 3 motions drawn from the posterior",
+        "The result contains 3 motions drawn from the posterior",
         "other than the program's defaults were arm.shoulder_walk = 0.2.",
         "Given beforehand was the upper arm's length; places and lengths entered with standard deviations and"
         " were adjusted by the estimate.",

@@ -192,7 +192,7 @@ def _least_overlap(a: FloatArray, b: FloatArray) -> float:
     """What answer and truth must share, s."""
     if len(a) < 2 or len(b) < 2:
         raise RecordingError(
-            "the answer or the truth holds fewer than two samples, so no clock can be aligned"
+            "the answer or the truth contains fewer than two samples, so no clock can be aligned"
         )
     return max(min(LEAST_OVERLAP_S, float(min(np.ptp(a), np.ptp(b))) / 3.0), SHORTEST_S)
 

@@ -103,7 +103,7 @@ def read_marker_map(path: Path | str) -> MarkerMap:
     if plate and len(set(plate)) < 3:
         raise RecordingError(f"{path}: {PLATE} names {len(set(plate))} markers; a pose needs three or more")
     if "plate" in document and PLATE in document:
-        raise RecordingError(f"{path}: [plate] and [{PLATE}] say the same thing twice; keep one of them")
+        raise RecordingError(f"{path}: [plate] and [{PLATE}] define the same thing twice; keep one of them")
     own = document.get("plate", {})
     _known(own, ("R_A_P", "p_A_P"), path, "[plate]")
     places = {
@@ -134,7 +134,7 @@ def map_by_names(names: Sequence[str], source: str) -> MarkerMap:
     joints: dict[str, tuple[str, ...]] = {joint: (plain[joint],) for joint in MAPPED_JOINTS if joint in plain}
     if not joints:
         raise RecordingError(
-            f"{source}: say with --markers MAP.toml which markers make a joint; it holds {_listed(names)}"
+            f"{source}: state with --markers MAP.toml which markers make a joint; it has {_listed(names)}"
         )
     return MarkerMap(joints, source=source)
 
@@ -154,7 +154,7 @@ def find_markers(wanted: Sequence[str], names: Sequence[str], map_source: str, s
         if not exact and ":" in name:  # with a prefix, only names without one will do
             matches = [k for k in matches if ":" not in names[k]]
         if not matches:
-            raise RecordingError(f"{map_source}: {source} has no marker {name!r}; it holds {_listed(names)}")
+            raise RecordingError(f"{map_source}: {source} has no marker {name!r}; it has {_listed(names)}")
         if len(matches) > 1:
             several = ", ".join(names[k] for k in matches)
             raise RecordingError(f"{map_source}: {name!r} may be any of {several}; name it with its subject")

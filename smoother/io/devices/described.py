@@ -297,7 +297,7 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
     guess = guess_of(sheet)
     if not guess.kind:
         raise RecordingError(
-            f"{path} holds {sheet.layout.width} columns and {len(sheet)} rows, and none of them look like an"
+            f"{path} has {sheet.layout.width} columns and {len(sheet)} rows, and none of them look like an"
             f" accelerometer's, a gyroscope's or a joint's; it begins: {first_rows(head)}."
         )
     return importer, sheet, guess

@@ -184,9 +184,9 @@ def _known_lens(
     camera = of(name)
     if camera is None:
         named = f", {name}" if name else ""
-        held = f" (it holds {', '.join(map(repr, lenses))})" if lenses else ""
+        held = f" (it contains {', '.join(map(repr, lenses))})" if lenses else ""
         raise RecordingError(
-            f"{source} holds keypoints in the image, which need the camera's lens{named}: give"
+            f"{source} contains keypoints in the image, which need the camera's lens{named}: give"
             f" --intrinsics FILE{held}, or triangulate them (Pose2Sim) and give the file that makes."
         )
     first = lenses.get(cameras[0] if cameras else "")
@@ -250,7 +250,7 @@ def _sensors(
     if files.name and len(whole) > 1:
         listed = ", ".join(table.name for table in whole)
         raise RecordingError(
-            f"{source} holds {len(whole)} sensors ({listed}); choose one for {files.name}:"
+            f"{source} contains {len(whole)} sensors ({listed}); choose one for {files.name}:"
             f" --imu {files.name}={files.paths[0]}#{whole[0].name}."
         )
     return [(files.name or (t.name if len(whole) > 1 else ""), t, report) for t in whole]
@@ -350,7 +350,7 @@ def add_skeleton(
     first = tables[0]
     arms = rows.arms(frames, topic, camera, first.frame)
     if first.units == PIXELS and known is None:
-        raise RecordingError(f"{source} holds keypoints in the image; use `unocclude import files`.")
+        raise RecordingError(f"{source} contains keypoints in the image; use `unocclude import files`.")
     for arm in arms:
         arm.lens = None if known is None else known.lens
         if arm.tracked:

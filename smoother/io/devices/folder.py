@@ -88,7 +88,7 @@ def _joined(halves: dict[str, list[Path]]) -> list[ImuFiles]:
         return [ImuFiles((halves["acc"][0], halves["gyro"][0]))]
     listed = ", ".join(path.name for path in (*halves["acc"], *halves["gyro"]))
     raise RecordingError(
-        f"{listed} hold accelerometers or gyroscopes alone; name those that belong together:"
+        f"{listed} contain accelerometers or gyroscopes alone; name those that belong together:"
         " --imu NAME=ACC_FILE,GYRO_FILE."
     )
 
@@ -138,7 +138,7 @@ def add_truth(file: RecordingFile, path: Path) -> FileReport:
     if kind == ".mcap":
         poses = open_recording(path).poses
         if len(poses) != 1:
-            raise RecordingError(f"{path} holds {len(poses)} topics of poses; one is needed for --truth.")
+            raise RecordingError(f"{path} contains {len(poses)} topics of poses; one is needed for --truth.")
         truth = poses[0]
     else:
         truth = read_pose_table(path)

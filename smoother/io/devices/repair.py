@@ -387,7 +387,7 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
                 shift[row] = first_frame + imu_starts_at_s - own
         return shift, [
             f"The first IMU sample was put {abs(imu_starts_at_s):g} s"
-            f" {'before' if imu_starts_at_s < 0 else 'after'} the camera's first frame, as was said."
+            f" {'before' if imu_starts_at_s < 0 else 'after'} the camera's first frame, as given."
         ]
     apart = [
         group for group in groups if not any(_share(streams[row].t_s, c.t_s) for row in group for c in camera)

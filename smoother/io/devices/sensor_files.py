@@ -339,7 +339,7 @@ def _tables(
 ) -> list[ImuTable]:
     if not rows["sensorAcceleration"] or not rows["sensorAngularVelocity"]:
         has = "free acceleration and orientation only" if other else "no raw sensors"
-        raise RecordingError(f"{path} is an {Mvnx.title} that holds {has}; {_EXPORT}.")
+        raise RecordingError(f"{path} is an {Mvnx.title} that contains {has}; {_EXPORT}.")
     values = {}
     for key, texts in rows.items():
         if len(texts) != len(times):
@@ -353,7 +353,7 @@ def _tables(
     if gyro.shape[1] != count:
         raise RecordingError(f"{path} has {count} accelerometers and {gyro.shape[1]} gyroscopes; {_EXPORT}.")
     if not holds_gravity(acc.reshape(-1, 3)):
-        raise RecordingError(f"{path} holds acceleration without gravity; {_EXPORT}.")
+        raise RecordingError(f"{path} contains acceleration without gravity; {_EXPORT}.")
     stamps = np.array([_number(text) or 0.0 for text in times]) * 1e-3
     stamped = bool((np.diff(stamps) > 0).any())
     tables = []

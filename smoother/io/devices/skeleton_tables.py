@@ -433,7 +433,7 @@ def _loaded(path: Path) -> NDArray[np.float64]:
         ) from error
     if array.dtype.kind not in "fiu":
         raise RecordingError(
-            f"{path} holds {array.dtype} and not numbers; save an array of frames x points x 3."
+            f"{path} contains {array.dtype} and not numbers; save an array of frames x points x 3."
         )
     if array.ndim == 2:
         for width in (3, 4):

@@ -207,7 +207,7 @@ def write_bids(
     raw = [system for recording in recordings for system in recorded_systems(recording)]
     answers = [recovered_system(recovery, version) for recovery in recoveries]
     if folder.exists() and any(folder.iterdir()) and not (folder / "dataset_description.json").exists():
-        raise UnoccludeError(f"{folder} holds other files; name a new folder, or that of a BIDS data set")
+        raise UnoccludeError(f"{folder} contains other files; name a new folder, or that of a BIDS data set")
     if not force:
         for system in raw:
             if (at := folder / _file(names, system, "motion.tsv")).exists():
@@ -331,7 +331,7 @@ def _camera_frames(frame: CameraFrame | None) -> dict[str, dict[str, str]]:
     about = {
         CameraFrame.KINECT: "x to the camera's left, y up, z forward",
         CameraFrame.OPTICAL: "x to the camera's right, y down, z forward",
-        CameraFrame.ZUP: "z up; where x points is not said",
+        CameraFrame.ZUP: "z up; the direction of x is not stated",
     }[frame]
     level = {"Description": about, "RotationRule": "right-hand", "RotationOrder": "XYZ"}
     return {"camera": {**level, "SpatialAxes": _SPATIAL[frame]}}
@@ -385,9 +385,9 @@ def _json(path: Path, values: dict[str, object]) -> None:
 
 _README = """# Arms recorded by a depth camera and IMUs
 
-Motion-BIDS, written by unocclude. `sub-*/motion` holds what was recorded: a tracking system is a stream with
-a clock of its own (`tracksys-camera..`, `tracksys-imu..`). The channel `latency` is the time in seconds since
-the stream's first sample; `acq_time` in `*_scans.tsv` gives the time between the streams' beginnings by their
-own stamps, from an invented date. `derivatives/unocclude` contains the recovered arm with its deviations, on
-the forearm IMU's clock.
+Motion-BIDS, written by unocclude. `sub-*/motion` contains what was recorded: a tracking system is a stream
+with a clock of its own (`tracksys-camera..`, `tracksys-imu..`). The channel `latency` is the time in seconds
+since the stream's first sample; `acq_time` in `*_scans.tsv` gives the time between the streams' beginnings by
+their own stamps, from an invented date. `derivatives/unocclude` contains the recovered arm with its
+deviations, on the forearm IMU's clock.
 """

@@ -390,7 +390,7 @@ def check_folder(path: Path, force: bool = False) -> None:
         if not force:
             raise UnoccludeError(f"{path} exists already; give another name, or --force to replace it.")
         if not (path / _TRUTH).is_file():
-            raise UnoccludeError(f"{path} holds other things than a simulation; give another name.")
+            raise UnoccludeError(f"{path} contains other things than a simulation; give another name.")
     elif not path.is_dir():
         if path.exists():
             raise UnoccludeError(f"{path} is a file; name a folder to write to.")

@@ -281,7 +281,7 @@ def _skeleton(
     state = np.array([states[name] for name in texts["state"]], np.int64)
     body = numbers.get("body", np.zeros(len(pairs)))
     if not (np.isfinite(body).all() and (body >= 0).all() and (body == np.rint(body)).all()):
-        raise RecordingError(f"{path}: column body must hold whole numbers from 0; correct it.")
+        raise RecordingError(f"{path}: column body must contain whole numbers from 0; correct it.")
     position = vectors(numbers, *"xyz") * metres
     kind = (body * 100 + pairs[:, 0] * 10 + pairs[:, 1]).astype(np.int64)
     stamp = _stamps(_frame_times(file, path, numbers["t_s"], kind), path)
@@ -412,8 +412,8 @@ def import_broad(
         fields["imu_mag"].astype(float),
     )
     note = (
-        f"Optical positions at {rate_hz:g} Hz with {noise_m * 1000:g} mm of white noise (seed {seed}) stand "
-        "for the camera."
+        f"Optical positions at {rate_hz:g} Hz with {noise_m * 1000:g} mm of white noise (seed {seed}) serve "
+        "as the camera."
     )
     return Recording(
         imu=imu,

@@ -91,7 +91,7 @@ def join_bodies(
         how = (
             "numbered it anew where it was"
             if follows[place]
-            else "numbered it anew elsewhere, which the IMU that both wear says"
+            else "numbered it anew elsewhere, as shown by the IMU that both wear"
         )
         notes.append(
             f"{earlier.label} and body {arm.body} were joined: the camera lost the body and {how};"

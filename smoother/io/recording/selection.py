@@ -334,7 +334,7 @@ def _what_arm_fits(seen: list[ArmFrames], skeleton: str | None, side: str | None
     """What to give instead of options that no arm fits, for the end of a sentence."""
     named = named_side(skeleton or "")
     if named and not side and any(arm.side == named for arm in seen):
-        return f"; a topic may hold both arms: for the {named} one give --side {named}"
+        return f"; a topic may contain both arms: for the {named} one give --side {named}"
     sides = {arm.side for arm in seen}
     if side and sides == {OTHER_SIDE[side]}:
         return f"; {_ONLY_ONE_ARM.format(OTHER_SIDE[side])}"

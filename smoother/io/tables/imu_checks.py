@@ -250,7 +250,7 @@ def _only(tables: list[ImuTable], part: str, name: str, source: str) -> ImuTable
             f"{source} has no {name}; export it as well and name both files:"
             " --imu forearm_right=acc.csv,gyro.csv."
         )
-    raise RecordingError(f"{source} holds {len(having)} {name}s; name one accelerometer and one gyroscope.")
+    raise RecordingError(f"{source} has {len(having)} {name}s; name one accelerometer and one gyroscope.")
 
 
 def _in_a_pause(t_s: FloatArray, at: FloatArray) -> BoolArray:

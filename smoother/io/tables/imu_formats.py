@@ -102,8 +102,8 @@ def _dot_lacks(layout: TableLayout, table: ImuTable) -> str:
         fused = layout.find(*_DOT_FUSED) is not None
         has = "quaternions and free acceleration only" if fused else "no raw sensors"
     return (
-        f"that holds {has}; record 'Custom mode 5' or 'Rate quantities', which hold acceleration and angular"
-        " velocity."
+        f"that contains {has}; record 'Custom mode 5' or 'Rate quantities', which hold acceleration and"
+        " angular velocity."
     )
 
 
@@ -130,7 +130,7 @@ _XSENS_DOT = ImuFormat(
         units="dv in m/s, dq",
         lacks=_dot_lacks,
         no_rate=(
-            "holds increments but neither SampleTimeFine nor OutputRate; export it again with SampleTimeFine."
+            "has increments but neither SampleTimeFine nor OutputRate; export it again with SampleTimeFine."
         ),
     ),
 )
@@ -175,7 +175,7 @@ def _shimmer_lacks(layout: TableLayout) -> str:
     matches = [_SHIMMER_COLUMN.fullmatch(label) for label in layout.labels]
     raw = any(match and match.group(3) != "cal" for match in matches)
     what = "uncalibrated values only" if raw else "no gyroscope or no accelerometer"
-    return f"that holds {what}; record both sensors and export calibrated data (the columns end in _CAL)."
+    return f"that contains {what}; record both sensors and export calibrated data (the columns end in _CAL)."
 
 
 _SHIMMER = ImuFormat(

@@ -380,7 +380,7 @@ def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) 
         half.acc = specific_force(sheet, columns, unit)
         if half.acc is not None and not holds_gravity(half.acc):
             raise RecordingError(
-                f"{sheet.path} holds acceleration without gravity; log the raw accelerometer"
+                f"{sheet.path} contains acceleration without gravity; log the raw accelerometer"
                 " (TotalAcceleration)."
             )
         what = "an accelerometer"

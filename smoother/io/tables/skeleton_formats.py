@@ -204,8 +204,8 @@ def landmarks_in_metres(raw: RawSkeleton, world: bool, normalised: bool = False)
         return raw.skeletons(Conventions())
     if normalised or (not is_about_hips and (_in_image(raw) or (fits is None and not world))):
         raise RecordingError(
-            f"{raw.path} holds landmarks as parts of the image's width and height (pose_landmarks), which are"
-            " no metres; export pose_world_landmarks of the same video."
+            f"{raw.path} contains landmarks as parts of the image's width and height (pose_landmarks), which"
+            " are not metres; export pose_world_landmarks of the same video."
         )
     if is_about_hips or world or _middle_of_hips(raw) is None:
         raw.notes.append(RELATIVE_NOTE)

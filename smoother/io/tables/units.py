@@ -211,7 +211,7 @@ def unit_by_size(values: FloatArray, source: Path) -> str:
     if _IS_GRAVITY[0] < median < _IS_GRAVITY[1]:
         if high - low < _EXACT * median:
             raise RecordingError(
-                f"{source} holds gravity as the system estimates it, not an accelerometer; log the raw"
+                f"{source} contains gravity as the system estimates it, not an accelerometer; log the raw"
                 " accelerometer."
             )
         return "m/s^2"

@@ -90,7 +90,7 @@ def test_file_names_decide_nothing(tmp_path: Path):
         (["--skeleton", "{0}/dot.csv"], "name it with --imu"),
         (
             ["--imu", "forearm={0}/opal.csv"],
-            r"holds 2 sensors \(Right Wrist, Sternum\).*opal.csv#Right Wrist",
+            r"contains 2 sensors \(Right Wrist, Sternum\).*opal.csv#Right Wrist",
         ),
         (["--imu", "x={0}/opal.csv#Pelvis"], "has no sensor Pelvis; it has Right Wrist, Sternum"),
         (["--imu", "{0}/a.csv"], "has no gyroscope"),

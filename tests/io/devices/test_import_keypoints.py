@@ -106,11 +106,11 @@ def test_rays_and_places_come_back(
 def test_without_a_lens_it_says_what_to_give(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command(folder) == 1
     said = " ".join(capsys.readouterr().err.split())
-    assert "front.json holds keypoints in the image, which need the camera's lens, front" in said
+    assert "front.json contains keypoints in the image, which need the camera's lens, front" in said
     assert "--intrinsics FILE" in said
     text = (folder / "Calib.toml").read_text()
     (folder / "other.toml").write_text(text.replace('"side"', '"left"'))
     assert command(folder, "--intrinsics", str(folder / "other.toml")) == 1
-    assert "need the camera's lens, side: give --intrinsics FILE (it holds 'front', 'left')" in " ".join(
+    assert "need the camera's lens, side: give --intrinsics FILE (it contains 'front', 'left')" in " ".join(
         capsys.readouterr().err.split()
     )

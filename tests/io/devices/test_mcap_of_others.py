@@ -204,5 +204,5 @@ def test_mcap_with_joint_states_alone(tmp_path: Path) -> None:
     ):
         read(path, "mcap")
     assert any(
-        "/joint_states: sensor_msgs/JointState holds angles" in note for note in open_recording(path).notes
+        "/joint_states: sensor_msgs/JointState contains angles" in note for note in open_recording(path).notes
     )

@@ -33,7 +33,7 @@ def test_ros1_bag(tmp_path: Path) -> None:
     wanted = made.expected("wrist_right", FRAMES, "optical")
     assert_array_equal(body.position["wrist_right"][there], wanted[there])
     assert np.isnan(body.position["wrist_right"][20:25]).all()
-    assert any("/joint_states: sensor_msgs/JointState holds angles" in note for note in body.notes)
+    assert any("/joint_states: sensor_msgs/JointState contains angles" in note for note in body.notes)
 
 
 def test_ros1_bag_that_is_cut_off(tmp_path: Path) -> None:
