@@ -50,14 +50,14 @@ class Depth:
         return seen, z
 
 
-#: The surface is looked for so far before and behind the line, m.
+#: The surface is looked for this far before and behind the line, m.
 BEFORE_M, BEHIND_M, STEP_M = 0.16, 0.10, 0.002
 #: The arm's axis by silhouette: stations (parts of the forearm), how many must agree, how far it may be from
 #: the joints' line.
 STATIONS = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.9)
 FEWEST_STATIONS = 4
 LARGEST_TURN_RAD, LARGEST_SHIFT_M = np.radians(12.0), 0.04
-#: Depth at a station is taken over so much of the arm on both sides, m.
+#: Depth at a station is taken over this much of the arm on both sides, m.
 STATION_M = 0.012
 #: The silhouette ends where the depth jumps by this much, and is so wide at most, m.
 JUMP_M, REACH_M = 0.04, 0.07
@@ -178,7 +178,7 @@ WIDTHS_M = (0.008, 0.07)
 OFF_LINE_M = 0.05
 #: A forearm nearer to the camera's ray than this is not looked at, rad.
 NEAR_RAY_RAD = np.radians(25.0)
-#: Depth is taken over so much of the arm on both sides of the strap, m.
+#: Depth is taken over this much of the arm on both sides of the strap, m.
 BESIDE_M = 0.03
 #: Standard deviations: of the place along the arm beside half a pixel, of the core by silhouette, m.
 ALONG_SIGMA_M = 0.002

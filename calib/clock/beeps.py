@@ -188,7 +188,7 @@ def fit_fall(
 FRAME_S, HOP_S = 0.010, 0.0025
 #: Buzzers sound in this range, Hz.
 TONES_HZ = (400.0, 12_000.0)
-#: A beep lasts at least this long, s, stands so far above the quiet, dB, and ends when it fell so far, dB.
+#: A beep lasts at least this long, s, is this far above the quiet, dB, and ends when it fell this far, dB.
 SHORTEST_S = 0.03
 LOUD_DB = 18.0
 FALL_DB = 8.0

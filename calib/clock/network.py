@@ -12,7 +12,7 @@ from smoother.errors import CalibrationError
 
 from .links import SKEW_SIGMA, ClockLink, ClockNetwork, Leftover, Receptions
 
-#: A pair's skew is looked for where its events lie so far apart, s.
+#: A pair's skew is looked for where its events lie this far apart, s.
 SKEW_SPAN_S = 2.0
 #: Up to this many events every line through two of them is tried; what is wrong is far wrong, s.
 FEW = 12

@@ -16,7 +16,7 @@ from smoother.result import Recovery
 from ..forearm.forearm_frame import ForearmFrame
 from ..protocol import Verdict
 
-#: Turning about the forearm's axis is measured within so much time: the gyro's sum drifts, s.
+#: Turning about the forearm's axis is measured within this much time: the gyro's sum drifts, s.
 AXIAL_S = 10.0
 
 

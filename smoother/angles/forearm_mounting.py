@@ -13,7 +13,7 @@ from ..result.moving_arm import MovingArm
 
 #: Roll of a calibrated mounting, degrees: a palm that faces the camera is no better witness than that.
 CALIBRATED_DEG = 15.0
-#: A healthy forearm turns between these, ISB's pronation in degrees, each of which differs by so much from
+#: A healthy forearm turns between these, ISB's pronation in degrees, each of which differs by this much from
 #: person to person: supination 82 +- 4, pronation 76 +- 5 from the thumb-up posture (Boone and Azen, J Bone
 #: Joint Surg Am 61:756-759, 1979), with some degrees for how a skeleton places elbow and wrist.
 LEAST_DEG, MOST_DEG, LIMIT_SIGMA_DEG = 8.0, 166.0, 7.0
@@ -101,7 +101,7 @@ def _axes_about(along: FloatArray) -> FloatArray:
 
 
 def _rolled(R_F_A: FloatArray, more_deg: float, side: str) -> FloatArray:
-    """The mounting whose pronation is larger by so much."""
+    """The mounting whose pronation is larger by `more_deg`."""
     angle = np.radians(more_deg) * (-1.0 if side == "left" else 1.0)
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]) @ R_F_A

@@ -23,7 +23,7 @@ from ..measurements.inertial import InertialAttitude, InertialSignal
 from ..recording import ImuStream
 from ..units import GRAVITY
 
-#: The start's tilt is averaged over so much time, s.
+#: The start's tilt is averaged over this much time, s.
 START_S = 4.0
 #: A magnetometer is of use where the field's strength keeps this near to its median, as a part of it.
 FIELD_SPREAD = 0.1

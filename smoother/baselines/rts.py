@@ -241,7 +241,7 @@ START_SIGMA_SPEED = 3.0
 ATTITUDE_SIGMA_RAD = np.radians(2.0)
 GRAVITY_SIGMA_RAD = np.radians(1.0)
 GRAVITY_SIZE_SIGMA = 0.01
-#: The upper arm's length is measured anew no more often than this, s, and varies at most so much, m.
+#: The upper arm's length is measured anew no more often than this, s, and varies at most this much, m.
 RANGE_EVERY_S = 0.09
 LARGEST_FLEX_M = 0.04
 #: The least noise of a joint, m.

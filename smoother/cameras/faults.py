@@ -19,7 +19,7 @@ from .placing import Placement, residuals, start, weights
 LEAST_S = 3.0
 #: Joints that are as far apart as this, m, and as this share of how far they move, are not the same arm's.
 OTHER_M, OTHER_SHARE = 0.09, 0.55
-#: Mirrored, the two agree so much better, as a share of the distance, where that is more than this, m.
+#: Mirrored, the two agree this much better, as a share of the distance, where that is more than this, m.
 MIRRORED_M, MIRRORED_SHARE = 0.03, 0.6
 #: What both saw is placed in parts: the length of a part, s, and the number of parts at most.
 PART_S, MOST_PARTS = 8.0, 24

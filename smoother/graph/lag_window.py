@@ -270,9 +270,9 @@ def _state_blocks(prefix: str, number: int, R: FloatArray) -> list[tuple[str, in
     ]
 
 
-#: A new bias variable so often, s.
+#: Interval between new bias variables, s.
 BIAS_EPOCH_S = 1.0
-#: Shoulder knots keep so far apart, s.
+#: Shoulder knots keep this far apart, s.
 KNOT_S = 0.09
 #: An iteration that moves the newest node by less than this is the last, m; this many at most. 3 mm leaves
 #: 0.5 mm at most (measured), and spares half of the iterations.

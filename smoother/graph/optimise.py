@@ -23,7 +23,7 @@ from .build import FactorGroup, node_of_variables, upper_arm_factors
 from .shared_prior import gravity_axes, have_turned, turned_with_axes
 
 MAX_ITERATIONS = 12
-#: At most so often the optimum is sought anew because gravity's axes have turned.
+#: The optimum is sought anew at most this many times because gravity's axes have turned.
 MOST_TURNS = 3
 #: Gaps from this length on are solved in stages, s.
 LONG_S = 3.0

@@ -377,7 +377,7 @@ def _covariance_nodes(window: Window) -> IntArray:
 
 
 def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float, near_s: float = COVARIANCE_NEAR_S) -> IntArray:
-    """Nodes about so far apart, and finer in and near gaps (intervals `in_gap`), where covariances change."""
+    """Nodes at about this spacing, finer in and near gaps (intervals `in_gap`), where covariances change."""
 
     def every(step_s: float) -> BoolArray:
         chosen: BoolArray = np.diff(np.floor((t - t[0]) / step_s + 1e-6), prepend=-1.0) > 0

@@ -127,7 +127,7 @@ class LiveOutput:
     now : LiveEstimate or None
         Predicted to the present; None while calibrating, or with the IMU lost.
     settled : LiveEstimate or None
-        `lag_s` before the present; None as above, and until there is so much of an answer.
+        `lag_s` before the present; None as above, and until the answer is long enough.
     clock_offset_s, clock_sigma_s : float, s
         t_imu = t_camera + offset, and its standard deviation; nan before it is known.
     camera_latency_s : float, s

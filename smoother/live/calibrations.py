@@ -234,8 +234,8 @@ def _prepare() -> None:
         os.nice(NICE)
 
 
-#: Self-calibrations begin with so much and are tried so often until one works; then at these lengths, and
-#: as often as the last says, s.
+#: Self-calibrations begin at this length and are tried at this interval until one works; then at these lengths,
+#: and at the interval of the last, s.
 FIRST_S, RETRY_S = 8.0, 2.0
 AGAIN_S = (15.0, 30.0, 60.0, 120.0)
 #: Squared errors are up to 2.5 times what the first of them says.
@@ -328,7 +328,7 @@ class Calibrations:
         self._calibrator.submit(CalibrationJob(recording, self._given, self._config, offset_s))
 
     def clock_jumped(self, sigma_s: float) -> None:
-        """The camera's clock jumped: it is less certain by so much, and the next calibration is due."""
+        """The camera's clock jumped: it is less certain by the step, and the next calibration is due."""
         self.clock_sigma_s = float(np.hypot(self.clock_sigma_s, sigma_s))
         self._asked_s = None if self.last is None else -np.inf
 

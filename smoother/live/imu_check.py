@@ -33,9 +33,9 @@ LARGE_G, LARGE_S = 3.0, 0.3
 LARGE_RATE, LARGE_RATE_S = 20.0, 0.15
 #: An axis that repeats a value is clipped, from these values on.
 CLIPPED_FORCE, CLIPPED_RATE = 10.5, 1.5
-#: What an arm may do meanwhile: its velocity and direction change by so much a root of a second.
+#: What an arm may do meanwhile: its velocity and direction change by this much per square root of a second.
 VELOCITY_DENSITY, TURN_DENSITY = 2.0, 2.5
-#: So much is looked at again with every sample, s, and so much before it is its context, s.
+#: With every sample this much is looked at again, s, and this much before it is its context, s.
 AGAIN_S, CONTEXT_S = 0.5, 0.5
 
 

@@ -52,7 +52,7 @@ RESTS_SHARE, MOVED_M = 0.35, 0.06
 TURNED_M, TURNED_WITHIN_S = 0.10, 0.8
 #: Bones off by this share, and by this many sigmas, are another body's.
 OTHER_LENGTH, OTHER_SIGMAS = 0.15, 4.0
-#: A joint jumps by itself where it is so far from its own last motion, m, and by this share of what it is
+#: A joint jumps by itself where it is this far from its own last motion, m, and by this share of what it is
 #: from the prediction.
 JUMPS_M, JUMPS_SHARE = 0.12, 0.5
 #: The IMU is doubted for this long, s, and twice as long where it had just been, up to this.

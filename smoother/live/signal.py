@@ -24,7 +24,7 @@ from .buffers import ImuBuffer
 
 #: The signal begins this long before what is integrated, s: the spline's end has no effect there.
 BEFORE_S = 0.1
-#: ... and is read so far back at least, so that one serves a whole step, s.
+#: ... and is read this far back at least, so that one serves a whole step, s.
 CACHED_S = 0.8
 #: An arm's acceleration where samples are missing, m/s^2.
 MISSED_ACCELERATION = 4.0

@@ -27,7 +27,7 @@ from .frame_history import FrameHistory
 from .monitor import CameraMonitor, Culprit, Finding, residuals_of
 from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, displacement, increments_between, propagated
 
-#: A first state is read from so much around it, s.
+#: A first state is read from this much around it, s.
 AROUND_S = 3.0
 
 
@@ -94,7 +94,7 @@ SAME_S = 0.004
 AGAIN_S = 0.2
 #: No window leads over a pause of the IMU that is longer, s.
 LONGEST_PAUSE_S = 0.3
-#: What one calibration has learnt counts for the next with so much wider sigmas.
+#: What one calibration has learnt counts for the next with this much wider sigmas.
 WIDER = 2.0
 
 

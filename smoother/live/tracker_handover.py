@@ -15,7 +15,7 @@ from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
 CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 10
 #: A successor catches up beside the one at work by this many frames a step.
 SUCCESSOR_FRAMES = 2
-#: After a pause of the IMU it takes so much to begin anew, s.
+#: After a pause of the IMU this much is needed to begin anew, s.
 FRESH_S = 1.0
 #: The camera must not have contradicted a first tracker for this long, s.
 PROVED_S = 0.8

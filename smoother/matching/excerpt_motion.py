@@ -129,7 +129,7 @@ EDGE_S = 0.12
 #: however many, no more than this many count, as joints' constant errors and the strap's slip do not average
 #: out.
 INDEPENDENT, MOST_INDEPENDENT = 0.5, 20.0
-#: Camera and IMU must share so much, s.
+#: Camera and IMU must share this much, s.
 SHORTEST_S = 1.0
 
 

@@ -110,7 +110,7 @@ def _by_time(t: FloatArray, x: FloatArray) -> FloatArray:
 
 #: No depth camera sees a person farther away, m.
 FARTHEST_M = 20.0
-#: A value that repeats exactly so often is frozen, if the sensor turns or is moved meanwhile.
+#: A value that repeats exactly this often is frozen, if the sensor turns or is moved meanwhile.
 FROZEN_REPEATS = 2
 FROZEN_RATE = 0.15
 FROZEN_FORCE = 0.5

@@ -41,7 +41,7 @@ class Kernel:
     acceleration_sigma: float = 0.100
 
     def __call__(self, apart: FloatArray) -> FloatArray:
-        """Covariance of positions so far apart in time, s."""
+        """Covariance of positions at times `apart`, s, from each other."""
         return np.asarray(self.variance * np.exp(-self.rate * apart**2))
 
 

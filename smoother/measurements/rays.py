@@ -17,7 +17,7 @@ from ..linalg import unit
 ALONG_M = 20.0
 #: The shoulder's, which no IMU holds: its length to the elbow alone leaves it a second place near the camera.
 SHOULDER_ALONG_M = 0.3
-#: Residuals across a ray have two directions of three: their mean square over three axes is so much less.
+#: Residuals across a ray have two directions of three: their mean square over three axes is this much less.
 OF_THREE = 1.5
 
 

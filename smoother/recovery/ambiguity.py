@@ -33,7 +33,7 @@ FITS_RAD = np.radians(20.0)
 #: A mirrored skeleton, or another mounting, that is less likely by no more than this fits about as well. The
 #: attitude was fitted to the camera without the mirror, which is worth some of it.
 NEARLY_MIRRORED, NEARLY_MOUNTED = 12.0, 5.0
-#: Answers in a gap differ where they do so by this many sigmas, and by so much: degrees rms, m at most.
+#: Answers in a gap differ where they do so by this many sigmas, and by this much: degrees rms, m at most.
 SIGMAS, APART_DEG, APART_M = 4.0, 12.0, 0.08
 #: Of these limits this part counts for a mirrored skeleton, which changes the curve between a gap's ends too.
 MIRRORED_PART = 0.5

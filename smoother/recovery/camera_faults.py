@@ -13,7 +13,7 @@ from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointState, Recording
 from ..result import Recovery, UntrustedInterval
 
-#: Bones that are off by this share of their usual length, and by so much, m, are another body's.
+#: Bones that are off by this share of their usual length, and by this much, m, are another body's.
 OTHER_LENGTH, OTHER_LENGTH_M = 0.15, 0.035
 #: Joints that move less than this, m, while by the rest they move this much more are guessed.
 HELD_M, HELD_SHARE = 0.03, 4.0

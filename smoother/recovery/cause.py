@@ -133,7 +133,8 @@ def _sized(recording: Recording, factor: float) -> Recording:
 
 
 #: The IMU was not on this forearm where nothing that was tried fits, the forearm's direction is off by more
-#: than this, degrees, and so much of the acceleration is unexplained: 21 to 40 and all of it for another arm.
+#: than this, degrees, and this share of the acceleration is unexplained: 21 to 40 and all of it for another
+#: arm.
 ELSEWHERE_DEG, ELSEWHERE_SHARE = 17.0, 0.8
 #: A cause leaves this part of the recording's misfit at most; one that leaves little more than the best is as
 #: likely.

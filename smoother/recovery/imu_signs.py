@@ -272,13 +272,13 @@ APART_S, EDGE_S = 0.12, 0.2
 OFFSETS_S = 0.6
 #: Costs are summed over this long, s; each side needs this much time in view, s.
 BLOCK_S, LEAST_S = 0.5, 4.0
-#: A step is one from so much log-likelihood and this size on, s: sound simulated arms stay below a gain of 1,
-#: those that lost 0.1 s have 4 to 24. Synthetic stamps of a camera hide frames that were dropped: there it
+#: A step is one from this much log-likelihood and this size on, s: sound simulated arms stay below a gain of
+#: 1, those that lost 0.1 s have 4 to 24. Synthetic stamps of a camera hide frames that were dropped: there it
 #: takes more, s.
 STEP_GAIN, STEP_S, STEP_SYNTHETIC_S = 4.0, 0.035, 0.25
 #: From this size on, s, no side of a step has its clock; below, only what is so near, s, to it is in doubt.
 LARGE_STEP_S, NEAR_S = 0.09, 4.0
-#: Long recordings are looked at in parts of this length, s, which share so much with the next.
+#: Long recordings are looked at in parts of this length, s, which share this much with the next.
 PART_S, SHARED_S = 300.0, 60.0
 
 

@@ -26,15 +26,15 @@ from ..window.solution import Solution
 
 #: The field is averaged over this long: a place's disturbance lasts about as long as the arm stays.
 MEAN_S = 2.0
-#: A field so much stronger or weaker than the recording's own is disturbed, and one that is so much
+#: A field this much stronger or weaker than the recording's own is disturbed, and one that is this much
 #: stronger or weaker than where the magnetometer was calibrated is another one.
 STRENGTH_OFF = 0.1
 STRENGTH_ELSEWHERE = 0.35
-#: Means whose strength is off by more than this many scaled median deviations, and by so much at least, are
+#: Means whose strength is off by more than this many scaled median deviations, and by this much at least, are
 #: left out, as those whose direction is; and their neighbours, which the same magnet may have reached.
 FAR = 3.5
 LEAST_FAR = 0.03
-#: A mean takes part when so much of it is undisturbed.
+#: A mean takes part when this much of it is undisturbed.
 SHARE_NEEDED = 0.8
 #: Where fewer of a mean's nodes have a sample there is no mean: samples that are missing are no iron.
 SAMPLES_NEEDED = 0.5

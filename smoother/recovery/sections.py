@@ -22,9 +22,9 @@ from ..window.prepare import REACH_S
 SECTION_S = 60.0
 #: What is read more on both sides, s: for the inertial filter, the alignment and the margins of the windows.
 CONTEXT_S = 12.0
-#: Of an IMU on another segment so much more, s: it has to cover the last node.
+#: Of an IMU on another segment this much more, s: it has to cover the last node.
 FURTHER_MORE_S = 0.5
-#: A border may be so far from its even place, as a share of the sections' length; there is none otherwise.
+#: A border may be this far from its even place, as a share of the sections' length; there is none otherwise.
 FARTHEST = 0.45
 #: Visible time that a border lacks around it is treated as this many times as much distance from its place.
 VISIBILITY_PENALTY = 5.0

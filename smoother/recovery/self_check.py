@@ -35,7 +35,7 @@ from .task import Task
 SHORTEST_S, LONGEST_S, WITHOUT_GAPS_S = 0.4, 4.0, 1.0
 #: Visible time that is left on both sides of a stretch, s, and from its window's ends.
 BESIDE_S, MARGIN_S = 0.5, 2.0
-#: Candidates begin so far apart, s; motion is compared in steps of this length, s.
+#: Candidates begin this far apart, s; motion is compared in steps of this length, s.
 APART_S, STEP_S = 0.25, 0.1
 #: Joints that are compared, the best first.
 REFERENCES = ("wrist", "strap", "hand", "elbow")

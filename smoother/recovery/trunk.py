@@ -25,9 +25,9 @@ from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_tru
 from .blended_columns import between_quaternions
 from .trunk_by_shoulders import JOINT_BIAS_M, shoulder_lines, trunk_by_shoulders
 
-#: Worked on at a time, with so much around it, and blended over so much behind its beginning, s.
+#: Worked on at a time, with this much around it, and blended over this much behind its beginning, s.
 SECTION_S, CONTEXT_S, BLEND_S = 60.0, 15.0, 1.0
-#: The ends of a run of samples are held so much longer, s: clocks known to some milliseconds end apart.
+#: The ends of a run of samples are held this much longer, s: clocks known to some milliseconds end apart.
 PADDING_S = 0.05
 #: Sections that the mounting is found on, evenly spread, and frames with both shoulders that one needs.
 EXCERPTS, FEWEST_FRAMES = 5, 60

@@ -19,7 +19,7 @@ from ..selfcal.trunk_mount import GIRDLE_M
 
 #: Worked on at a time, s.
 SECTION_S = 60.0
-#: Frames of both arms that are so near are the same one, s; shoulders lie so far apart, m.
+#: Frames of both arms within this time are the same one, s; distance between shoulders, m.
 SAME_FRAME_S, WIDTH_M = 0.005, (0.15, 0.6)
 #: Constant error of a shoulder, m per axis, where the recording does not show how large such errors are.
 JOINT_BIAS_M = 0.01

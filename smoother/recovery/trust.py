@@ -162,7 +162,7 @@ NEAR_M, FAR_M = 0.05, 0.08
 JOINT_SIGMA_M = 0.05
 #: Where more of the tracked samples are rejected, camera and IMU contradict each other.
 REJECTED_SHARE = 0.30
-#: A measured clock is contradicted where the motion moves it by this many of its sigmas, and by so much, s.
+#: A measured clock is contradicted where the motion moves it by this many of its sigmas and by this time, s.
 MEASURED_SIGMAS, MEASURED_S = 4.0, 0.01
 #: Elbow to "wrist" against the upper arm, and in m, from here on: the wrist is likely to be the hand
 #: (Kinect v1: 0.79 to 0.99 to the wrist, 0.94 to 1.23 to the hand).

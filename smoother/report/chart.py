@@ -12,7 +12,7 @@ import numpy as np
 from ..array_types import FloatArray
 from .sheet import headed
 
-#: Left and right of the marks stay so much of the width, %.
+#: Margin left and right of the marks, % of the width.
 _EDGE = 4.0
 #: Heights, pixels.
 _ROW, _NARROW_ROW, _SESSIONS, _BARS = 42, 34, 116, 92

@@ -175,7 +175,7 @@ _FATAL = ("SIGALRM", "SIGXCPU", "SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGIL
 def crashes_in_subprocess(path: Path, read: Callable[[Path], object]) -> bool:
     """Whether reading a file would end the process, or never end itself: tried in a child (no Windows).
 
-    The child has so much time and memory as a file of this size can need.
+    The child has the time and memory that a file of this size can need.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 from ..errors import UnoccludeError
 
-#: Libraries and their threads take about so much, bytes; with less they end the process, or never answer.
+#: Libraries and their threads take about this much, bytes; with less they end the process, or never answer.
 LEAST_BYTES = 300 << 20
 
 

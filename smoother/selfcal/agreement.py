@@ -33,8 +33,8 @@ from .turning_evidence import (
 #: A recording up to this long is read whole, in stretches of about the second length, s: within one a drift
 #: of 3000 ppm blurs less than the filter does. Of a longer one this many excerpts are read.
 WHOLE_S, STRETCH_S, EXCERPTS = 120.0, 45.0, 12
-#: With so much of the IMU around an excerpt, s; with the second where that is not enough. Around a recording
-#: that is read whole, with the third.
+#: Time of the IMU read around an excerpt, s; the second where the first is not enough. Around a recording
+#: that is read whole, the third.
 AROUND_S, FAR_S, WHOLE_AROUND_S = 60.0, 600.0, 3600.0
 #: Clocks drift by at most this against each other, s/s; lines are tried whose ends differ by this, s.
 LARGEST_SKEW, LINE_STEP_S = 3.5e-3, 0.06
@@ -51,7 +51,7 @@ CHANCE_SCALE, CHANCE_START, CHANCE_STRETCH, CHANCE_FREE = 1.6, 0.0, 1.5, 1.5
 #: And the part of the camera's turning that it explains where both are of the same exercise; the camera's own
 #: error, by the forearm's length, accounts for this part at most.
 SAME_EXERCISE, MOST_NOISE = 0.08, 0.4
-#: Good enough not to look further; a freer fit has to be so much less likely to be chance to count.
+#: Good enough not to look further; a freer fit has to be this much less likely to be chance to count.
 CERTAIN, SWITCH = 1e-3, 0.1
 #: Distinct offsets in a second of search.
 OFFSETS_PER_S = 3.0

@@ -18,7 +18,7 @@ from ..measurements.clock import LARGEST_OFFSET_S, OFFSET_SIGMA_S, Clock
 from ..window.problem import Window
 from ..window.solution import Solution
 
-#: Offsets of synthetic stamps are estimated so far apart, s; others a window at a time.
+#: Offsets of synthetic stamps are estimated this far apart, s; others a window at a time.
 SYNTHETIC_SPACING_S = 0.5
 #: How fast the offset may wander, s/sqrt(s): the likeliest is taken, if clearly likelier than a constant
 #: (log-likelihood). Stamps of a camera drift slowly; synthetic stamps hide dropped frames.

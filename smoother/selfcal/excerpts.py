@@ -19,7 +19,7 @@ from ..recording import Recording
 EXCERPT_S = 20.0
 EXCERPTS_S = 80.0
 WANTED = int(EXCERPTS_S / EXCERPT_S)
-#: The inertial filter runs over so much more on both sides of an excerpt, s.
+#: The inertial filter runs over this much more on both sides of an excerpt, s.
 CONTEXT_S = 12.0
 #: Turning is judged over this long, s.
 TURN_S = 0.1

@@ -29,7 +29,7 @@ from .pairing import synchronise_coarsely
 from .rounds import self_calibrate
 from .self_calibration import SelfCalibration
 
-#: A run's ends are held so much longer, s.
+#: A run's ends are held this much longer, s.
 PADDING_S = 0.02
 #: Rounds at most: the windows with both IMUs refine all but the clock.
 ROUNDS = 3

@@ -24,7 +24,7 @@ PROVED, LIKELY = 1e-3, 1e-2
 #: Evidence by which an offset out of reach has to exceed one near zero, where one recorder stamped both: as
 #: many times less likely before the motion is seen as e to this.
 RECORDER_PRIOR = 7.0
-#: An offset that the user gave is contradicted where another has so much more evidence.
+#: An offset that the user gave is contradicted where another has this much more evidence.
 GIVEN_PRIOR = 20.0
 #: Another offset whose evidence is within this of the best one's is as likely.
 AMBIGUOUS = 5.0

@@ -21,7 +21,7 @@ from ..rotation import Rotation
 #: The mounting is found on frames this far apart, s.
 MEMORY_S, FRAME_S = 0.7, 0.15
 #: The heading is a line in time over about this long on both sides, s: a gyroscope's bias turns it steadily.
-#: It is computed so often, s.
+#: It is computed at this interval, s.
 LOCAL_S, STEP_S = 12.0, 1.0
 #: How fast the heading may leave that line, rad/s, where there is no frame with both shoulders.
 DRIFT_RAD_S = np.radians(0.05)
@@ -31,7 +31,7 @@ STEPS = 6
 #: Offsets of the trunk IMU's clock against the forearm's that are tried, s, and how far from zero it is, s.
 OFFSETS_S = np.arange(-0.6, 0.601, 0.05)
 OFFSET_SIGMA_S = 0.3
-#: A shoulder moves so far against the trunk as the arm reaches forwards, m.
+#: A shoulder moves this far against the trunk as the arm reaches forwards, m.
 GIRDLE_M = 0.012
 #: What the skin lets an IMU turn, and how far "usual" is from upright, rad about each axis.
 POSTURE_RAD = np.radians(1.5)

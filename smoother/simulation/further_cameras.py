@@ -20,7 +20,7 @@ from .rgb import calibrated, depth_free, is_rgb, optical_from, photograph, with_
 
 #: A further camera's latency differs from the first one's by up to this, s.
 LATENCY_S = 0.010
-#: It is put up so far from the stated angle, degrees, and so much higher or lower, m (one sigma each).
+#: It is put up this far from the stated angle, degrees, and this much higher or lower, m (one sigma each).
 ANGLE_DEG, HEIGHT_M = 2.0, 0.15
 #: A camera that is knocked against: turned and pushed by this, degrees and m.
 KNOCK_DEG, KNOCK_M = 8.0, 0.15

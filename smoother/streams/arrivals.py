@@ -213,9 +213,9 @@ class Source(Protocol):
 
 Rows = TypeVar("Rows", ImuRows, FrameRows)
 
-#: A sample may come so much later than its neighbours, s: more than the 0.5 s that streams are allowed.
+#: A sample may come this much later than its neighbours, s: more than the 0.5 s that streams are allowed.
 LATE_S = 0.6
-#: A sample that comes so much sooner after its stamp than any before it is from another clock, s.
+#: A sample that comes this much sooner after its stamp than any before it is from another clock, s.
 EARLY_S = 0.25
 #: An IMU's samples come without a pause: a step of its clock shows from this on, s.
 STEP_OF_IMU_S = 0.06

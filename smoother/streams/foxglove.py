@@ -193,7 +193,7 @@ def _no_frame(name: str, t_s: float) -> JointTracks:
 
 #: The port that Foxglove proposes.
 FOXGLOVE_PORT = 8765
-#: The arm is drawn at most so often, s.
+#: Shortest interval between two drawings of the arm, s.
 _DRAWN_EACH_S = 0.03
 
 

@@ -102,7 +102,7 @@ class LogTimes:
         return np.where(same, self._log[topic][at] - shift, stamp_ns)
 
 
-#: With speed 0 the session's time goes on by so much from look to look, s.
+#: With speed 0 the session's time goes on by this much from look to look, s.
 _STEP_S = 0.01
 
 

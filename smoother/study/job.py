@@ -35,7 +35,7 @@ from .inputs import (
     without_places,
 )
 
-#: A recording that a library holds on to for so much longer than its time ends with its process, s.
+#: A recording that a library holds on to for this much longer than its time ends with its process, s.
 GRACE_S = 60.0
 
 

@@ -26,14 +26,14 @@ from .problem import (
     Window,
 )
 
-#: Shoulder knots keep at least so far apart, s.
+#: Shoulder knots keep at least this far apart, s.
 KNOT_S = 0.09
 #: A still arm's acceleration, m/s^2, and how long an acceleration lasts, s (`_velocity_change`).
 STILL_ACCELERATION = 0.1
 CHANGE_TIME_S = 0.2
 #: An orientation about which nothing is known, rad: wider, and a window at rest is singular to the solver.
 FREE_RAD = 1.0
-#: Borders of windows keep so far from gaps where the visible time between two gaps is long enough, s.
+#: Borders of windows keep this far from gaps where the visible time between two gaps is long enough, s.
 KEEP_S = 2.0
 #: In longer gaps borders also lie where the camera sees one joint, s: a window takes memory by its length.
 PARTLY_S = 60.0

@@ -18,7 +18,7 @@ from .shared import Considered
 
 #: Times are told apart to this, s.
 _TICK_S = 1e-6
-#: Drawn motions have a position at least so often, s.
+#: Longest interval between positions of a drawn motion, s.
 DRAWN_S = 0.04
 
 

@@ -43,7 +43,7 @@ from .problem import States
 FEWEST_FRAMES = 10
 
 
-#: Beyond so much time from the last visible frame there is no answer, s: a window has no border in a gap, and
+#: Beyond this time from the last visible frame there is no answer, s: a window has no border in a gap, and
 #: what it takes grows with its length squared.
 REACH_S = 180.0
 
@@ -156,7 +156,7 @@ def prepare(
     sigma_m : ndarray, shape (5,) or (c, 5), m
         Noise of the camera's joints, per axis; of each camera where there are c of them.
     margin_s : float, s
-        Nodes reach so far beyond what the answer is wanted for.
+        Nodes extend this far beyond the times of the answer.
     alignment : Alignment, optional
         Of the inertial frame to the camera; estimated from the samples where None.
 

@@ -137,8 +137,8 @@ SIZE = STRAP_ERRORS.stop
 STRAP_PLACE = slice(
     JOINT_ERRORS.start + 3 * JOINTS.index("strap"), JOINT_ERRORS.start + 3 * JOINTS.index("strap") + 3
 )
-#: Errors of synthetic stamps are straight lines between times so far apart, s, and last this long, s: a frame
-#: that was dropped shifts all that follow, until the offset that wanders has followed.
+#: Errors of synthetic stamps are straight lines between times this far apart, s, and last this long, s: a
+#: frame that was dropped shifts all that follow, until the offset that wanders has followed.
 STAMP_KNOT_S = 0.5
 STAMP_MEMORY_S = 1.0
 

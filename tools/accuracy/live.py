@@ -175,7 +175,7 @@ CHECKS = (
                 "--plays",
                 type=int,
                 default=1,
-                help="play each arm so often: a step's time is the least, as on a quiet machine",
+                help="play each arm this many times: a step's time is the least, as on a quiet machine",
             ),
             option(
                 "--hours", type=float, default=0.0, help="play the arm over and over and print the memory"

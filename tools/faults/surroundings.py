@@ -156,7 +156,7 @@ def words_of(shop: Path) -> dict[str, list[str]]:
 
 
 def full_output(size: str, words: Sequence[str], shop: Path, folder: Path, motion: Motion) -> End:
-    """The disk that the outputs go to has so much space."""
+    """The disk of the outputs has limited space."""
     mounts = f"mount -t tmpfs -o size={size} tmpfs {folder}/out"
     ended = run_words([word.replace("OUT", f"{folder}/out") for word in words], folder, mounts)
     return end_of(ended, _compared(shop, folder, motion))
@@ -172,7 +172,7 @@ def _compared(shop: Path, folder: Path, motion: Motion) -> str:
 
 
 def full_temporary(size: str, shop: Path, folder: Path, motion: Motion) -> End:
-    """The disk for temporary files has so much space; the recording is long enough to need it."""
+    """The disk for temporary files has limited space; the recording is long enough to need it."""
     (folder / "tmp").mkdir()
     mounts = f"mount -t tmpfs -o size={size} tmpfs {folder}/tmp"
     words = ["smooth", f"{shop}/long.mcap", "-o", f"{folder}/out/out.mcap", "--processes", "1"]

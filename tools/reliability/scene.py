@@ -20,7 +20,7 @@ from smoother.recording import JOINTS, CameraFrame, ImuStream, JointState, Joint
 from tools.reliability.body import Motion
 from tools.reliability.motions import Gaps, perform
 
-#: The motion is looked at at least so often, Hz.
+#: Lowest rate at which the motion is sampled, Hz.
 FINE_HZ = 1000.0
 
 

@@ -22,7 +22,7 @@ from ..tables.skeleton_formats import RELATIVE_NOTE, share_states
 _MARKS = ((4, b"ftyp"), (0, b"\x1aE\xdf\xa3"), (8, b"AVI "))
 #: Whoever is seen for less than this, s, is a mistake of the network's or passes by.
 _PASSES_BY_S = 1.0
-#: A trunk that is so much longer across the picture than along it lies across.
+#: A trunk that is this much longer across the picture than along it is horizontal.
 _ACROSS = 1.5
 #: A person that moves by more than this part of the picture's width from one picture to the next is another.
 _JUMP = 0.25

@@ -26,7 +26,7 @@ MARKERS, ANGLES, ORIENTATIONS = "arm.trc", "arm.mot", "arm.sto"
 SCALE, IK, IMU_IK = "scale.xml", "ik.xml", "imu_ik.xml"
 #: Of the markers' fit; the tools' own 1e-5 stops degrees short in pro_sup, by a marker 3 cm off the bone.
 ACCURACY = 1e-9
-#: The pose in which Scale places markers is the mean of so much, s.
+#: The pose in which Scale places markers is the mean over this time, s.
 POSE_S = 0.5
 #: A marker that is always there, where the camera is: Inverse Kinematics divides by the weight of the markers
 #: of a row, and ends where all of them are blank (tried with OpenSim 4.6).

@@ -22,7 +22,7 @@ from .messages import Topic
 
 #: Metadata record of a part: of which recording, from when to when.
 CUT = "unocclude.cut"
-#: A topic of these schemas with so few messages was said once for the whole recording.
+#: A topic of these schemas with this few messages was sent once for the whole recording.
 _SAID_ONCE = 20
 #: After every message.
 _END = np.iinfo(np.int64).max

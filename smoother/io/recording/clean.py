@@ -21,16 +21,16 @@ ZERO, FROZEN = "all zero", "frozen"
 #: No gyroscope of a body-worn sensor reads beyond this, rad/s per axis (2000 deg/s), no accelerometer beyond
 #: that, m/s^2 per axis.
 GYRO_LIMIT, ACC_LIMIT = 35.0, 500.0
-#: A value that stands still to the last bit for this long, s and samples, is frozen, if the sensor turns ..
+#: A value that repeats to the last bit for this long, s and samples, is frozen, if the sensor turns ..
 _FROZEN_S, _FROZEN_SAMPLES = 0.25, 8
-#: .. so fast, rad/s, or is moved so much, m/s^2.
+#: .. this fast, rad/s, or is moved this much, m/s^2.
 _TURNS, _MOVES = 0.2, 2.0
-#: Of a sensor at rest it is, if the sensor is noisy elsewhere: by so much from sample to sample, rad/s.
+#: Of a sensor at rest it is, if the sensor is noisy elsewhere: by this much from sample to sample, rad/s.
 _FROZEN_AT_REST_S, _NOISE = 1.0, 1e-3
 #: An extreme value in this many samples in a row is the end of the range; the smallest ranges, rad/s and
 #: m/s^2.
 _PLATEAU, _SMALLEST_GYRO, _SMALLEST_ACC = 3, 4.0, 19.0
-#: A sample off both its neighbours, which agree: by so much, and so well, rad/s and m/s^2.
+#: A sample off both its neighbours, which agree: by this much, and so well, rad/s and m/s^2.
 _SPIKE_GYRO, _SPIKE_ACC = (5.0, 1.0), (100.0, 10.0)
 #: At lower rates a peak may last one sample, Hz.
 _SPIKE_RATE_HZ = 50.0

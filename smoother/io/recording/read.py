@@ -115,7 +115,7 @@ CLOCKS_UNRELATED = "unrelated"
 #: The option that exchanges the skeleton's arms.
 SWAPPED_SIDES = "--swap left,right"
 
-#: Of the notes in a file's metadata this many are repeated, and so much of each.
+#: Of the notes in a file's metadata this many are repeated, and this much of each.
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
 AnyDecoder = (
