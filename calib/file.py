@@ -1,6 +1,6 @@
 """The calibration file: versioned TOML that people can read and edit, and its table `[sigma]`.
 
-The table of an arm in the calibration file: its keys, their limits, and the calibration that it holds.
+The table of an arm in the calibration file: its keys, their limits, and the calibration that it contains.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def checked_section(section: object, where: str, path: Path) -> ArmSection:
 
 
 def arm_of_section(side: str, section: ArmSection) -> ArmCalibration:
-    """The calibration that the table of a side holds."""
+    """The calibration that the table of a side contains."""
 
     def array(values: list[float] | None) -> FloatArray | None:
         return None if values is None else np.array(values, dtype=np.float64)
@@ -224,7 +224,7 @@ MERGED = {"arm": 3, "imu": 3, "forearm": 1}
 
 @dataclass(frozen=True)
 class CalibrationFile:
-    """What a calibration file holds.
+    """What a calibration file contains.
 
     Attributes
     ----------
@@ -325,9 +325,9 @@ def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
 def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile) -> None:
     """Write a calibration into a file, or merge it into the one that exists.
 
-    Of an arm, what `calibration` states replaces what the file holds, lever arms joint by joint, and what it
-    leaves open (None) is kept; so are other arms. A sensor's table is merged key by key, held poses side by
-    side. Another table replaces the one of its name. Comments and what is not touched stay as they are. The
+    Of an arm, what `calibration` states replaces what the file contains, lever arms joint by joint, and what
+    it leaves open (None) is kept; so are other arms. A sensor's table is merged key by key, held poses side
+    by side. Another table replaces the one of its name. Comments and what is not touched stay as they are. The
     file is replaced in one step: it is never seen half written.
 
     Parameters
@@ -357,7 +357,7 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
 
 
 def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -> str:
-    """A calibration as the text of its file, merged into the text that the file holds.
+    """A calibration as the text of its file, merged into the text that the file contains.
 
     Parameters
     ----------
@@ -436,7 +436,7 @@ class _Table(BaseModel):
 
 
 def sigma_factors_of(calibration: CalibrationFile) -> SigmaFactors | None:
-    """The factors that a calibration file holds.
+    """The factors that a calibration file contains.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _DISTORTION = (
     *("distortion", "dist", "D"),
 )
 _SIZE = ("size", "resolution", "image_size", "img_size", "imageSize")
-#: How well a calibration with a board places cameras, unless its file says so: rad and m.
+#: How well a calibration with a board places cameras, unless its file states it: rad and m.
 PLACE_RAD, PLACE_M = float(np.radians(0.3)), 0.01
 
 

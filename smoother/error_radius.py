@@ -81,7 +81,7 @@ def in_cm(metres: float) -> str:
 
 
 def within_words(radius_m: float) -> str:
-    """The distance of 95 of 100 errors as sentences say it: "within 2.1 cm in 95 of 100 cases"."""
+    """The distance of 95 of 100 errors as written in sentences: "within 2.1 cm in 95 of 100 cases"."""
     return f"within {in_cm(radius_m)} in 95 of 100 cases"
 
 

@@ -29,4 +29,4 @@ class CalibrationError(UnoccludeError):
 
 
 class SolveError(UnoccludeError):
-    """The motion could not be solved from what the recording holds."""
+    """The motion could not be solved from what the recording contains."""

@@ -40,7 +40,7 @@ def shoulder_angles(recovery: MovingArm) -> tuple[Angles, Angles]:
     -------
     angles, sigmas : dict of str to ndarray, shape (N,), deg
         By the names in `SHOULDER_ANGLES`; nan where that IMU, its mounting or gravity is not known. Near a
-        hanging arm the plane and the rotation are hardly determined, and their sigmas say so.
+        hanging arm the plane and the rotation are hardly determined, as their sigmas show.
     """
     humerus = _humerus(recovery)
     if humerus is None or not np.isfinite(recovery.gravity_direction).all():

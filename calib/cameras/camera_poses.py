@@ -137,7 +137,7 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
 
 
 def camera_poses(file: CalibrationFile) -> dict[str, CameraPose]:
-    """The poses that a calibration file holds, by camera.
+    """The poses that a calibration file contains, by camera.
 
     Raises
     ------

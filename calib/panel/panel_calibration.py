@@ -137,7 +137,7 @@ def calibrate_panel(
     Raises
     ------
     CalibrationError
-        The panel cannot be found in a view, or its pose cannot be determined; one sentence says why. A
+        The panel cannot be found in a view, or its pose cannot be determined; the message gives the reason. A
         `NotSeen` knows the view and its bright spots, for a picture.
     """
     chosen = [choose_markers(each, panel, view.name) for each, view in zip(markers, views, strict=True)]

@@ -297,7 +297,7 @@ _FROM_OPTICAL = {CameraFrame.OPTICAL: np.eye(3), CameraFrame.KINECT: np.diag([-1
 def with_gravity(recording: Recording, file: CalibrationFile) -> Recording:
     """The recording with down in the camera from its base IMU, where both know it.
 
-    `gravity_hint` and `gravity_sigma_rad` are set, and a note says so. Without a base IMU or without
+    `gravity_hint` and `gravity_sigma_rad` are set, with a note. Without a base IMU or without
     `[camera_from_base]` the recording is given back as it is.
 
     Raises

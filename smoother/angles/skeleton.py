@@ -38,7 +38,7 @@ STRAP_RAD = np.radians(1.1)
 #: same long-run size; no covariance between joints is kept that would determine it. On simulated arms it is
 #: 0.28 (`azure`), 0.46 (`realistic`) and 0.5 (`white`).
 UPPER_ARM_SHARE = 0.5
-#: A forearm's length where the lever arms do not say it, m.
+#: A forearm's length where the lever arms do not give it, m.
 FOREARM_M = 0.25
 #: An angle that may be anything is off by this at most, degrees.
 MOST_SIGMA_DEG = 180.0

@@ -88,7 +88,7 @@ class _Source:
     compute : callable
         (samples, the recording's mounting) to values and sigmas by name, nan where not known.
     missing : callable
-        (recording, its mounting, an angle's name) to the sentence that says why it is nowhere known.
+        (recording, its mounting, an angle's name) to the reason why it is nowhere known.
     is_shown : callable
         Whether a recording has these rows at all.
     absent : str

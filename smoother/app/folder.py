@@ -101,7 +101,7 @@ class KeptRecording:
     Attributes
     ----------
     name, person, date, task : str
-        As the user wrote them; the date as YYYY-MM-DD, or "" where the recording says it.
+        As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it.
     created_s : float, s
         Since 1970.
     revision : int

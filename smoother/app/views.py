@@ -141,7 +141,7 @@ def _proposals(place: Path, choices: Choices, files: list[dict[str, Any]]) -> di
 
 
 def streams(folder: AppFolder, name: str) -> dict[str, Any]:
-    """What the files hold, with plots; every IMU has the `key` by which a choice names it."""
+    """What the files contain, with plots; every IMU has the `key` by which a choice names it."""
     place = folder.of(name)
     files = described(place)
     for each in files:

@@ -14,7 +14,7 @@ from .rig import RelativeClock
 APART_S = 0.12
 #: Velocities are differences over this many frames on both sides.
 BESIDE = 2
-#: More moments than this say no more of a pose.
+#: More moments than this do not improve a pose.
 MOST_MOMENTS = 12_000
 
 

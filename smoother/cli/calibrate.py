@@ -39,7 +39,7 @@ Paths = Iterable[Path | None]
 def load_existing_calibration(
     output: Path | None, to: Outputs, inputs: Paths, *, known: Paths = ()
 ) -> CalibrationFile:
-    """What the file holds already; before the work, as what cannot be read cannot be added to.
+    """What the file contains already; before the work, as what cannot be read cannot be added to.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def motion(
     """Lever arms, limb lengths, IMU mounting, from visible motion.
 
     Several recordings are solved together. A calibration that exists is added to, without --force: what
-    was found replaces what the file holds of this arm, the rest of it is kept. Of recordings with IMUs on
+    was found replaces what the file contains of this arm, the rest of it is kept. Of recordings with IMUs on
     both arms both are calibrated, each by itself.
     """
     from calib.file import write_calibration

@@ -334,8 +334,8 @@ def describe(
 ) -> None:
     """Guess a table's columns and units; print a recording.toml.
 
-    Of several files, or those of a folder, list the streams that they hold: rates, units, axes. --json has a
-    small plot of each, and the guess about tables of an unknown layout.
+    Of several files, or those of a folder, list the streams that they contain: rates, units, axes. --json has
+    a small plot of each, and the guess about tables of an unknown layout.
     """
     from ..io.devices.describe_table import toml_of
     from ..io.devices.described import describe_files, guessed_table

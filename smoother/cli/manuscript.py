@@ -40,7 +40,7 @@ def methods(
 ) -> None:
     """Write the methods section of a paper: text, table, references.
 
-    It states what the file holds and nothing else: sensors and rates, method and version, calibration,
+    It states what the file contains and nothing else: sensors and rates, method and version, calibration,
     clocks, gaps, uncertainty, self-check, settings that are not the defaults. What the ISB's recommendations
     on reporting IMUs ask for and the file does not know is in a list to be filled in.
     """

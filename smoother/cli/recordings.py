@@ -1,4 +1,4 @@
-"""`unocclude info`, `match`, `repair` and `check`: what a recording holds and allows."""
+"""`unocclude info`, `match`, `repair` and `check`: what a recording contains and allows."""
 
 from __future__ import annotations
 

@@ -331,7 +331,7 @@ class LivePlay:
     Parameters
     ----------
     graph : callable
-        The offline method; its clock says when frames arrive, and its gaps are scored.
+        The offline method; its clock gives the frames' arrival times, and its gaps are scored.
     calibration : ArmCalibration or None
         What is known beforehand.
     config : Config

@@ -149,7 +149,7 @@ def camera_sentences(recovery: Recovery) -> list[str]:
     for camera in cameras:
         seen = f"saw the forearm for {sum(b - a for a, b in camera.seen_s):.1f} of {length_s:.1f} s"
         if camera.reason:
-            continue  # the verdict says why it was left out
+            continue  # the verdict gives the reason
         if camera is cameras[0]:
             sentences.append(f"{camera.name}: the first, whose frame the results are in; {seen}")
             continue

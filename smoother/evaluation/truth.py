@@ -281,7 +281,7 @@ def _axes_notes(recovery: Recovery, at: Truth, chosen: BoolArray) -> list[str]:
     if not angle_deg > OTHER_AXES_DEG:
         return []
     start = f"The truth's orientation is {angle_deg:.0f} degrees (median) off"
-    # the columns hold qx, qy, qz, qw under the names qw, qx, qy, qz
+    # the columns contain qx, qy, qz, qw under the names qw, qx, qy, qz
     if np.median(orientation_error_deg(mine, np.roll(other, 1, axis=1))) < RIGHT_ORDER_DEG:
         return [f"{start}, and fits as qx, qy, qz, qw: is the order of its columns qw, qx, qy, qz?"]
     turn = Rotation.from_quat(mine, scalar_first=True).inv() * Rotation.from_quat(other, scalar_first=True)

@@ -374,7 +374,7 @@ def validate(
     Raises
     ------
     RecordingError
-        The truth holds nothing during the recovery.
+        The truth contains nothing during the recovery.
     """
     alignment = alignment or ReferenceAlignment()
     errors = sample_errors(recovery, truth)

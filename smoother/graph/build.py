@@ -373,7 +373,7 @@ def _add_shoulder_end(built: WindowGraph, window: Window, run: SegmentRun) -> No
 
 
 def _tissue(window: Window, run: SegmentRun, nodes: IntArray) -> list[float]:
-    """Sigma of a joint in the IMU's axes at nodes (k,): tissue moves slowly, what is denser says no more."""
+    """Sigma of a joint in the IMU's axes at nodes (k,): tissue moves slowly, denser samples add nothing."""
     step = np.gradient(window.t[nodes]) if len(nodes) > 1 else np.full(len(nodes), TISSUE_S)
     sigma = dict(window.noise.tissue_m)[run.segment] * np.sqrt(np.maximum(TISSUE_S / step, 1.0))
     return [float(each) for each in np.round(sigma, 3)]

@@ -1,4 +1,4 @@
-"""What a file holds, of each arm too, and what it lacks for which step."""
+"""What a file contains, of each arm too, and what it lacks for which step."""
 
 from __future__ import annotations
 
@@ -343,7 +343,7 @@ def _missing(recording: Recording, label: str) -> dict[str, str]:
 
 
 def _optional(file: RecordingFile, recording: Recording | None) -> dict[str, str]:
-    """What the file does not hold and recovering does not need, with what it would be good for."""
+    """What the file does not contain and recovering does not need, with what it would be good for."""
     optional = {}
     if not file.poses:
         optional["truth"] = "`unocclude validate`; `unocclude gaps` needs none"

@@ -234,8 +234,8 @@ def _prepare() -> None:
         os.nice(NICE)
 
 
-#: Self-calibrations begin at this length and are tried at this interval until one works; then at these lengths,
-#: and at the interval of the last, s.
+#: Self-calibrations begin at this length and are tried at this interval until one works; then at these
+#: lengths, and at the interval of the last, s.
 FIRST_S, RETRY_S = 8.0, 2.0
 AGAIN_S = (15.0, 30.0, 60.0, 120.0)
 #: Squared errors are up to 2.5 times what the first of them says.

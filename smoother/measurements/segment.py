@@ -156,7 +156,7 @@ def traits_of(recording: Recording, number: int = 0) -> SegmentTraits:
 
 
 def split_into_segments(recording: Recording, slack_s: float, number: int = 0) -> list[Segment]:
-    """The segments of a recording that hold at least two frames with a forearm joint.
+    """The segments of a recording that contain at least two frames with a forearm joint.
 
     Parameters
     ----------

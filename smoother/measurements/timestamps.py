@@ -226,7 +226,7 @@ def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | N
     Returns
     -------
     EvenTimes or None
-        None where the sensor does not tick evenly, or too few samples say so.
+        None where the sensor does not tick evenly, or too few samples show it.
     """
     if len(t_s) < FEWEST:
         return None
@@ -395,15 +395,15 @@ def clock_resets(
 
 
 def begins_frames(time: FloatArray, kind: IntArray) -> bool:
-    """Whether a table of one row per joint holds frame after frame though its times go back here and there.
+    """Whether a table of one row per joint is ordered by frames though its times go back here and there.
 
     Parameters
     ----------
     time : ndarray, shape (n,)
         Of each row; those of one frame stand together.
     kind : ndarray of int, shape (n,)
-        Joint and body of each row: where times go back, a frame begins with what the first row holds. A file
-        that lists one joint or body after the other begins with another there.
+        Joint and body of each row: where times go back, a frame begins with what the first row contains. A
+        file that lists one joint or body after the other begins with another there.
     """
     back = np.flatnonzero(np.diff(time) < 0) + 1
     return 0 < len(back) <= _MOST_RESETS and len(np.unique(kind)) > 1 and bool((kind[back] == kind[0]).all())

@@ -1,4 +1,4 @@
-"""What a recording holds: one arm seen by a depth camera, and the IMU on its forearm.
+"""What a recording contains: one arm seen by a depth camera, and the IMU on its forearm.
 
 All values are SI. Times are float seconds after `Recording.origin_ns`; the camera's stamps and the
 IMU's stamps keep their own clocks (t_imu = t_camera + offset). Frames: `{K}` is the camera,

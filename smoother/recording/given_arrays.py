@@ -1,4 +1,4 @@
-"""Arrays that a user gives, checked and made into what a recording holds; see `Recording.from_arrays`."""
+"""Arrays that a user gives, checked and made into what a recording contains; see `Recording.from_arrays`."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from ..selfcal.mounting import ClosedForm, closed_form
 from ..selfcal.pairing import synchronise_coarsely
 from .trust import GRAVITY_DEG, LEVER_ARM_M, input_faults, swapped_joints
 
-#: Of frames, at most this many say on which side of the camera the arm is.
+#: Of frames, at most this many are used to decide on which side of the camera the arm is.
 MOST_FRAMES = 20_000
 #: Degrees in a radian.
 DEGREES = float(np.degrees(1.0))

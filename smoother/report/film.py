@@ -74,7 +74,7 @@ def recorded_film(path: Path, recovery: Recovery) -> Film:
     path : Path
         The recording.
     recovery : Recovery
-        Of it; says when, and how the clocks go together.
+        Of it; gives the times and the relation of the clocks.
 
     Raises
     ------

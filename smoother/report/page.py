@@ -104,7 +104,7 @@ def write_report(
 
 
 def origin(recovery: Recovery) -> str:
-    """When the recording was made, where its clock says so."""
+    """When the recording was made, where its clock shows it."""
     if recovery.origin_ns <= 0:
         return "Times are relative to the recording's own zero."
     start = datetime.datetime.fromtimestamp(recovery.origin_ns / 1e9, datetime.UTC)

@@ -17,7 +17,7 @@ import plotly.graph_objects as go
 
 from ..runtime.outputs import writing
 
-#: A longer table is cut, and says so.
+#: A longer table is cut, with a note.
 MOST_ROWS = 500
 #: A page with fewer headings needs no list of contents.
 FEWEST_CONTENTS = 4

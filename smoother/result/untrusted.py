@@ -71,7 +71,7 @@ def untrusted_sentences(recovery: Recovery) -> tuple[str, ...]:
     -------
     sentences : tuple of str
         First the gaps, then times in view. Empty where all of it is trusted, and where nothing is: the
-        verdict then says why.
+        verdict then gives the reason.
     """
     if not partly_untrusted(recovery):
         return ()

@@ -117,7 +117,7 @@ def toml_text(path: Path) -> str:
     OSError
         It cannot be read.
     ValueError
-        It is not text, or longer than any table of settings; the message says so.
+        It is not text, or longer than any table of settings; the message states it.
     """
     with open(path, "rb") as file:
         raw = file.read(MOST_TOML + 1)
@@ -131,7 +131,7 @@ def toml_text(path: Path) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file holds, as plain values.
+    """What a TOML file contains, as plain values.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     OSError
         It cannot be read.
     ValueError
-        It is not TOML, longer than 1 MB, or has tables within tables beyond `MOST_DEEP`; the message says so.
+        Not TOML, longer than 1 MB, or has tables within tables beyond `MOST_DEEP` (the message states which).
     """
     text = toml_text(path)
     too_deep = ValueError(f"it has tables within tables, {MOST_DEEP} and more, which no file of settings has")

@@ -13,7 +13,7 @@ from ..errors import UnoccludeError
 
 #: Open3D without CUDA, where there is a wheel of it.
 OPEN3D = "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d"
-#: Modules that the light installation (.ci/light.txt) leaves out, and the packages that hold them.
+#: Modules that the light installation (.ci/light.txt) leaves out, and the packages that contain them.
 LEFT_OUT = {
     "cv2": "opencv-python-headless",
     "open3d": OPEN3D,

@@ -130,7 +130,7 @@ class ImuChannels:
 
     @classmethod
     def of(cls, stream: StreamLabels) -> ImuChannels:
-        """What an IMU's stream holds.
+        """What an IMU's stream contains.
 
         Raises
         ------
@@ -217,7 +217,7 @@ class SkeletonChannels:
     def of(
         cls, stream: StreamLabels, side: str | None, prefer_side: str | None = None, body: str | None = None
     ) -> SkeletonChannels:
-        """What a skeleton's stream holds of one arm.
+        """What a skeleton's stream contains of one arm.
 
         Parameters
         ----------

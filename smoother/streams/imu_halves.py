@@ -58,7 +58,7 @@ class HalfChannels:
 
     @classmethod
     def of(cls, stream: StreamLabels, kind: str) -> HalfChannels:
-        """What a stream holds of a kind, `acc` or `gyro`.
+        """What a stream contains of a kind, `acc` or `gyro`.
 
         Raises
         ------

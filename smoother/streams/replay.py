@@ -18,7 +18,7 @@ from ..io.recording.write import joints_there
 from ..recording import JOINTS
 from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
 
-#: What a Kinect and its body tracking need for a frame, where the recording does not say it, s.
+#: What a Kinect and its body tracking need for a frame, where the recording does not state it, s.
 CAMERA_LATENCY_S = 0.1
 #: Log times that are farther from the stamps are of another clock, ns.
 _ONE_CLOCK_NS = 2_000_000_000
@@ -63,7 +63,7 @@ class LogTimes:
                 self._stamp[label], self._log[label] = stamp, log
 
     def of_imu(self, stamp_ns: IntArray) -> IntArray:
-        """When samples (n,) arrived, on the IMU's clock, ns; at their stamps where nothing says it."""
+        """When samples (n,) arrived, on the IMU's clock, ns; at their stamps where they are unknown."""
         return self._arrivals(self._imu, stamp_ns, 0)
 
     def of_frames(self, stamp_ns: IntArray, latency_s: float | None) -> tuple[IntArray, str]:

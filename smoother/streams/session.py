@@ -206,7 +206,7 @@ class LiveSession:
         self._last_step = time.monotonic()
 
     def _mended(self, arrivals: Arrivals) -> Arrivals:
-        """What arrived, with steps of the clocks taken out; its events say so."""
+        """What arrived, with steps of the clocks taken out; as its events state."""
         imu, imu_events = self._imu_steps.corrected(arrivals.imu)
         frames, frame_events = self._frame_steps.corrected(arrivals.frames)
         return Arrivals(imu, frames, (*arrivals.events, *imu_events, *frame_events))

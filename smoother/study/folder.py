@@ -76,7 +76,7 @@ class StudyFolder:
         Parameters
         ----------
         force : bool
-            Also use a folder that holds other files.
+            Also use a folder that contains other files.
 
         Returns
         -------
@@ -86,7 +86,7 @@ class StudyFolder:
         Raises
         ------
         UnoccludeError
-            The folder holds files that no study wrote, cannot be made, or another process works on it.
+            The folder contains files that no study wrote, cannot be made, or another process works on it.
         """
         if self.path.exists() and not self.path.is_dir():
             raise UnoccludeError(f"{self.path} is a file; name a folder for the results")

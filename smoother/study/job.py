@@ -181,7 +181,7 @@ class Job:
     known : tuple of Known
         Earlier results of this recording.
     keep_paths : bool
-        Let rows hold absolute paths and the machine's name.
+        Let rows contain absolute paths and the machine's name.
     limits : Limits
         What one recording may take of time and memory.
     measures : bool
@@ -244,7 +244,7 @@ class Job:
         return row
 
     def _shown(self, text: str) -> str:
-        """A sentence as a row holds it: without the folders of this machine."""
+        """A sentence as a row contains it: without the folders of this machine."""
         return text if self.keep_paths else without_places(text, self._names())
 
     def _names(self) -> dict[str, str]:

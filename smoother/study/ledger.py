@@ -221,7 +221,7 @@ class Ledger:
         self._past[name] = (*others, past)
 
     def _input_state(self, row: Row) -> str:
-        """Of the recording when it was read; rows of earlier versions hold its time of change instead."""
+        """Of the recording when it was read; rows of earlier versions contain its time of change instead."""
         if state := row.get("input_state"):
             return str(state)
         size, mtime_ns = row.get("input_bytes"), row.get("input_mtime_ns")
@@ -267,7 +267,7 @@ def _left(path: Path) -> dict[str, Any] | None:
 
 
 def _value(name: str, value: Any) -> Any:
-    """A value as the results have it: times are UTC and say so in the column's meaning, not in its type."""
+    """A value as the results have it: times are UTC, as the column's description states, not in its type."""
     if isinstance(value, str) and name != "finished":
         return _text(value)
     if isinstance(value, list):

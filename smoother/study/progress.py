@@ -82,7 +82,7 @@ def sessions_of(
     rows : sequence of dict
         Its rows.
     table : Path, optional
-        The user's; without it, folders' names say it.
+        The user's; without it, from the folders' names.
 
     Returns
     -------

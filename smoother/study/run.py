@@ -40,11 +40,11 @@ class StudySettings:
     retry_failed : bool
         Try again what failed before by the recording itself.
     keep_paths : bool
-        Let rows hold absolute paths and the machine's name.
+        Let rows contain absolute paths and the machine's name.
     limits : Limits
         What one recording may take of time and memory.
     measures : bool
-        Measure what is recovered: rows hold it.
+        Measure what is recovered: rows contain it.
     draws : int
         Motions to draw for the intervals of the measures.
     hash_names : bool
@@ -123,7 +123,7 @@ def run_study(
     progress : callable
         Called with the tally, and the row of a recording that has just ended or None.
     force : bool
-        Take a folder that holds other files.
+        Take a folder that contains other files.
 
     Returns
     -------

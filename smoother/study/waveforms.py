@@ -29,7 +29,7 @@ def waveforms_of(recovery: Recovery, measured: Measures) -> list[dict[str, Any]]
     ----------
     recovery : Recovery
     measured : Measures
-        Of it; says when the repetitions were.
+        Of it; gives the times of the repetitions.
 
     Returns
     -------

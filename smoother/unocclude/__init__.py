@@ -66,7 +66,7 @@ def smooth(
     Parameters
     ----------
     recording : Recording or path-like
-        One arm and its forearm IMU, or the MCAP file that holds them.
+        One arm and its forearm IMU, or the MCAP file that contains them.
     calibration : ArmCalibration or path-like, optional
         Lever arms and upper-arm length, with sigmas; what it lacks is solved. A calibration file goes with
         the recording's file: it also corrects the sensors.

@@ -156,7 +156,7 @@ def window_middles(t: FloatArray, borders: list[float], margin_s: float) -> Floa
 def _velocity_change(prepared: PreparedSegment, lo: int, hi: int) -> FloatArray:
     """How much the velocity may change in each interval without a camera, m/s (n - 1,); inf elsewhere.
 
-    An arm whose sensor is still keeps its velocity. This says no more than that, so it matters where the
+    An arm whose sensor is still keeps its velocity. This is weak information, so it matters where the
     integrated IMU knows less: at its worst the answer is as good as a straight line.
     """
     t = prepared.t[lo:hi]

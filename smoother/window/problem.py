@@ -24,7 +24,7 @@ class Priors:
     Attributes
     ----------
     layout : SharedLayout
-        Which rows of the shared vector hold which quantity.
+        Which rows of the shared vector contain which quantity.
     shared : Gaussian
         On the shared vector, with the bias at the window's middle.
     bias_walk : ndarray, shape (6,), m/s^2/sqrt(s) and rad/s/sqrt(s)
@@ -149,7 +149,7 @@ class ShoulderMeasurements:
     start : ndarray, shape (k, 3), m
         Initial value in {K}.
     root_information : ndarray, shape (k, 3, 3), 1/m, optional
-        Square root of each knot's information where a camera sees no depth; `sigma_m` says it all where None.
+        Square root of each knot's information where a camera sees no depth; `sigma_m` is enough where None.
     """
 
     node: IntArray

@@ -31,7 +31,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class SharedLayout:
-    """Which rows of the shared vector hold which quantity.
+    """Which rows of the shared vector contain which quantity.
 
     Attributes
     ----------

@@ -80,7 +80,7 @@ CHANGES = option(
     "--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the simulation"
 )
 SUBJECTS = option("--subjects", type=int, nargs="*", default=[1, 2, 3, 4], help="of UTD-MHAD")
-ONLY = option("--only", default="", help="trials whose name holds this")
+ONLY = option("--only", default="", help="trials whose name contains this")
 DRAWS = option("--draws", type=int, default=64, help="motions drawn of each recording [64]")
 JSON = option("--json", type=Path, help="the figures in a file")
 

@@ -134,7 +134,7 @@ def arm(options: argparse.Namespace) -> Iterator[str]:
 
 
 def _long_gaps(length_s: float, options: argparse.Namespace) -> Iterator[str]:
-    """Gaps of one length in random motion: print what they hold, and each gap with `--each`."""
+    """Gaps of one length in random motion: print what they contain, and each gap with `--each`."""
     config, gaps = read_config(options.config), []
     settings: dict[str, Any] = {
         "protocol": "random",

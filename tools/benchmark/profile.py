@@ -20,7 +20,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-#: Parts by the word that `smooth` says when it begins; another word is a part by itself.
+#: Parts by the word that `smooth` prints when it begins; another word is a part by itself.
 WORDS = {
     "calibrating": "calibrate",
     "first pass": "first pass",

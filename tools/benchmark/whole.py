@@ -54,7 +54,7 @@ class Made:
     path : Path
         Without images; `with_images` the same recording with a stream of them, or None.
     truth : Path
-        The simulated motion (.npz), which the measured file holds too unless it was left out.
+        The simulated motion (.npz), which the measured file contains too unless it was left out.
     length_s, samples, frames : float, s, and int
         Of the recording.
     """

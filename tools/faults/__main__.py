@@ -191,7 +191,7 @@ def other_motion(path: Path, sound: Path) -> str:
 
 
 def run_all(cases: list[Case], shop: Workshop, shown: bool = True, log: Path | None = None) -> list[Outcome]:
-    """Run all cases one after the other, but those whose outcome the log holds."""
+    """Run all cases one after the other, but those whose outcome the log contains."""
     sound: dict[str, Answer] = {}
     before = logged(log)
     outcomes = []

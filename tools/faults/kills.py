@@ -5,7 +5,7 @@ its workers) at a random moment, and checks: no process of it is alive after 2 s
 every output that is there is whole (in half of the cases there were earlier ones), a tidy end leaves no
 temporary file and says one line, the next command works and leaves nothing hidden either. The next command
 is the same in one case of `--again-every`, else (not for a study) one that only writes a file beside the
-outputs. `--log FILE` notes what came of it, and `--write PAGE` puts what several logs hold into a page.
+outputs. `--log FILE` notes what came of it, and `--write PAGE` puts what several logs contain into a page.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ def words_of(command: str, recordings: list[Path], processes: int = 2) -> list[s
 
 
 def table(logs: Sequence[Path]) -> str:
-    """What logs hold, as Markdown: one row per command."""
+    """What logs contain, as Markdown: one row per command."""
     rows = [json.loads(line) for log in logs for line in log.read_text(encoding="utf-8").splitlines()]
     kinds = [kind for kind in KINDS if any(row["what"] == kind for row in rows)]
     lines = [

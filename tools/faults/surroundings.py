@@ -201,7 +201,7 @@ def limited_memory(megabytes: int, words: Sequence[str], shop: Path, folder: Pat
 
 
 def two_at_once(what: str, words: Sequence[str], shop: Path, folder: Path, motion: Motion) -> End:
-    """The same command twice at the same time (`what`: "twice"): both right, or one that says why not."""
+    """The same command twice at the same time (`what`: "twice"): both right, or one that states why not."""
     (folder / "out").mkdir()
     arguments = [*COMMAND, *(word.replace("OUT", f"{folder}/out") for word in words)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}

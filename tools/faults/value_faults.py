@@ -1,4 +1,4 @@
-"""Faults done to what sound containers hold: values, stamps, rates, names, calibrations."""
+"""Faults done to the content of sound containers: values, stamps, rates, names, calibrations."""
 
 from __future__ import annotations
 

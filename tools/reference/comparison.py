@@ -45,7 +45,7 @@ def findings(old: Reference, new: Reference, only: str = "") -> list[Finding]:
     ----------
     old, new : Reference
     only : str
-        Cases of the old one whose name does not hold this are left out.
+        Cases of the old one whose name does not contain this are left out.
     """
     found = []
     for case in dict.fromkeys([*old.hashes, *new.hashes]):

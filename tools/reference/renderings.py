@@ -20,7 +20,7 @@ from tools.reference.masks import masked
 LONG_LINE = 300
 #: Bytes that a line of any other file represents, where the file has no more than SMALL bytes; else a block.
 _ROW, _SMALL, _BLOCK = 64, 1 << 16, 1 << 12
-#: Columns of Parquet files that hold times of the wall or figures of the machine, in studies.
+#: Columns of Parquet files that contain times of the wall or figures of the machine, in studies.
 MASKED_COLUMNS = re.compile(
     r"(^|_)(input_place|input_state|output_mtime_ns|finished|started|seconds|cpu_s|elapsed_s|took_s|memory|peak\w*)(_|$)"
 )

@@ -95,7 +95,7 @@ class Group:
         return [line.strip() for line in self.lines.splitlines() if line.strip()]
 
     def last_wanted(self, only: str) -> int:
-        """How many of the commands have to be run for those whose name holds `only`."""
+        """How many of the commands have to be run for those whose name contains `only`."""
         numbers = [number for number, line in enumerate(self.commands, 1) if only in f"{self.name}: {line}"]
         return max(numbers, default=0)
 

@@ -148,7 +148,7 @@ def main() -> None:
         "--count", type=int, help=f"wrong and unusual set-ups, the cases in turn [{usual}]; or pairs"
     )
     parser.add_argument("--sound", type=int, help=f"sound recordings besides [{len(SOUND)}]")
-    parser.add_argument("--only", default="", help="cases whose name holds this")
+    parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--pairs", choices=["presets", "own", "real"], help="wrong pairs instead")
     parser.add_argument("--held-out", action="store_true", help="the seeds that are kept for the end")
     parser.add_argument("--processes", type=int, default=1, help="recordings at a time")

@@ -298,7 +298,7 @@ def _line_m(recovery: Recovery, truth: FloatArray, rows: BoolArray) -> float:
 
 
 def trusted_samples(recovery: Recovery) -> BoolArray:
-    """(N,) what the answer calls trusted: sample by sample where it says so, else all or nothing."""
+    """(N,) what the answer calls trusted: sample by sample where it marks them, else all or nothing."""
     mask = getattr(recovery, "trusted", None)
     mask = np.ones(len(recovery), dtype=bool) if mask is None else np.asarray(mask, dtype=bool).copy()
     return mask & (recovery.estimates.trusted is not False)

@@ -467,7 +467,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=44, help="wrong set-ups, the cases in turn")
     parser.add_argument("--sound", type=int, default=0, help="recordings without a mistake besides")
     parser.add_argument("--seed", type=int, default=0, help="of all draws")
-    parser.add_argument("--only", default="", help="cases whose name holds this")
+    parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--processes", type=int, default=1, help="recordings at a time")
     options = parser.parse_args()
     cases = tuple(case for case in CASES if options.only in case.__name__.replace("_", " "))

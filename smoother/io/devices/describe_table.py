@@ -1,4 +1,4 @@
-"""What a table of any layout seems to hold, for a recording.toml to begin with."""
+"""What a table of any layout seems to contain, for a recording.toml to begin with."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, TIME, plain_
 
 @dataclass
 class Guess:
-    """What a table seems to hold.
+    """What a table seems to contain.
 
     Attributes
     ----------
@@ -420,7 +420,7 @@ def _down(sheet: Sheet, axes: dict[str, tuple[int, int, int]]) -> tuple[str, str
 
 
 def guess_of(sheet: Sheet) -> Guess:
-    """Guess what a table holds.
+    """Guess what a table contains.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What device files hold, stream by stream: names, rates, units, axes, and a small plot of each."""
+"""What device files contain, stream by stream: names, rates, units, axes, and a small plot of each."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def describe_files(
 
 
 def describe_file(path: Path, reader: FileReader) -> DescribedFile:
-    """What one file holds; what is wrong with it is in `error`."""
+    """What one file contains; what is wrong with it is in `error`."""
     about = DescribedFile(str(path))
     try:
         head = read_head(path)
@@ -304,7 +304,7 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
 
 
 def _guess(path: Path, head: FileHead) -> dict[str, Any] | None:
-    """What a table of an unknown layout seems to hold; None if it is not a table, or is too long."""
+    """What a table of an unknown layout seems to contain; None if it is not a table, or is too long."""
     if not head.text or path.stat().st_size > _LONGEST_GUESS:
         return None
     try:

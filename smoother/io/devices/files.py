@@ -31,7 +31,7 @@ from .repair import Timed, check_one_session, count_from_zero, repaired_imu, rep
 
 @dataclass(frozen=True)
 class ImuFiles:
-    """Files of one IMU (or of several, where one file holds them).
+    """Files of one IMU (or of several, where one file contains them).
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class ImuFiles:
     name : str
         As in recording.toml (`forearm_right`); "" leaves it to the motion.
     sensor : str
-        Of a file that holds several sensors, the one to take; "" = all.
+        Of a file that contains several sensors, the one to take; "" = all.
     """
 
     paths: tuple[Path, ...]
@@ -114,7 +114,7 @@ def import_files(
         Names of the skeletons' cameras, "" where none was given; a named one beyond the first skeleton is a
         further camera that saw the same person.
     lenses : mapping of str to CameraFile, optional
-        Of cameras whose files hold keypoints in images, by name; "" is of the one without a name.
+        Of cameras whose files contain keypoints in images, by name; "" is of the one without a name.
 
     Returns
     -------

@@ -16,7 +16,7 @@ from ..tables.joint_columns import POINT_SETS, joint_name
 from ..tables.protocol import ImagePoints, SkeletonTable
 from ..tables.raw_skeleton import USUAL_RATE_HZ, camera_time_scale, require_arm
 
-#: What positions count in where a table holds u, v and the score instead of places.
+#: What positions count in where a table contains u, v and the score instead of places.
 PIXELS = "pixels"
 #: Scores of COCO's visibilities: not labelled, labelled and hidden, visible.
 VISIBILITY = (0.0, 0.3, 1.0)
@@ -30,7 +30,7 @@ def keypoint_rows(value: Any, frames: list[tuple[float, float, Any]]) -> list[Ro
     Parameters
     ----------
     value : object
-        What the JSON file holds.
+        What the JSON file contains.
     frames : list of (float, float, object)
         Number, time and content of its frames, if it is a list of them.
     """

@@ -221,7 +221,7 @@ class FileReader:
 
 
 def _check_axes(path: Path, importer: DeviceFormat, tables: Tables) -> None:
-    """Refuse a table that lacks a column of a sensor or joint that nothing else in it gives; say the rest."""
+    """Refuse a table that lacks a column of a sensor or joint, unless others give it; note the rest."""
     missing = _missing(path, importer.kind)
     if not missing:
         return

@@ -410,7 +410,7 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
 
 
 def count_from_zero(streams: list[Timed]) -> bool:
-    """Whether cameras and IMUs each count from zero, so that nothing says when one started after the other.
+    """Whether cameras and IMUs each count from zero, so that their relative start is unknown.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ from .image_keypoints import keypoint_rows, keypoint_table
 
 
 def read_json(path: Path, expected: str) -> Any:
-    """The value that a JSON file holds; a line a value makes a list.
+    """The value that a JSON file contains; a line a value makes a list.
 
     Parameters
     ----------

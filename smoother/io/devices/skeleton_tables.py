@@ -285,7 +285,7 @@ class BareKinect:
         Raises
         ------
         RecordingError
-            Rows do not hold this many numbers, or no arm is in them.
+            Rows do not contain this many numbers, or no arm is in them.
         """
         sheet = read_sheet(path, "rows of numbers of a Kinect's joints")
         rows = _filled(sheet.vectors(range(sheet.layout.width)))

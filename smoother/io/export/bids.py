@@ -200,7 +200,7 @@ def write_bids(
     Raises
     ------
     UnoccludeError
-        The folder holds something else than a BIDS data set, or this session is there and `force` is not
+        The folder contains something else than a BIDS data set, or this session is there and `force` is not
         given.
     """
     derivative = folder / "derivatives" / "unocclude"

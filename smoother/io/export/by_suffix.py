@@ -1,4 +1,4 @@
-"""A recovery to a file whose name says the format, by the code of `unocclude export`."""
+"""A recovery to a file whose ending gives the format, by the code of `unocclude export`."""
 
 from __future__ import annotations
 

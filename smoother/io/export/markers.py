@@ -48,7 +48,7 @@ def write_trc(
     t_s : ndarray, shape (N,), s
         Times.
     position : ndarray, shape (N, M, 3), m
-        nan where there is none. The file holds millimetres and says so.
+        nan where there is none. The file is in millimetres, as its header states.
     rate_hz : float
         Of the rows, for the header.
     force : bool
@@ -105,7 +105,7 @@ class C3dContent:
     names : sequence of str
         Of the points, M.
     position : ndarray, shape (N, M, 3), m
-        nan where there is none. The file holds millimetres and says so.
+        nan where there is none. The file is in millimetres, as its header states.
     rate_hz : float
         Frames a second.
     residual : ndarray, shape (N, M), optional
@@ -389,7 +389,7 @@ def opensim_axes(recovery: Recovery, level_down: FloatArray | None = None) -> Fl
 
 
 def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str) -> C3dContent:
-    """What the C3D file of a recovery holds."""
+    """What the C3D file of a recovery contains."""
     answers = table.sigma_m.shape[1]
     near = nearest(recovery.t_s, table.grid)
     channels = {"occluded": (table.occluded.astype(float), "1")}

@@ -138,7 +138,7 @@ def write_opensim(
 
 
 def check_opensim_folder(folder: Path, force: bool) -> None:
-    """Refuse a folder that holds something already, and a file in its place.
+    """Refuse a folder that contains something already, and a file in its place.
 
     Raises
     ------

@@ -344,7 +344,7 @@ class ChunkSource:
     def _left_out(
         self, file: IO[bytes], record: TopRecord, what: str, times: tuple[int, int] | None = None
     ) -> list[bytes]:
-        """Take down a chunk that was left out, with what its index records say it held."""
+        """Take down a chunk that was left out, with its contents by the index records."""
         counts: dict[str, int] = {}
         stop = min(record.start + record.length, file.seek(0, SEEK_END))  # a damaged length exceeds the file
         position = stop

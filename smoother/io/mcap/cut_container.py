@@ -136,7 +136,7 @@ def _metadata(
         if name == CUT:
             continue
         if name == of_recording and "truth_score" in values:
-            with suppress(ValueError, TypeError, AttributeError):  # what it holds is checked where it is read
+            with suppress(ValueError, TypeError, AttributeError):  # its content is checked where it is read
                 scored = {}
                 for topic, runs in json.loads(values["truth_score"]).items():
                     numbers = [k for k, each in enumerate(topics) if each.name == topic]

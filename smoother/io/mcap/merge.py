@@ -313,7 +313,7 @@ def repair_container(
     """Write what is still in a damaged MCAP file as a whole one.
 
     Messages of chunks that fail their checksum are written too, as nothing shows which of them is damaged;
-    the file says so in its metadata, and whoever reads it sees it.
+    the file's metadata state it, and every reader shows it.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ class Definition(NamedTuple):
 
 
 class RecordPlaces(NamedTuple):
-    """What a chunk holds.
+    """What a chunk contains.
 
     Attributes
     ----------

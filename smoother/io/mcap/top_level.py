@@ -39,7 +39,7 @@ def chunk_limit() -> int:
 
 
 def whole_limit(file_bytes: int) -> int:
-    """Most bytes that all chunks of a file may hold together."""
+    """Most bytes that all chunks of a file may contain together."""
     return max(_WHOLE, 4 * chunk_limit()) + _RATIO * file_bytes
 
 
@@ -176,7 +176,7 @@ _LETTERS = 16
 
 
 class TopRecord(NamedTuple):
-    """A record, or a part of the file that holds none.
+    """A record, or a part of the file that contains none.
 
     Attributes
     ----------

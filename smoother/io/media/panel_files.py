@@ -63,7 +63,7 @@ _INFRARED = ("infrared", "/ir", "_ir", "amplitude", "intensity")
 
 @dataclass(frozen=True)
 class PanelSession:
-    """What a recording of a session holds.
+    """What a recording of a session contains.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ from ...runtime.pool import Progress
 from ..tables.joint_columns import BLAZEPOSE
 from .video import Video
 
-#: What a bundle of the pose landmarker holds: its networks.
+#: What a bundle of the pose landmarker contains: its networks.
 _IN_BUNDLE = "pose_landmarks_detector.tflite"
 MODEL_WORDS = (
     "MediaPipe's pose landmarker needs its model, a file that you download once: pose_landmarker_full.task"

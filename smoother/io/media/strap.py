@@ -92,7 +92,7 @@ def check_images(path: str | os.PathLike[str], colour: str | None = None, depth:
 
 
 class Cameras:
-    """The colour and the depth camera of a file, known by what their topics hold."""
+    """The colour and the depth camera of a file, known by what their topics contain."""
 
     def __init__(
         self, path: str | os.PathLike[str], colour: str | None, depth: str | None, R_C_K: FloatArray

@@ -306,7 +306,7 @@ def _skeleton(
 
 
 def _frame_times(file: RecordingFile, path: Path, t_s: FloatArray, kind: IntArray) -> FloatArray:
-    """Times of the rows; behind a clock that was set back they go on, and a note says so."""
+    """Times of the rows; behind a clock that was set back they go on, with a note."""
     if not begins_frames(t_s, kind):
         return t_s
     is_new = np.append(True, t_s[1:] != t_s[:-1])

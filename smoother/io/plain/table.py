@@ -16,7 +16,7 @@ from ...runtime.inputs import check_input
 from ..tables.protocol import plain_minus, shown
 from ..tables.text_table import ROWS_BEFORE, is_cut_number
 
-#: Bytes at the end of a file that hold its last rows.
+#: Bytes at the end of a file that contain its last rows.
 _TAIL = 1 << 14
 Columns = tuple[dict[str, FloatArray], dict[str, list[str]]]
 

@@ -307,7 +307,7 @@ def _candidates(file: RecordingFile, arms: Sequence[ArmFrames]) -> list[ImuSampl
 
 
 def _sides_settle(imus: Sequence[ImuSamples], arms: Sequence[ArmFrames]) -> bool:
-    """Whether one person wears IMUs whose names say on which arm each of them is."""
+    """Whether one person wears IMUs whose names show on which arm each of them is."""
     sides = {named_side(imu.topic, imu.frame_id) for imu in imus}
     return len(_bodies(arms)) == 1 and sides == set(_SIDES) and {arm.side for arm in arms} == set(_SIDES)
 

@@ -293,7 +293,7 @@ def read_recordings(
     -------
     list of Recording
         One an arm, at least one, in order of body and side; `body` is set where there are several people.
-        An arm that cannot be used is left out, and `notes` of the others say so.
+        An arm that cannot be used is left out, and `notes` of the others state it.
 
     Raises
     ------

@@ -47,7 +47,7 @@ def trunk_of(
     Returns
     -------
     trunk : TrunkSensors or None
-        None where no name says so, or several do.
+        None where no name shows it, or several do.
     notes : list of str
         How it was decided, and what was dropped.
     """
@@ -100,7 +100,7 @@ def select_recording(
     store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> Recording:
-    """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
+    """Make a recording of one arm from all that a file contains; options as in `read_recording`."""
     store = store or Store()
     with file.damage_told():
         arm = _CleanArm.of(choose(file, prefer_side=prefer_side, store=store, **selection), file, store)
@@ -114,7 +114,7 @@ def select_recordings(
     store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> list[Recording]:
-    """Make a recording of every arm with an IMU from all that a file holds; as `read_recordings`."""
+    """Make a recording of every arm with an IMU from all that a file contains; as `read_recordings`."""
     store = store or Store()
     with file.damage_told():
         choices = choose_arms(file, prefer_side=prefer_side, store=store, **selection)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Selection(TypedDict, total=False):
-    """What to take of a file that holds several: keywords that readers hand on to `choose`.
+    """What to take of a file that contains several: keywords that readers hand on to `choose`.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ _TRUNK_WORDS = ("trunk", "sternum", "chest", "torso", "thorax")
 
 
 def role(stream: ImuSamples) -> str:
-    """What a stream's names say it is on: "forearm", "upper_arm", "hand", "trunk", "base" or ""."""
+    """The segment by a stream's names: "forearm", "upper_arm", "hand", "trunk", "base" or ""."""
     for name in (words(stream.topic), words(stream.frame_id)):
         if any(word in name for word in _TRUNK_WORDS):
             return "trunk"
@@ -153,7 +153,7 @@ def words(name: str) -> str:
 
 
 def topics_of(file: RecordingFile) -> str:
-    """What a file holds, for messages."""
+    """What a file contains, for messages."""
     listed = [f"{topic.name} ({topic.schema or 'no schema'})" for topic in file.topics if topic.count]
     if len(listed) > 8:
         listed = [*listed[:8], f"and {len(listed) - 8} more"]

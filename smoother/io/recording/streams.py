@@ -1,4 +1,4 @@
-"""What a file holds, before it is decided what to use: streams with the stamps as recorded.
+"""What a file contains, before it is decided what to use: streams with the stamps as recorded.
 
 Streams whose stamps are put right: rows out of order, lone stamps far away.
 """
@@ -279,7 +279,7 @@ class RecordingFile:
         return next((frame.down for frame in frames if frame is not None), None)
 
 
-#: Key and value of a file's own metadata that say so. Stamps that run back in other files are a fault.
+#: Key and value of a file's own metadata that state this. Stamps that run back in other files are a fault.
 ORDER, ARRIVAL = "order", "arrival"
 
 

@@ -1,4 +1,4 @@
-"""What a recovery holds besides its time series, as JSON and back."""
+"""What a recovery contains besides its time series, as JSON and back."""
 
 from __future__ import annotations
 

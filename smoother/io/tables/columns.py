@@ -157,7 +157,7 @@ def joint_label(marker: str, kind: str) -> str:
     Returns
     -------
     str
-        "wrist_right_x", or "" where the two say no such thing.
+        "wrist_right_x", or "" where the two do not identify one.
     """
     kind = kind.lower()
     if marker and kind.startswith("position") and kind[-1:] in "xyz":

@@ -73,7 +73,7 @@ def with_settled_unit(table: ImuTable) -> ImuTable:
     Returns
     -------
     ImuTable
-        The same, or with the gyroscope scaled by 57.3 or its inverse; a note says so.
+        The same, or with the gyroscope scaled by 57.3 or its inverse; with a note.
     """
     scale = turn_scale(table) if table.gyro_unit_assumed else None
     if scale is None or table.gyro is None or 1 / WRONG_SCALE < scale < WRONG_SCALE:

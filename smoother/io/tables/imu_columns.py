@@ -35,7 +35,7 @@ class Increments:
     units : str
         For the line about the file.
     lacks : callable
-        Of a table without these: what it holds, and what to do, behind the format's title.
+        Of a table without these: what it contains, and what to do, behind the format's title.
     no_rate : str
         Behind the file's name, where neither times nor a rate are there to multiply by.
     signs : tuple of str

@@ -191,7 +191,7 @@ def _end_notes(rows: list[str], counts: list[int], usual: int, mark: str, line: 
 def is_cut_number(cells: Sequence[str], fewest: int = 3) -> bool:
     """Whether the last of a column's cells has fewer decimals than all before it, which have equally many.
 
-    `fewest`: cells before it that it takes to say so; some programs leave out a last zero.
+    `fewest`: cells before it that are needed to decide so; some programs leave out a last zero.
     """
     *before, last = [cell.strip().strip('"').replace(",", ".").partition(".")[2] for cell in cells]
     decimals = {len(digits) for digits in before if digits.isdigit()}

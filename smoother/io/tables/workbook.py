@@ -40,7 +40,7 @@ def workbook_text(path: Path, rows: int | None = None) -> str:
     Returns
     -------
     text : str
-        Cells parted by `SEPARATOR`, dates as in ISO 8601. Of several sheets the one whose first rows hold
+        Cells parted by `SEPARATOR`, dates as in ISO 8601. Of several sheets the one whose first rows contain
         the most numbers.
 
     Raises
@@ -83,7 +83,7 @@ def _text(path: Path, rows: int | None, mtime_ns: int, size: int) -> str:
 
 
 def _numbers(sheet: Any) -> int:
-    """How many numbers the first rows of a sheet hold."""
+    """How many numbers the first rows of a sheet contain."""
     rows = islice(sheet.iter_rows(values_only=True), _LOOKED_AT)
     return sum(isinstance(value, int | float) for row in rows for value in row)
 
