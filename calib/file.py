@@ -327,8 +327,8 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
 
     Of an arm, what `calibration` states replaces what the file contains, lever arms joint by joint, and what
     it leaves open (None) is kept; so are other arms. A sensor's table is merged key by key, held poses side
-    by side. Another table replaces the one of its name. Comments and what is not touched stay as they are. The
-    file is replaced in one step: it is never seen half written.
+    by side. Another table replaces the one of its name. Comments and what is not touched stay as they are.
+    The file is replaced in one step: it is never seen half written.
 
     Parameters
     ----------

@@ -260,7 +260,7 @@ def main() -> int:
     parser.add_argument("--every", type=int, default=1, help="run one case in this many")
     parser.add_argument("--first", type=int, default=0, help="leave out this many before them")
     parser.add_argument("--quick", action="store_true", help="leave out those that may take long")
-    parser.add_argument("--family", help="only families whose name holds this")
+    parser.add_argument("--family", help="only families whose name contains this")
     parser.add_argument("--log", type=Path, help="note outcomes here, and run only cases that it lacks")
     parser.add_argument("--write", type=Path, help="put the table into this page")
     options = parser.parse_args()
