@@ -452,7 +452,7 @@ def _note(applied: tuple[float, ...], factors: SigmaFactors, longest_s: float) -
     by = f"{most:.2f}" if most - least < 0.005 else f"{least:.2f} to {most:.2f}"
     count = min(entry.gaps for entry in factors.by_length)
     note = (
-        f"sigma of positions in gaps was multiplied by {by}, by the calibration's hidden gaps of up to"
+        f"sigma of positions in gaps was multiplied by {by}, following the calibration's hidden gaps of up to"
         f" {factors.longest_s:g} s ({count} or more behind each factor)"
     )
     if longest_s > BEYOND * factors.longest_s:
