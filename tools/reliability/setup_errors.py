@@ -309,7 +309,7 @@ CASES: tuple[Callable[[Setup], Setup], ...] = (
 
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 PRESETS = ("white", "realistic", "azure")
-SHORTEST_S, LONGEST_S = 10.0, 60.0
+LENGTHS_S = (24.0, 60.0)
 #: An answer that is off by more than this in the gaps must not be called trusted, m.
 LARGEST_ERROR_M = 0.10
 
@@ -345,7 +345,12 @@ class Job:
         return self.case(Setup(simulated, config, rng, simulated.recording))
 
 
-def draw(count: int, seed: int, cases: tuple[Callable[[Setup], Setup], ...] = CASES) -> list[Job]:
+def draw(
+    count: int,
+    seed: int,
+    cases: tuple[Callable[[Setup], Setup], ...] = CASES,
+    lengths_s: tuple[float, float] = LENGTHS_S,
+) -> list[Job]:
     """As many jobs, the cases in turn; the first ones do not depend on how many follow."""
     rng = np.random.default_rng([seed, int(cases == (sound,))])
     return [
@@ -353,7 +358,7 @@ def draw(count: int, seed: int, cases: tuple[Callable[[Setup], Setup], ...] = CA
             cases[number % len(cases)],
             int(rng.integers(2**31)),
             str(rng.choice(PRESETS)),
-            round(float(rng.uniform(SHORTEST_S, LONGEST_S)), 1),
+            round(float(rng.uniform(*lengths_s)), 1),
         )
         for number in range(count)
     ]
@@ -469,11 +474,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of all draws")
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--processes", type=int, default=1, help="recordings at a time")
+    parser.add_argument(
+        "--lengths-s", type=float, nargs=2, default=LENGTHS_S, help="recordings are between these two, s"
+    )
     options = parser.parse_args()
     cases = tuple(case for case in CASES if options.only in case.__name__.replace("_", " "))
     if not cases:
         parser.error(f"no case is called '{options.only}'")
-    jobs = [*draw(options.count, options.seed, cases), *draw(options.sound, options.seed, (sound,))]
+    jobs = [
+        *draw(options.count, options.seed, cases, options.lengths_s),
+        *draw(options.sound, options.seed, (sound,), options.lengths_s),
+    ]
     outcomes = []
     with ProcessPoolExecutor(options.processes) as pool:
         answers = pool.map(run, jobs) if options.processes > 1 else map(run, jobs)
