@@ -90,7 +90,8 @@ def state_of(job: Path, printed: bool = False) -> JobState:
         lost = time.time() - begun.get("at_s", 0.0) > _START_S and not is_locked(job)
         how = "stopped" if lost else "running"
     elif how == "running" and not is_locked(job):
-        how = read_json(job / "state.json").get("state", how)  # it may have ended in between
+        state = read_json(job / "state.json")  # it may have ended in between
+        how = state.get("state", how)
         how = "stopped" if how == "running" else how
     for word in ("cancelled", "stopped"):
         how = word if how == "waiting" and (job / word).exists() else how

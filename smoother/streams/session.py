@@ -189,6 +189,9 @@ class LiveSession:
                 events += self.recording.events()
             self._answered(output, arrivals.frames, [*events, *output.notes])
             show(self.figures.view(now_s))
+        if self.recording is not None:
+            self.recording.wait()  # what its last rows met belongs to the session
+            self.figures.event(self.source.now_s(), self.recording.events())
         return self.figures
 
     def _marked(self, now_s: float) -> list[str]:

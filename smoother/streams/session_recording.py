@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -260,6 +261,13 @@ class Recorder:
             events.append(self._events.get_nowait())
         return events
 
+    def wait(self) -> None:
+        """Return once all that was given is written, or the recording has ended."""
+        written, until_s = threading.Event(), time.monotonic() + _CLOSE_S
+        self._put(written.set)
+        while not (self._has_ended or written.wait(0.02)) and time.monotonic() < until_s:
+            pass
+
     def close(self) -> None:
         """Write what waits, and the file's end."""
         with suppress(Full):
@@ -284,5 +292,5 @@ class Recorder:
             try:
                 job()
             except UnoccludeError as error:
-                self._has_ended = True
                 self._events.put(f"the recording has ended, the session continues: {error}")
+                self._has_ended = True

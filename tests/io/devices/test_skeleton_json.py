@@ -112,7 +112,7 @@ def test_landmarks_in_the_image_are_refused(tmp_path: Path) -> None:
         f"{at}.0": dict(zip(BLAZEPOSE, frame, strict=True))
         for at, frame in enumerate((0.5 + 0.2 * made.landmarks(FRAMES)).tolist())
     }
-    with pytest.raises(RecordingError, match=r"no metres; export pose_world_landmarks"):
+    with pytest.raises(RecordingError, match=r"not metres; export pose_world_landmarks"):
         read(write(tmp_path / "a.json", {"positions": frames}), "pose-json")
 
 

@@ -216,7 +216,7 @@ def test_world_landmarks_beside_those_in_the_image(tmp_path: Path) -> None:
 
 def test_landmarks_in_the_image_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", mediapipe_rows(0.5 + 0.2 * made.landmarks(FRAMES), "{name}_{axis}"))
-    with pytest.raises(RecordingError, match=r"a\.csv.*no metres; export pose_world_landmarks"):
+    with pytest.raises(RecordingError, match=r"a\.csv.*not metres; export pose_world_landmarks"):
         read(path, "mediapipe")
 
 
