@@ -12,13 +12,14 @@ from ..errors import RecordingError
 from .arm_output import warn
 from .load import camera_frame_of, damage, load_recoveries
 from .options import Body, Force, Json, Output, Result, Side, one_side
-from .output import check_outputs, print_notes, say, write_json
+from .output import check_outputs, print_notes, progress_bar, say, write_json
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
     from ..io.export.prepare import Export
     from ..recording import Truth
     from ..result import Recovery
+    from ..runtime.pool import Progress
 
 FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd", "bids", "opensim")
 ORIGINS = ("camera", "shoulder")
@@ -127,15 +128,17 @@ def export(
     files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
     # All arms are ready before the first is written.
-    exports = (
-        [prepared_rrd(result, recoveries)]
-        if together
-        else _prepared(result, recoveries, format_name, frame, rate, origin or "camera", draws)
-    )
+    with progress_bar("writing") as progress:
+        exports = (
+            [prepared_rrd(result, recoveries)]
+            if together
+            else _prepared(result, recoveries, format_name, frame, rate, origin or "camera", draws, progress)
+        )
+        for path, ready in zip(files, exports, strict=True):
+            ready.write(path, force)
     figures = []
     shown = recoveries[:1] if together else recoveries  # of one file for all what is the same in all
     for recovery, path, ready in zip(shown, files, exports, strict=True):
-        ready.write(path, force)
         rows = "" if format_name == "osim" else f" ({ready.rows} row{'s' if ready.rows != 1 else ''})"
         say(f"written: {path}{rows}")
         figures.append(
@@ -272,6 +275,7 @@ def _prepared(
     rate: float | None,
     origin: str,
     draws: bool,
+    progress: Progress,
 ) -> list[Export]:
     from .. import __version__
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
@@ -279,7 +283,7 @@ def _prepared(
     wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
     level_down = _level_down(result, recoveries) if wants_up else None
     return [
-        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws)
+        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws, progress)
         for recovery in recoveries
     ]
 

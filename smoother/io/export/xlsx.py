@@ -18,11 +18,12 @@ from ...result import Recovery
 from ...result.untrusted import usable
 from ...runtime.outputs import writing
 from ...runtime.packages import extra_module
+from ...runtime.pool import Progress
 from .csv import column_groups
 
 #: Rows of a sheet, the header's with them.
 MOST_ROWS = 1_048_576
-_ROWS = 20_000
+_ROWS = 2_000
 _DATE = re.compile(rb"(<dcterms:(?:created|modified)[^>]*>)[^<]*(</dcterms:)")
 
 
@@ -42,7 +43,12 @@ def check_xlsx(recovery: Recovery) -> None:
         )
 
 
-def export_xlsx(recovery: Recovery, path: str | os.PathLike[str], force: bool = False) -> None:
+def export_xlsx(
+    recovery: Recovery,
+    path: str | os.PathLike[str],
+    force: bool = False,
+    progress: Progress | None = None,
+) -> None:
     """Write the columns of the CSV export as the sheet `motion`; cells without an answer are empty.
 
     The sheet `columns` has unit and meaning of each, the sheet `about` recording, arm and verdict. `t_s` is
@@ -56,6 +62,8 @@ def export_xlsx(recovery: Recovery, path: str | os.PathLike[str], force: bool = 
         The file to write.
     force : bool
         Overwrite a file that exists.
+    progress : Progress, optional
+        Told how far it is.
 
     Raises
     ------
@@ -75,6 +83,8 @@ def export_xlsx(recovery: Recovery, path: str | os.PathLike[str], force: bool = 
     sheet.freeze_panes = "B2"
     sheet.append(names)
     for start in range(0, len(recovery), _ROWS):
+        if progress is not None:
+            progress(start / len(recovery), "writing rows")
         part = slice(start, start + _ROWS)
         heads = zip(t_s[part].tolist(), recovery.occluded[part].tolist(), strict=True)
         marks = zip(recovery.trusted[part].tolist(), usable(recovery)[part].tolist(), strict=True)

@@ -275,3 +275,16 @@ def test_a_workbook_holds_what_the_table_does(results, tmp_path):
     assert list(columns) == list(heads) and columns["vx"] == "m/s" and columns["sigma_deg"] == "deg"
     about = dict(book["about"].iter_rows(min_row=2, values_only=True))
     assert about["arm"] == "right arm"
+
+
+def test_a_workbook_says_how_far_it_is(tmp_path, monkeypatch):
+    from smoother.io.export import prepare as exports
+
+    told = []
+    monkeypatch.setattr("smoother.io.export.xlsx._ROWS", 50)
+    recovery = made()
+    exports.prepare_export(recovery, "xlsx", progress=lambda share, text: told.append(share)).write(
+        tmp_path / "a.xlsx", False
+    )
+    assert told[0] == 0.0 and told == sorted(told) and told[-1] > 0.5
+    assert len(told) == -(-len(recovery) // 50)
