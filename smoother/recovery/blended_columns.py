@@ -126,6 +126,7 @@ class DrawColumns:
     def __init__(self, imu_t: FloatArray, plan: DrawPlan | None, store: Store) -> None:
         self._imu_t, self._plan, self._store = imu_t, plan, store
         self._columns: dict[str, FloatArray] = {}
+        self._end = 0  # first drawn time without a value yet: nothing is written twice to a store on disk
 
     def add(self, answer: SectionDraws | None, rows: slice, share: FloatArray) -> None:
         """The next section's motions; its samples' rows, and its share against the one before at each."""
@@ -136,13 +137,20 @@ class DrawColumns:
         drawn = slice(first, first + len(answer.samples))
         for name, values in answer.columns.items():
             if name not in self._columns:
-                self._columns[name] = self._store.array((count, *values.shape[1:]), np.nan, np.float32)
+                self._columns[name] = self._store.array((count, *values.shape[1:]), 0.0, np.float32)
+                self._columns[name][: self._end] = np.nan
+            self._columns[name][self._end : drawn.stop] = np.nan
             blend(self._columns[name], drawn, values, share[answer.samples])
+        for name in self._columns.keys() - answer.columns.keys():
+            self._columns[name][self._end : drawn.stop] = np.nan
+        self._end = max(self._end, drawn.stop)
 
     def draws(self) -> Draws | None:
         """All of them; None where none were drawn."""
         if self._plan is None:
             return None
+        for values in self._columns.values():
+            values[self._end :] = np.nan
         # a draw at a time is how they are read; a time after the other is how they lie
         columns = {name: np.moveaxis(values, 0, 1) for name, values in self._columns.items()}
         return Draws.from_columns(self._imu_t[:: self._plan.every], self._plan.seed, columns)

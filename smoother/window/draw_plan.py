@@ -13,13 +13,14 @@ from functools import cached_property
 import numpy as np
 
 from ..array_types import FloatArray
-from ..runtime.store import sampled
 from .shared import Considered
 
 #: Times are told apart to this, s.
 _TICK_S = 1e-6
 #: Longest interval between positions of a drawn motion, s.
 DRAWN_S = 0.04
+#: Samples of which the usual step is taken: neighbours, as their distance is asked for.
+_ENOUGH = 100_000
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class DrawPlan:
 
 def samples_apart(t: FloatArray) -> int:
     """Each so-many-th of the samples at times (n,) has a drawn position: `DRAWN_S` apart or closer."""
-    step_s = float(np.median(np.diff(sampled(t)))) if len(t) > 1 else DRAWN_S
+    step_s = float(np.median(np.diff(t[:_ENOUGH]))) if len(t) > 1 else DRAWN_S
     return max(int(DRAWN_S / step_s + 1e-6), 1)
 
 

@@ -131,3 +131,17 @@ def test_sections_are_joined_as_the_answer_is() -> None:
     expected = 1.0 + 2.0 * share_after(draws.t_s, 2.0)
     expected[(draws.t_s < 0.1) | (draws.t_s > 3.89)] = np.nan
     np.testing.assert_allclose(draws.rotation[1, :, 2], 2.0 * expected, rtol=1e-6)
+
+
+def test_where_no_section_has_a_motion_there_is_none() -> None:
+    t = np.arange(400) / 100
+    columns = DrawColumns(t, DrawPlan(2, 0, "", 4, np.eye(1)), Store())
+    for rows, names in ((slice(0, 120), ("position",)), (slice(200, 320), ("position", "rotation"))):
+        samples = np.arange(0, rows.stop - rows.start, 4)
+        filled = {name: np.ones((len(samples), 2, 3)) for name in names}
+        columns.add(SectionDraws(samples, filled), rows, np.ones(rows.stop - rows.start))
+    draws = columns.draws()
+    assert draws is not None
+    first, second = (draws.t_s < 1.2), (draws.t_s >= 2.0) & (draws.t_s < 3.2)
+    np.testing.assert_array_equal(np.isfinite(draws.position).all(axis=(0, 2)), first | second)
+    np.testing.assert_array_equal(np.isfinite(draws.rotation).all(axis=(0, 2)), second)
