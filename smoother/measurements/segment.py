@@ -17,6 +17,8 @@ from .visibility import MISSING_S, accepted_samples, enough_joints, joints_neede
 
 #: A single sample of the gyroscope that jumps by more than this and back is an error, rad/s.
 SPIKE_RAD_S = 15.0
+#: Samples that are looked at at once.
+SPIKE_BATCH = 100_000
 #: The inertial filter runs no faster than this, Hz.
 FILTER_RATE_HZ = 120.0
 #: A segment shorter than this is not worth a filter, samples.
@@ -249,11 +251,14 @@ def spikes(gyro: FloatArray) -> BoolArray:
     gyro : ndarray, shape (N, 3), rad/s
     """
     wrong = np.zeros(len(gyro), dtype=bool)
-    if len(gyro) > 2:
-        before = np.linalg.norm(gyro[1:-1] - gyro[:-2], axis=1)
-        after = np.linalg.norm(gyro[1:-1] - gyro[2:], axis=1)
-        across = np.linalg.norm(gyro[2:] - gyro[:-2], axis=1)
-        wrong[1:-1] = (np.minimum(before, after) > SPIKE_RAD_S) & (across < 0.3 * np.minimum(before, after))
+    for first in range(1, len(gyro) - 1, SPIKE_BATCH):  # a long recording's samples are on disk
+        last = min(first + SPIKE_BATCH, len(gyro) - 1)
+        part = np.asarray(gyro[first - 1 : last + 1])
+        before = np.linalg.norm(part[1:-1] - part[:-2], axis=1)
+        after = np.linalg.norm(part[1:-1] - part[2:], axis=1)
+        across = np.linalg.norm(part[2:] - part[:-2], axis=1)
+        nearest = np.minimum(before, after)
+        wrong[first:last] = (nearest > SPIKE_RAD_S) & (across < 0.3 * nearest)
     return wrong
 
 

@@ -233,8 +233,9 @@ def gyroscope_left(drift: GyroscopeDrift, jumps: FloatArray) -> Iterator[str]:
         least = np.maximum(sigmas * drift.sigma_deg, share * drift.turned_deg)
         return np.asarray((drift.angle_deg > angle_deg) & (drift.angle_deg > least))
 
-    large = jumps[jumps[:, 1] > SMALL_JUMP_DEG, 0]
-    near = (np.abs(drift.at_s[:, None] - large) <= TOGETHER_S).any(axis=1)
+    large = np.sort(jumps[jumps[:, 1] > SMALL_JUMP_DEG, 0])
+    first = np.searchsorted(large, drift.at_s - TOGETHER_S, "left")
+    near = first < np.searchsorted(large, drift.at_s + TOGETHER_S, "right")
     counts = beyond(LEFT_DEG, LEFT_SIGMAS, LEFT_SHARE)
     counts |= near & beyond(SMALL_LEFT_DEG, SMALL_SIGMAS, SMALL_SHARE)
     if counts.any():

@@ -23,7 +23,7 @@ from smoother.measurements.outliers import (
     reject_by_camera,
     reject_by_residual,
 )
-from smoother.measurements.segment import Segment
+from smoother.measurements.segment import Segment, spikes
 from smoother.measurements.visibility import Rejection
 from smoother.recording import JOINTS
 from smoother.rotation import Rotation
@@ -511,3 +511,14 @@ def test_a_residual_at_its_limit(sample_m: float, off_m: float, wrong: bool) -> 
         warnings.simplefilter("error")
         checked = reject_by_residual(segment, residual, {"wrist": JointNoise(sample_m, 9.0, 9.0)})
     assert why(segment, checked) == (only(WRIST, range(20, 21), Rejection.RESIDUAL) if wrong else {})
+
+
+@pytest.mark.parametrize("batch", [10, 1000])
+def test_spikes_are_found_wherever_the_batches_meet(monkeypatch, batch) -> None:
+    gyro = 0.1 * np.random.default_rng(0).normal(size=(60, 3))
+    lone = [2, 10, 20, 31, 57]
+    gyro[lone, 1] += 40.0
+    gyro[[0, 45, 46, 59], 2] += 40.0  # the ends, and two in a row, are none
+    monkeypatch.setattr("smoother.measurements.segment.SPIKE_BATCH", batch)
+    np.testing.assert_array_equal(np.flatnonzero(spikes(gyro)), lone)
+    assert not spikes(gyro[:2]).any()
