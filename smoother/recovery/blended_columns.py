@@ -126,7 +126,7 @@ class DrawColumns:
     def __init__(self, imu_t: FloatArray, plan: DrawPlan | None, store: Store) -> None:
         self._imu_t, self._plan, self._store = imu_t, plan, store
         self._columns: dict[str, FloatArray] = {}
-        self._end = 0  # first drawn time without a value yet: nothing is written twice to a store on disk
+        self._end = 0  # first drawn time that is not filled yet; on disk, filling all at once takes seconds
 
     def add(self, answer: SectionDraws | None, rows: slice, share: FloatArray) -> None:
         """The next section's motions; its samples' rows, and its share against the one before at each."""
@@ -139,10 +139,10 @@ class DrawColumns:
             if name not in self._columns:
                 self._columns[name] = self._store.array((count, *values.shape[1:]), 0.0, np.float32)
                 self._columns[name][: self._end] = np.nan
-            self._columns[name][self._end : drawn.stop] = np.nan
+        for column in self._columns.values():
+            column[self._end : drawn.stop] = np.nan
+        for name, values in answer.columns.items():
             blend(self._columns[name], drawn, values, share[answer.samples])
-        for name in self._columns.keys() - answer.columns.keys():
-            self._columns[name][self._end : drawn.stop] = np.nan
         self._end = max(self._end, drawn.stop)
 
     def draws(self) -> Draws | None:
