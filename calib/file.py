@@ -477,7 +477,7 @@ def with_sigma_table(
     ----------
     calibration : CalibrationFile
     gaps : list of dict
-        A row a length, with at least `length_s`, `factor` and `count`.
+        One row per length, with at least `length_s`, `factor` and `count`.
     reference : str
         What hidden gaps were compared with.
     recordings : list of str

@@ -89,7 +89,7 @@ def _document(path: Path) -> dict[str, Any]:
         raise CalibrationError(f"{path} cannot be read: {error.strerror or error}.") from error
     except (ValueError, RecursionError) as error:
         raise CalibrationError(
-            f"{path} is no calibration that can be read (TOML, JSON or YAML): {error}."
+            f"{path} is not a calibration that can be read (TOML, JSON or YAML): {error}."
         ) from error
     if not isinstance(found, dict):
         raise CalibrationError(f"{path} contains no table of a camera.")

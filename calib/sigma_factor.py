@@ -41,7 +41,7 @@ class LengthFactor:
     pooled : bool
         The gaps of this length alone are too few.
     factor_50, factor_95 : float
-        By which sigma would have to be multiplied for the 50 and the 95 % region to hold.
+        By which sigma has to be multiplied for the 50 and the 95 % region to hold.
     level : float
         What `factor_95` holds: 0.95, or less where there are too few gaps even together.
     factor : float
@@ -179,7 +179,7 @@ def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:
         f" ({row.count} {'gap' if row.count == 1 else 'gaps'}{', all lengths' if row.pooled else ''})"
         for row in factors
     )
-    sentences = [f"for the 95 % region to hold in hidden gaps sigma would have to be multiplied: {listed}"]
+    sentences = [f"for the 95 % region to hold in hidden gaps sigma has to be multiplied: {listed}"]
     fewest = min(factors, key=lambda row: row.level)
     if fewest.level < LEVELS[1]:
         sentences.append(
@@ -189,7 +189,7 @@ def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:
         )
     if max(row.factor for row in factors) > LARGEST_FACTOR:
         sentences.append(
-            f"a factor above {LARGEST_FACTOR:g} is no matter of sigma: some gaps are recovered wrongly, look"
+            f"a factor above {LARGEST_FACTOR:g} is not about sigma: some gaps are recovered wrongly, look"
             " whether clock, axes and mounting are right"
         )
     return sentences

@@ -60,7 +60,7 @@ def smooth_arms(
     Parameters
     ----------
     recordings : sequence of Recording
-        One an arm, as `read_recordings` gives them.
+        One per arm, as `read_recordings` gives them.
     calibrations : sequence of ArmCalibration or None, optional
         Of the arms, in the same order.
     config, progress, store, processes

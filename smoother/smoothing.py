@@ -63,7 +63,7 @@ def smooth(
     recording : Recording
         One arm and its forearm IMU.
     calibration : ArmCalibration, optional
-        Lever arms and upper-arm length, with sigmas; what it lacks is solved.
+        Lever arms and upper-arm length, with sigmas; what is missing is estimated.
     config : Config, optional
         Settings.
     progress : callable, optional

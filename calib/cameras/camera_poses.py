@@ -35,7 +35,7 @@ class CameraSetUp:
     cameras : dict of str to RigCamera
         As all recordings together place them, by name.
     clocks_s : dict of str to tuple of float
-        Each camera's offset to the first one's clock, one number per recording that it takes part in.
+        Each camera's offset to the first one's clock, one number per recording that it is used in.
     left_out : tuple of str
         A sentence for each camera that a recording shows to be wrong.
     """

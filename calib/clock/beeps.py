@@ -254,7 +254,7 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
     samples : ndarray, shape (N,)
         Sound pressure in any unit.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
     tone_hz : float, Hz, optional
         The buzzer's tone, where it is known; else the clearest tone is taken.
 

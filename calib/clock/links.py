@@ -198,7 +198,7 @@ class SoundTrack(Protocol):
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
+        """Samples per second."""
         ...
 
     @property

@@ -154,7 +154,7 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
     calibration : CalibrationFile
         Its tables `imu` are looked at.
     store : Store, optional
-        Where the corrected samples lie; in memory where None.
+        Where the corrected samples are stored; in memory where None.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tu
     Parameters
     ----------
     streams : sequence of ImuStream
-        One a pose; one that is there several times is corrected once and stays one.
+        One per pose; one that is there several times is corrected once and stays one.
     file : CalibrationFile
         Its tables `imu` are looked at.
 

@@ -64,7 +64,7 @@ class ArmEstimates:
     frame : ForearmFrame, optional
         The forearm's axes in the IMU with their sigmas, None without elbow and wrist.
     offsets : tuple of ClockOffset
-        One a recording; never carried over.
+        One per recording; never carried over.
     evidence : Evidence
         How long the forearm was seen, and how it moved.
     not_determined : tuple of str

@@ -143,7 +143,7 @@ def _turn_between(before: FloatArray, after: FloatArray) -> FloatArray:
 
 
 def _frames_of(recovery: Recovery) -> dict[str, int]:
-    """Camera samples by joint that took part; those tracked where the method keeps no residuals."""
+    """Camera samples by joint that were used; those tracked where the method keeps no residuals."""
     if recovery.residuals is not None:
         parts = (batch.used for batch in recovery.residuals.batches())
     else:

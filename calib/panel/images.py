@@ -301,7 +301,7 @@ def _spots(infrared: FloatArray, mask: NDArray[np.bool_], lens: Intrinsics) -> B
 def _centroid(
     infrared: FloatArray, stats: NDArray, labels: NDArray, index: int
 ) -> tuple[float, float, float, float, float] | None:
-    """x, y, sigma, radius (pixels) and height; None where it is no compact spot inside the image."""
+    """x, y, sigma, radius (pixels) and height; None where it is not a compact spot inside the image."""
     left, top, width, height, area = (int(value) for value in stats[:5])
     margin = 3 + max(width, height) // 2
     x0, y0 = left - margin, top - margin
@@ -385,7 +385,7 @@ def drawn_spots(infrared: FloatArray, blobs: Blobs, markers: tuple[int, ...] = (
 def drawn_depth(
     depth_m: FloatArray, pixels: FloatArray, along_x: NDArray, along_y: NDArray, inliers: NDArray
 ) -> bytes:
-    """PNG of the depth about the panel with the pixels that took part coloured by group."""
+    """PNG of the depth about the panel with the pixels that were used coloured by group."""
     import cv2
 
     near, far = np.nanpercentile(depth_m[pixels[:, 1].astype(int), pixels[:, 0].astype(int)], [2, 98])

@@ -122,7 +122,7 @@ def calibrate_panel(
     Parameters
     ----------
     views : sequence of View
-        One a pose of the panel.
+        One per pose of the panel.
     markers : sequence of dict of str to ndarray
         By pose, positions (3,) m in the mocap frame by name; any names, any order.
     panel, lens : Panel and Intrinsics
@@ -180,7 +180,7 @@ def see_panel(view: View, panel: Panel, lens: Intrinsics) -> SeenPanel:
     blobs, reading, first = _spots(view, panel, lens)
     spots = list(reading.index)
     frame = fit_frame(first, panel)
-    # the markers' places are read off the depth between them; then the whole panel's depth takes part
+    # the markers' places are read off the depth between them; then the whole panel's depth is used
     for _ in range(2):
         regions = panel_regions(view.depth_m, lens, blobs, panel, frame)
         if regions.covered < LEAST_COVERED:

@@ -240,7 +240,7 @@ def _depth_factor(p: int, plane: Plane, solve_offset: bool) -> Any:
 def _on_plane_factor(p: int, k: int, height_m: float, noise: Any) -> Any:
     """Signed distance of a marker from the pose's plane, less its height, m.
 
-    A Python factor: four a pose and a few iterations, not a hot path.
+    A Python factor: four per pose and a few iterations, not a hot path.
     """
     import gtsam
 

@@ -14,7 +14,7 @@ from ..intrinsics import Intrinsics
 from .definition import Frame, Panel
 from .images import Blobs
 
-#: A pixel farther from the plane than this many sigmas does not take part.
+#: A pixel farther from the plane than this many sigmas is not used.
 OUTLIER = 3.5
 #: Nothing nearer to the plane than this is an outlier, m: a camera counts in millimetres.
 LEAST_OUTLIER_M = 0.004
@@ -42,7 +42,7 @@ class Plane:
         First and half the second derivative of theta after a constant depth error (m) that is taken off
         every depth.
     inliers : ndarray of bool, shape (N,)
-        Pixels that took part.
+        Pixels that were used.
     residuals_m : ndarray, shape (N,), m
         Depth minus the plane's depth.
     noise_m : float, m

@@ -43,7 +43,7 @@ def calibrate_world_from_views(
     t_s : sequence of float, s
         Time of each pair on the IMUs' clock.
     panel_imu, base_imu : sequence of ImuStream
-        One a pose; the same stream for every pose of a session that was recorded in one go.
+        One per pose; the same stream for every pose of a session that was recorded in one go.
     panel : Panel
         Its markers and outline.
     lens : Intrinsics

@@ -19,7 +19,7 @@ from .chain import BIAS_M_S2, Attitudes, Problem, WorldPose, rest_at, turn_betwe
 _GUESS_ROUNDS = 25
 #: Answers nearer than this are one; this many are followed up.
 _APART_RAD, _MOST = 0.3, 4
-#: Mean square (rad^2 a pose) by which a guess may fit worse than the best and still lead to the answer.
+#: Mean square (rad^2 per pose) by which a guess may fit worse than the best and still lead to the answer.
 _HOPELESS = 0.01
 #: A turn between poses is treated as a direction where it is larger than this, rad.
 _TURN_RAD = 0.1
@@ -228,7 +228,7 @@ class WorldCalibration:
     solution : WorldSolution
         Rotations with covariance.
     poses : tuple of WorldPose
-        Those that took part.
+        Those that were used.
     by_eye : bool
         The poses did not give the mounting of the panel's IMU: it was taken as lined up by eye.
     notes : tuple of str
@@ -284,7 +284,7 @@ def world_poses(
     Parameters
     ----------
     views : sequence of PanelView
-        One a pose.
+        One per pose.
     panel, base : sequence of ImuStream
         The IMUs' samples, one per pose. The same stream for every pose where the session was recorded in one
         go: then the gyroscopes link the poses.

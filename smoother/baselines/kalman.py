@@ -316,9 +316,9 @@ class Events:
     ----------
     t : ndarray, shape (m,), s
     position : ndarray, shape (m, 3), m
-        Nan where the event is no frame.
+        Nan where the event is not a frame.
     acceleration : ndarray, shape (m, 3), m/s^2
-        Nan where it is no sample of the IMU.
+        Nan where it is not a sample of the IMU.
     """
 
     t: FloatArray

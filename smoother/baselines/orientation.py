@@ -163,7 +163,7 @@ def madgwick(samples: EvenSamples) -> FloatArray:
 GYROSCOPE_DENSITY = 0.0015
 #: How far the measured force points from gravity where its strength is gravity's, rad.
 DIRECTION_SIGMA_RAD = 0.10
-#: A force whose strength is farther from gravity's is no observation, as a part of it.
+#: A force whose strength is farther from gravity's is not an observation, as a part of it.
 GATE = 0.2
 #: The uncertainty of the start, which is a mean over seconds, rad.
 START_SIGMA_RAD = 0.01

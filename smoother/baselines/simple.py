@@ -59,7 +59,7 @@ def pchip(scene: Scene) -> Path:
     through the camera's points at visible frames. Joints: each through its own accepted samples, as one fills
     the tracks of a skeleton. Orientation: the filter's, which is at hand, and far better over a gap than to
     turn evenly from the last visible orientation to the next. Beyond the first and last visible frame the
-    value is held: a cubic that goes on is no answer.
+    value is held: a cubic that goes on is not an answer.
 
     Order: without noise and gaps exact at the frames; between them third order where the path is monotone
     and second where it turns: below acceleration x (frame period)^2 / 8.

@@ -1,4 +1,4 @@
-"""How a method that is not ours takes part: its tasks as plain files, and its answers read.
+"""How a method of others is scored: its tasks as plain files, and its answers read.
 
 A task is a folder, `DATASET/TRIAL` where gaps of all lengths are in one copy, else `DATASET/TRIAL_LENGTHs`.
 It contains a recording as `unocclude import csv` takes it (`recording.toml`, `skeleton.csv`,

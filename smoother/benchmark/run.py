@@ -97,7 +97,7 @@ def find_trials(
     Parameters
     ----------
     folder : Path
-        Holds a folder a data set.
+        Holds one folder per data set.
     datasets, splits : sequence of str
         What is wanted.
     most : int, optional

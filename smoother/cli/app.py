@@ -73,7 +73,7 @@ class LazyCommands(Mapping[str, Any]):
 
 
 def lazy_group(specs: Mapping[str, CommandSpec]) -> type[WholeSentences]:
-    """A kind of group that holds commands.
+    """A kind of group that contains commands.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ def benchmark(
         typer.Option(
             "--data",
             metavar="FOLDER",
-            help=f"Holds a folder a data set.  [default: ${VARIABLE}]",
+            help=f"Holds one folder per data set.  [default: ${VARIABLE}]",
             show_default=False,
         ),
     ] = None,
@@ -75,7 +75,7 @@ def benchmark(
     The folder of --data holds broad/, utd_mhad/, smartfallmm/ and sevivi/ as they are published; those
     that are not there are left out and named. Splits and gaps are frozen: they hang on a trial's name and the
     seed alone. Writes benchmark.json, benchmark.md (the table), benchmark.html (the page) and gaps.csv (a
-    row per gap). Other methods take part by files: --tasks writes what they are given, --answers scores what
+    row per gap). Other methods are added as files: --tasks writes what they are given, --answers scores what
     they answer.
     """
     from .. import __version__

@@ -51,7 +51,7 @@ def export(
         typer.Option(
             "--rate",
             metavar="HZ",
-            help="Rows a second of trc, mot and c3d.  [default: the IMU's]",
+            help="Rows per second of trc, mot and c3d.  [default: the IMU's]",
             show_default=False,
         ),
     ] = None,
@@ -201,7 +201,7 @@ def _opensim(
     json_file: Path | None,
     force: bool,
 ) -> None:
-    """A folder an arm, which OpenSim runs as it is."""
+    """One folder per arm, which OpenSim runs as it is."""
     from ..io.export.opensim_setup import check_opensim_folder, opensim_files, write_opensim
 
     folders = output_names(output, recoveries)
@@ -289,7 +289,7 @@ def _prepared(
 
 
 def _level_down(result: Path, recoveries: list[Recovery]) -> FloatArray | None:
-    """Down in the camera's axes if the camera stands level, where a method did not find gravity."""
+    """Down in the camera's axes if the camera is level, where a method did not find gravity."""
     import numpy as np
 
     if all(np.isfinite(recovery.gravity_direction).all() for recovery in recoveries):
@@ -308,6 +308,6 @@ def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
     axes = camera_frame_of(result)
     truths: list[Truth | None] = [None] * len(recoveries)
     if len(recoveries) == 1:
-        with suppress(RecordingError):  # it holds none
+        with suppress(RecordingError):  # it contains none
             truths = [read_truth_mcap(result, recoveries[0])]
     return prepare_rrd(recoveries, truths, None if axes is None else axes.down)

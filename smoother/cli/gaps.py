@@ -326,7 +326,7 @@ def keep(
         raise CalibrationError(f"{path} was not written: no hidden gap has an answer with a sigma")
     if (worst := max(row.factor for row in factors)) > LARGEST_FACTOR:
         raise CalibrationError(
-            f"{path} was not written: sigma would have to be multiplied by {worst:.0f}, so it is not sigma"
+            f"{path} was not written: sigma has to be multiplied by {worst:.0f}, so it is not sigma"
             " that is wrong; look whether clock, axes and mounting are right"
         )
     digits = ("factor", "factor_50", "factor_95", "level")

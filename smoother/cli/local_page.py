@@ -9,7 +9,7 @@ import typer
 
 from ..runtime.packages import extra_module
 
-#: Where recordings lie unless the user says otherwise.
+#: Where recordings are stored unless the user says otherwise.
 FOLDER = Path("unocclude")
 
 

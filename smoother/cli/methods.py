@@ -142,7 +142,7 @@ STRAP_SIGMA_M = 0.02
 
 
 def with_strap(calibration: ArmCalibration | None, recording: Recording) -> ArmCalibration:
-    """The calibration with the strap's lever arm as a variable, unless it holds one."""
+    """The calibration with the strap's lever arm as a variable, unless it contains one."""
     import numpy as np
 
     from ..calibration import ArmCalibration, LeverArm

@@ -110,7 +110,7 @@ Orientation = Annotated[
 ]
 Files = list[Path] | None
 Depth = Annotated[
-    Files, typer.Option("--depth", metavar="D.png", help="Depth image, 16 bit, mm; one a panel pose.")
+    Files, typer.Option("--depth", metavar="D.png", help="Depth image, 16 bit, mm; one per panel pose.")
 ]
 Infrared = Annotated[
     Files, typer.Option("--infrared", metavar="I.png", help="Infrared image of the same moment.")

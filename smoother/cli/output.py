@@ -184,7 +184,7 @@ _PROGRESS_STEP_S = 0.1
 def progress_file(path: Path) -> Progress:
     """A function (part done 0 to 1, what is being done) that writes both into a file, as JSON.
 
-    A file that cannot be written is no reason to end the command.
+    A file that cannot be written is not a reason to end the command.
     """
     written_s = -math.inf
 

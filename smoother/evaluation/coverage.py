@@ -69,7 +69,7 @@ def stated_and_actual(error_m: FloatArray, covariance: FloatArray) -> StatedAndA
 
 
 def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
-    """The camera's samples that took part, by joint: residual against camera noise and joint covariance.
+    """The camera's samples that were used, by joint: residual against camera noise and joint covariance.
 
     The part of a joint's covariance that is there all the time (lever arms, the common part of the camera's
     constant errors) is one error for all samples, which shows in no residual, and is left out. Estimated

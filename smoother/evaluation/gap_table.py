@@ -134,7 +134,7 @@ class GapTable:
     errors: tuple[GapErrors, ...] = ()
 
     def sigma_factors(self, method: str = "graph") -> tuple[LengthFactor, ...]:
-        """By what a method's sigma would have to be multiplied to hold; empty without its answers."""
+        """By what a method's sigma has to be multiplied to hold; empty without its answers."""
         return length_factors(
             [
                 (row.length_s, errors.needed_factors)

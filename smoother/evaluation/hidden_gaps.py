@@ -199,7 +199,7 @@ class GapErrors:
     path_m : float, m, or None
         Length of the hidden path.
     needed_factors : ndarray, shape (n, 2)
-        By what sigma would have to be multiplied to hold, see `sigma_factor.needed_factors`.
+        By what sigma has to be multiplied to hold, see `sigma_factor.needed_factors`.
     since_s : ndarray, shape (n,), s
         Time since the gap began.
     """

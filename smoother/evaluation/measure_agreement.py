@@ -276,7 +276,7 @@ def compare_measures(
     pooled : sequence of MeasurePair
         Of earlier validations (`measure_files.read_pairs`).
     processes : int
-        Worker processes for the drawn motions, 0 = one a core.
+        Worker processes for the drawn motions, 0 = one per core.
     progress : callable, optional
         Called with the number of them measured so far.
 

@@ -126,7 +126,7 @@ def _detectable_of_user(path: Path) -> dict[str, float]:
     table = tables.get("mdc95")
     if not isinstance(table, dict) or not table:
         raise UnoccludeError(
-            f"{path} has no table [mdc95]; write one with a line a measure: elbow_flexion_range_deg = 5.0"
+            f"{path} has no table [mdc95]; write one with a line per measure: elbow_flexion_range_deg = 5.0"
         )
     for key, value in table.items():
         _check_key(key, path)

@@ -309,7 +309,7 @@ FEWEST, MOST = 20, 20_000
 
 
 # Sliding two whole signals over each other cuts every gap short at every lag. Here the samples stay as they
-# are and the reference, which is known everywhere, is read earlier or later: the same samples take part at
+# are and the reference, which is known everywhere, is read earlier or later: the same samples are used at
 # every lag, so that short gaps do not bias the peak (Feng 2014, 4.5.3, unbiased).
 def lag_s(
     t_s: FloatArray,

@@ -170,7 +170,7 @@ STEP_S = 0.2
 LEAST_CORRELATION = 0.5
 #: A signal whose speed varies less (standard deviation) is not informative, m/s and rad/s.
 STILL_M_S, STILL_RAD_S = 0.05, 0.2
-#: Samples a second that speeds are compared at, and the least time that they must share, s.
+#: Samples per second that speeds are compared at, and the least time that they must share, s.
 RATE_HZ, SHORTEST_S = 20.0, 4.0
 
 

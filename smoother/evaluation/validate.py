@@ -363,7 +363,7 @@ def validate(
     pooled : sequence of MeasurePair
         Measures of earlier validations, whose agreement is stated together with this one's.
     processes : int
-        Worker processes that measure the drawn motions, 0 = one a core.
+        Worker processes that measure the drawn motions, 0 = one per core.
     progress : callable, optional
         Called with the number of them measured so far.
 

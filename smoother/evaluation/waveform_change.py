@@ -36,7 +36,7 @@ class SessionCurves:
     Attributes
     ----------
     curves : ndarray, shape (n, points), deg
-        One a repetition, from 0 to 100 %.
+        One per repetition, from 0 to 100 %.
     errors : ndarray, shape (m, points), deg
         Errors that all repetitions share, by the drawn motions: each row times a standard normal number, all
         added up. Empty without draws.

@@ -37,7 +37,7 @@ class ArmInfo:
     body : int, optional
         The camera's number of the person, where there are several.
     upper_imu, hand_imu, trunk_imu : str
-        The IMUs on the same upper arm, hand and trunk that would take part; empty without one.
+        The IMUs on the same upper arm, hand and trunk that would be used; empty without one.
     joints : list of str
         Of the skeleton.
     imu_rate_hz, camera_rate_hz : float, Hz, optional
@@ -162,7 +162,7 @@ class RecordingInfo:
     imu, skeleton, side : str
         What would be taken for the first of them, as all that follows; empty where that is not settled.
     upper_imu, hand_imu : str
-        Those on the same upper arm and hand that would take part; empty without one.
+        Those on the same upper arm and hand that would be used; empty without one.
     trunk_imu : str
         The one on the trunk; empty without one.
     joints : list of str

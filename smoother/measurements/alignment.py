@@ -260,7 +260,7 @@ def _spread(profiles: FloatArray, decay: float) -> FloatArray:
 
 
 def located(calibration: ArmCalibration) -> BoolArray:
-    """(5,) joints that can take part: of the others the place on the arm is unknown."""
+    """(5,) joints that can be used: of the others the place on the arm is unknown."""
     known = {"shoulder", *(joint for joint in JOINTS if lever_of(calibration, joint) is not None)}
     for name, mounting in calibration.mountings.items():
         known |= set(SEGMENTS[name].camera_joints) & mounting.lever_arms.keys()
@@ -285,9 +285,9 @@ def pairs(
     frame_t_imu : ndarray, shape (f,), s
         Its frames on the IMU's clock.
     accepted : ndarray of bool, shape (f, 5)
-        Samples that may take part.
+        Samples that may be used.
     calibration : ArmCalibration
-        Its lever arms determine which joints can take part.
+        Its lever arms determine which joints can be used.
 
     Returns
     -------

@@ -52,7 +52,7 @@ def noise_key(joint: str, camera: int = 0) -> str:
 #: sample to sample: cameras that smooth (Kinect v1) are nearly free of noise where an arm rests, not where it
 #: moves.
 PART, PART_OF_STEP = 0.02, 0.01
-#: This many in a row are no accident.
+#: This many in a row are not a coincidence.
 IN_A_ROW = 4
 #: Samples that the fourth difference is made of.
 STENCIL = 5
@@ -219,7 +219,7 @@ def reject_by_attitude(
     ray = unit(segment.position[:, WRIST] + segment.position[:, ELBOW])
     off = both & (np.sum(by_camera * inertial, axis=1) < np.cos(np.radians(DIRECTION_DEG)))
     segment = _reject(segment, _only(off, *_FOREARM), Rejection.DIRECTION)
-    # pointing at the camera is no reason by itself: the forearm must also look wrong
+    # pointing at the camera is not a reason by itself: the forearm must also look wrong
     pointing = both & (np.abs(np.sum(ray * inertial, axis=1)) > np.cos(np.radians(RAY_DEG)))
     length = np.linalg.norm(segment.position[:, WRIST] - segment.position[:, ELBOW], axis=1)
     usual = float(np.median(length[both]))

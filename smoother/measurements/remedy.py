@@ -76,7 +76,7 @@ class Remedy:
         recording : Recording
             Its truth stays as it is.
         store : Store, optional
-            Where changed samples lie; in memory where None.
+            Where changed samples are stored; in memory where None.
         """
         if not self.options:
             return recording

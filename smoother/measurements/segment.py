@@ -42,7 +42,7 @@ class Segment:
     position : ndarray, shape (f, 5, 3), m
         The joints in {K}.
     accepted : ndarray of bool, shape (f, 5)
-        Samples that may take part.
+        Samples that may be used.
     reason : ndarray of uint8, shape (f, 5)
         Why a tracked sample was rejected, as a code of `Rejection`.
     down : ndarray, shape (3,)
@@ -235,7 +235,7 @@ def make_segment(
 
 
 def down_hint(recording: Recording) -> FloatArray:
-    """Rough direction of gravity in {K}: the hint, or a camera that stands level."""
+    """Rough direction of gravity in {K}: the hint, or a level camera."""
     if recording.gravity_hint is not None:
         return recording.gravity_hint / np.linalg.norm(recording.gravity_hint)
     if recording.camera_frame is not None:

@@ -252,7 +252,7 @@ def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | N
     if len(rates) >= 3 and robust_sigma(np.array(rates)) > EVEN:
         return None
     if (np.diff(even) < 0.2 * tick * np.maximum(np.diff(number), 1)).any():
-        return None  # a level that runs back is no drift of a clock
+        return None  # a level that runs back is not a drift of a clock
     return EvenTimes(even, tick, len(pauses), len(steps) - len(pauses))
 
 

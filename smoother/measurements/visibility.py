@@ -17,7 +17,7 @@ MISSING_FRAMES = 2.5
 
 
 def accepted_samples(arm: JointTracks) -> BoolArray:
-    """Samples that may take part: tracked and finite, (F, 5)."""
+    """Samples that may be used: tracked and finite, (F, 5)."""
     return np.stack([arm.tracked(joint) for joint in JOINTS], axis=1)
 
 

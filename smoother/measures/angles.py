@@ -54,7 +54,7 @@ def angle_figures(name: str, angle: FloatArray, occluded: BoolArray, rate_hz: fl
     occluded : ndarray of bool, shape (n,)
         Not seen by the camera.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
 
     Returns
     -------

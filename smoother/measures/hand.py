@@ -32,7 +32,7 @@ def way_figures(
     occluded : ndarray of bool, shape (n,)
         Not seen by the camera.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
     runs : tuple of slice
         Rows without a pause between them; nothing is counted across one.
 
@@ -77,7 +77,7 @@ def straightness_figures(
     occluded : ndarray of bool, shape (n,)
         Not seen by the camera.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def spectral_arc_length(speed: FloatArray, rate_hz: float) -> float:
     speed : ndarray, shape (n,), m/s
         Of one movement from rest to rest.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def log_dimensionless_jerk(speed: FloatArray, rate_hz: float) -> float:
     speed : ndarray, shape (n,), m/s
         Of one movement, low-passed: the second derivative of noise grows with the square of its frequency.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
 
     Returns
     -------
@@ -180,7 +180,7 @@ def velocity_peaks(speed: FloatArray, rate_hz: float, rise_m_s: float, apart_s: 
     speed : ndarray, shape (n,), m/s
         Of one movement.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
     rise_m_s : float, m/s
         Least rise.
     apart_s : float, s

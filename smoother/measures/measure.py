@@ -1,4 +1,4 @@
-"""Measures of a motion: values with the intervals that hold them, and all those of one recording."""
+"""Measures of a motion: values with the intervals that contain them, and all those of one recording."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class DrawnFigures:
     motion : Motion
         The answer's, whose grid they share.
     processes : int
-        Worker processes, 0 = one a core; the figures are the same with any number.
+        Worker processes, 0 = one per core; the figures are the same with any number.
     progress : callable, optional
         Called with the share done.
 
@@ -293,7 +293,7 @@ def measure(
     settings : MeasureSettings, optional
         Thresholds and sizes.
     processes : int
-        Worker processes for the drawn motions, 0 = one a core; the measures are the same with any number.
+        Worker processes for the drawn motions, 0 = one per core; the measures are the same with any number.
     progress : callable, optional
         Called with the share done (0 to 1) and its label.
 

@@ -23,7 +23,7 @@ class CameraFrame(StrEnum):
 
     @property
     def down(self) -> FloatArray:
-        """Direction of gravity in a camera that stands level, unit vector (3,)."""
+        """Direction of gravity in a level camera, unit vector (3,)."""
         return {
             CameraFrame.KINECT: np.array([0.0, -1.0, 0.0]),
             CameraFrame.OPTICAL: np.array([0.0, 1.0, 0.0]),

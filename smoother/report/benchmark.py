@@ -1,4 +1,4 @@
-"""The benchmark's page: one table a data set, error against gap length, and how to take part."""
+"""The benchmark's page: one table per data set, error against gap length, and how to add a method."""
 
 from __future__ import annotations
 

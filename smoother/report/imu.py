@@ -45,7 +45,7 @@ def _imu_sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
     yield figure(
         "Where the sensor lay still",
         "The three axes of the accelerometer as recorded; rests are shaded. A rest that is not shaded was not"
-        " still enough: a table that shakes, a hand that holds the sensor.",
+        " still enough: a table that shakes, a hand that grips the sensor.",
         rests(imu, calibration),
     )
     acc = calibration.accelerometer

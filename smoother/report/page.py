@@ -273,7 +273,7 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
     )
     yield _figure(
         "What the camera disagrees with",
-        "Distance between each joint that the camera tracked and the recovered joint. Dots took part in the"
+        "Distance between each joint that the camera tracked and the recovered joint. Dots were used in the"
         " solution, crosses were rejected (the reason appears under the pointer). A joint that stays far off"
         " for long was seen wrongly, or the sensor has slipped on the arm.",
         residuals(recovery),
@@ -310,7 +310,7 @@ def _consistency(recovery: Recovery, truth: Truth | None) -> str:
         " probability is stated to lie. Right: the stated standard deviation of samples against their actual"
         " root mean square. On the dashed line both are consistent; under it on the left, or above it on the"
         " right, the statement is over-confident. For the camera, the statement is of the distance between a"
-        " sample that took part and the recovered joint: the camera's noise, and the joint's own sigma as far"
+        " sample that was used and the recovered joint: the camera's noise, and the joint's own sigma as far"
         " as it is not the same all the time."
         + (" For the reference, it is the sigma of the sensor's position." if reference else "")
         + f" {share_inside(camera, reference)}",

@@ -52,7 +52,7 @@ def _panel_sections(calibration: PanelCalibration, views: Sequence[View]) -> Ite
     yield listing("What else was found", judgement.findings)
     yield in_space(
         "The panel in space",
-        "Depth points that took part, in the colour of their group, the fitted plane of every pose, the"
+        "Depth points that were used, in the colour of their group, the fitted plane of every pose, the"
         " markers as the camera has them (dots) and as motion capture has them, put there by the answer"
         " (crosses). Drag to turn, Ctrl and the wheel to come closer; the boxes below hide.",
         calibration,
@@ -122,7 +122,7 @@ def _pictures(calibration: PanelCalibration, views: Sequence[View]) -> Iterator[
         regions = panel.regions
         yield picture(
             f"{calibration.names[number]}: depth",
-            "Pixels that took part: blue for the plane, orange along x, green along y; red ones lie off the"
+            "Pixels that were used: blue for the plane, orange along x, green along y; red ones lie off the"
             " plane and were left out, black ones have no depth.",
             drawn_depth(view.depth_m, regions.pixels, regions.along_x, regions.along_y, panel.plane.inliers),
         )

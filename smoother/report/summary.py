@@ -198,7 +198,7 @@ def _camera_doubts(recovery: Recovery) -> str:
         return ""
     worst = min(inside, key=lambda joint: inside[joint])
     return (
-        f"Result and camera disagree more than stated: of the {worst}'s samples that took part"
+        f"Result and camera disagree more than stated: of the {worst}'s samples that were used"
         f" {100 * inside[worst]:.0f} % lie where 95 % should. Take every uncertainty on this page for"
         " too small."
     )

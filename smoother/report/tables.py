@@ -116,7 +116,7 @@ def rejections(recovery: Recovery) -> str:
         for row in rejected(recovery)
     ]
     if not rows:
-        return "<p>Nothing: every sample that called itself tracked took part.</p>"
+        return "<p>Nothing: all tracked samples were used.</p>"
     columns = ("reason", "in words", "joint", "samples", "of its tracked ones", "first, s", "last, s")
     return table(columns, rows)
 
@@ -144,7 +144,7 @@ def cameras(recovery: Recovery) -> str:
             None if each.sigma_deg is None else f"{each.sigma_deg:.2f}",
             None if each.offset_s is None else f"{1000 * each.offset_s:.1f}",
             f"{100 * sum(b - a for a, b in each.seen_s) / length_s:.0f} %" if each.takes_part else None,
-            f"left out: {each.reason}" if each.reason else "takes part",
+            f"left out: {each.reason}" if each.reason else "is used",
         )
         for each in recovery.estimates.cameras
     ]

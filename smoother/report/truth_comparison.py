@@ -35,7 +35,7 @@ from .style import (
 #: Colours of the reasons for which samples are rejected, in the order of their frequency.
 REASON_COLOURS = ("#D55E00", "#0072B2", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#7a3fb0")
 
-#: Most samples of a joint that took part and are drawn.
+#: Most samples of a joint that were used and are drawn.
 MOST_USED = 1000
 
 

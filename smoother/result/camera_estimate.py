@@ -37,7 +37,7 @@ class CameraEstimate:
     joint_sigma_m : dict of str to float, m per axis
         Noise of its joints' samples.
     reason : str
-        Why it was left out; "" where it takes part.
+        Why it was left out; "" where it is used.
     seen_s : tuple of (float, float), s
         When it saw the forearm, on the IMU's clock.
     """

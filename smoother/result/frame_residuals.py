@@ -26,7 +26,7 @@ class FrameResiduals:
     residual : ndarray, shape (F, 5, 3), m
         In {K}, joints in the order of `JOINTS`; nan where there is no answer.
     used : ndarray of bool, shape (F, 5)
-        The sample took part in the solution.
+        The sample was used in the solution.
     reason : ndarray of uint8, shape (F, 5)
         Why a tracked sample was rejected: index into `reasons`, 0 where it was not.
     reasons : tuple of Reason

@@ -411,7 +411,7 @@ class Recovery:
         frame : str, optional
             Axes of trc and c3d: "camera" or "opensim".
         rate_hz : float, optional
-            Rows a second of trc, mot and c3d; the IMU's where None.
+            Rows per second of trc, mot and c3d; the IMU's where None.
         origin : str
             Zero of trc and c3d: "camera" or "shoulder".
 

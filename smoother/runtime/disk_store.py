@@ -23,7 +23,7 @@ _BATCH_BYTES = 1 << 20
 
 
 class StoredItem(NamedTuple):
-    """Where a value lies that was put aside."""
+    """Where a value is stored that was put aside."""
 
     offset: int
     length: int
@@ -39,7 +39,7 @@ class DiskStore(Store):
     Parameters
     ----------
     folder : str or path, optional
-        Where the files lie; None = where the system has its temporary files (`TMPDIR`).
+        Where the files are stored; None = where the system has its temporary files (`TMPDIR`).
 
     Raises
     ------

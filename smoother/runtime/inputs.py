@@ -67,7 +67,7 @@ def inside(folder: str | os.PathLike[str], name: str) -> Path | None:
     Parameters
     ----------
     folder : path-like
-        Where the text lies.
+        Where the text is stored.
     name : str
         As the text has it.
     """

@@ -36,7 +36,7 @@ class LocalDoor:
     guests : tuple of str
         Hosts of other web sites whose pages may ask too.
     schemes : tuple of str
-        Origins of programs that are no web page ("file", ..) and may ask too.
+        Origins of programs that are not web pages ("file", ..) and may ask too.
     """
 
     port: int | None = None

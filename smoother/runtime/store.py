@@ -37,7 +37,7 @@ class Column:
     Parameters
     ----------
     store : Store
-        Where the rows lie.
+        Where the rows are stored.
     tail : tuple of int
         Shape of a row.
     dtype : dtype

@@ -17,7 +17,7 @@ from .body import BodyMeasures
 from .config import ArmSimulation, SensorErrors
 from .motion import ArmMotion, MotionModel, TrunkTurn
 
-#: At least this many points a second lie under every sample's average.
+#: At least this many points per second lie under every sample's average.
 FINE_RATE_HZ = 1000.0
 #: Samples worked on at a time, so that an hour fits in memory.
 _CHUNK = 4000
@@ -36,7 +36,7 @@ def ideal_imu(motion: MotionModel, duration_s: float, rate_hz: float, gravity: F
     duration_s : float, s
         Samples fill 0 to `duration_s`.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
     gravity : ndarray, shape (3,), m/s^2
         In {K}.
 

@@ -131,7 +131,7 @@ def turning_sensor(
     seed : int
         Of the turns and of the noise.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
     field : float, in the sensor's unit
         Strength of the field (48 microtesla in Central Europe).
     noise : float
@@ -181,7 +181,7 @@ def long_rest(
     seed : int
         Of the noise.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
     acc_density, gyro_density : float, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz)
         White noise.
 

@@ -48,7 +48,7 @@ class StudyFolder:
 
     @property
     def results(self) -> Path:
-        """Where the rows lie."""
+        """Where the rows are stored."""
         return self.path / "results"
 
     @property
@@ -67,7 +67,7 @@ class StudyFolder:
         return self.path / ".unocclude" / "study"
 
     def output(self, name: str) -> Path:
-        """Where the result of a recording lies."""
+        """Where the result of a recording is stored."""
         return self.path / name
 
     def open(self, force: bool = False) -> str:
@@ -381,7 +381,7 @@ def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:
     Parameters
     ----------
     measured : sequence of Measures
-        One an arm.
+        One per arm.
 
     Returns
     -------

@@ -28,7 +28,7 @@ def persons_of(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def long_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """A row a measure of a session, as R, SPSS and others take them.
+    """One row per measure of a session, as R, SPSS and others take them.
 
     Parameters
     ----------

@@ -479,7 +479,7 @@ def read_sessions(
         if name is None:
             examples = ", ".join(sorted(names)[:3])
             raise UnoccludeError(
-                f"{where}: {file} is no recording of this study; its names are as {examples}"
+                f"{where}: {file} is not a recording of this study; its names are as {examples}"
             )
         if name in sessions:
             raise UnoccludeError(f"{where}: {file} is there twice; a recording is of one session")

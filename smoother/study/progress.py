@@ -209,7 +209,7 @@ def _refuse_doubles(attendances: Sequence[SessionEntry]) -> None:
 
 
 def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
-    """The measures of a row that take part, and why others do not."""
+    """The measures of a row that are used, and why others are not."""
     if row["status"] != DONE:
         return [], [f"it failed: {row['error']}"]
     if row["measures"] is None:
@@ -228,7 +228,7 @@ def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def _has_doubts(row: Row) -> bool:
-    """Whether some gaps are not to be trusted of a result that takes part."""
+    """Whether some gaps are not to be trusted of a result that is used."""
     return row["status"] == DONE and row["trusted"] is not False and bool(row["gaps_untrusted"])
 
 

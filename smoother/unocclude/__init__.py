@@ -68,7 +68,7 @@ def smooth(
     recording : Recording or path-like
         One arm and its forearm IMU, or the MCAP file that contains them.
     calibration : ArmCalibration or path-like, optional
-        Lever arms and upper-arm length, with sigmas; what it lacks is solved. A calibration file goes with
+        Lever arms and upper-arm length, with sigmas; the rest is estimated. A calibration file belongs to
         the recording's file: it also corrects the sensors.
     config : Config, optional
         Settings.

@@ -285,7 +285,7 @@ class Answer:
 
 
 def utd_groups(trials: tuple[int, ...], first_s: float | None) -> Iterator[list[Recording]]:
-    """Trials of one action and number, one a subject."""
+    """Trials of one action and number, one per subject."""
     folder = datasets("utd_mhad")
     for action in ACTIONS:
         for trial in trials:
@@ -348,7 +348,7 @@ def scenes(methods: list[str], seeds: range) -> dict[str, list[Answer]]:
 
 
 def answer_rows(title: str, answers: dict[str, list[Answer]]) -> Iterator[str]:
-    """A row a method, then reliability of the pairs."""
+    """One row per method, then reliability of the pairs."""
     yield (f"\n{title}, {len(next(iter(answers.values())))} IMUs")
     yield (
         f"{'method':22}{'right':>8}{'unknown':>9}{'wrong':>7}{'sure':>8}{'sure, wrong':>13}{'assigned':>10}"

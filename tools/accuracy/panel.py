@@ -173,7 +173,7 @@ def real_planes(folder: Path, corrected: bool) -> dict[str, tuple[float, float, 
 
 
 def real_plane(depth_m: np.ndarray, outline: np.ndarray, lens: Intrinsics) -> tuple[Plane, np.ndarray]:
-    """The plane within an outline (n, 2) pixels, and the points (N, 3) that took part."""
+    """The plane within an outline (n, 2) pixels, and the points (N, 3) that were used."""
     import cv2
 
     mask = np.zeros((depth_m.shape[0] + 2, depth_m.shape[1] + 2), np.uint8)

@@ -95,7 +95,7 @@ def against(ratios: dict[float, dict[str, float]], python: str) -> list[str]:
 
 
 def growth(spent: dict[float, dict[str, float]], lengths_s: dict[float, float], title: str) -> list[str]:
-    """Seconds a minute of recording by part and length: level where a part is linear."""
+    """Seconds per minute of recording by part and length: level where a part is linear."""
     names = [*PARTS, *dict.fromkeys(n for parts in spent.values() for n in parts if n not in PARTS)]
     lengths = list(spent)
     rows = []

@@ -71,7 +71,7 @@ def waited(made: Made, folder: Path) -> list[Waited]:
     Raises
     ------
     RuntimeError
-        One failed; the text is what it said. 3, not to be trusted, is no failure.
+        One failed; the text is what it said. 3, not to be trusted, is not a failure.
     """
     return [_run(name, arguments, folder) for name, arguments in commands(made, folder)]
 

@@ -335,7 +335,7 @@ class Beside:
     cpu_s : float, s
         Processor time of `all_s`, workers' included where they have ended.
     peak_mb : float, MB
-        Private memory of the process that ran it, which holds recording and `smooth`'s answer too.
+        Private memory of the process that ran it, which contains recording and `smooth`'s answer too.
     exact : Exactness
         Errors in the gaps.
     from_smooth_cm : float, cm

@@ -85,7 +85,7 @@ class Workshop:
     Parameters
     ----------
     folder : Path
-        Where they lie.
+        Where they are stored.
     seed : int
         Of the faults.
     """

@@ -1,6 +1,6 @@
 """Error against gap length: jobs by data set and method, run, kept, summed up, tabled and drawn.
 
-The drawing has a panel a data set, every method as a line, and quartiles as its spread.
+The drawing has one panel per data set, every method as a line, and quartiles as its spread.
 """
 
 from __future__ import annotations
@@ -318,12 +318,12 @@ def _rounded(value: float | int | None) -> float | int | None:
 
 
 def tables(found: dict[str, Any]) -> Iterator[str]:
-    """A table a data set: rms over all samples in the gaps, and median and quartiles over gaps, cm."""
+    """One table per data set: rms over all samples in the gaps, and median and quartiles over gaps, cm."""
     for panel in found.values():
         lengths = panel["lengths"]
         names = list(dict.fromkeys(name for entry in lengths for name in entry["methods"]))
         gaps = ", ".join(str(max(each["gaps"] for each in entry["methods"].values())) for entry in lengths)
-        yield f"\n**{panel['title']}** (gaps a length: {gaps}); cm, rms / median (25 % .. 75 %)\n"
+        yield f"\n**{panel['title']}** (gaps per length: {gaps}); cm, rms / median (25 % .. 75 %)\n"
         yield "| gap | " + " | ".join(f"{entry['length_s']:g} s" for entry in lengths) + " |"
         yield "|---" * (len(lengths) + 1) + "|"
         for name in sorted(names, key=lambda name: _order(lengths, name)):
@@ -463,7 +463,7 @@ def _dress(axis: Any, panel: dict[str, Any], logarithmic: bool) -> None:
     axis.set_xlabel("gap, s")
     axis.set_ylabel("error in a gap, rms, cm")
     gaps = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else f"{max(counts)}"
-    axis.set_title(f"{panel['title']}\n({gaps} gaps a length)", fontsize=10)
+    axis.set_title(f"{panel['title']}\n({gaps} gaps per length)", fontsize=10)
     axis.grid(alpha=0.3)
 
 

@@ -77,7 +77,7 @@ def _bytes(data: bytes) -> Iterator[str]:
 
 
 def _mcap(data: bytes, folder: Path) -> Iterator[str]:
-    """Records in the file's order, but those that hold offsets and sums of others; then messages by topic."""
+    """Records in the file's order, but those with offsets and sums of others; then messages by topic."""
     from mcap import records
     from mcap.stream_reader import StreamReader
 

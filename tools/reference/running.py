@@ -91,7 +91,7 @@ class Group:
 
     @property
     def commands(self) -> list[str]:
-        """The lines that hold one."""
+        """The lines that contain one."""
         return [line.strip() for line in self.lines.splitlines() if line.strip()]
 
     def last_wanted(self, only: str) -> int:

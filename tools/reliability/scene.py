@@ -37,7 +37,7 @@ def ideal_imu(motion: Motion, duration_s: float, rate_hz: float, *, left: bool =
     duration_s : float, s
         Samples fill 0 to here.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
     left : bool
         The left wrist's instead of the right one's.
     """
@@ -149,7 +149,7 @@ class Tracker:
     offset_m : float, m
         Constant error of a joint, 3D, half of it fixed to the camera and half to the limb.
     rate_hz : float, Hz
-        Frames a second.
+        Frames per second.
     dropped : float
         Fraction of the frames that never arrive.
     """

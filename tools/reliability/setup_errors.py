@@ -437,7 +437,7 @@ def show(job: Job, outcome: Outcome) -> None:
 
 
 def summarise(jobs: list[Job], outcomes: list[Outcome]) -> None:
-    """Print a line a case, and what is to be none."""
+    """Print one line per case, and what is to be none."""
     print(f"\n{'case':32} {'jobs':>4} {'refused':>7} {'trusted':>7} {'not':>4}  errors in the gaps / stated")
     for name in dict.fromkeys(job.name for job in jobs):
         own = [outcome for job, outcome in zip(jobs, outcomes, strict=True) if job.name == name]

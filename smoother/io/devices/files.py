@@ -121,7 +121,7 @@ def import_files(
     file : RecordingFile
         All streams, for `write_recording`.
     reports : list of FileReport
-        One a file.
+        One per file.
 
     Raises
     ------
@@ -270,7 +270,7 @@ def _named(
         clean = re.sub(r"[^0-9A-Za-z_]+", "_", given).strip("_")
         if not clean:
             stem = re.sub(r"[^0-9A-Za-z_]+", "_", Path(report.path).stem).strip("_")
-            # A file's name is no statement about a limb: it must not decide which arm is meant.
+            # A file's name is not a statement about a limb: it must not decide which arm is meant.
             probe = ImuSamples(stem, "", *([np.empty(0)] * 3))  # type: ignore[arg-type]
             clean = "sensor" if not stem or role(probe) or named_side(stem) else stem
         topic, number = f"/imu/{clean}", 2

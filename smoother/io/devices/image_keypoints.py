@@ -101,7 +101,7 @@ def keypoint_table(path: Path, rows: list[Row], scale: float | None, rate_hz: fl
     scale : float, s, optional
         Unit of the times, if the file states it.
     rate_hz : float, Hz, optional
-        Frames a second, if the file states it.
+        Frames per second, if the file states it.
 
     Raises
     ------

@@ -27,7 +27,7 @@ def formats() -> tuple[DeviceFormat, ...]:
         *(skeleton_json.KinectJson(), skeleton_json.PoseJson(), *SKELETON_FORMATS),
         *(skeleton_tables.LongSkeleton(), skeleton_tables.BareKinect()),
     ]
-    #: Files that are no plain tables, listed behind a row of `IMU_FORMATS`.
+    #: Files that are not plain tables, listed behind a row of `IMU_FORMATS`.
     behind: dict[str, DeviceFormat] = {
         "xsens-dot": sensor_files.Mvnx(),
         "apdm": sensor_files.ApdmHdf(),

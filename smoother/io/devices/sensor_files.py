@@ -35,7 +35,7 @@ class ApdmHdf:
         return head.raw[:8] == b"\x89HDF\r\n\x1a\n"
 
     def read(self, path: Path) -> list[ImuTable]:
-        """A table a sensor: see `DeviceFormat.read`.
+        """One table per sensor: see `DeviceFormat.read`.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class Axivity:
         return head.raw[:4] == b"MD\xfc\x03" or head.raw[:4] == b"AX\xfc\x01"
 
     def read(self, path: Path) -> list[ImuTable]:
-        """A table a sensor: see `DeviceFormat.read`.
+        """One table per sensor: see `DeviceFormat.read`.
 
         Raises
         ------
@@ -283,7 +283,7 @@ class Mvnx:
         return bool(re.match(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", head.text[:4000], re.DOTALL))
 
     def read(self, path: Path) -> list[ImuTable]:
-        """A table a sensor: see `DeviceFormat.read`.
+        """One table per sensor: see `DeviceFormat.read`.
 
         Raises
         ------

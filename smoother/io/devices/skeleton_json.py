@@ -361,7 +361,7 @@ class PoseJson:
 
 
 def _rate(value: Any) -> float | None:
-    """Frames a second that a file states."""
+    """Frames per second that a file states."""
     if not isinstance(value, Mapping):
         return None
     rate = next((number(value[name]) for name in _RATES if name in value), float("nan"))

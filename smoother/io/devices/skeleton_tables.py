@@ -111,7 +111,7 @@ class LongSkeleton:
         Raises
         ------
         RecordingError
-            The file is no such table, or no arm is in it.
+            The file is not such a table, or no arm is in it.
         """
         sheet = read_sheet(path, "a table with one row per joint")
         columns = _columns_of(sheet.layout.names)
@@ -428,7 +428,7 @@ def _loaded(path: Path) -> NDArray[np.float64]:
         array = np.load(path, allow_pickle=False)
     except Exception as error:  # whatever a damaged header leads numpy into
         raise RecordingError(
-            f"{path} is no array of numbers that numpy can read ({str(error)[:80]}); save it again with"
+            f"{path} is not an array of numbers that numpy can read ({str(error)[:80]}); save it again with"
             " numpy.save."
         ) from error
     if array.dtype.kind not in "fiu":

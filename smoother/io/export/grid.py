@@ -25,7 +25,7 @@ class Grid:
     t_s : ndarray, shape (G,), s
         After the recovery's origin.
     rate_hz : float
-        Rows a second.
+        Rows per second.
     same : bool
         The times are the recovery's own: nothing is interpolated.
     """
@@ -43,7 +43,7 @@ def constant_step(recovery: Recovery, rate_hz: float | None = None) -> Grid:
     recovery : Recovery
         One arm.
     rate_hz : float, optional
-        Rows a second; None for the IMU's rate.
+        Rows per second; None for the IMU's rate.
 
     Returns
     -------

@@ -107,7 +107,7 @@ class C3dContent:
     position : ndarray, shape (N, M, 3), m
         nan where there is none. The file is in millimetres, as its header states.
     rate_hz : float
-        Frames a second.
+        Frames per second.
     residual : ndarray, shape (N, M), optional
         Of each point by the format's convention: -1 none, 0 computed, above 0 measured; -1 wherever the
         position is not finite. None: 0 and -1.
@@ -296,9 +296,9 @@ def marker_table(
         "camera", or "opensim": x horizontally towards the camera (forward for a person who faces it), y up
         against gravity, z to that person's right; the origin stays in the camera.
     rate_hz : float, optional
-        Rows a second; None for the IMU's rate.
+        Rows per second; None for the IMU's rate.
     level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if the camera stands level, for a method that did not find gravity; None
+        Down in the camera's axes if the camera is level, for a method that did not find gravity; None
         where the axes are not known.
     origin : str
         "camera", or "shoulder": the shoulder's median place, one point for all of the recording, so that

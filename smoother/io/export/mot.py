@@ -27,7 +27,7 @@ class MotTable:
     t_s : ndarray, shape (G,), s
         After the recovery's origin.
     rate_hz : float
-        Rows a second.
+        Rows per second.
     angles : dict of str to ndarray, shape (G,), deg
         By coordinate.
     occluded : ndarray of bool, shape (G,)
@@ -63,7 +63,7 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
     recovery : Recovery
         One arm.
     rate_hz : float, optional
-        Rows a second; None for the IMU's rate.
+        Rows per second; None for the IMU's rate.
 
     Returns
     -------

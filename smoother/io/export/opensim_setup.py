@@ -49,7 +49,7 @@ def opensim_files(
     recovery : Recovery
         One arm, with shoulder, elbow and wrist.
     rate_hz : float, optional
-        Rows a second of markers and angles; None for the IMU's rate.
+        Rows per second of markers and angles; None for the IMU's rate.
     level_down : ndarray, shape (3,), optional
         See `marker_table`.
 

@@ -31,7 +31,7 @@ class Export:
     write : callable
         Writes it to a path; the second argument is `force`.
     rate_hz : float, optional
-        Rows a second where the step is constant.
+        Rows per second where the step is constant.
     frame : str, optional
         Axes of the positions.
     notes : tuple of str
@@ -67,7 +67,7 @@ def prepare_export(
     frame : str, optional
         "camera" or "opensim" for `trc` (default opensim) and `c3d` (default camera).
     rate_hz : float, optional
-        Rows a second for `trc`, `mot`, `c3d`; None for the IMU's rate.
+        Rows per second for `trc`, `mot`, `c3d`; None for the IMU's rate.
     level_down : ndarray, shape (3,), optional
         See `marker_table`.
     version : str

@@ -274,7 +274,7 @@ def packed(color: Color) -> int:
 
 
 def middle_and_radius(arms: list[RerunArm]) -> tuple[FloatArray, float]:
-    """The middle (3,) of what is drawn, in the camera's axes, and the radius about it that holds it, m."""
+    """The middle (3,) of what is drawn, in the camera's axes, and the radius about it that contains it, m."""
     drawn = []
     for arm in arms:
         for places in (*arm.recovery.joints.values(), arm.recovery.position):
@@ -429,7 +429,7 @@ def write_rrd(
     truths : sequence of Truth or None, optional
         For each arm, times counted from its origin.
     level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if the camera stands level, where no arm's method found gravity. Without
+        Down in the camera's axes if the camera is level, where no arm's method found gravity. Without
         either the picture is in the camera's axes.
     force : bool
         Overwrite a file that exists.

@@ -53,7 +53,7 @@ def orientation_table(recovery: Recovery, level_down: FloatArray | None = None) 
     recovery : Recovery
         One arm.
     level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if the camera stands level, for a method that did not find gravity.
+        Down in the camera's axes if the camera is level, for a method that did not find gravity.
 
     Returns
     -------

@@ -29,7 +29,7 @@ from .messages import ChunkMessages, Loss, Topic, nanoseconds
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 SLICE = 2048
-#: Messages of another file are written at the latest when they hold this many bytes.
+#: Messages of another file are written at the latest when they contain this many bytes.
 _HELD_BYTES = 1 << 23
 #: After all times.
 END = int(np.iinfo(np.int64).max)

@@ -165,7 +165,7 @@ _LEAST = {
 _EXACT = (Opcode.FOOTER, Opcode.SUMMARY_OFFSET, Opcode.DATA_END)
 #: Records of other kinds begin here; those from `_PRIVATE` on are a program's own, none is between.
 _KINDS, _PRIVATE = 16, 128
-#: This many records in a row that make sense are no accident.
+#: This many records in a row that make sense are not a coincidence.
 _IN_A_ROW = 3
 #: The file is searched by this many bytes at a time.
 _AT_A_TIME = 1 << 22

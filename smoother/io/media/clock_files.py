@@ -41,7 +41,7 @@ class Track:
     samples : ndarray, shape (N,)
         The loudest channel, full scale 1.
     rate_hz : float
-        Samples a second, as measured by the stamps where there are several.
+        Samples per second, as measured by the stamps where there are several.
     start_s : float, s
         Time of the first sample: 0 for a WAV file, on the recorder's clock for a topic.
     source : str

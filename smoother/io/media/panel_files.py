@@ -379,7 +379,7 @@ def writing_folder(path: str | os.PathLike[str], force: bool = False) -> Iterato
 def check_folder(path: Path, force: bool = False) -> None:
     """Refuse a folder that could not be written in the end, before any work is done for it.
 
-    With `force`, only a folder that a simulation wrote is replaced: never one that holds other things.
+    With `force`, only a folder that a simulation wrote is replaced: never one that contains other things.
 
     Raises
     ------

@@ -69,7 +69,7 @@ def check_model(path: Path | None) -> Path:
     if not path.is_file():
         raise UnoccludeError(f"{path} does not exist; {MODEL_WORDS}")
     if not is_model(path):
-        raise UnoccludeError(f"{path} is no model of the pose landmarker; {MODEL_WORDS}")
+        raise UnoccludeError(f"{path} is not a model of the pose landmarker; {MODEL_WORDS}")
     return path
 
 

@@ -31,7 +31,7 @@ class Video:
     path : Path
         The file.
     width, height : int
-        Of the pictures as they are given, pixels: turned as the file says, and as the user says.
+        Of the pictures as they are given, pixels: turned as the file states, and as the user says.
     rate_hz : float, Hz
         As the container states it.
     count : int

@@ -384,7 +384,7 @@ def import_broad(
     Raises
     ------
     RecordingError
-        The file cannot be read or is no trial of BROAD.
+        The file cannot be read or is not a trial of BROAD.
     """
     fields = _load(
         mat, ("imu_gyr", "imu_acc", "imu_mag", "opt_quat", "opt_pos", "sampling_rate", "movement"), "BROAD"
@@ -496,5 +496,5 @@ def _load(path: str | os.PathLike[str], fields: tuple[str, ...], kind: str) -> d
         raise RecordingError(f"{path} cannot be read as a Matlab file: {error}.") from error
     missing = [name for name in fields if name not in data]
     if missing:
-        raise RecordingError(f"{path} is no trial of {kind}: it lacks {', '.join(missing)}.")
+        raise RecordingError(f"{path} is not a trial of {kind}: it lacks {', '.join(missing)}.")
     return {name: np.asarray(data[name]) for name in fields}

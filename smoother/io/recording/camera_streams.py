@@ -54,7 +54,7 @@ def of_first_camera(file: RecordingFile, skeleton: str | None) -> tuple[Recordin
     file : RecordingFile
         All streams.
     skeleton : str or None
-        Whose skeleton the user wants: then no other camera takes part.
+        Whose skeleton the user wants: then no other camera is used.
 
     Returns
     -------

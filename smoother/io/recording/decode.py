@@ -180,7 +180,7 @@ class JointRows:
     Parameters
     ----------
     store : Store, optional
-        Where the rows lie; None = in memory.
+        Where the rows are stored; None = in memory.
     """
 
     def __init__(self, store: Store | None = None):

@@ -139,7 +139,7 @@ def lens_from_plain(values: Mapping[str, Any]) -> Intrinsics:
     """From plain values; raises `ValueError`, `TypeError` or `KeyError` where they are none."""
     unknown = set(values) - {"width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"}
     if unknown:
-        raise ValueError(f"{sorted(unknown)[0]} is no key of a lens")
+        raise ValueError(f"{sorted(unknown)[0]} is not a key of a lens")
     fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
     terms = tuple(float(values.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3"))
     width, height = int(values["width"]), int(values["height"])

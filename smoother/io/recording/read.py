@@ -292,7 +292,7 @@ def read_recordings(
     Returns
     -------
     list of Recording
-        One an arm, at least one, in order of body and side; `body` is set where there are several people.
+        One per arm, at least one, in order of body and side; `body` is set where there are several people.
         An arm that cannot be used is left out, and `notes` of the others state it.
 
     Raises
@@ -438,7 +438,7 @@ def read_arm(
     recording : Recording
         Corrected.
     calibration : ArmCalibration or None
-        Of its arm: None without a file, or where it holds none; with the factors of sigma that the file
+        Of its arm: None without a file, or where it contains none; with the factors of sigma that the file
         holds.
 
     Raises
@@ -467,7 +467,7 @@ def read_arms(
     Returns
     -------
     list of (Recording, ArmCalibration or None)
-        One an arm. A calibration file that holds only other arms gives none for this one, which a note
+        One per arm. A calibration file that contains only other arms gives none for this one, which a note
         says.
 
     Raises

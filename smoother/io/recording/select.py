@@ -42,7 +42,7 @@ def trunk_of(
     origin_ns : int, ns
         What times count from.
     store : Store
-        Where samples and frames lie.
+        Where samples and frames are stored.
 
     Returns
     -------

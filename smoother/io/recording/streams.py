@@ -272,7 +272,7 @@ class RecordingFile:
 
     @property
     def level_down(self) -> FloatArray | None:
-        """(3,) down in {K} as the file says, else of a camera that stands level; None if neither is known."""
+        """(3,) down in {K} as the file states, else of a level camera; None if neither is known."""
         if self.gravity_hint is not None:
             return self.gravity_hint
         frames = (self.camera_frame, *(arm.camera_frame for arm in self.arms))

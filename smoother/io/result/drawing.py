@@ -176,14 +176,14 @@ WORLD = "world"
 
 
 def common_down(recoveries: Iterable[Recovery], level_down: FloatArray | None = None) -> FloatArray | None:
-    """Down in the camera's axes: the first arm's gravity; else of a camera that stands level; else None.
+    """Down in the camera's axes: the first arm's gravity; else of a level camera; else None.
 
     Parameters
     ----------
     recoveries : iterable of Recovery
         The arms that one camera saw.
     level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if it stands level, where a file states their directions.
+        Down in the camera's axes if it is level, where a file states their directions.
 
     Returns
     -------

@@ -88,7 +88,7 @@ class ResidualMessages:
         self._templates: dict[tuple[int, ...], wire.Template] = {}  # by reasons
 
     def of_batch(self, residuals: FrameResiduals) -> Iterator[wire.AlikeRows]:
-        """Frames that are written alike, the message that holds them, and its columns.
+        """Frames that are written alike, the message that contains them, and its columns.
 
         Parameters
         ----------

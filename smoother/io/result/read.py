@@ -56,7 +56,7 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     Returns
     -------
     list of Recovery
-        One for each arm, also where the file holds one arm only: ``[recovery] = read_recovery(path)``.
+        One for each arm, also where the file contains one arm only: ``[recovery] = read_recovery(path)``.
         Each is as it was written: times to the nanosecond, velocity and its covariance to rounding;
         covariances that were nan are nan again. A sample without a position has no pose and no velocity.
         Arrays in `estimates.further` come back as lists.

@@ -83,7 +83,7 @@ def write_recovery(
         frames = {arm.topic: arm.frame_id for arm in file.arms if arm.frame_id}
         level_down = file.level_down
         shift = file.imus[0].log_shift_ns if file.imus else 0
-        # A recorder's delay is no reason to move; a sensor that counts from its own start is.
+        # A recorder's delay is not a reason to move; a sensor that counts from its own start is.
         shift = shift if abs(shift) > 1_000_000_000 else 0
     with writing(path, force) as temporary, Output(temporary) as output:
         streams = []

@@ -72,7 +72,7 @@ _NOISE = {
 }
 #: A gyroscope's values beyond this are deg/s, whatever moved: 60 rad/s is 3400 deg/s.
 _FASTEST_RAD_S = 60.0
-#: What is larger is no measurement in any unit.
+#: What is larger is not a measurement in any unit.
 _DAMAGED = 1e9
 
 

@@ -131,7 +131,7 @@ class ImuFormat:
         return self.fits(layout)
 
     def read(self, path: Path) -> list[ImuTable]:
-        """A table a sensor, of a file that fits: see `DeviceFormat.read`."""
+        """One table per sensor, of a file that fits: see `DeviceFormat.read`."""
         sheet = read_sheet(path, f"a table of {self.title}")
         if not self.fits(sheet.layout):
             names = ", ".join(sheet.layout.names) or "none"
@@ -332,7 +332,7 @@ def angular_velocity_of(rotation_increment: FloatArray, rate_hz: float) -> Float
     rotation_increment : ndarray, shape (n, 4)
         Unit quaternions w, x, y, z that turn by one sample.
     rate_hz : float, Hz
-        Samples a second.
+        Samples per second.
 
     Returns
     -------
@@ -349,7 +349,7 @@ def angular_velocity_of(rotation_increment: FloatArray, rate_hz: float) -> Float
 
 
 def rate_of(t_s: FloatArray | None) -> float | None:
-    """Samples a second by the usual step of stamps (n,) in any order; None where there is no step."""
+    """Samples per second by the usual step of stamps (n,) in any order; None where there is no step."""
     if t_s is None:
         return None
     steps = np.diff(np.unique(t_s[np.isfinite(t_s)]))

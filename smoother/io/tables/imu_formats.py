@@ -102,7 +102,7 @@ def _dot_lacks(layout: TableLayout, table: ImuTable) -> str:
         fused = layout.find(*_DOT_FUSED) is not None
         has = "quaternions and free acceleration only" if fused else "no raw sensors"
     return (
-        f"that contains {has}; record 'Custom mode 5' or 'Rate quantities', which hold acceleration and"
+        f"that contains {has}; record 'Custom mode 5' or 'Rate quantities', which contain acceleration and"
         " angular velocity."
     )
 

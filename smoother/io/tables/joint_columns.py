@@ -286,7 +286,7 @@ class JointColumns:
     axes : dict of str to tuple of int
         Columns of x, y, z by joint and side (`wrist_right`).
     rest : list of (JointName, tuple of int)
-        Parts of the body that are no joint of an arm (hips, head).
+        Parts of the body that are not joints of an arm (hips, head).
     confidence : dict of str to int
         Column of the confidence or state by joint and side.
     time, frame, body : int, optional
@@ -436,7 +436,7 @@ def _named(
 
 
 def _bookkeeping(names: Sequence[str], result: JointColumns) -> None:
-    """Columns of time, frame and body, which are no joint's."""
+    """Columns of time, frame and body, which belong to no joint."""
     used = {at for triple in result.axes.values() for at in triple}
     free = [name if at not in used else "" for at, name in enumerate(names)]
     result.time = column_named(free, _TIME)

@@ -32,7 +32,7 @@ class ImuTable:
     t_s : ndarray, shape (N,), s, optional
         Stamps as written, on the device's clock; None where the file has none (an even `rate_hz` counts).
     acc, gyro : ndarray, shape (N, 3), m/s^2 and rad/s, optional
-        None where the file holds only the other of the two.
+        None where the file contains only the other of the two.
     mag : ndarray, shape (N, 3), optional
         In the sensor's own unit.
     rate_hz : float, Hz, optional

@@ -19,7 +19,7 @@ from .units import CAMERA_SECONDS, METRES, unit_of_step
 
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.
 ARM_M = (0.09, 0.6)
-#: What is larger is no position in any unit, but a cell that was damaged.
+#: What is larger is not a position in any unit, but a cell that was damaged.
 LARGEST = 1e7
 #: An axis is up where the trunk lies so much along it (cosine).
 UPRIGHT = 0.75

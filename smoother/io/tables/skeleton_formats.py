@@ -287,7 +287,7 @@ class SkeletonFormat:
         Raises
         ------
         RecordingError
-            The file is no such table, no arm is in it, or its positions are in no unit of length.
+            The file is not such a table, no arm is in it, or its positions are in no unit of length.
         """
         raw, columns = read_wide(path, self.states, self.expected)
         if self.guesses:

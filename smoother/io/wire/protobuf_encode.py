@@ -92,7 +92,7 @@ class Template:
 
 #: From some rows to their values, a column each.
 Columns = Callable[[IntArray], dict[str, NDArray]]
-#: Rows that are written alike: which, the message that holds each, and its columns.
+#: Rows that are written alike: which, the message that contains each, and its columns.
 AlikeRows = tuple[IntArray, Template, Columns]
 
 
