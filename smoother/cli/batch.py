@@ -151,8 +151,8 @@ def batch(
         str,
         typer.Argument(
             metavar="FOLDER|PATTERN|LIST",
-            help="All .mcap files of a folder, of a pattern in quotation marks, or of a text file with one"
-            " recording a line (perhaps a tab and its own calibration).",
+            help="A folder of .mcap files, a pattern in quotation marks, or a text file with one recording"
+            " per line (optionally a tab and its calibration).",
             show_default=False,
         ),
     ],
@@ -165,14 +165,16 @@ def batch(
     scheduler: Annotated[
         str | None,
         typer.Option(
-            "--scheduler", metavar="tcp://HOST:PORT", help="Let the workers of this Dask scheduler do it."
+            "--scheduler", metavar="tcp://HOST:PORT", help="Use the workers of this Dask scheduler."
         ),
     ] = None,
     processes: Processes = None,
     report: Annotated[
         str | None,
         typer.Option(
-            "--report", metavar="[OUT.html]", help="Also write a page over the study; in FOLDER if not named."
+            "--report",
+            metavar="[OUT.html]",
+            help="Also write a page about the study; in FOLDER if not named.",
         ),
     ] = None,
     reports: Annotated[
@@ -183,12 +185,15 @@ def batch(
     arm: ArmSelection = ANY_ARM,
     passthrough_images: PassthroughImages = False,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try again what failed, not only what may have changed.")
+        bool, typer.Option("--retry-failed", help="Retry failed recordings too.")
     ] = False,
     time_limit: Annotated[
         float,
         typer.Option(
-            "--time-limit", metavar="MINUTES", min=0, help="A recording that takes longer fails; 0 = none."
+            "--time-limit",
+            metavar="MINUTES",
+            min=0,
+            help="A recording that takes longer fails; 0 = no limit.",
         ),
     ] = TIME_LIMIT_MINUTES,
     memory_limit: Annotated[
@@ -197,12 +202,12 @@ def batch(
             "--memory-limit",
             metavar="GB",
             min=0,
-            help="A recording that needs more memory fails, alone (Linux); 0 = none.",
+            help="A recording that needs more memory fails (Linux); 0 = no limit.",
         ),
     ] = 0.0,
     measures: Annotated[
         bool,
-        typer.Option("--measures", help="Also measure each arm, for `unocclude progress`: rows contain it."),
+        typer.Option("--measures", help="Also measure each arm, for `unocclude progress`."),
     ] = False,
     draws: Annotated[
         int | None,
@@ -211,28 +216,29 @@ def batch(
             metavar="N",
             min=0,
             max=1000,
-            help="With --measures: motions to draw for the intervals, 20 at least; 64, 0 = no intervals.",
+            help="With --measures: drawn motions for intervals (20 or more; 0 = none).  [default: 64]",
         ),
     ] = None,
     hash_names: Annotated[
         bool,
-        typer.Option("--hash-names", help="Call recordings in rows and results by hashes of their names."),
+        typer.Option("--hash-names", help="Replace recording names in rows and results by hashes."),
     ] = False,
     keep_paths: Annotated[
         bool,
-        typer.Option("--keep-paths", help="Include in rows and JSON absolute paths and the machine's name."),
+        typer.Option("--keep-paths", help="Keep absolute paths and the machine's name in rows and JSON."),
     ] = False,
     strict: Strict = False,
     force: Annotated[
         bool,
-        typer.Option("--force", help="Take a folder with other files; compute everything anew."),
+        typer.Option("--force", help="Use a folder that has other files; recompute everything."),
     ] = False,
 ) -> None:
     """Recover many recordings; run again to continue.
 
-    Results are in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
-    One failing recording does not stop the others; the exit code is 1 then. With --strict it is 3 where all
-    were recovered, and a result is not to be trusted.
+    Results are written to FOLDER under the recordings' names, with one row of figures each in
+    FOLDER/results/*.parquet.
+    One failing recording does not stop the others; the exit code is 1 then. With --strict it is 3 if all
+    were recovered and a result is not to be trusted.
     """
     from ..measures.definitions import FEWEST_DRAWS
     from ..runtime.outputs import check_output

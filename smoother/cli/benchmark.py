@@ -32,7 +32,7 @@ def benchmark(
         typer.Option(
             "--data",
             metavar="FOLDER",
-            help=f"Holds one folder per data set.  [default: ${VARIABLE}]",
+            help=f"Folder with one folder per data set.  [default: ${VARIABLE}]",
             show_default=False,
         ),
     ] = None,
@@ -50,21 +50,24 @@ def benchmark(
         typer.Option(
             "--answers",
             metavar="NAME=FOLDER",
-            help="Score the answers of another method too; may be given several times.",
+            help="Also score another method's results; may be repeated.",
             show_default=False,
         ),
     ] = None,
     tasks: Annotated[
-        bool, typer.Option("--tasks", help="Write the tasks for other programs, and answer none.")
+        bool, typer.Option("--tasks", help="Write the tasks for other programs, without solving any.")
     ] = False,
     trials: Annotated[
         int | None,
         typer.Option(
-            "--trials", min=1, help="Most trials of a data set, to try the command.", show_default=False
+            "--trials",
+            min=1,
+            help="Use at most this many trials per data set, to try the command.",
+            show_default=False,
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option("--seed", min=0, help="Of the gaps; 0 is the published benchmark.")
+        int, typer.Option("--seed", min=0, help="Seed of the gaps; 0 is the published benchmark.")
     ] = 0,
     processes: Processes = None,
     json_file: Json = None,
@@ -72,11 +75,10 @@ def benchmark(
 ) -> None:
     """Score all methods on public data sets with hidden gaps.
 
-    The folder of --data holds broad/, utd_mhad/, smartfallmm/ and sevivi/ as they are published; those
-    that are not there are left out and named. Splits and gaps are frozen: they hang on a trial's name and the
-    seed alone. Writes benchmark.json, benchmark.md (the table), benchmark.html (the page) and gaps.csv (a
-    row per gap). Other methods are added as files: --tasks writes what they are given, --answers scores what
-    they answer.
+    The folder of --data contains broad/, utd_mhad/, smartfallmm/ and sevivi/ as published; missing ones are
+    named and left out. Splits and gaps are frozen: they depend only on a trial's name and the seed. Writes
+    benchmark.json, benchmark.md (the table), benchmark.html (the page) and gaps.csv (one row per gap).
+    Other methods are added as files: --tasks writes their input, --answers scores their results.
     """
     from .. import __version__
     from ..benchmark.answers import parse_answers

@@ -128,7 +128,9 @@ def motion(
     output: CalibrationOutput,
     known_file: Annotated[
         Path | None,
-        typer.Option("--known", metavar="CAL.toml", help="What is known already; used as given."),
+        typer.Option(
+            "--known", metavar="CAL.toml", help="Calibration file with known values, used as given."
+        ),
     ] = None,
     solving: Solving = AS_USUAL,
     json_file: Json = None,
@@ -136,9 +138,9 @@ def motion(
 ) -> None:
     """Lever arms, limb lengths, IMU mounting, from visible motion.
 
-    Several recordings are solved together. A calibration that exists is added to, without --force: what
-    was found replaces what the file contains of this arm, the rest of it is kept. Of recordings with IMUs on
-    both arms both are calibrated, each by itself.
+    Several recordings are solved together. An existing calibration file is updated, without --force: the
+    arm's values are replaced, everything else is kept. With IMUs on both arms, each arm is calibrated
+    separately.
     """
     from calib.file import write_calibration
     from calib.motion.motion_calibration import calibrate_motion, motion_answer
@@ -218,7 +220,7 @@ def imu(
     gravity: Annotated[
         float,
         typer.Option(
-            "--gravity", metavar="M/S^2", help="Where it was recorded; recovering reckons with 9.81."
+            "--gravity", metavar="M/S^2", help="Gravity at the place of recording; `smooth` assumes 9.81."
         ),
     ] = 9.81,
     to: Outputs = NO_FILES,
@@ -226,7 +228,7 @@ def imu(
     """An IMU's offsets, scales and noise, from rest poses.
 
     Lay the sensor still for three seconds on each of its six sides and on six edges between them, in any
-    order; the rests are found by themselves. One long rest (an hour) instead gives the noise.
+    order; rests are found automatically. One long rest (an hour) instead gives the noise.
     """
     from calib.imu.imu_summary import imu_answer, noise_rows
     from calib.imu.sensor_calibration import calibrate_imu
@@ -296,16 +298,23 @@ def forearm(
     output: CalibrationOutput,
     from_s: Annotated[
         float | None,
-        typer.Option("--from", metavar="S", help="Where the held pose begins, s on the camera's clock."),
+        typer.Option("--from", metavar="S", help="Start of the held pose, s on the camera's clock."),
     ] = None,
-    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="Where it ends.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="End of the held pose, s.")] = None,
     radius_m: Annotated[
         float | None,
-        typer.Option("--radius-m", min=0.005, max=0.15, help="Core of the forearm to the sensor, by ruler."),
+        typer.Option(
+            "--radius-m",
+            min=0.005,
+            max=0.15,
+            help="Axis of the forearm to the sensor, measured with a ruler.",
+        ),
     ] = None,
     strap_to_wrist_m: Annotated[
         float | None,
-        typer.Option("--strap-to-wrist-m", min=-0.1, max=0.3, help="Strap to the wrist joint, by ruler."),
+        typer.Option(
+            "--strap-to-wrist-m", min=-0.1, max=0.3, help="Strap to the wrist joint, measured with a ruler."
+        ),
     ] = None,
     solving: Solving = AS_USUAL,
     to: Outputs = NO_FILES,
@@ -313,8 +322,8 @@ def forearm(
     """Lever arms, lengths, mounting, from a held pose.
 
     The forearm raised beside the head, palm to the camera, still for a second or more; motion in the same
-    recording shows how the sensor is turned against the camera, and is compared with the pose. A
-    calibration that exists is added to, without --force.
+    recording gives the sensor's orientation to the camera, and is compared with the pose. An existing
+    calibration file is updated, without --force.
     """
     from calib.forearm.forearm_summary import compare, forearm_answer
     from calib.forearm.held_pose import calibrate_forearm

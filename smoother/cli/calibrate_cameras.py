@@ -24,8 +24,8 @@ def cameras(
 ) -> None:
     """Poses of further cameras, from joints seen by both.
 
-    `smooth --calibration` takes the places as priors, and says so where a camera was moved since. Clocks are
-    of a recording: they are shown and not kept. A calibration that exists is added to.
+    `smooth --calibration` uses the poses as priors and reports a camera that was moved since. Clock offsets
+    belong to one recording: they are shown and not stored. An existing calibration file is updated.
     """
     from calib.cameras.camera_poses import calibrate_cameras, cameras_answer
 

@@ -41,28 +41,28 @@ def clock(
     ] = None,
     broadcast: Annotated[
         Path | None,
-        typer.Option("--broadcast", metavar="TIMES.csv", help="round,node,t_s: who received what when."),
+        typer.Option("--broadcast", metavar="TIMES.csv", help="Receptions: round,node,t_s."),
     ] = None,
     motion: Annotated[
         Path | None,
         typer.Option(
-            "--motion", metavar="REC.mcap", help="No equipment: a recording with the arm in motion."
+            "--motion", metavar="REC.mcap", help="A recording with the arm in motion; needs no equipment."
         ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="CAL.toml", help="Also keep the links, as this session's."),
+        typer.Option("-o", "--output", metavar="CAL.toml", help="Calibration file to store the offsets in."),
     ] = None,
     session: Annotated[
-        str | None, typer.Option("--session", metavar="NAME", help="What to call the session in the file.")
+        str | None, typer.Option("--session", metavar="NAME", help="Name of the session in the file.")
     ] = None,
     sound_clocks: Annotated[
         str | None,
         typer.Option(
             "--sound-clocks",
             metavar="A,B",
-            help="Clock of the sound, clock of the event time [camera,base, or the one node with `base` in"
-            " its name].",
+            help="Clocks of the sound and of the event time.  [default: camera,base, or the node with"
+            " `base` in its name]",
         ),
     ] = None,
     motion_clocks: Annotated[
@@ -96,7 +96,9 @@ def clock(
     ] = 0.3125,
     known_file: Annotated[
         Path | None,
-        typer.Option("--known", metavar="CAL.toml", help="With --motion: how the IMU sits on the arm."),
+        typer.Option(
+            "--known", metavar="CAL.toml", help="With --motion: calibration file with the IMU's mounting."
+        ),
     ] = None,
     solving: Solving = AS_USUAL,
     to: Outputs = NO_FILES,

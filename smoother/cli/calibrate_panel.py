@@ -59,7 +59,7 @@ def panel(
     """The camera's pose in motion capture, from a marker panel.
 
     Hold the panel still in each pose; --depth, --infrared and --markers are given once per pose, in the same
-    order. The answer is added to the calibration file, with its sigma and a verdict.
+    order. The result is added to the calibration file, with sigma and a verdict.
     """
     from calib.panel.definition import read_panel
     from calib.panel.panel_calibration import calibrate_panel
@@ -196,8 +196,8 @@ def world(
     """The orientation of an IMU on the camera, for gravity.
 
     Hold the panel, with an IMU on it, still for two seconds in each pose. From a recording of the whole
-    session the gyroscopes link the poses; from files each pose stands alone. The answer is added to the
-    calibration file; `smooth --calibration` takes gravity from the recording's base IMU then.
+    session the gyroscopes link the poses; from files each pose is independent. The result is added to
+    the calibration file; `smooth --calibration` then takes gravity from the recording's base IMU.
     """
     from calib.panel.definition import read_intrinsics, read_panel
     from calib.world.panel_view import calibrate_world_from_views

@@ -134,7 +134,7 @@ def compare(
     calibration_file: Calibration = None,
     markers: Annotated[
         Path | None,
-        typer.Option("--markers", metavar="MAP.toml", help="Of the truth: which markers make a joint."),
+        typer.Option("--markers", metavar="MAP.toml", help="Which markers of the truth form a joint."),
     ] = None,
     align: Align = False,
     config_file: ConfigFile = None,
@@ -148,9 +148,9 @@ def compare(
 ) -> None:
     """Compare all methods on a recording with truth.
 
-    The graph runs once; the other methods get its calibration, its clock and the camera's samples that
-    it did not reject. No method sees the truth. With `--live` also what would have been shown at the moment
-    itself: the live smoother's answers, and two that see only what has arrived.
+    The graph runs once; the other methods get its calibration, its clock and the camera samples that it
+    accepted. No method sees the truth. With `--live` also what would have been shown live: by the live
+    smoother and by two simple methods.
     """
     from ..evaluation.compare import compare
     from .config import read_config

@@ -13,21 +13,19 @@ from .output import check_mcap, check_outputs, print_notes, print_table, say, wr
 
 Start = Annotated[
     float | None,
-    typer.Option("--from", metavar="S", help="Where the part begins, s; its own start unless given."),
+    typer.Option("--from", metavar="S", help="Start of the part, s.  [default: the recording's start]"),
 ]
 End = Annotated[
     float | None,
-    typer.Option("--to", metavar="S", help="Where it ends, s; the recording's end unless given."),
+    typer.Option("--to", metavar="S", help="End of the part, s.  [default: the recording's end]"),
 ]
 Trials = Annotated[
     Path | None,
-    typer.Option(
-        "--trials", metavar="TRIALS.csv", help="Parts with the columns name, start_s, end_s [, label]."
-    ),
+    typer.Option("--trials", metavar="TRIALS.csv", help="Table of parts: name, start_s, end_s [, label]."),
 ]
 Labels = Annotated[
     list[str] | None,
-    typer.Option("--label", metavar="TEXT", help="Of --trials those with this label; may be repeated."),
+    typer.Option("--label", metavar="TEXT", help="Only parts of --trials with this label; may be repeated."),
 ]
 Part = Annotated[
     Path,
@@ -52,9 +50,9 @@ def cut(
 ) -> None:
     """Cut a recording by time, or into the trials of a table.
 
-    Times are seconds on the recording's axis, as `smooth` states them of gaps. All topics are carried over as
-    they are, images too; camera calibrations and transforms that were recorded once go into every part.
-    Leave some seconds of visible arm before and after each gap: a part is recovered from itself alone.
+    Times are seconds of the recording, as `smooth` prints them for gaps. All topics are copied unchanged,
+    images too; camera calibrations and transforms that were recorded once are copied into every part.
+    Leave some seconds of visible arm before and after each gap: a part is recovered without the rest.
     """
     from ..io.mcap.cut_container import Part as PartOfFile
     from ..io.recording.cut_file import cut_file

@@ -60,32 +60,30 @@ def export(
         typer.Option(
             "--origin",
             metavar="|".join(ORIGINS),
-            help="Zero of trc and c3d: the camera, or the shoulder's median place.  [default: camera]",
+            help="Origin of trc and c3d: the camera, or the shoulder's median position.  [default: camera]",
             show_default=False,
         ),
     ] = None,
     draws: Annotated[
         bool,
-        typer.Option("--draws", help="For parquet: the motions that `smooth` drew, row after row."),
+        typer.Option("--draws", help="For parquet: write the drawn motions instead of the result."),
     ] = False,
     subject: Annotated[
         str | None,
         typer.Option(
             "--subject",
             metavar="LABEL",
-            help="For bids: who it is.  [default: the result's name]",
+            help="For bids: participant.  [default: the result's name]",
             show_default=False,
         ),
     ] = None,
     session: Annotated[
         str | None,
-        typer.Option("--session", metavar="LABEL", help="For bids: which session.", show_default=False),
+        typer.Option("--session", metavar="LABEL", help="For bids: session.", show_default=False),
     ] = None,
     task: Annotated[
         str | None,
-        typer.Option(
-            "--task", metavar="LABEL", help="For bids: what was done.  [default: arm]", show_default=False
-        ),
+        typer.Option("--task", metavar="LABEL", help="For bids: task.  [default: arm]", show_default=False),
     ] = None,
     json_file: Json = None,
     force: Force = False,
@@ -106,8 +104,8 @@ def export(
     Kinematics and OpenSense run as they are. rrd: a recording of Rerun with its views, all arms in one
     file; `unocclude view` opens it (needs `pip install '.[view]'`).
 
-    What is not to be trusted is named on stderr, and marked in the file: column or channel `trusted`, dark
-    red in rrd.
+    Stretches that are not to be trusted are printed to stderr and marked in the file: column or channel
+    `trusted`, dark red in rrd.
     """
     from ..result.untrusted import untrusted_sentences
 

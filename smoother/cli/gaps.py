@@ -163,7 +163,7 @@ def gaps(
     latency_s: LatencyS = 0.1,
     seed: Seed = 0,
     repetitions: Annotated[
-        int, typer.Option("--repetitions", min=1, help="How often, with gaps elsewhere each time.")
+        int, typer.Option("--repetitions", min=1, help="Repetitions, each with other gaps.")
     ] = 1,
     gaps_per_run: Annotated[
         int, typer.Option("--gaps-per-run", min=1, help="Most gaps hidden at the same time.")
@@ -178,7 +178,7 @@ def gaps(
         typer.Option(
             "--keep-in",
             metavar="CAL.toml",
-            help="Save the sigma correction factors; `smooth --calibration CAL.toml` applies it.",
+            help="Save the sigma correction factors; `smooth --calibration CAL.toml` applies them.",
         ),
     ] = None,
     json_file: Json = None,
@@ -187,10 +187,9 @@ def gaps(
     """Hide visible stretches and measure the error by gap length.
 
     The answer is compared with the recording's truth where it has one, else with the camera samples
-    that were hidden; these carry the camera's own noise. Also says by what factor the stated sigma would
-    have to grow to hold, with which `--keep-in` fills a calibration file. With `--live` also what would have
-    been shown at that moment, by the time since the last frame. Every arm that has an IMU takes
-    part, by itself and together with the others.
+    that were hidden; these carry the camera's own noise. Also prints sigma correction factors,
+    which `--keep-in` saves in a calibration file. With `--live` also what would have been shown live, by
+    the time since the last frame. Every arm with an IMU is tested, and all together.
     """
     from calib.sigma_factor import factor_sentences
 

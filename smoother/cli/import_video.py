@@ -18,9 +18,7 @@ _MOST_PEOPLE = 10
 def video(
     file: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE", help="MP4, MOV, AVI or MKV of a camera that stands still.", show_default=False
-        ),
+        typer.Argument(metavar="FILE", help="MP4, MOV, AVI or MKV of a fixed camera.", show_default=False),
     ],
     output: Output,
     model: Annotated[
@@ -48,11 +46,11 @@ def video(
         typer.Option(
             "--turn",
             metavar="90|180|270",
-            help="Turn the pictures clockwise, degrees; the file's own rotation is already applied.",
+            help="Rotate the pictures clockwise, degrees; the file's own rotation is already applied.",
         ),
     ] = 0,
     people: Annotated[
-        int, typer.Option("--people", help="Look for this many people at most.", min=1, max=_MOST_PEOPLE)
+        int, typer.Option("--people", help="Find at most this many people.", min=1, max=_MOST_PEOPLE)
     ] = 2,
     template: Templates = None,
     one_session: Annotated[
@@ -63,7 +61,7 @@ def video(
 ) -> None:
     """Import a video as the camera; MediaPipe finds the joints.
 
-    They are kept in metres relative to the hips, and in pixels.
+    Joints are stored in metres relative to the hips, and in pixels.
     """
     from ..io.devices.files import import_files
     from ..io.devices.registry import FileReader

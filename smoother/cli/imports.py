@@ -36,7 +36,7 @@ Templates = Annotated[
     typer.Option(
         "--template",
         metavar="FILE.toml",
-        help="How tables of a layout of your own are read; asked before all formats.",
+        help="Template for your own table layout; tried before all formats.",
     ),
 ]
 
@@ -44,14 +44,16 @@ Templates = Annotated[
 def csv(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="Holds recording.toml and its tables.", show_default=False),
+        typer.Argument(
+            metavar="FOLDER", help="Folder with recording.toml and its tables.", show_default=False
+        ),
     ],
     output: Output,
     outside: Annotated[
         bool,
         typer.Option(
             "--outside",
-            help="Also read files outside FOLDER that recording.toml, or a link in FOLDER, names.",
+            help="Also read files outside FOLDER that recording.toml or a link in FOLDER refers to.",
         ),
     ] = False,
     template: Templates = None,
@@ -72,10 +74,10 @@ def csv(
 def broad(
     mat: Annotated[Path, typer.Argument(metavar="TRIAL.mat", help="A trial of BROAD.", show_default=False)],
     output: Output,
-    rate_hz: Annotated[
-        float, typer.Option("--rate-hz", help="Frames per second of the stand-in camera.")
-    ] = 30.0,
-    noise_m: Annotated[float, typer.Option("--noise-m", help="Its noise, m per axis.")] = 0.008,
+    rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frame rate of the simulated camera.")] = 30.0,
+    noise_m: Annotated[
+        float, typer.Option("--noise-m", help="Noise of the simulated camera, m per axis.")
+    ] = 0.008,
     seed: Seed = 0,
     json_file: Json = None,
     force: Force = False,
@@ -189,16 +191,16 @@ def files(
         typer.Option(
             "--truth",
             metavar="FILE",
-            help="Poses of the forearm IMU in the camera frame (.csv with t_s,x,y,z,qw,qx,qy,qz); markers of"
-            " a motion capture stay a file of their own, for `validate --truth`.",
+            help="Poses of the forearm IMU in the camera frame (.csv with t_s,x,y,z,qw,qx,qy,qz); keep"
+            " markers in a separate file for `validate --truth`.",
         ),
     ] = None,
     skeleton_format: Annotated[
         str | None,
-        typer.Option("--skeleton-format", metavar="FORMAT", help="Overrules what is recognised."),
+        typer.Option("--skeleton-format", metavar="FORMAT", help="Format, if recognised wrongly."),
     ] = None,
     imu_format: Annotated[
-        str | None, typer.Option("--imu-format", metavar="FORMAT", help="Overrules what is recognised.")
+        str | None, typer.Option("--imu-format", metavar="FORMAT", help="Format, if recognised wrongly.")
     ] = None,
     imu_starts_at: Annotated[
         float | None,
@@ -411,7 +413,7 @@ def strap(
     calibration_file: Calibration = None,
     radius_m: Annotated[
         float | None,
-        typer.Option("--radius-m", min=0.01, max=0.1, help="Core of the forearm to the sensor."),
+        typer.Option("--radius-m", min=0.01, max=0.1, help="Axis of the forearm to the sensor."),
     ] = None,
     colour: Annotated[
         str | None,
@@ -422,15 +424,15 @@ def strap(
         typer.Option("--depth-topic", metavar="TOPIC", help="Depth images to take."),
     ] = None,
     passthrough_images: Annotated[
-        bool, typer.Option("--passthrough-images", help="Carry the images over too; they show the patient.")
+        bool, typer.Option("--passthrough-images", help="Also copy the images; they show the patient.")
     ] = False,
     solving: Solving = AS_USUAL,
     to: Outputs = NO_FILES,
 ) -> None:
     """Find the strap in colour images and add it as a joint.
 
-    The recording is solved without images first: the sensor's orientation takes the strap from the arm's core
-    to the sensor. Images stream by, memory stays flat. What contradicts the forearm is rejected.
+    The recording is first solved without images; the sensor's orientation then relates the strap in the
+    image to the sensor. Detections that contradict the forearm are rejected. Memory does not grow.
     """
     from calib.file import read_calibration
     from calib.strap import held_radius, mounted_on

@@ -284,9 +284,7 @@ def live(
     config_file: ConfigFile = None,
     lag_s: Annotated[
         float,
-        typer.Option(
-            "--lag", metavar="S", min=0.0, max=2.0, help="How long after its moment the settled answer comes."
-        ),
+        typer.Option("--lag", metavar="S", min=0.0, max=2.0, help="Delay of the settled result."),
     ] = 0.2,
     record: Annotated[
         Path | None, typer.Option("--record", metavar="OUT.mcap", help="Record everything that arrives.")
@@ -297,11 +295,11 @@ def live(
     ] = False,
     replay: Annotated[
         Path | None,
-        typer.Option("--replay", metavar="REC.mcap", help="Play a recording as if it happened now."),
+        typer.Option("--replay", metavar="REC.mcap", help="Replay a recording in real time."),
     ] = None,
     speed: Annotated[
         float,
-        typer.Option("--speed", metavar="X", min=0.0, help="Of the replay; 0 as fast as this computer can."),
+        typer.Option("--speed", metavar="X", min=0.0, help="Speed of the replay; 0 = as fast as possible."),
     ] = 1.0,
     latency_s: Annotated[
         float | None,
@@ -310,7 +308,7 @@ def live(
             metavar="S",
             min=0.0,
             max=2.0,
-            help="Of the camera in a replay; by default the recording's, else 0.1 s.",
+            help="Latency of the camera in a replay.  [default: the recording's, else 0.1 s]",
         ),
     ] = None,
     foxglove: Annotated[
@@ -320,7 +318,7 @@ def live(
             metavar="[PORT]",
             min=0,
             max=65535,
-            help=f"Show it in Foxglove, on this computer's port {_PORTS[_FOXGLOVE]} (0: a free one).",
+            help=f"Show it in Foxglove, on local port {_PORTS[_FOXGLOVE]} (0: a free one).",
         ),
     ] = None,
     page: Annotated[
@@ -330,7 +328,7 @@ def live(
             metavar="[PORT]",
             min=0,
             max=65535,
-            help=f"Show it to the patient in a browser, on this computer's port {_PORTS[_PAGE]} or another.",
+            help=f"Show it to the patient in a browser, on local port {_PORTS[_PAGE]} or another.",
         ),
     ] = None,
     lsl_out: Annotated[
@@ -339,7 +337,7 @@ def live(
     ] = None,
     lsl_network: Annotated[
         bool,
-        typer.Option("--lsl-network", help="Announce them to the whole network, not to this computer alone."),
+        typer.Option("--lsl-network", help="Announce them to the whole network, not only to this computer."),
     ] = False,
     wait_s: Annotated[
         float, typer.Option("--wait", metavar="S", min=0.0, help="How long to wait for the streams.")
@@ -350,7 +348,7 @@ def live(
     """Recover the arm live: now, and a moment ago with less error.
 
     Streams come from the Lab Streaming Layer, with labelled channels and units. Ctrl-C (or q) ends the
-    session and leaves a whole recording; s ends it and smooths the recording. Needs
+    session with a complete recording; s ends it and smooths the recording. Needs
     `pip install '.[live]'`.
     """
     side = one_side(side)

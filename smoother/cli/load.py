@@ -139,20 +139,20 @@ def camera_frame_of(path: Path) -> CameraFrame | None:
 
 Mirror = Annotated[
     str | None,
-    typer.Option("--mirror", metavar="x|y|z", help="The skeleton is mirrored along this axis: undo it."),
+    typer.Option("--mirror", metavar="x|y|z", help="Undo a skeleton that is mirrored along this axis."),
 ]
 Swap = Annotated[
     str | None,
     typer.Option(
         "--swap",
         metavar="A,B",
-        help="Two joints are called by each other's name (elbow,wrist), or left,right.",
+        help="Swap two joints (elbow,wrist), or left,right.",
     ),
 ]
 Negate = Annotated[
     str | None,
     typer.Option(
-        "--negate", metavar="SENSOR,..", help="Turn the sign of the accelerometer, gyroscope, or both."
+        "--negate", metavar="SENSOR,..", help="Reverse the sign of the accelerometer, gyroscope, or both."
     ),
 ]
 CameraAxes = Annotated[
@@ -166,7 +166,7 @@ ClockOffset = Annotated[
     typer.Option(
         "--clock-offset",
         metavar="S",
-        help="Measured clock: IMU time less camera time. Without it [clock] of --calibration, or the motion.",
+        help="IMU time minus camera time, if measured.  [default: from --calibration, or estimated]",
     ),
 ]
 #: One standard deviation of a clock that was measured, where none is stated, s.
@@ -176,7 +176,7 @@ ClockSigma = Annotated[
     typer.Option(
         "--clock-sigma",
         metavar="S",
-        help=f"One standard deviation of --clock-offset; {CLOCK_SIGMA_S:g} unless given.",
+        help=f"Standard deviation of --clock-offset.  [default: {CLOCK_SIGMA_S:g}]",
     ),
 ]
 

@@ -16,25 +16,27 @@ FOLDER = Path("unocclude")
 def app(
     port: Annotated[
         int | None,
-        typer.Option("--port", metavar="N", min=0, max=65535, help="Of the address; without it a free one."),
+        typer.Option(
+            "--port", metavar="N", min=0, max=65535, help="Port of the page.  [default: a free one]"
+        ),
     ] = None,
     folder: Annotated[
         Path | None,
         typer.Option(
             "--folder",
             metavar="DIR",
-            help="Holds recordings and results; made if it is not there.  [default: unocclude, in your home"
+            help="Folder for recordings and results; created if missing.  [default: unocclude, in your home"
             " folder]",
             show_default=False,
         ),
     ] = None,
     no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the address, and open no browser.")
+        bool, typer.Option("--no-browser", help="Print the address only, without opening a browser.")
     ] = False,
 ) -> None:
     """Open the local page: from files to report in the browser.
 
-    The printed address contains a token, which is required; other computers are refused in any case.
+    The printed address contains a token, which is required. Other computers cannot open the page.
     Ctrl-C ends it: what is running then is stopped and can be repeated, all else is kept in the folder.
     """
     for name, package in (("uvicorn", "uvicorn"), ("starlette", "starlette")):

@@ -40,9 +40,9 @@ def methods(
 ) -> None:
     """Write the methods section of a paper: text, table, references.
 
-    It states what the file contains and nothing else: sensors and rates, method and version, calibration,
+    It states only what the file contains: sensors and rates, method and version, calibration,
     clocks, gaps, uncertainty, self-check, settings that are not the defaults. What the ISB's recommendations
-    on reporting IMUs ask for and the file does not know is in a list to be filled in.
+    on reporting IMUs require beyond that is listed for you to fill in.
     """
     from ..io.result.read import read_origin
     from ..manuscript import arm_facts, methods_document, rendered

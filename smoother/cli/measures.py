@@ -155,9 +155,9 @@ def measures(
 ) -> None:
     """Measure range of motion, reach, speed, smoothness.
 
-    Of the session, of each movement of the hand, and of each repetition of an exercise. The intervals come
-    from the motions that `unocclude smooth` drew. With both arms of a person also how alike they are. No
-    diagnosis: the numbers describe a motion.
+    For the session, each hand movement and each repetition of an exercise, with intervals from the motions
+    that `unocclude smooth` drew; with both arms also their symmetry. No diagnosis: the numbers describe a
+    motion.
     """
     from ..measures import MeasureSettings
     from .config import read_settings

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
 Output = Annotated[
-    Path, typer.Option("-o", "--output", metavar="FILE", help="What to write.", show_default=False)
+    Path, typer.Option("-o", "--output", metavar="FILE", help="Output file.", show_default=False)
 ]
 CalibrationOutput = Annotated[
     Path,
@@ -33,7 +33,7 @@ CalibrationOutput = Annotated[
 Calibration = Annotated[
     Path | None,
     typer.Option(
-        "--calibration", metavar="CAL.toml", help="How the IMU sits on the arm, and the arm's measures."
+        "--calibration", metavar="CAL.toml", help="Calibration file: IMU mounting, lever arms, limb lengths."
     ),
 ]
 ConfigFile = Annotated[
@@ -69,7 +69,7 @@ Report = Annotated[
     typer.Option(
         "--report",
         metavar="OUT.html",
-        help="Also write a report, one page that opens anywhere.",
+        help="Also write a report, one HTML page.",
         callback=_page,
     ),
 ]
@@ -83,7 +83,7 @@ Strict = Annotated[
         "--strict", help="Exit with 3 where a result is not to be trusted; outputs are written anyway."
     ),
 ]
-Verbose = Annotated[bool, typer.Option("--verbose", help="Print all that was found, not what matters only.")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Print all estimates, gaps and notes.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite outputs that exist.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Same seed, same result.")]
 Draws = Annotated[
@@ -93,19 +93,19 @@ Draws = Annotated[
         metavar="N",
         min=0,
         max=1000,
-        help="Whole motions drawn from the posterior, for the intervals of measures; 64, 0 = none.",
+        help="Motions drawn from the posterior, for intervals of measures; 0 = none.  [default: 64]",
     ),
 ]
 DrawSeed = Annotated[
     int | None,
-    typer.Option("--seed", metavar="S", min=0, help="For --draws: same seed, same motions; 0."),
+    typer.Option("--seed", metavar="S", min=0, help="Seed of the drawn motions.  [default: 0]"),
 ]
 Orientation = Annotated[
     str | None,
     typer.Option(
         "--orientation",
         metavar="|".join(ORIENTATIONS),
-        help=f"The orientation filter of the methods other than graph; {DEFAULT_ORIENTATION} by default.",
+        help=f"Orientation filter of the methods other than graph.  [default: {DEFAULT_ORIENTATION}]",
     ),
 ]
 Files = list[Path] | None
@@ -145,28 +145,28 @@ BoundaryS = Annotated[
     typer.Option(
         "--boundary-s",
         metavar="S",
-        help="For linear-drift: visible time on both sides of a gap that its ends are fitted through; 0.5 s.",
+        help="For linear-drift: visible time on both sides of a gap used to fit its ends.  [default: 0.5]",
     ),
 ]
 SolveLeverArms = Annotated[
     bool,
     typer.Option(
         "--solve-lever-arms",
-        help="Also find how far the tracked strap is from the IMU; without this it is the IMU's place.",
+        help="Also estimate the offset between tracked strap and IMU; without this it is zero.",
     ),
 ]
 
 
 Anatomy = Annotated[
     str | None,
-    typer.Option("--anatomy", metavar="adult|child|any", help="Whose arm; other lengths are not trusted."),
+    typer.Option("--anatomy", metavar="adult|child|any", help="Range of limb lengths that is plausible."),
 ]
 Result = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="What `smooth` wrote.", show_default=False)]
 Align = Annotated[
-    bool, typer.Option("--align", help="Align a truth of poses too (another frame, another clock).")
+    bool, typer.Option("--align", help="Also align poses given as truth (different frame or clock).")
 ]
 PassthroughImages = Annotated[
-    bool, typer.Option("--passthrough-images", help="Carry images and depth over (they show the person).")
+    bool, typer.Option("--passthrough-images", help="Also copy images and depth (they show the person).")
 ]
 
 
@@ -181,12 +181,12 @@ Live = Annotated[
     bool,
     typer.Option(
         "--live",
-        help="Also play the recording into the live smoother, and into what could be shown without it.",
+        help="Also replay the recording through the live smoother and two simple methods.",
     ),
 ]
 LatencyS = Annotated[
     float,
-    typer.Option("--latency", metavar="S", min=0.0, max=1.0, help="Of the camera, for --live, s."),
+    typer.Option("--latency", metavar="S", min=0.0, max=1.0, help="Latency of the camera for --live, s."),
 ]
 
 
@@ -243,13 +243,13 @@ WithImages = Annotated[
     bool,
     typer.Option(
         "--with-images",
-        help="Show the recording's images beside the arm in the report, small; whoever has the page sees the"
-        " person. Off unless given.",
+        help="Show the recording's images beside the arm in the report; anyone who has the page can see the"
+        " person.",
     ),
 ]
 Video = Annotated[
     Path | None,
-    typer.Option("--video", metavar="FILE", help="Likewise the pictures of a video file."),
+    typer.Option("--video", metavar="FILE", help="The same with the pictures of a video file."),
 ]
 VideoOffset = Annotated[
     float,

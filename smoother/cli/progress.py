@@ -53,7 +53,7 @@ def progress(
         bool,
         typer.Option(
             "--reliability",
-            help="For sessions without true change: ICC, SEM, smallest detectable change.",
+            help="Sessions have no true change: print ICC, SEM, smallest detectable change.",
         ),
     ] = False,
     plots: Annotated[
@@ -71,14 +71,14 @@ def progress(
     report: Report = None,
     json_file: Json = None,
     csv_file: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="Also write every value as a table.")
+        Path | None, typer.Option("--csv", metavar="FILE", help="Also write all values as a table.")
     ] = None,
     force: Force = False,
 ) -> None:
     """Show how a person's measures changed over sessions.
 
     A change is clear where it is larger than the 95 % interval of the difference and, with --mdc, than the
-    minimal detectable change. The study is one of `batch --measures`.
+    minimal detectable change. The study comes from `batch --measures`.
     """
     from ..evaluation.measure_files import read_detectable
     from ..evaluation.reliability import reliability_of

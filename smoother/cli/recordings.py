@@ -148,7 +148,7 @@ Method = Annotated[
     typer.Option(
         "--method",
         metavar="motion|magnitudes|joint-likelihood|shakeid|acceleration-distance|all",
-        help="How pairs are compared; `all` prints every method's answer beside the others.",
+        help="How pairs are compared; `all` prints the result of every method.",
     ),
 ]
 Reach = Annotated[
@@ -167,8 +167,8 @@ def match(
 ) -> None:
     """Find which IMU is on which body and limb, by motion alone.
 
-    Needs no calibration, no common orientation and no common clock. An IMU is on the wrist (the forearm) or
-    the upper arm of one body, on none of the limbs in view, or unknown where the motion does not settle it.
+    Needs no calibration, common orientation or common clock. An IMU is assigned to a wrist (forearm) or
+    upper arm, to none of the limbs in view, or left unknown if the motion does not decide.
     """
     from ..io import open_recording
     from ..io.recording.select import match_file
@@ -231,7 +231,7 @@ Whole = Annotated[
 def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Force = False) -> None:
     """Salvage a damaged MCAP file and list what was lost.
 
-    Messages are in the order of their log times, behind a new index. Messages of chunks that fail their
+    Messages are written in the order of their log times, with a new index. Messages of chunks that fail their
     checksum are kept; the new file says so, and every command that reads it repeats it.
     """
     from ..io.mcap.merge import repair_container
@@ -293,9 +293,8 @@ def check(
 ) -> None:
     """Test what a recording allows and what is wrong with its set-up.
 
-    Of a long recording the most informative excerpts are read. Every arm that has an IMU is
-    checked. The exit code is 0 where a result can be used, 3 where it is not to be trusted, of one arm at
-    least.
+    Checks every arm that has an IMU; of a long recording only the most informative excerpts. The exit code
+    is 0 if the results can be used, 3 if one is not to be trusted.
     """
     from .config import read_config
 

@@ -114,7 +114,7 @@ def arm(
 ) -> None:
     """An arm with a wrist IMU before a depth camera.
 
-    The settings that are not given come from the preset. Their defaults here are those of `white`.
+    Omitted settings come from the preset. The defaults shown are those of `white`.
     """
     from pydantic import ValidationError
 
@@ -243,8 +243,8 @@ def people(
 ) -> None:
     """People with shuffled, unnamed IMUs, for `match`.
 
-    The truth, which IMU is where, is printed and goes to --json. The settings of the arms that are not given
-    come from the preset.
+    The truth, which IMU is where, is printed and goes to --json. Omitted settings of the arms come from the
+    preset.
     """
     from pydantic import ValidationError
 
@@ -302,12 +302,12 @@ def strap(
     ] = 20.0,
     every: Annotated[
         int,
-        typer.Option("--every", min=1, max=60, help="Every how many frames of the camera there is an image."),
+        typer.Option("--every", min=1, max=60, help="One image every this many camera frames."),
     ] = 5,
 ) -> None:
     """An arm with images of its strap, for `import strap`.
 
-    FILE_truth.toml is written beside FILE: the strap's place. FILE contains the IMU's true motion.
+    FILE_truth.toml contains the strap's true position, FILE the IMU's true motion.
     """
     from ..io.media.strap import write_strap_recording
     from ..simulation import ArmSimulation, simulate_arm

@@ -105,7 +105,7 @@ def imu(
 ) -> None:
     """An IMU in rest poses, for `calibrate imu`.
 
-    Beside FILE lies FILE_truth.toml, in the form of a calibration file: what should be found.
+    The true values are written to FILE_truth.toml, in the form of a calibration file.
     """
     import numpy as np
 
@@ -141,7 +141,7 @@ def magnetometer(
 ) -> None:
     """A magnetometer turned in all directions.
 
-    Beside FILE lies FILE_truth.toml, in the form of a calibration file: what should be found.
+    The true values are written to FILE_truth.toml, in the form of a calibration file.
     """
     import numpy as np
 

@@ -79,7 +79,7 @@ def smooth(
     calibration_file: Calibration = None,
     config_file: ConfigFile = None,
     method: Annotated[
-        str, typer.Option("--method", metavar="M", help=f"How to recover: {', '.join(METHODS)}.")
+        str, typer.Option("--method", metavar="M", help=f"Method: {', '.join(METHODS)}.")
     ] = "graph",
     orientation: Orientation = None,
     boundary_s: BoundaryS = None,
@@ -89,7 +89,11 @@ def smooth(
     passthrough_images: PassthroughImages = False,
     max_sigma_m: Annotated[
         float | None,
-        typer.Option("--max-sigma-m", metavar="M", help="Mark answers that are less certain than this."),
+        typer.Option(
+            "--max-sigma-m",
+            metavar="M",
+            help="Mark samples whose sigma exceeds this on any axis (`usable` = 0).",
+        ),
     ] = None,
     set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
@@ -104,11 +108,11 @@ def smooth(
 ) -> None:
     """Recover the motion in every gap, with its uncertainty.
 
-    Every arm that has an IMU is recovered, of every person; --side, --body and --imu restrict. Where the
-    names of the IMUs leave open where they are worn, motion settles it, and the notes describe the result.
+    Recovers every arm that has an IMU, of all persons; --side, --body and --imu restrict this. IMUs whose
+    names do not state where they were worn are assigned by motion; the notes state the result.
 
-    The exit code is 0 where the result was written, whatever its verdict; with --strict it is 3 where the
-    verdict on an arm is "not to be trusted". Single gaps that are not to be trusted do not count for it.
+    The exit code is 0 if the result was written, whatever its verdict; with --strict it is 3 if the verdict
+    on an arm is "not to be trusted". Single gaps that are not to be trusted do not change it.
     """
     from calib.motion.motion_calibration import with_given
 

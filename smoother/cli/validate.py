@@ -88,7 +88,7 @@ def validate(
     markers: Annotated[
         Path | None,
         typer.Option(
-            "--markers", metavar="MAP.toml", help="Which markers make a joint, and which are on the IMU."
+            "--markers", metavar="MAP.toml", help="Which markers form a joint, and which are on the IMU."
         ),
     ] = None,
     calibration: Annotated[
@@ -96,7 +96,7 @@ def validate(
         typer.Option(
             "--calibration",
             metavar="CAL.toml",
-            help="Holds [camera_from_mocap]; without it markers are aligned by the motion itself.",
+            help="Calibration file with [camera_from_mocap]; without it markers are aligned by the motion.",
         ),
     ] = None,
     align: Align = False,
@@ -105,8 +105,7 @@ def validate(
         typer.Option(
             "--pool",
             metavar="FILE.json",
-            help="What an earlier `validate --json` wrote: its measures count in the agreement; may be"
-            " repeated.",
+            help="Add the measures of an earlier `validate --json` to the agreement; may be repeated.",
         ),
     ] = None,
     plots: Annotated[
@@ -125,8 +124,8 @@ def validate(
 ) -> None:
     """Compare a result with motion capture or another reference.
 
-    Of a result with several arms each is compared with its own truth (topics /truth/left, /truth/right); a
-    truth that names no side is of one arm, chosen with --side.
+    With several arms, each is compared with its own truth (topics /truth/left, /truth/right); a truth
+    without a side belongs to one arm, chosen with --side.
     """
     from ..evaluation.reference import read_reference
     from ..evaluation.validate import validate

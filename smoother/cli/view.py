@@ -34,9 +34,8 @@ def view(
 ) -> None:
     """Show a result in Rerun: the arm in space, curves, gaps.
 
-    Needs rerun-sdk (`pip install '.[view]'`). It listens on 127.0.0.1 alone and contacts no one
-    else: no usage statistics, no questions for newer versions. A window closes as usual; --web is ended
-    by Ctrl-C.
+    Needs rerun-sdk (`pip install '.[view]'`). It listens on 127.0.0.1 only and contacts no other
+    computer: no usage statistics, no update checks. Ctrl-C ends --web.
     """
     import tempfile
 
