@@ -269,7 +269,7 @@ def next_time(calibration: ClockCalibration) -> list[str]:
         )
     if motion is not None and motion.link.sigma_s > 0.003:
         sentences.append("move the forearm briskly in view for 20 s; the clock shows in fast motion alone")
-    return sentences or ["the same again: nothing is missing"]
+    return sentences or ["record in the same way: nothing is missing"]
 
 
 def _common(receptions: Sequence[Receptions], link: ClockLink) -> int:

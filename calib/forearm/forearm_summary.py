@@ -249,7 +249,7 @@ def next_time(calibration: ForearmCalibration, rows: list[Compared]) -> list[str
         said.append("hold the palm square to the camera, and put the sensor on the back of the wrist")
     if calibration.pose.end_s - calibration.pose.start_s < 2.0:
         said.append("hold the pose for three seconds")
-    return said or ["the same again: nothing is missing"]
+    return said or ["record in the same way: nothing is missing"]
 
 
 def _lengths(name: str, pose: Length, motion: Length) -> Compared:

@@ -98,11 +98,11 @@ def first_of(keys: Collection[str], most: int) -> list[str]:
 
 
 #: What may be said of a change.
-Word = Literal["clearly more", "clearly less", "no clear change", "cannot be said"]
+Word = Literal["clearly more", "clearly less", "no clear change", "cannot be assessed"]
 MORE: Word = "clearly more"
 LESS: Word = "clearly less"
 UNCLEAR: Word = "no clear change"
-UNKNOWN: Word = "cannot be said"
+UNKNOWN: Word = "cannot be assessed"
 #: An error of a session's value is called one where less than this is likely without any change.
 LEVEL = 0.05
 #: A value that rests on more recovered samples than this is said to.
@@ -180,7 +180,7 @@ class Change:
     mdc95 : float
         The minimal detectable change that was given; nan without one.
     word : str
-        "clearly more", "clearly less", "no clear change" or "cannot be said".
+        "clearly more", "clearly less", "no clear change" or "cannot be assessed".
     limits : tuple of str
         What limits the statement, one sentence each.
     """
@@ -256,7 +256,7 @@ def change_between(first: SessionValue, last: SessionValue, mdc95: float = math.
 
 
 def without_like_movements(change: Change, first_count: float, last_count: float) -> Change:
-    """A measure of movements whose sessions have other movements: what changed of it cannot be said.
+    """A measure of movements whose sessions have other movements: its change cannot be assessed.
 
     Its interval holds errors of the motion, not which movements were found: where one session has many more
     of them than the other, their mean is of other movements.

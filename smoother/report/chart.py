@@ -86,7 +86,7 @@ _BADGES = {
     "no clear difference": ("● ", "same"),
     "reached": ("✓ ", "same"),
     "not reached": ("– ", "open"),
-    "cannot be said": ("? ", "open"),
+    "cannot be assessed": ("? ", "open"),
 }
 
 

@@ -20,7 +20,7 @@ def clock_page(calibration: ClockCalibration) -> Page:
     """The page of a solved clock network."""
     return Page(
         f"Clocks: {calibration.session}",
-        "Offsets are of this session alone.",
+        "Offsets are valid for this session only.",
         verdict(calibration.network),
         _sections(calibration),
     )
@@ -40,17 +40,17 @@ def _sections(calibration: ClockCalibration) -> Iterator[str]:
         )
         for link in network.links()
     ]
-    columns = ("from", "to", "offset, s", "sigma, ms", "at (clock from), s", "skew, parts in a million")
+    columns = ("from", "to", "offset, s", "sigma, ms", "at (clock from), s", "skew, ppm")
     yield tabulated(
         "Links",
-        "t_to = t_from + offset + skew (t_from - at), for every two clocks that hang together.",
+        "t_to = t_from + offset + skew (t_from - at), for every two connected clocks.",
         columns,
         rows,
     )
     for leftover in network.leftovers:
         if len(leftover.residual_s) > 1:
             yield figure(
-                f"What is left: {leftover.source}",
+                f"Residuals: {leftover.source}",
                 "How far each time is from the solved clocks; the band is one standard deviation."
                 " Crosses were rejected.",
                 residuals(leftover),

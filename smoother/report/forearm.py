@@ -208,15 +208,14 @@ def _sections(recording: Recording, calibration: ForearmCalibration, rows: list[
     )
     yield figure(
         "Joints in the pose",
-        "Distance of the joints from their mean over the pose: a pose that is held shows noise and"
-        " nothing else.",
+        "Distance of the joints from their mean over the pose: a held pose shows only noise.",
         pose_residuals(recording, calibration),
     )
     if rows:
         yield figure(
             "Pose against motion",
-            f"Difference of pose and motion in standard deviations of both; beyond {AGREE:g} (dashed) an"
-            " assumption broke.",
+            f"Difference between pose and motion in combined standard deviations; beyond {AGREE:g}"
+            " (dashed) an assumption is violated.",
             agreement(rows),
         )
         table = [
@@ -232,12 +231,12 @@ def _sections(recording: Recording, calibration: ForearmCalibration, rows: list[
             for row in rows
         ]
         columns = ("measure", "pose", "motion", "sigmas apart", "")
-        yield tabulated("Measures", "Each ± what 95 of 100 errors stay below.", columns, table)
+        yield tabulated("Measures", "95 of 100 errors are below each ±.", columns, table)
     plot = mount(_as_found(calibration))
     if plot is not None:
         yield figure(
-            "How the sensor sits on the arm",
-            "By the pose. The dark square is the sensor with its axes; ellipses and ± hold 95 of 100 cases.",
+            "Sensor mounting on the arm",
+            "From the pose. The dark square is the sensor; ellipses and ± contain 95 of 100 cases.",
             plot,
         )
     yield listing("What stayed open", open_questions(calibration), "Nothing stayed open.")

@@ -53,14 +53,14 @@ def _imu_sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
         yield rest_coverage(
             "Which directions were covered",
             "Dots: direction of up in the sensor's axes, a rest each. The sphere's colour is the standard"
-            " deviation of corrected gravity with that side up: dark is well known, bright is where a rest is"
-            " missing. Drag to turn.",
+            " deviation of corrected gravity with that side up: dark is well determined, bright needs"
+            " another rest. Drag to turn.",
             calibration,
         )
         yield figure(
-            "How far each rest misses gravity",
-            "Before the correction and after it. After it, what is left is noise and the table; a rest that"
-            " stands out was not still.",
+            "Error of gravity in each rest",
+            "Before the correction and after it. The remaining error is noise and the table; an outlier"
+            " was not still.",
             rest_residuals(calibration),
         )
         sigmas = np.sqrt(np.diag(acc.covariance))
@@ -84,8 +84,8 @@ def _imu_sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
         yield tabulated(
             "Noise",
             f"From the longest rest ({calibration.gyroscope_noise.duration_s:.0f} s). A dash: the rest was"
-            " too short to show it. Random walk: how far the bias wanders in a second, growing with the root"
-            " of time.",
+            " too short to determine it. Random walk: how far the bias wanders in a second; it grows with"
+            " the square root of time.",
             ("figure", "x", "y", "z"),
             noise_rows(calibration),
         )
@@ -95,7 +95,7 @@ def _imu_sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
         ):
             yield figure(
                 f"Allan deviation of the {name}",
-                "How much means over a time differ from one to the next. The falling part with slope -1/2 is"
+                "How much successive averages over a time differ. The falling part with slope -1/2 is"
                 " white noise, its flat bottom the bias instability, the rise after it the random walk."
                 " Dashed: white noise as found.",
                 allan(noise, unit),
@@ -184,9 +184,9 @@ def _magnetometer_sections(imu: ImuStream, calibration: MagnetometerCalibration)
     corrected = calibration.apply(raw)
     yield listing("For the next recording", magnetometer_next(calibration))
     yield sphere_coverage(
-        "The sphere, and what was covered of it",
+        "Coverage of the sphere",
         "Corrected samples, coloured by how far they lie off the unit sphere: they should cover it evenly."
-        " Grey dots mark where no sample came near. Drag to turn.",
+        " Grey dots mark directions without samples nearby. Drag to turn.",
         corrected,
     )
     yield recorded(
@@ -197,9 +197,9 @@ def _magnetometer_sections(imu: ImuStream, calibration: MagnetometerCalibration)
         calibration,
     )
     yield figure(
-        "How far the samples lie off the sphere",
-        "Length of the corrected field over time; 1 is undisturbed. Slow waves: the field is not the same"
-        " all over the place. A single bump: something of iron came near.",
+        "Distance of the samples from the sphere",
+        "Length of the corrected field over time; 1 is undisturbed. Slow waves: the field is not"
+        " homogeneous. A single bump: a magnetic object came near.",
         field_residuals(t, np.linalg.norm(corrected, axis=1)),
     )
     rows = [(f"offset {axis}", f"{value:.4g}") for axis, value in zip("xyz", calibration.offset, strict=True)]

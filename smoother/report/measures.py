@@ -48,7 +48,7 @@ def reached(arm: Measures, key: str) -> str:
     """In words where the draws agree, and how near the hand came, as HTML."""
     row = arm.by_key.get(key)
     if row is None or not row.has_interval or row.low != row.high:
-        word = "cannot be said"
+        word = "cannot be assessed"
     else:
         word = "reached" if row.value >= 1 else "not reached"
     return f"{badge(word)} {escape(_distance(arm, key))}"
@@ -91,7 +91,7 @@ def compared(left: Measures, right: Measures, key: str) -> str:
     """Whether the right arm clearly has more, in words."""
     one, other = left.by_key.get(key), right.by_key.get(key)
     if one is None or other is None:
-        return "cannot be said"
+        return "cannot be assessed"
     word = change_between(_value(one, "left"), _value(other, "right")).word
     return "no clear difference" if word == "no clear change" else word
 
@@ -175,10 +175,10 @@ def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
         elif arm.verdict:
             yield f"{who}{arm.verdict}"
     if not any(row.is_known for arm in arms for row in arm.session):
-        yield "Nothing could be measured: see below why"
+        yield "Nothing could be measured; the reasons are below"
     elif all(arm.n_draws == 0 for arm in arms):
         yield (
-            "The values have no intervals: how well they are known cannot be said. Recover the recording with"
+            "The values have no intervals: their uncertainty is unknown. Recover the recording with"
             " draws (smooth --draws 64)"
         )
     shares = [
@@ -189,8 +189,8 @@ def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
     ]
     if shares:
         least, most = round(100 * min(shares)), round(100 * max(shares))
-        part = f"to {most} %" if least == most else f"to between {least} % and {most} %"
-        yield f"The values rest {part} on moments that the camera did not see"
+        part = f"{most} %" if least == most else f"Between {least} % and {most} %"
+        yield f"{part} of each value comes from recovered time"
     yield NO_DIAGNOSIS
 
 
@@ -255,9 +255,9 @@ def _times(arms: Sequence[Measures]) -> str:
             name = zones[min(zones)].name.partition(",")[0]
             title = f"<h3>{escape(capitalised(name.partition(' ')[0]) + of_arm(arm, arms))}</h3>"
             boxes += f"<div>{title}{bars(marks, ' %', f'time by {name}')}</div>"
-    caption = "Percent of the time in each ten degrees of the angle."
+    caption = "Percentage of the time in each range of ten degrees."
     drawing = f'<div class="charts narrow">{boxes}</div>'
-    return charted("How long each angle was held", caption, drawing) if boxes else ""
+    return charted("Time in each angle range", caption, drawing) if boxes else ""
 
 
 def _reach(arms: Sequence[Measures]) -> str:
@@ -273,9 +273,9 @@ def _reach(arms: Sequence[Measures]) -> str:
         rows.append(["reach volume", *known])
     if not rows:
         return ""
-    caption = "Reached: at least once, in every one of the drawn motions; behind it how near the hand came."
+    caption = "Reached: at least once in every drawn motion; followed by the hand's closest distance."
     columns = ["goal", *(arm.arm_label for arm in arms)]
-    return tabulated("Where the hand came to", caption, columns, rows)
+    return tabulated("Where the hand reached", caption, columns, rows)
 
 
 def _speed(arms: Sequence[Measures]) -> str:
@@ -293,7 +293,7 @@ def _smoothness(arms: Sequence[Measures]) -> str:
         "sparc",
         "How smoothly the hand moved",
         "SPARC of each movement, in the order of time: nearer to zero is smoother. A long movement with many"
-        " turns is less smooth than a short one, whoever does it.",
+        " turns is less smooth than a short one, whoever performs it.",
     )
 
 
@@ -355,23 +355,23 @@ def _limits(arms: Sequence[Measures]) -> str:
             most = max(row.untrusted_share for row in doubtful)
             names = [row.name for row in doubtful]
             words = f"up to {100 * most:.0f} %" if len(names) > 1 else f"{100 * most:.0f} %"
-            sentences.append(f"{listed(names)}{mark} rests to {words} on gaps that are not trusted")
+            sentences.append(f"{listed(names)}{mark}: {words} of it comes from gaps that are not trusted")
         why: dict[str, list[str]] = {}
         for row in arm.session:
             if not row.is_known and row.note and is_main(row.key):
                 why.setdefault(row.note, []).append(row.name)
         for note, names in why.items():
-            sentences.append(f"{listed(names)}{mark} cannot be said: {note}")
+            sentences.append(f"{listed(names)}{mark} cannot be assessed: {note}")
         weak = [
             row.name
             for row in arm.session
             if is_main(row.key) and row.is_known and row.recovered_share > MOSTLY_RECOVERED
         ]
         if weak:
-            sentences.append(f"More than half of {listed(weak)}{mark} comes from recovered moments")
+            sentences.append(f"More than half of {listed(weak)}{mark} comes from recovered time")
         sentences += arm.notes
     sentences = list(dict.fromkeys(sentences))
     if len(sentences) > MOST_LIMITS:
         more = len(sentences) - MOST_LIMITS
         sentences = [*sentences[:MOST_LIMITS], f"{more} sentences more are in --json"]
-    return headed("What limits this") + (bullets(sentences) or "<p>Nothing that the recording shows.</p>")
+    return headed("What limits this") + (bullets(sentences) or "<p>Nothing to note.</p>")

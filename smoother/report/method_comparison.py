@@ -65,8 +65,8 @@ def write_comparison(
     write_sheet(
         path,
         comparison.title(f"Methods compared: {recording.name}"),
-        f"{len(comparison.rows)} methods, {len(comparison.gaps)} gaps, the {_point(comparison)} held against"
-        " the truth.",
+        f"{len(comparison.rows)} methods, {len(comparison.gaps)} gaps, the {_point(comparison)} compared"
+        " with the truth.",
         verdict(comparison),
         sections(comparison, recording),
         force=force,
@@ -82,7 +82,7 @@ def verdict(comparison: Comparison) -> list[str]:
         and figures.position_rms_m is not None
     }
     if not errors:
-        return ["No method has an answer that the truth could be held against."]
+        return ["No method has a result that can be compared with the truth."]
     ranked = [f"{name} {100 * error:.1f}" for name, error in errors.items()]
     sentences = [f"Error of the {_point(comparison)} {comparison.where}, rms, cm: {', '.join(ranked)}."]
     best = next(iter(errors))
@@ -92,15 +92,13 @@ def verdict(comparison: Comparison) -> list[str]:
         ratio = others[nearest] / errors["graph"]
         if best == "graph" and ratio > 1.05:
             sentences.append(
-                f"The graph is the nearest to the truth; the next, {nearest}, errs {ratio:.2f} times that."
+                f"The graph is the most accurate; the next, {nearest}, has {ratio:.2f} times its error."
             )
         elif ratio >= 1 / 1.05:
-            sentences.append(
-                f"graph and {nearest} are equally near to the truth ({100 * (ratio - 1):+.0f} %)."
-            )
+            sentences.append(f"graph and {nearest} are equally accurate ({100 * (ratio - 1):+.0f} %).")
         else:
             sentences.append(
-                f"{nearest} is nearer to the truth than the graph here: it errs {ratio:.2f} times as much."
+                f"{nearest} is more accurate than the graph here: its error is {ratio:.2f} times as large."
                 " Every method is given the calibration and the clock that the graph estimated."
             )
     sentences.append(comparison.camera_words + ".")
@@ -249,24 +247,23 @@ def _ms(value: float | None) -> str | None:
 
 
 _ERRORS = (
-    "All methods are given the same calibration, clock and camera samples; only the way through the gap is"
-    " theirs. rms: root mean square. NEES: mean squared error in stated standard deviations; 1 is"
-    " consistent, above 1 over-confident, below 1 under-confident; a dash where a method states none. Inside"
-    " 95 %: 0.95 is consistent."
+    "All methods are given the same calibration, clock and camera samples; only the gap itself is"
+    " recovered differently. rms: root mean square. NEES: mean squared error in stated standard"
+    " deviations; 1 is consistent, above 1 over-confident, below 1 under-confident; a dash where a method"
+    " states none. Inside 95 %: 0.95 is consistent."
 )
 _JOINTS = (
-    "A method that knows the sensor's way but not the elbow's places the joints by the lever arms; the"
-    " shoulder is the camera's, read straight through where it was lost."
+    "Methods that estimate only the sensor's motion place the joints by the lever arms; the shoulder is"
+    " the camera's, interpolated where it was lost."
 )
 _LAG = (
-    "How late each answer runs behind the truth: the shift at which both agree best (peak of their"
-    " cross-correlation). Under about 5 ms nothing is left of the camera's delay. A lag in the gaps alone is"
-    " that of the method, which turns too late or too early where it sees nothing; a dash: the answer"
-    " does not follow the truth at all."
+    "Delay of each result: the shift with the highest cross-correlation with the truth. Below about 5 ms"
+    " the camera's latency is corrected. A lag in gaps only is the method's own; a dash: the result does"
+    " not follow the truth."
 )
 _CURVES = (
-    "The shaded time is hidden from the camera. The dashed line is the truth. Click a name to hide its curve,"
-    " double-click to see it alone. The lowest plot is the distance from the truth."
+    "The shaded time is hidden from the camera. The dashed line is the truth. Click a name to hide its"
+    " curve, double-click to isolate it. The lowest plot is the distance from the truth."
 )
 
 
@@ -328,9 +325,7 @@ def gap_verdict(spreads: Spreads) -> list[str]:
                 f"Up to {longest:g} s the graph recovers three of four gaps to {limit_cm} cm rms or better"
             )
     if not sentences and any("graph" in methods for methods in spreads.values()):
-        sentences.append(
-            "At none of these lengths are three of four gaps recovered to 10 cm rms by the graph"
-        )
+        sentences.append("The graph does not recover three of four gaps to 10 cm rms at any of these lengths")
     for length, methods in spreads.items():
         known = {name: spread.median_m for name, spread in methods.items() if spread.median_m is not None}
         if len(known) > 1:

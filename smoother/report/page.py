@@ -272,7 +272,7 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
         uncertainty(recovery, truth),
     )
     yield _figure(
-        "What the camera disagrees with",
+        "Camera residuals",
         "Distance between each joint that the camera tracked and the recovered joint. Dots were used in the"
         " solution, crosses were rejected (the reason appears under the pointer). A joint that stays far off"
         " for long was seen wrongly, or the sensor has slipped on the arm.",
@@ -319,14 +319,14 @@ def _consistency(recovery: Recovery, truth: Truth | None) -> str:
 
 
 def _mounting(recovery: Recovery, estimates: ArmEstimates | None) -> str:
-    """How the sensor sits on the arm: drawn, as tables, and what stayed open."""
+    """Sensor mounting on the arm: drawn, as tables, and what stayed open."""
     plot = mount(estimates)
     about = tables.calibration(recovery.calibration, recovery.estimates)
     if estimates is not None:
         about += tables.camera(estimates)
         if estimates.not_determined:
             about += f"<p>What the recording did not determine:</p>{bullets(estimates.not_determined)}"
-    heading = "How the sensor sits on the arm"
+    heading = "Sensor mounting on the arm"
     return (_figure(heading, f"{_CALIBRATION} {_DRAWN}", plot) or headed(heading, _CALIBRATION)) + about
 
 
@@ -477,7 +477,7 @@ def write_arms_comparison(
     write_sheet(
         path,
         comparison.title(f"Methods compared: {recording.name}"),
-        f"{len(comparison.rows)} methods, {len(compared)} arms, each held against its own truth.",
+        f"{len(comparison.rows)} methods, {len(compared)} arms, each compared with its own truth.",
         [f"{name}: {text}" for name, texts, _ in arms for text in texts],
         (
             part

@@ -78,7 +78,7 @@ def _named(progress: PersonProgress) -> str:
 def _verdict(progress: PersonProgress) -> Iterator[str]:
     changes = [each.change for each in progress.main if each.change is not None]
     if not progress.sessions:
-        yield "No session can be used: see below why"
+        yield "No session can be used; the reasons are below"
     elif not changes:
         yield "There is one session only, so nothing can be compared"
     else:
@@ -89,7 +89,7 @@ def _verdict(progress: PersonProgress) -> Iterator[str]:
         yield (
             f"From session {first} to session {last}: {clear or 'none'} of {len(changes)} measures changed"
             f" clearly, {unclear or 'none'} show{'s' if unclear == 1 else ''} no clear change"
-            + (f", and of {unknown} it cannot be said" if unknown else "")
+            + (f", {unknown} could not be assessed" if unknown else "")
         )
         for word in (MORE, LESS):
             names = [
@@ -232,7 +232,7 @@ def _limits(progress: PersonProgress) -> str:
     every = [*progress.left_out, *progress.notes, *sentences]
     if len(every) > MOST_LIMITS:
         every = [*every[:MOST_LIMITS], f"{len(every) - MOST_LIMITS} sentences more are in --json"]
-    return headed("What limits this") + (bullets(every) or "<p>Nothing that the recordings show.</p>")
+    return headed("What limits this") + (bullets(every) or "<p>Nothing to note.</p>")
 
 
 def _label(series: Series, progress: PersonProgress) -> str:

@@ -262,18 +262,18 @@ def _sentence(text: str) -> str:
 
 #: General notes on both pages.
 NO_DIAGNOSIS = (
-    "This page measures motion. It is not a diagnosis and does not explain a motion; what"
-    " follows from it is for the person who treats to decide."
+    "This page measures motion. It is not a diagnosis and does not explain a motion; conclusions are for"
+    " the treating person to draw."
 )
 TERMS = {
     "interval": (
         "95 % interval",
-        "if the recovery's own errors are as it states them, the true value is between these two numbers in"
-        " 95 of 100 recordings. A wide interval is a poorly known value. The thin dark lines show it.",
+        "if the stated uncertainty is right, the true value is between these two numbers in 95 of 100"
+        " recordings. A wide interval means a poorly known value. The thin dark lines show it.",
     ),
     "recovered": (
         "recovered",
-        "how much of a value comes from moments that the camera did not see and that were calculated from the"
+        "how much of a value comes from time in which the camera did not see the arm, calculated from the"
         " sensor on the wrist.",
     ),
     "clear": (
@@ -286,8 +286,8 @@ TERMS = {
         "the recordings do not show a difference. There may be one that is smaller than the interval.",
     ),
     "unknown": (
-        "cannot be said",
-        "there is no value, no interval, or the interval is too wide for an answer.",
+        "cannot be assessed",
+        "there is no value, no interval, or the interval is too wide.",
     ),
     "symmetry": (
         "right against left, in percent",
@@ -305,12 +305,12 @@ TERMS = {
         "how far the upper arm is raised: 0° hangs down, 90° is level.",
     ),
     "pronation": ("forearm pronation", "turn of the forearm: 0° is the palm forward with the arm hanging."),
-    "reach": ("reach volume", "the room that the hand passed through, in litres."),
+    "reach": ("reach volume", "the volume that the hand reached, in litres."),
     "sparc": (
         "SPARC",
-        "smoothness of the hand's speed: nearer to zero is smoother; one simple reach has about −1.4.",
+        "smoothness of the hand's speed: nearer to zero is smoother; a simple reach has about −1.4.",
     ),
-    "ratio": ("path ratio", "length of the hand's way over the straight line: 1 is straight."),
+    "ratio": ("path ratio", "length of the hand's path divided by the straight line: 1 is straight."),
 }
 
 

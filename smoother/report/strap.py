@@ -59,9 +59,7 @@ def verdict(search: StrapFound) -> list[str]:
         " image to image"
     )
     if wander > WANDER:
-        sentences.append(
-            "that is too much for a strap that is tied on: something else was taken for it at times"
-        )
+        sentences.append("that is too much for a tight strap: something else was sometimes detected instead")
     return sentences
 
 
@@ -69,7 +67,7 @@ def next_time(search: StrapFound) -> list[str]:
     """What to record next, one sentence each."""
     total = max(len(search.reasons), 1)
     sentences = [text for reason, text in _ADVICE.items() if search.counts.get(reason, 0) > 0.1 * total]
-    return sentences or ["the same again: nothing is missing"]
+    return sentences or ["record in the same way: nothing is missing"]
 
 
 #: Profiles farther apart than this many steps are drawn apart.
@@ -94,7 +92,7 @@ def _sections(search: StrapFound) -> Iterator[str]:
     yield listing("For the next recording", next_time(search))
     total = max(len(search.reasons), 1)
     rows = [(what, count, f"{100 * count / total:.1f}") for what, count in sorted(search.counts.items())]
-    yield tabulated("Found and rejected", "What became of every colour image.", ("", "images", "%"), rows)
+    yield tabulated("Found and rejected", "Result for every colour image.", ("", "images", "%"), rows)
     if search.profiles:
         yield figure(
             "Brightness along the forearm",

@@ -82,12 +82,12 @@ def write_study(
                 figure(
                     "Distributions",
                     "One count per recording. The error is what 95 of 100 errors of the sensor's position"
-                    " in gaps stay below, as stated. The outermost bars also count what lies beyond them."
+                    " in gaps stay below, as stated. The outermost bars include values beyond them."
                     + _without(int((~sound).sum())),
                     _distributions(columns),
                 ),
                 figure(
-                    "Gaps and what they cost",
+                    "Gaps and their uncertainty",
                     "A point per recording; the worst ones if there are very many."
                     + _without(int((~sound).sum())),
                     _scatter(recovered, columns, order),
@@ -250,9 +250,10 @@ def _worst(
     rest = len(recovered) - len(rows)
     more = f" The other {rest} are among the results." if rest else ""
     caption = (
-        "What is not to be trusted first, with the reason and without its uncertainty; then by how uncertain"
-        " the gaps are. Names lead to the reports (`batch --reports`), else to the results. Measures are"
-        f" given with their 95 % intervals; those of what is not to be trusted are left out.{more}"
+        "Results that are not to be trusted come first, with the reason and without uncertainty; the"
+        " others are sorted by the uncertainty of their gaps. Names lead to the reports (`batch"
+        " --reports`), else to the results. Measures are given with their 95 % intervals; those of what"
+        f" is not to be trusted are left out.{more}"
     )
     return tabulated("Recordings", caption, heads, cells)
 
@@ -317,7 +318,7 @@ def _failures(failed: pa.Table) -> str:
     rows: list[dict[str, Any]] = failed.slice(0, MOST_WORST).to_pylist()
     return tabulated(
         "Failed",
-        "The other recordings are not touched by these.",
+        "The other recordings are not affected.",
         ("recording", "why"),
         ((row["recording"], row["error"]) for row in rows),
     )

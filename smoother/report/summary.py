@@ -74,11 +74,10 @@ def _what_is_wrong(estimates: Estimates) -> list[str]:
         said.append(f"Run `unocclude smooth` again with {' or '.join(remedies)}.")
     signs = [reason for reason in estimates.reasons if reason != estimates.cause] if estimates.cause else []
     if signs:
-        said.append(f"What shows it: {'; '.join(signs)}.")
+        said.append(f"Evidence: {'; '.join(signs)}.")
     said.append(
-        "Do not use the figures of this result. What it stated of its uncertainty is valid only for a sound"
-        " set-up and is withdrawn from this page; curves and pictures are left, in red, to help to find the"
-        " cause."
+        "Do not use the figures of this result. Its stated uncertainty is valid only for a correct set-up"
+        " and is not shown on this page; curves and pictures remain, in red, to help find the cause."
     )
     return said
 
@@ -120,7 +119,7 @@ def _how_well(recovery: Recovery, gaps: list[GapSummary], trusted: list[GapSumma
     error = error_figures(recovery, recovery.trusted)
     inside, outside = error["occluded"], error["visible"]
     if inside["all"] is None or inside["max"] is None:
-        return "This method does not state how certain its answer is."
+        return "This method does not state its uncertainty."
     which = "gaps" if len(trusted) == len(gaps) else "other gaps"
     share = "in 95 of 100 cases" if consistent else "in 95 %, as stated"
     text = (
@@ -164,7 +163,7 @@ def _joints_against_reference(validation: Validation) -> str:
     where = "in the gaps" if hidden else "over the recording"
     errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
     if not errors:
-        return "The reference has neither the sensor's position nor a joint to compare with there."
+        return "The reference has neither the sensor's position nor a joint to compare there."
     words = [f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()]
     text = f"Against the reference the error {where} is {_and(words)} (root mean square)"
     nees = [value for joint in errors if (value := figures[joint].nees) is not None]
@@ -173,7 +172,7 @@ def _joints_against_reference(validation: Validation) -> str:
     if max(nees) > OVER_CONFIDENT:
         return (
             f"{text}. These errors are up to {np.sqrt(max(nees)):.1f} times as large as the stated"
-            " uncertainty allows: read every uncertainty on this page as that much larger."
+            " uncertainty allows: multiply every uncertainty on this page by that factor."
         )
     return f"{text}. The stated uncertainty covers these errors."
 
@@ -198,9 +197,8 @@ def _camera_doubts(recovery: Recovery) -> str:
         return ""
     worst = min(inside, key=lambda joint: inside[joint])
     return (
-        f"Result and camera disagree more than stated: of the {worst}'s samples that were used"
-        f" {100 * inside[worst]:.0f} % lie where 95 % should. Take every uncertainty on this page for"
-        " too small."
+        f"Result and camera disagree more than stated: of the {worst} samples used,"
+        f" {100 * inside[worst]:.0f} % lie where 95 % should. Every uncertainty on this page is too small."
     )
 
 
@@ -229,7 +227,7 @@ def _what_to_trust(gaps: list[GapSummary], consistent: bool, gap_word: str) -> s
             " did not see the forearm before or after; the error grows with time there."
         )
     if consistent and not parts and any(gap.sigma_max_m is not None for gap in gaps):
-        parts.append(f"No {gap_word} is less certain than {100 * WIDE_M:.0f} cm.")
+        parts.append(f"The uncertainty stays below {100 * WIDE_M:.0f} cm in every {gap_word}.")
     return " ".join(parts)
 
 

@@ -282,7 +282,7 @@ _AGREED = (
 
 
 def calibration(arm: ArmCalibration | None, estimates: Estimates) -> str:
-    """How the sensor sits on the arm, the arm's measures, and the sensor's biases."""
+    """Sensor mounting on the arm, the arm's measures, and the sensor's biases."""
     if arm is None:
         return "<p>This method needs none.</p>"
     rows: list[tuple[object, ...]] = [

@@ -75,7 +75,7 @@ def test_magnetometer_is_added_and_the_rest_is_kept(tmp_path, capsys):
     assert np.array_equal(after.accelerometer[0], before.accelerometer[0])
     length = np.linalg.norm(after.apply(turning).mag, axis=1)
     assert np.sqrt(np.mean((length - 1.0) ** 2)) < 0.02  # 1 % of noise
-    assert "The sphere, and what was covered of it" in page.read_text(encoding="utf-8")
+    assert "Coverage of the sphere" in page.read_text(encoding="utf-8")
     capsys.readouterr()
 
 

@@ -60,7 +60,7 @@ def test_utd_mhad(datasets: Path, tmp_path: Path) -> None:
 
 def test_other_files_are_refused(datasets: Path, tmp_path: Path) -> None:
     skeleton = datasets / "utd_mhad" / "Skeleton" / "a1_s1_t1_skeleton.mat"
-    with pytest.raises(RecordingError, match="no trial of BROAD"):
+    with pytest.raises(RecordingError, match="not a trial of BROAD"):
         import_broad(skeleton)
     with pytest.raises(RecordingError, match=r"lacks d_iner"):
         import_utd_mhad(skeleton, skeleton)

@@ -48,8 +48,8 @@ def test_a_share_that_is_not_known_is_a_dash() -> None:
     [
         (1.0, 1.0, 1.0, "reached"),
         (0.0, 0.0, 0.0, "not reached"),
-        (1.0, 0.0, 1.0, "cannot be said"),
-        (1.0, math.nan, math.nan, "cannot be said"),
+        (1.0, 0.0, 1.0, "cannot be assessed"),
+        (1.0, math.nan, math.nan, "cannot be assessed"),
     ],
 )
 def test_reached_is_said_where_the_draws_agree(value: float, low: float, high: float, word: str) -> None:
@@ -59,7 +59,7 @@ def test_reached_is_said_where_the_draws_agree(value: float, low: float, high: f
     assert word in text
     assert ("not reached" in text) == (word == "not reached")
     assert text.endswith("away")
-    assert "cannot be said" in reached(arm("left"), "hand_to_mouth_reached")
+    assert "cannot be assessed" in reached(arm("left"), "hand_to_mouth_reached")
 
 
 def test_left_and_right_are_compared_only_of_one_person_to_be_trusted() -> None:
@@ -72,9 +72,9 @@ def test_left_and_right_are_compared_only_of_one_person_to_be_trusted() -> None:
         [left, replace(right, trusted=False)],
     ):
         assert both_arms(others) is None
-    assert compared(left, arm("right"), RANGE.key) == "cannot be said"
+    assert compared(left, arm("right"), RANGE.key) == "cannot be assessed"
     assert compared(left, left, RANGE.key) == "no clear difference"
-    assert compared(left, right, RANGE.key) not in ("no clear difference", "cannot be said")
+    assert compared(left, right, RANGE.key) not in ("no clear difference", "cannot be assessed")
 
 
 def test_names() -> None:

@@ -139,7 +139,7 @@ def test_words_of_progress_need_an_interval(tmp_path: Path):
     assert "not a diagnosis" in text and "day 14" in text
     assert "would be called clear by chance alone; elbow flexion, range stands" in text
     write_progress_page(person(draws=False), tmp_path / "b.html")
-    assert set(words_of(tmp_path / "b.html")) == {"cannot be said"}
+    assert set(words_of(tmp_path / "b.html")) == {"cannot be assessed"}
     assert "without drawn motions" in (tmp_path / "b.html").read_text(encoding="utf-8")
 
 
@@ -174,7 +174,7 @@ def test_what_was_reached_needs_draws_that_agree(tmp_path: Path):
     write_measures_page(tmp_path / "a.html", [made_measures()])
     assert words_of(tmp_path / "a.html") == ["reached", "not reached", "not reached"]
     write_measures_page(tmp_path / "b.html", [made_measures(draws=False)])
-    assert words_of(tmp_path / "b.html") == ["cannot be said"] * 3
+    assert words_of(tmp_path / "b.html") == ["cannot be assessed"] * 3
     assert "smooth --draws 64" in (tmp_path / "b.html").read_text(encoding="utf-8")
     unsure = made_measures()
     rows = [
@@ -182,7 +182,7 @@ def test_what_was_reached_needs_draws_that_agree(tmp_path: Path):
         for row in unsure.rows
     ]
     write_measures_page(tmp_path / "c.html", [replace(unsure, rows=tuple(rows))])
-    assert words_of(tmp_path / "c.html")[0] == "cannot be said"
+    assert words_of(tmp_path / "c.html")[0] == "cannot be assessed"
 
 
 def test_nothing_known_is_said(tmp_path: Path):

@@ -106,5 +106,5 @@ def test_the_page_tells_what_was_set_aside(tmp_path):
 def test_an_answer_that_the_camera_contradicts_is_doubted():
     recovery = replace(make_recovery(make_recording()), estimates=Estimates(camera_sigma_m={"wrist": 0.003}))
     text = " ".join(summary(recovery, None))
-    assert "Result and camera disagree more than stated: of the wrist's samples" in text
+    assert "Result and camera disagree more than stated: of the wrist samples" in text
     assert "95 of 100 cases" not in text

@@ -62,8 +62,8 @@ def test_an_untrusted_page_is_red_and_withdraws_its_figures(tmp_path: Path) -> N
     assert '<div class="summary alarm">' in text
     said = first_sentences(text)
     assert said[0] == f"Not to be trusted: {CAUSE}."
-    assert said[1] == "What shows it: gravity is 80 degrees off."
-    assert "withdrawn" in said[2]
+    assert said[1] == "Evidence: gravity is 80 degrees off."
+    assert "not shown" in said[2]
     assert said[3] == WRONG.self_check.sentence if WRONG.self_check else False
     for heading in ("How certain the answer is", "Whether sigma is consistent", "For the next recording"):
         assert heading not in text

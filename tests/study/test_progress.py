@@ -223,7 +223,7 @@ def test_a_table_knows_recordings_whose_names_are_hashes(tmp_path: Path):
         ("file,person,session\na.mcap,p1,\n", "neither session nor date"),
         (
             "file,person,session\nz.mcap,p1,1\n",
-            "z.mcap is no recording of this study; its names are as a.mcap",
+            "z.mcap is not a recording of this study; its names are as a.mcap",
         ),
         ("file,person,session\na.mcap,p1,1\na,p1,2\n", "line 3: a.mcap is there twice"),
         ("file,person,date\na.mcap,p1,31.3.2026\n", "'31.3.2026' is not a date"),

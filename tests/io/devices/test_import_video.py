@@ -214,7 +214,7 @@ def test_wrong_ways(scene, tmp_path: Path):
     for words, sentence in (
         ((video,), "--model FILE"),
         ((video, "--model", tmp_path / "none.task"), "none.task does not exist"),
-        ((video, "--model", text), "no model of the pose landmarker"),
+        ((video, "--model", text), "not a model of the pose landmarker"),
         ((cut, "--model", model), "not a video that can be read"),
         ((text, "--model", model), "not a video (MP4"),
         ((tmp_path / "no.mp4", "--model", model), "does not exist"),

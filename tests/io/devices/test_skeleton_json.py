@@ -184,5 +184,5 @@ def test_arrays_that_are_no_joints(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"a\.npy is an array of 10 x 7 x 3"):
         read(path, "joint-array")
     np.save(path, np.array([{"a": 1}]), allow_pickle=True)
-    with pytest.raises(RecordingError, match=r"a\.npy is no array of numbers"):
+    with pytest.raises(RecordingError, match=r"a\.npy is not an array of numbers"):
         read(path, "joint-array")
