@@ -215,7 +215,7 @@ def _update(table: Any, values: dict[str, Any]) -> None:
 
 FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
-#: Tables that tell a calibration without format and version, as people write it.
+#: Tables that identify a calibration without format and version, as written by hand.
 TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clock", "sigma")
 #: Tables that are merged key by key, and how deep: an arm's lever arms by joint, a sensor's parts by key, the
 #: held poses by side. A table below that depth, or any other, replaces the one of its name.
@@ -387,7 +387,7 @@ def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -
 
 
 def _merged(held: Any, new: Any, depth: int) -> Any:
-    """What a table holds once another is merged into it, key by key to some depth."""
+    """A table with another merged into it, key by key to some depth."""
     if depth == 0 or not isinstance(held, dict) or not isinstance(new, dict):
         return new
     return {**held, **{key: _merged(held.get(key), value, depth - 1) for key, value in new.items()}}
@@ -409,7 +409,7 @@ def _load(path: Path) -> dict[str, Any]:
         raise CalibrationError(f"Calibration {path}: version must be a whole number such as {VERSION}.")
     if version > VERSION:
         raise CalibrationError(
-            f"Calibration {path} has version {version} and this program knows versions up to {VERSION}; "
+            f"Calibration {path} has version {version} and this program reads versions up to {VERSION}; "
             "update unocclude."
         )
     return document

@@ -208,7 +208,7 @@ def _place(
         turn, t_m = _numbers(table["rotation"]), _numbers(table["translation"])
         R = turn.reshape(3, 3) if turn.size == 9 else Rotation.from_rotvec(turn.reshape(3)).as_matrix()
         if t_m.shape != (3,) or not np.allclose(R @ R.T, np.eye(3), atol=1e-3):
-            raise ValueError("rotation and translation are no place")
+            raise ValueError("rotation and translation do not form a pose")
         return np.asarray(R), t_m
     if "T_cn_cnm1" in table:
         step = np.asarray(table["T_cn_cnm1"], float).reshape(4, 4)

@@ -1,4 +1,4 @@
-"""By what factor sigma would have to grow to hold, from hidden gaps of the user's own recording.
+"""Sigma correction factors from hidden gaps of the user's own recording.
 
 Samples inside a gap hang together; what can be exchanged for another is the gap. So the quantile is that of
 hierarchical conformal prediction (Lee, Barber and Willett 2023, "Distribution-free inference with

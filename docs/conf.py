@@ -40,7 +40,7 @@ myst_enable_extensions = ["colon_fence", "deflist", "substitution"]
 myst_heading_anchors = 4
 suppress_warnings = ["misc.highlighting_failure"]  # examples of files leave cells out with ..
 
-# the notebook: run anew, in a folder that goes; an error in it is an error of the build
+# the notebook: run anew, in a temporary folder; an error in it is an error of the build
 nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_timeout = 120

@@ -30,7 +30,7 @@ class BodySegment:
     parent : str
         The segment whose chain it continues; "" of the first one.
     shared_joint : str
-        The joint that it has in common with its parent; "" of the first one.
+        The joint that it shares with its parent; "" of the first one.
     camera_joints : tuple of str
         Joints whose camera samples are tied to it rather than to its parent, where it has an IMU.
     remedy : str

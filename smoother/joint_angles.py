@@ -221,7 +221,7 @@ def arm_angles(
 
 
 def torso_axes(down: FloatArray, forward: FloatArray | None = None) -> FloatArray:
-    """Axes `R_K_T` (3, 3) of a thorax that stands upright: x forward, y up, z to its right.
+    """Axes `R_K_T` (3, 3) of an upright thorax: x forward, y up, z to its right.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ def smooth_arms(
 ) -> Recoveries:
     """Recover several arms, each as `smooth` recovers it alone.
 
-    Every arm has its own IMU, clock and shoulder; nothing of one arm's answer goes into another's, so each
+    Every arm has its own IMU, clock and shoulder; no arm's result depends on another's, so each
     is what `smooth` gives for it. Short recordings run side by side, one arm per process; a long one
     keeps all processes busy by its sections, arm after arm. The answer depends on neither.
 
@@ -74,7 +74,7 @@ def smooth_arms(
     -------
     Recoveries
         In the order of the recordings, by side or number. An arm that cannot be recovered is left out, which
-        `left_out` and the other arms' notes say.
+        `left_out` and the other arms' notes state.
 
     Raises
     ------

@@ -109,7 +109,7 @@ def lines_text(lines: Sequence[str]) -> str:
 
 
 def card_html(lines: Sequence[str], *parts: str) -> str:
-    """Lines as a paragraph, the first of them bold, and what goes below them (HTML)."""
+    """Lines as a paragraph, the first of them bold, and what follows below (HTML)."""
     first, *others = map(escape, lines)
     return f"<p><b>{first}</b><br>{'<br>'.join(others)}</p>{''.join(parts)}"
 

@@ -223,7 +223,7 @@ class Beep:
     frequency_hz : float, Hz
         Its tone.
     above_quiet_db : float, dB
-        How far it stands above the quiet.
+        Level above the background.
     decay_s : float, s
         Time constant of its tail.
     loud_room : bool
@@ -313,7 +313,7 @@ def _spectrogram(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, Float
 def _clearest(
     power: FloatArray, frequency: FloatArray, tone_hz: float | None
 ) -> tuple[FloatArray, int, float]:
-    """Level (n,) dB of the clearest tone above its quiet, its place, and how far it stands out, dB."""
+    """Level (n,) dB of the clearest tone above its quiet, its place, and by how much it exceeds it, dB."""
     power = power + 1e-12 * float(power.max())
     # of a track that is nearly all beep, the quiet is what little there is beside it
     lasting = uniform_filter1d(power, QUIET_FRAMES, axis=0)

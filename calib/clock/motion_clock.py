@@ -2,7 +2,7 @@
 
 The recording is cut into excerpts. On each the smoother's own self-calibration finds the clock offset (the
 residuals of the camera's joints along their velocity); how the IMU sits on the arm is found once, from the
-excerpts that say most, and kept for all. A robust line through the offsets gives offset and skew, and how
+most informative excerpts, and kept for all. A robust line through the offsets gives offset and skew, and how
 far the excerpts scatter about it gives sigma, whatever each of them claims.
 """
 
@@ -163,7 +163,7 @@ def _one(
 def _line(
     t: FloatArray, offset: FloatArray, sigma: FloatArray, names: tuple[str, str], source: str
 ) -> tuple[ClockLink, BoolArray]:
-    """A robust line through the excerpts' offsets, and which of them it rests on."""
+    """A robust line through the excerpts' offsets, and which of them it is fitted to."""
     weight = sigma**-2
     has_skew = len(t) >= 3 and np.ptp(t) >= SKEW_SPAN_S
     used = np.ones(len(t), dtype=bool)

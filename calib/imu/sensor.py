@@ -145,7 +145,7 @@ _SAMPLES = 65536
 
 
 def corrected(recording: Recording, calibration: CalibrationFile, store: Store | None = None) -> Recording:
-    """The recording with its IMUs corrected where the file knows them, and a note of it.
+    """The recording with its IMUs corrected where the file has their calibration, and a note of it.
 
     Parameters
     ----------

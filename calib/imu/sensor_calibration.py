@@ -159,7 +159,7 @@ def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
             " leave the sensor lying for some seconds while it records."
         )
     used = imu.gyro[1:][stable]
-    sigma = np.std(used, axis=0) / np.sqrt(len(used) / max(imu.rate_hz, 1.0))  # one a second is independent
+    sigma = np.std(used, axis=0) / np.sqrt(len(used) / max(imu.rate_hz, 1.0))  # one per second is independent
     return GyroscopeCalibration(path[-1], sigma, int(stable.sum()), "running")
 
 

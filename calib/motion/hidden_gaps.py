@@ -1,6 +1,6 @@
 """Sigma for recordings that are too short to check themselves: gaps hidden in those they are calibrated on.
 
-`smooth` hides stretches of a recording to see whether its sigma holds. A trial of a few seconds has none to
+`smooth` hides stretches of a recording to test its sigma. A trial of a few seconds has none to
 spare; many such trials of one person, camera and sensor have them together.
 """
 
@@ -57,7 +57,7 @@ def hidden_gap_factors(
     Returns
     -------
     factors : SigmaFactors or None
-        None where sigma holds as it is stated, or too few gaps have a trusted answer.
+        None where sigma is right as stated, or too few gaps have a trusted answer.
     """
     jobs = [(recording, length_s) for length_s in LENGTHS_S for recording in recordings]
     job = partial(_needed, calibration=calibration, config=config)
@@ -71,7 +71,7 @@ def hidden_gap_factors(
 
 
 def _needed(job: tuple[Recording, float], calibration: ArmCalibration, config: Config) -> FloatArray:
-    """The factors (n, 2) that the samples of one hidden gap ask for; none where it is not answered."""
+    """The factors (n, 2) required by the samples of one hidden gap; none where it is not recovered."""
     recording, length_s = job
     nothing = np.zeros((0, 2))
     arm = recording.arm

@@ -371,7 +371,7 @@ def mountings(alone: dict[str, ArmCalibration]) -> list[list[str]]:
     Parameters
     ----------
     alone : dict of str to ArmCalibration
-        By recording what it says by itself.
+        By recording what it gives alone.
 
     Returns
     -------

@@ -21,7 +21,7 @@ from ..intrinsics import Intrinsics
 #: A larger image is none of a camera; 111 bytes of PNG may state a thousand times as much.
 MOST_PIXELS = 1 << 26
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-#: JPEG's markers of frames: they hold height and width.
+#: JPEG's markers of frames: they contain height and width.
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 

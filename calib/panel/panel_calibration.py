@@ -80,7 +80,7 @@ class SeenPanel:
 
 @dataclass(frozen=True)
 class PanelCalibration:
-    """Camera to mocap with all that it rests on.
+    """Camera to mocap with the data it is based on.
 
     Attributes
     ----------

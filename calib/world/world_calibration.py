@@ -221,7 +221,7 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class WorldCalibration:
-    """Camera from base IMU, and what it rests on.
+    """Camera from base IMU, and the data it is based on.
 
     Attributes
     ----------

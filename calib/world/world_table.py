@@ -32,7 +32,7 @@ class WorldAccuracy:
     rotation_deg : ndarray, shape (3,), degrees
         Of camera from base IMU about the camera's axes.
     tilt_deg : float, degrees
-        Of down in the camera, per axis, for a camera that stands as in the poses (the worst of them).
+        Of down in the camera, per axis, for a camera placed as in the poses (the worst of them).
     heading_deg : float, degrees
         Of the turn between camera and base IMU about the vertical.
     mounting_deg : ndarray, shape (3,), degrees
@@ -92,7 +92,7 @@ def _findings(calibration: WorldCalibration, sigma: WorldAccuracy) -> tuple[str,
     if sigma.heading_free:
         sentences.append(
             "The heading between camera and base IMU is free: neither a magnetometer nor a turn of the "
-            "camera shows it. Gravity is valid while the camera stands about as in these poses."
+            "camera shows it. Gravity is valid while the camera is placed about as in these poses."
         )
     else:
         sentences.append(

@@ -11,7 +11,7 @@ from ..joint_angles import arm_angles, forearm_axes, wrapped_deg
 from ..linalg import unit
 from ..result.moving_arm import MovingArm
 
-#: Roll of a calibrated mounting, degrees: a palm that faces the camera is no better witness than that.
+#: Roll of a calibrated mounting, degrees: a palm that faces the camera does not determine it better.
 CALIBRATED_DEG = 15.0
 #: A healthy forearm turns between these, ISB's pronation in degrees, each of which differs by this much from
 #: person to person: supination 82 +- 4, pronation 76 +- 5 from the thumb-up posture (Boone and Azen, J Bone

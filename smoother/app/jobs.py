@@ -174,7 +174,7 @@ class JobDesk:
         steps : list of dict
             `name`, `argv` of a command (or `link`), exit codes that are `ok` and that are `held`.
         stamp : str
-            Of what goes in.
+            Of the inputs.
 
         Raises
         ------
@@ -231,7 +231,7 @@ def _say(job: Path, word: str) -> None:
 
 
 def _start(job: Path) -> subprocess.Popen[bytes]:
-    """Start a job's process; it goes on when this one ends."""
+    """Start a job's process; it continues when this one ends."""
     root = str(Path(__file__).parents[2])
     environment = dict(os.environ)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, (root, environment.get("PYTHONPATH"))))

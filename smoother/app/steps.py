@@ -66,7 +66,7 @@ def described(place: Path) -> list[dict[str, Any]]:
 
 @lru_cache(maxsize=256)
 def _found(path: Path, mtime_ns: int, size: int) -> list[dict[str, Any]]:
-    """The files of `streams.json`, read once: a page asks for it several times per second."""
+    """The files of `streams.json`, read once: a page requests it several times per second."""
     found: list[dict[str, Any]] = read_json(path).get("files", [])
     return found
 
@@ -360,7 +360,7 @@ def recorded_date(place: Path, kept: KeptRecording) -> str:
 
 
 def stamp(folder: AppFolder, place: Path) -> str:
-    """A mark of all that goes into a recovery: files, choices and templates; another where one changed."""
+    """A hash of all inputs of a recovery: files, settings and templates; it changes with any of them."""
     parts: list[Any] = []
     for path in (*files_of(place), *folder.template_files()):
         about = path.stat()

@@ -376,7 +376,7 @@ def multirate_kalman(scene: Scene) -> Path:
 
 
 def merge(frame_t: FloatArray, point: FloatArray, t: FloatArray, acceleration: FloatArray) -> Events:
-    """Frames and IMU samples in the order of time; a frame stands before a sample of the same time."""
+    """Frames and IMU samples in the order of time; a frame precedes a sample of the same time."""
     order = np.argsort(np.concatenate([frame_t, t]), kind="stable")
     none_p, none_a = np.full((len(t), 3), np.nan), np.full((len(frame_t), 3), np.nan)
     return Events(

@@ -408,7 +408,7 @@ def linearised(
 
 
 def _prior(states: InertialTrajectory, scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Error of the first node before anything is measured: what was known less what the states hold."""
+    """Error of the first node before anything is measured: prior minus the current states."""
     R = orientation_at(scene, states.t[:1])[0]
     mean = np.zeros(SIZE)
     mean[TURN] = turned(R, states.R[0])

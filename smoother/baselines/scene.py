@@ -247,7 +247,7 @@ def _scene(recording: Recording, graph: Recovery, orientation: str, samples: sli
 
 
 def _unbiased(imu: ImuStream, calibration: ArmCalibration) -> ImuStream:
-    """The samples on dejittered times, the biases that a calibration knows taken off."""
+    """The samples on dejittered times, minus the calibration's biases."""
     acc, gyro = imu.acc, imu.gyro
     if calibration.accelerometer_bias is not None:
         acc = acc - calibration.accelerometer_bias
@@ -275,7 +275,7 @@ def _segment(
 ) -> Segment:
     """The segment as the alignment takes it, its attitude by the chosen filter.
 
-    A gyroscope bias that no calibration knows is estimated from the IMU alone, for every filter alike.
+    A gyroscope bias without calibration is estimated from the IMU alone, for every filter alike.
     """
     signal, rate_hz = InertialSignal(imu), min(imu.rate_hz, FILTER_RATE_HZ)
     bias = inertial_attitude(signal, rate_hz).gyroscope_bias

@@ -59,7 +59,7 @@ def pchip(scene: Scene) -> Path:
     through the camera's points at visible frames. Joints: each through its own accepted samples, as one fills
     the tracks of a skeleton. Orientation: the filter's, which is at hand, and far better over a gap than to
     turn evenly from the last visible orientation to the next. Beyond the first and last visible frame the
-    value is held: a cubic that goes on is not an answer.
+    value is held: an extrapolated cubic is not a result.
 
     Order: without noise and gaps exact at the frames; between them third order where the path is monotone
     and second where it turns: below acceleration x (frame period)^2 / 8.
@@ -95,7 +95,7 @@ def camera_only(scene: Scene) -> Path:
     Jatesiktat and Ang, EMBC 2017, eq 16: D = L + d_se / (d_sw + d_se) (T - L), with d_se and d_sw the strap's
     distances from elbow L and wrist T along the forearm. The point lies on the forearm's axis, as
     published, so it is off by the sensor's distance from that axis (some centimetres). Where the camera
-    states nothing, the last and the next statement are joined by a straight line. A recording with a
+    gives nothing, the last and the next value are joined by a straight line. A recording with a
     `strap` alone has the strap itself; with a wrist alone, the wrist. No orientation is given: elbow and
     wrist do not show how the forearm is rolled.
 

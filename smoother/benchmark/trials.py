@@ -41,7 +41,7 @@ class BenchmarkTrial:
 
     @property
     def key(self) -> str:
-        """Which of all trials it is, wherever the files lie."""
+        """Which of all trials it is, wherever the files are."""
         return f"{self.dataset}/{self.name}"
 
     def seed(self, seed: int) -> int:

@@ -21,7 +21,7 @@ class CommandSpec:
     module : str
         Of this package; its function has the command's name, with `_` for `-`.
     epilog : str
-        What stands below its help: an example.
+        Text below its help: an example.
     cls : str
         The command's class in the module, where it is not typer's.
     has_settings : bool

@@ -77,7 +77,7 @@ def write_answer(
     *inputs: Any,
     notes: Iterable[str] = (),
 ) -> None:
-    """Write what a calibration found, everywhere it goes.
+    """Write what a calibration found to all its outputs.
 
     Parameters
     ----------

@@ -278,7 +278,7 @@ def truth_for(
 ) -> tuple[Truth, ReferenceAlignment]:
     """The truth for a comparison: the recording's own, or a file's, brought to it as `validate` does.
 
-    A calibration is used for the truth's frame where it holds [camera_from_mocap] and the truth needs one.
+    A calibration is used for the truth's frame where it contains [camera_from_mocap] and the truth needs one.
     """
     from calib.file import read_calibration
 

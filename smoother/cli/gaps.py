@@ -126,7 +126,7 @@ def print_since(rows: Sequence[SinceFigures]) -> None:
 
 
 def print_factors(factors: Sequence[LengthFactor]) -> None:
-    """Print by what sigma would have to grow, by length of gap."""
+    """Print the sigma correction factors by length of gap."""
     if not factors:
         return
     columns = ("gap, s", "for 50 %", "for 95 %", "to be applied", "gaps behind it")
@@ -316,7 +316,7 @@ def keep(
     Raises
     ------
     CalibrationError
-        No gap has an answer, or the errors are no matter of sigma.
+        No gap has an answer, or the errors are too large for a sigma factor.
     """
     from calib.file import CalibrationFile, with_sigma_table, write_calibration
     from calib.sigma_factor import LARGEST_FACTOR

@@ -129,7 +129,7 @@ def damage(notes: Iterable[str]) -> list[str]:
 
 
 def camera_frame_of(path: Path) -> CameraFrame | None:
-    """The axes of the camera as the recording inside a result says, or None."""
+    """The axes of the camera as stated in the recording inside a result, or None."""
     from ..io import open_recording
 
     file = open_recording(path)

@@ -77,7 +77,7 @@ def print_symmetry(both: BothArms) -> None:
 
 
 def write_csv(path: Path, rows: Sequence[Measures], pairs: Sequence[BothArms], force: bool) -> None:
-    """One row a measure: recording, side, body, then the fields of a measure; empty where there is none."""
+    """One row per measure: recording, side, body, then the fields of a measure; empty where there is none."""
     import csv
 
     from ..measures import Measure

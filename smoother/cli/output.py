@@ -295,7 +295,7 @@ def truth_text(tables: dict[str, Any]) -> str:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table that fits into the terminal; columns of numbers stand to the right."""
+    """Print a table that fits into the terminal; columns of numbers are right-aligned."""
     screen = console()
     cells = [[printable(cell(value), lines=True) for value in row] for row in rows]
     titles = [printable(column) for column in columns]

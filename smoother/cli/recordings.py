@@ -232,7 +232,7 @@ def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Fo
     """Salvage a damaged MCAP file and list what was lost.
 
     Messages are written in the order of their log times, with a new index. Messages of chunks that fail their
-    checksum are kept; the new file says so, and every command that reads it repeats it.
+    checksum are kept; the new file states it, and every command that reads it repeats the note.
     """
     from ..io.mcap.merge import repair_container
 

@@ -200,7 +200,7 @@ def show(arguments: list[str]) -> None:
     """
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as words:
         viewer = subprocess.Popen(arguments, env=environment(), stdout=words, stderr=subprocess.STDOUT)
-        # Ending this command ends the viewer, and the file with the patient's motion goes.
+        # Ending this command ends the viewer, and the file with the patient's motion is deleted.
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             code = viewer.wait()

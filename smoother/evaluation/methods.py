@@ -40,7 +40,7 @@ class BaselineSettings:
     orientation : str
         The filter of those that need one.
     options : mapping of str to object
-        By name; each goes to the chosen methods that know it.
+        By name; each is passed to the chosen methods that have it.
     """
 
     orientation: str = DEFAULT_ORIENTATION

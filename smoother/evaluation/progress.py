@@ -105,7 +105,7 @@ UNCLEAR: Word = "no clear change"
 UNKNOWN: Word = "cannot be assessed"
 #: An error of a session's value is called one where less than this is likely without any change.
 LEVEL = 0.05
-#: A value that rests on more recovered samples than this is said to.
+#: A value from more recovered samples than this gets a note.
 MOSTLY_RECOVERED = 0.5
 #: Sessions whose numbers of movements differ more do not have the same movements.
 LIKE_SHARE = 0.75

@@ -160,7 +160,7 @@ OTHER_UNIT_M = 50.0
 #: A truth that moves like the answer and is farther from it than this, while the camera sees the arm, is in
 #: other axes, m (median).
 OTHER_FRAME_M = 0.3
-#: Orientations farther apart than this are no error of an answer whose positions fit, degrees (median).
+#: Orientations farther apart than this are not errors of a result whose positions fit, degrees (median).
 OTHER_AXES_DEG = 60.0
 #: Quaternions read in the right order are nearer than this, degrees (median).
 RIGHT_ORDER_DEG = 20.0
@@ -235,7 +235,7 @@ def _unit_words(recovery: Recovery, truth: Truth, distance_m: float) -> str:
 
 
 def _correlations(recovery: Recovery, truth: Truth) -> list[float]:
-    """The best correlations of both speeds, and of both turns, within half a second, where they tell."""
+    """The best correlations of both speeds, and of both turns, within half a second, if informative."""
     first, last = max(recovery.t_s[0], truth.t_s[0]), min(recovery.t_s[-1], truth.t_s[-1])
     if last - first < SHORTEST_S:
         return []

@@ -147,7 +147,7 @@ def two_sessions(first: SessionCurves, last: SessionCurves) -> CurveTest:
     """Whether the curves of two sessions differ, and where.
 
     Without a change the labels of the repetitions mean nothing, so each relabelling is as likely as what was
-    measured. Errors that all repetitions of a session share are no scatter between them: they add to the
+    measured. Errors that all repetitions of a session share are not scatter between them: they add to the
     variance of the difference, and each relabelling gets a draw of them.
 
     Parameters
@@ -274,7 +274,7 @@ def change_of(
     return WaveformChange(*about, before, after, first, last, two_sessions(first, last))
 
 
-#: Fewer persons have no test: of five, the rarest signs are no rarer than 6 of 100.
+#: Fewer persons have no test: with five, the rarest signs are no rarer than 6 of 100.
 FEWEST_PERSONS = 6
 
 

@@ -1,4 +1,4 @@
-"""What a file contains, of each arm too, and what it lacks for which step."""
+"""What a file contains, also per arm, and what is missing for which step."""
 
 from __future__ import annotations
 
@@ -255,7 +255,7 @@ def describe(
     Returns
     -------
     RecordingInfo
-        What it holds and lacks.
+        What it contains and what is missing.
 
     Raises
     ------
@@ -310,7 +310,7 @@ def _rate_hz(file: RecordingFile, topic: TopicInfo) -> float | None:
 
 
 def _take(info: RecordingInfo, recordings: list[Recording]) -> None:
-    """The arms that would be recovered; what holds of one arm is that of the first."""
+    """The arms that would be recovered; values of one arm are those of the first."""
     info.arms = [describe_arm(recording) for recording in recordings]
     first, frame = info.arms[0], recordings[0].camera_frame
     info.imu, info.skeleton, info.side = first.imu, first.skeleton, first.side

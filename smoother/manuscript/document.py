@@ -175,11 +175,11 @@ def _method(facts: ArmFacts) -> Iterator[str]:
         )
     if facts.magnetometer_used:
         yield (
-            f"The magnetometer's direction took part in {facts.magnetometer_used} of"
+            f"The magnetometer's direction was used in {facts.magnetometer_used} of"
             f" {facts.magnetometer_means} means over some seconds."
         )
     elif facts.method == "graph":
-        yield "No magnetometer took part in the estimate."
+        yield "No magnetometer was used in the estimate."
     if facts.angles:
         yield (
             f"Joint angles that the result determines ({_listed([_plain(name) for name in facts.angles])})"

@@ -113,7 +113,7 @@ class ArmFacts:
         Those that the camera ever tracked.
     further_imus : tuple of SegmentImu
     magnetometer_means, magnetometer_used : int
-        Means of the field over some seconds, and how many took part.
+        Means of the field over some seconds, and how many were used.
     upper_arm_m, upper_arm_sigma_m : float or None, m
     upper_arm_given : bool
     forearm_axes : str

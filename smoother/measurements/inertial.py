@@ -360,7 +360,7 @@ def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitud
     acc, gyro = np.ascontiguousarray(mean[:, :3]), np.ascontiguousarray(mean[:, 3:])
     answer = offlineVQF(gyro, acc, None, step)
     quaternion = answer["quat6D"][:, [1, 2, 3, 0]]
-    # the filter's answer holds at the end of each sample's interval
+    # the filter's result is valid at the end of each sample's interval
     return InertialAttitude(edges[1:], Rotation.from_quat(quaternion), np.median(answer["bias"], axis=0))
 
 

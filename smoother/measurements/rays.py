@@ -15,7 +15,7 @@ from ..linalg import unit
 
 #: What a keypoint says along its ray, m: nothing, and no direction is free to the solver.
 ALONG_M = 20.0
-#: The shoulder's, which no IMU holds: its length to the elbow alone leaves it a second place near the camera.
+#: The shoulder's, which no IMU constrains: the elbow's distance alone leaves a second place near the camera.
 SHOULDER_ALONG_M = 0.3
 #: Residuals across a ray have two directions of three: their mean square over three axes is this much less.
 OF_THREE = 1.5

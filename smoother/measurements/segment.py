@@ -287,7 +287,7 @@ class Timeline:
     seen : ndarray of bool, shape (F,)
         Frames in which it tracked anything of the forearm.
     traits : SegmentTraits
-        What holds for all segments: gravity's rough direction, whether the camera's stamps are synthetic.
+        What all segments share: gravity's rough direction, whether the camera's stamps are synthetic.
     """
 
     segments: tuple[slice, ...]

@@ -328,7 +328,7 @@ def _level(departure: FloatArray, number: IntArray, tick: float) -> tuple[FloatA
 
 #: A clock is set by more than this many usual intervals, and this long, s; what is less is jitter.
 _INTERVALS, _LEAST_S = 2.5, 0.05
-#: More steps back in a file are no clock that somebody set.
+#: More steps back in a file are not a clock that was set.
 _MOST_RESETS = 6
 #: This many steps on both sides are regular: this share of them lies within these parts of the usual
 #: interval.
@@ -400,7 +400,7 @@ def begins_frames(time: FloatArray, kind: IntArray) -> bool:
     Parameters
     ----------
     time : ndarray, shape (n,)
-        Of each row; those of one frame stand together.
+        Of each row; those of one frame are adjacent.
     kind : ndarray of int, shape (n,)
         Joint and body of each row: where times go back, a frame begins with what the first row contains. A
         file that lists one joint or body after the other begins with another there.
@@ -450,7 +450,7 @@ def _again(t_s: FloatArray, values: FloatArray | None, row: int) -> bool:
         return False
     rows = slice(row, row + _BESIDE)
     moving = values[rows][np.isfinite(values[rows]).all(axis=1)]
-    if not len(moving) or (moving == moving[0]).all():  # hidden, or held: nothing tells them apart
+    if not len(moving) or (moving == moving[0]).all():  # hidden, or held: they cannot be distinguished
         return False
     for at in np.flatnonzero(np.abs(t_s[:row] - t_s[row]) < 1e-9).tolist():
         earlier = slice(at, at + len(t_s[rows]))
@@ -471,7 +471,7 @@ def largest_group(stamp_ns: IntArray) -> BoolArray | None:
     if not len(stamp_ns) or int(stamp_ns.max()) - int(stamp_ns.min()) <= far:
         return None
     order = np.argsort(stamp_ns, kind="stable")
-    # unsigned, as stamps of year -292 and 2262 are farther apart than a signed number holds
+    # unsigned, as stamps of year -292 and 2262 are farther apart than a signed number can contain
     step = np.diff(stamp_ns[order].view(np.uint64))
     cuts = np.flatnonzero(step > np.uint64(far)) + 1
     if not len(cuts):

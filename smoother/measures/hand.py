@@ -224,7 +224,7 @@ def reach_figures(
     voxel_m : float, m
         Of the places in a cube of this size one counts, for the alpha shape.
     alpha_m : float, m
-        Largest radius of a ball that goes round a tetrahedron of the alpha shape.
+        Largest circumscribed radius of a tetrahedron of the alpha shape.
 
     Returns
     -------

@@ -103,7 +103,7 @@ def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
 
     n = len(grid.t_s)
     occluded = recovery.occluded[nearest_rows(recovery.t_s, grid.t_s)]
-    # measures count the trunk as upright unless an IMU on it says otherwise
+    # measures assume an upright trunk unless an IMU is on it
     trunk = recovery.trunk if recovery.trunk is None or recovery.trunk.by_imu else None
     segments = {
         name: replace(

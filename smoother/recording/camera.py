@@ -70,7 +70,7 @@ class Camera:
     gravity_hint : ndarray, shape (3,), optional
         Direction of down in {C}, good to some degrees.
     pose : CameraPose, optional
-        Where it stands, if that was measured beforehand.
+        Its pose, if that was measured beforehand.
     """
 
     name: str

@@ -46,7 +46,7 @@ def imu_of(t: FloatArray, acc: FloatArray, gyro: FloatArray, mag: FloatArray | N
 def joints_of(
     t: FloatArray, joints: Mapping[str, FloatArray], states: Mapping[str, NDArray], name: str
 ) -> JointTracks:
-    """Joints by name at checked times (n,); tracked where they are finite, if no state says otherwise."""
+    """Joints by name at checked times (n,); tracked where they are finite, if states are not given."""
     unknown = sorted({*joints, *states} - set(JOINTS))
     if unknown:
         raise RecordingError(f"{name}: {unknown[0]} is not a joint; joints are {', '.join(JOINTS)}")

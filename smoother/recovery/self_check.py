@@ -85,7 +85,7 @@ class HiddenStretch:
 
     @property
     def failed(self) -> bool:
-        """It could not be recovered, or was recovered elsewhere with a sigma that says otherwise."""
+        """It could not be recovered, or was recovered elsewhere with a sigma that contradicts them."""
         return self.samples == 0 or self.contradicted
 
     @property

@@ -27,7 +27,7 @@ class Mark:
     Attributes
     ----------
     name : str
-        What stands below it: a session, the number of a movement.
+        Label below it: a session, the number of a movement.
     value, low, high : float
         In the unit of the chart.
     text : str

@@ -18,7 +18,7 @@ from ..io.mcap.messages import Topic
 from ..io.media.images import IMAGES, ImageMessage, read_images
 from ..result import Recovery
 
-#: A picture is no wider than this, pixels, and there are no more a second.
+#: A picture is no wider than this, pixels, and there are no more per second.
 MOST_WIDE, MOST_HZ = 320, 10.0
 #: All pictures of a page together, bytes before they are written as text; longer films have fewer a second.
 MOST_BYTES = 8_000_000

@@ -123,7 +123,7 @@ REACHED = {
 }
 #: More movements are not drawn one by one.
 MOST_MOVEMENTS = 24
-#: What rests on more recovered samples is said to.
+#: Values from more recovered samples get a note.
 MOSTLY_RECOVERED = 0.5
 
 

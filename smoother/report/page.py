@@ -128,7 +128,7 @@ def sections(
 
 
 def _first(recovery: Recovery, recording: Recording | None, truth: Truth | None) -> Iterator[str]:
-    """What stands before the arm in motion: what to do where the set-up is wrong, and the angles."""
+    """What precedes the animation: what to do where the set-up is wrong, and the angles."""
     if not len(recovery):
         return
     if recovery.estimates.trusted is False:
@@ -336,7 +336,7 @@ _CAMERAS = (
 )
 _GAPS = (
     "Times in which the camera did not see the forearm. 95 of 100 errors lie below what is stated, at"
-    " the least certain moment of a gap. A gap seen on both sides is held by the camera before and after it;"
+    " the least certain moment of a gap. The camera constrains a gap seen on both sides before and after it;"
     " one seen on one side only is not."
 )
 _BAND = "The pale blue band holds 95 of 100 true values of each coordinate."

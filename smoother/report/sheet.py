@@ -46,7 +46,7 @@ class Page:
     title, subtitle : str
         Heading, and the line under it.
     verdict : sequence of str
-        Sentences that stand first.
+        Sentences at the top.
     sections : iterable of str
         HTML, as `write_sheet` takes it.
     """
@@ -77,7 +77,7 @@ def write_sheet(
     title, subtitle : str
         Heading, and the line under it.
     verdict : iterable of str
-        Sentences that stand first.
+        Sentences at the top.
     sections : iterable of str
         HTML, made by `figure`, `space`, `picture`, `listing` and `tabulated`.
     two_pages : bool

@@ -42,7 +42,7 @@ _TIME = "time, s"
 
 
 def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | None) -> go.Figure:
-    """Coordinates over time with a band that holds 95 of 100 true values; buttons choose the point."""
+    """Coordinates over time with a band that contains 95 of 100 true values; buttons choose the point."""
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
     index = decimate(recovery.occluded)
     t, occluded, trusted = recovery.t_s[index], recovery.occluded[index], recovery.trusted[index]

@@ -26,7 +26,7 @@ class Estimates:
     accelerometer_bias, gyroscope_bias : tuple of float, m/s^2 and rad/s, optional
         Mean over the recording, in {A}.
     magnetometer_blocks, magnetometer_blocks_used : int, optional
-        Means of the magnetic field over some seconds, and how many took part.
+        Means of the magnetic field over some seconds, and how many were used.
     magnetometer_sigma_deg : float, degrees, optional
         How well the field's direction is believed to be known.
     magnetic_field_direction : tuple of float, optional
@@ -36,7 +36,7 @@ class Estimates:
     max_sigma_m : float, m, optional
         Samples less certain than this on any axis are marked as not to be used.
     sigma_factors : tuple of float, optional
-        By gap what its sigma of positions was multiplied by, as a calibration asks for.
+        By gap what its sigma of positions was multiplied by, from a calibration.
     trusted : bool, optional
         There is no sign that the set-up was wrong or the answer impossible.
     reasons : tuple of str

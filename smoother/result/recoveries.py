@@ -14,7 +14,7 @@ from .recovery import Recovery
 def arm_tags(recoveries: Sequence[Recovery]) -> list[str]:
     """A name for each arm among several, as topics end in: "left", or "body_2/left" with several people.
 
-    Where side and body do not tell them apart, a number does.
+    Where side and body do not distinguish them, a number does.
     """
 
     def tag(recovery: Recovery) -> str:

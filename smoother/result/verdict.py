@@ -107,7 +107,7 @@ class SelfCheck:
     unanswered : int
         Of them, those that could not be recovered at all.
     failed : int
-        Those, and the ones that were recovered elsewhere with a sigma that says otherwise.
+        Those, and the ones that were recovered elsewhere with a sigma that contradicts them.
     length_s : float, s
         Their median length; 0 without any.
     rms_m : float, m
@@ -119,7 +119,7 @@ class SelfCheck:
     worst_nees : float
         Largest mean squared error in sigmas / 3 of a stretch; 1 is expected.
     sigma_factor : float
-        What sigma in gaps was multiplied by; 1 where the stretches do not ask for more.
+        What sigma in gaps was multiplied by; 1 where the stretches do not require more.
     note : str
         Why there are none, or fewer than wanted.
     error_95_m, stated_95_m : float, m
@@ -177,7 +177,7 @@ class Pairing:
     chance : float
         How often streams that do not belong together agree as well, at most.
     evidence : float
-        What the motion says for it; grows with the length of the recording.
+        Evidence from the motion; grows with the length of the recording.
     offset_s : float, s
         t_imu - t_camera to some tens of milliseconds, as the motion has it.
     reason : str

@@ -19,7 +19,7 @@ OWN_NAMES = (LOOPBACK, "localhost")
 
 
 class Refusal(StrEnum):
-    """Why a request may not be met: the name that was asked, or the site that asks."""
+    """Why a request is refused: the host name, or the origin."""
 
     HOST = "host"
     SITE = "site"

@@ -1,6 +1,6 @@
 """Outputs that are either whole or not there, and none left half by a program that was killed.
 
-A file is locked while its program works on it; the system lets go of the lock however that ends. A file that
+A file is locked while its program uses it; the system lets go of the lock however that ends. A file that
 is not locked was left behind.
 """
 
@@ -222,7 +222,7 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
     """Yield a hidden name beside `path` to write to; it becomes `path` when all went well.
 
     Until then the file is for its owner alone, under an unpredictable name. It then has the mode of
-    the file that it replaces, or what the umask says. What goes to a pipe, the terminal or the null device is
+    the file that it replaces, or the umask's. Output to a pipe, the terminal or the null device is
     written to a temporary file first, and then there.
 
     Parameters

@@ -58,7 +58,7 @@ class FilmedScene:
 def stage_at(
     stage: Stage, angle_deg: float, rng: np.random.Generator
 ) -> tuple[Stage, FloatArray, FloatArray]:
-    """The person before a camera that stands elsewhere round them.
+    """The person as seen by a camera placed elsewhere around them.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def add_cameras(
     hidden_t: FloatArray,
     rng: np.random.Generator,
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
-    """The further cameras that a simulation asks for.
+    """The further cameras of a simulation.
 
     Parameters
     ----------

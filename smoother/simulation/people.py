@@ -138,7 +138,7 @@ class _UpperArmMount:
 
 
 class _OnTable:
-    """An IMU that lies where it was laid."""
+    """An IMU at rest on the table."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._R = Rotation.from_quat(rng.normal(size=4)).as_matrix()

@@ -170,14 +170,14 @@ def long_rest(
     acc_density: float = 2e-3,
     gyro_density: float = 2e-4,
 ) -> tuple[ImuStream, FloatArray]:
-    """A sensor that lies still, with white noise and a bias that wanders by a twentieth of it in a second.
+    """A sensor at rest, with white noise and a bias that wanders by a twentieth of it in a second.
 
     Parameters
     ----------
     model : SensorModel
         The accelerometer's errors.
     rest_s : float, s
-        How long it lies.
+        How long it rests.
     seed : int
         Of the noise.
     rate_hz : float, Hz

@@ -130,7 +130,7 @@ def relative_day(word: str, person: str, origin_ns: int) -> float | None:
     Returns
     -------
     day : float or None
-        None where the recording's clock knows no date.
+        None where the recording's clock has no date.
     """
     if origin_ns < EARLIEST_NS:
         return None
@@ -411,10 +411,10 @@ def by_folders(name: str, day: float) -> SessionEntry | None:
 
 
 def with_named_days(entries: Mapping[str, SessionEntry]) -> dict[str, SessionEntry]:
-    """The sessions of recordings with the dates that their names have, where clocks know none.
+    """The sessions of recordings with the dates in their names, where clocks have none.
 
     A person's days have one zero: they are those of the names where each name of the person has one and a
-    recording's clock knows no date.
+    recording's clock has no date.
 
     Parameters
     ----------

@@ -248,7 +248,7 @@ class Job:
         return text if self.keep_paths else without_places(text, self._names())
 
     def _names(self) -> dict[str, str]:
-        """What rows say for paths: the name in the study, "." for the study's folder, else the last name."""
+        """Paths as in rows: the name in the study, "." for the study's folder, else the last name."""
         source, calibration = Path(self.source), Path(self.calibration)
         names = {self.source: self.name, self.folder: "."}
         if self.calibration:

@@ -203,8 +203,8 @@ def _refuse_doubles(attendances: Sequence[SessionEntry]) -> None:
         other = first.setdefault((each.session, each.task), each.recording)
         if other != each.recording:
             raise UnoccludeError(
-                f"{other} and {each.recording} are both session {each.session} of {each.person}: tell them"
-                " apart by a column task in the table (--sessions), or by another session"
+                f"{other} and {each.recording} are both session {each.session} of {each.person};"
+                " distinguish them by a column task in the table (--sessions), or by another session"
             )
 
 

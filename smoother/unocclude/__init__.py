@@ -120,7 +120,7 @@ def smooth(
         )
     elif file is not None:
         raise UnoccludeError(
-            f"{os.fspath(file)}: a calibration file goes with the recording's file, as it also corrects the"
+            f"{os.fspath(file)}: a calibration file belongs to the recording's file, as it also corrects the"
             " sensors; give smooth() both as paths, or an arm of it: read_calibration(FILE).arm(SIDE)"
         )
     return smoother.smooth(recording, given, config, progress, store, processes, clock, draws, seed)

@@ -146,7 +146,7 @@ CHECK = SelfCheck(8, 1, 1.7, 0.011, 0.010, 0.96, 1.4, 1.1)
 DONE = {
     "As a check inside the recording": {"self_check": CHECK},
     "multiplied by 1.30": {"sigma_factors": (1.0, 1.3)},
-    "The magnetometer's direction took part": {"magnetometer_blocks": 9, "magnetometer_blocks_used": 7},
+    "The magnetometer's direction was used": {"magnetometer_blocks": 9, "magnetometer_blocks_used": 7},
     "Given beforehand": {"given": ("elbow",)},
     "starting from a measured": {"clock_given_s": (0.01, 0.002)},
     "of one motion was tested: unrelated": {"pairing": Pairing(True, 1e-4, 120.0)},

@@ -370,7 +370,7 @@ def summary(counts: dict[str, dict[str, int]]) -> str:
 
 
 def progress(options: argparse.Namespace) -> Iterator[str]:
-    """False alarms, found changes and intervals that hold, between simulated persons' sessions."""
+    """False alarms, detected changes and coverage of intervals, between simulated persons' sessions."""
     config = ArmSimulation.preset(options.preset, protocol="random", duration_s=options.duration_s)
     counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
     for seed in options.seeds:

@@ -70,7 +70,7 @@ class Tally:
         self._worst[key] = max(self._worst.get(key, 0.0), figures.position_max_m)
 
     def show(self) -> Iterator[str]:
-        """Print one line a key."""
+        """Print one line per key."""
         for key, (e, d, c, n) in self._sums.items():
             yield (
                 f"  {key!s:>10}: rms {100 * np.sqrt(e / n):5.2f} cm  max {100 * self._worst[key]:5.2f} cm"

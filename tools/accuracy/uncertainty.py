@@ -8,7 +8,7 @@ factors and without.
 
 `draws --gaps 200`: where the truth ranks among motions drawn from the posterior. Simulation-based calibration
 (Talts et al., arXiv:1804.06788, 2018): if the posterior is right, the truth's rank among the draws is
-uniform. One sample a gap, at a random time and along a random direction, so that the ranks are nearly
+uniform. One sample per gap, at a random time and along a random direction, so that the ranks are nearly
 independent. A spread below 1 means that sigma is too wide (ranks pile up in the middle), above 1 that it is
 too narrow.
 """
@@ -272,7 +272,7 @@ CHECKS = (
             option(
                 "--exact",
                 action="store_true",
-                help="give the true calibration, not one as uncertain as it says",
+                help="give the true calibration, not one with errors as stated",
             ),
         ),
     ),

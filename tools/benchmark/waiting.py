@@ -32,7 +32,7 @@ class Waited:
     seconds : float, s
         From start to end.
     shows_progress : bool
-        Whether it says meanwhile how far it is.
+        Whether it shows progress.
     """
 
     name: str

@@ -254,7 +254,7 @@ def table(outcomes: list[Outcome]) -> str:
 
 
 def main() -> int:
-    """Run the cases that the command line asks for; 1 where one was silent or unexpected."""
+    """Run the selected cases; 1 where one was silent or unexpected."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=int, default=1, help="run one case in this many")

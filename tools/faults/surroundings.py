@@ -285,7 +285,7 @@ def _flipped(data: bytes, rng: Rng) -> bytes:
 
 
 def _strange_rows(study: Path, rng: Rng) -> None:
-    """Files among the rows of workers that are no rows."""
+    """Files among the rows of workers that are not rows."""
     rows = study / ".unocclude" / "rows"
     rows.mkdir(parents=True, exist_ok=True)
     texts = [

@@ -170,7 +170,7 @@ def hidden(recording: Recording, rng: Rng) -> Recording:
 
 
 def an_hour_blind(recording: Recording, rng: Rng) -> Recording:
-    """The camera ends after some seconds and the IMU goes on for an hour, moving or at rest."""
+    """The camera ends after some seconds and the IMU continues for an hour, moving or at rest."""
     imu = recording.imu
     step = float(np.median(np.diff(imu.t_s)))
     count = round(3600 / step)

@@ -126,7 +126,7 @@ class Job:
 
 
 def jobs(data: list[str], seeds: int) -> Iterator[Job]:
-    """All jobs, the ones that say most first, so that an unfinished run has something of everything."""
+    """All jobs, the most informative first, so that an unfinished run has something of everything."""
     for rank in range(max(seeds, len(LENGTHS_S))):
         for name in data:
             lengths = {"utd": UTD_LENGTHS_S, "ingredients": INGREDIENT_LENGTHS_S}.get(name, LENGTHS_S)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-#: On the processor, s: the wall's clock says more of what else the machine does.
+#: Processor time, s: wall time depends on what else the machine does.
 MOST_S = 10.0
 #: Of memory above what the process holds anyway, MB.
 MOST_MB = 1500.0

@@ -20,7 +20,7 @@ _SHM = Path("/dev/shm")
 
 @cache
 def _folder(process: int) -> tempfile.TemporaryDirectory[str]:
-    """A folder of this process, that goes when it ends."""
+    """A folder of this process, deleted when it ends."""
     return tempfile.TemporaryDirectory(prefix="unocclude_fuzz_", dir=_SHM if _SHM.is_dir() else None)
 
 

@@ -388,7 +388,7 @@ def head() -> None:
     """Print the heads of the columns."""
     print(
         f"{'case':38} {'exercise, tracker':32} {'seed':>10} {'length':>7} {'worst gap':>9} {'stated':>9}"
-        f"  {'gap':8} {'recording':12} what it says"
+        f"  {'gap':8} {'recording':12} verdict"
     )
 
 

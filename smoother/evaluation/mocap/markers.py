@@ -221,7 +221,7 @@ class ClusterMotion:
     residual_m : ndarray, shape (n,), m
         Rms distance of the seen markers from the body.
     used : ndarray of bool, shape (n, m)
-        The marker took part.
+        The marker was used.
     mistaken : int
         Single samples that were rejected.
     """

@@ -255,7 +255,7 @@ def smoothed(t_s: FloatArray, rotation: FloatArray, position: FloatArray) -> tup
     """Poses low-passed without delay, not across missing frames: cubics about each sample (Savitzky, Golay).
 
     The window, the same for the whole capture, is the one whose cubics predict the samples best that they
-    were not fitted to (leave-one-out): noise alone asks for a long one, quick movement for a short one. A
+    were not fitted to (leave-one-out): noise alone requires a long one, quick movement a short one. A
     rotation is smoothed as a quaternion and brought back to unit length.
     """
     known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(position).all(axis=1)

@@ -140,7 +140,7 @@ def describe_files(
     paths : list of Path
         Files, and folders whose files are meant.
     reader : FileReader, optional
-        One that knows templates, or has read some of the files.
+        One that has templates, or has read some of the files.
     output : Path, optional
         No input where it is in a folder.
 
@@ -175,7 +175,7 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
 
 
 def _no_stream(path: Path, head: FileHead) -> tuple[str, str] | None:
-    """Kind and title of what is no stream of a device, and is used all the same."""
+    """Kind and title of a file that is not a device's stream but is used."""
     if is_video(head.raw):
         return "video", "Video"
     if head.raw.startswith(b"PK") and is_model(path):

@@ -201,7 +201,7 @@ class FileReader:
         return self._tables[key]
 
     def _by_names(self, path: Path, importer: DeviceFormat, error: RecordingError) -> list[ImuTable]:
-        """A table that its importer refuses and whose columns say all; [] where they do not.
+        """A table that its importer refuses and whose columns suffice; [] where they do not.
 
         Other programs write columns that look like a device's.
         """

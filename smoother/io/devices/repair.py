@@ -21,7 +21,7 @@ from ...measurements.timestamps import (
 )
 from ..tables.protocol import ImuTable, SkeletonTable, amount
 
-#: Rows at the start with a stamp of zero are not times where the next stamp lies this far on, s.
+#: Rows at the start with a stamp of zero are not times where the next stamp is this much later, s.
 _FAR_S = 3600.0
 #: A stamp farther than this from the others is none, s: files keep nanoseconds in 64 bits, +-292 years.
 _FARTHEST_S = 4e9
@@ -157,7 +157,7 @@ def _number(table: ImuTable) -> tuple[IntArray | None, list[str]]:
 
 
 def _follows(t_s: FloatArray, number: IntArray) -> bool:
-    """Whether stamps are as even as the counter that goes with them, as far as anything is known."""
+    """Whether stamps are as even as their counter, as far as known."""
     dt, steps = np.diff(t_s), np.diff(number)
     if (dt <= 0).any():
         return False

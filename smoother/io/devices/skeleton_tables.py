@@ -376,7 +376,7 @@ def _leading(raw: RawSkeleton, columns: FloatArray) -> None:
 
 @dataclass(frozen=True)
 class JointArray:
-    """An array of frames, points and x, y, z (and a score); which point is which goes by how many there are.
+    """An array of frames, points and x, y, z (and a score); points are identified by their number.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ class PoseVideo:
     mirrored : bool
         The camera stored a mirror image.
     turn_deg : int
-        Turn the pictures clockwise, besides what the file says.
+        Rotate the pictures clockwise, in addition to the file's own rotation.
     progress : callable, optional
         Told how far it is.
     key, title, kind, recognised_by : str

@@ -110,7 +110,7 @@ def frames_at_grid(t_s: FloatArray, values: FloatArray, has: BoolArray, grid: Gr
     values : ndarray, shape (F, C)
         What to interpolate.
     has : ndarray of bool, shape (F,)
-        Frames that have a value. One that stands alone goes to the nearest time of the grid.
+        Frames that have a value. A single one is assigned to the nearest time of the grid.
     grid : Grid
         The times to interpolate at.
 

@@ -98,7 +98,7 @@ _INTEGER = 2  # ezc3d's number of the type
 
 @dataclass(frozen=True)
 class C3dContent:
-    """What a C3D file holds.
+    """The content of a C3D file.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = F
     path : path-like
         The file to write.
     content : C3dContent
-        What it is to hold.
+        Its content.
     force : bool
         Overwrite a file that exists.
 
@@ -172,7 +172,7 @@ def check_frames(name: str | os.PathLike[str], frames: int, rate_hz: float) -> N
     Raises
     ------
     UnoccludeError
-        There are more frames than a C3D file holds.
+        There are more frames than a C3D file can contain.
     """
     if frames > MOST_FRAMES:
         slower = np.floor(100 * rate_hz * MOST_FRAMES / frames) / 100

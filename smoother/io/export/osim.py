@@ -15,7 +15,7 @@ from ...linalg import unit
 from ...result import Recovery
 from ...runtime.outputs import writing
 
-#: As many samples say as much as all.
+#: This many samples are as informative as all.
 _SAMPLES = 4000
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pyarrow
 
 
-#: Key of the file's metadata under which the rest of the result lies, as JSON.
+#: Key of the file's metadata that contains the rest of the result, as JSON.
 METADATA_KEY = b"unocclude"
 _GROUP = 100_000
 

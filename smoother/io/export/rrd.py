@@ -467,7 +467,7 @@ def write_rrd(
 
 
 def _names(recoveries: Sequence[Recovery]) -> list[str]:
-    """Side of each arm, with a number where sides do not tell them apart."""
+    """Side of each arm, with a number where sides do not distinguish them."""
     sides = [recovery.side or "arm" for recovery in recoveries]
     return [side if sides.count(side) == 1 else f"{side}_{number + 1}" for number, side in enumerate(sides)]
 

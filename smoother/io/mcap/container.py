@@ -1,6 +1,6 @@
 """An MCAP file read front to back in flat memory.
 
-Messages are read in the order in which they lie, so that a file that was cut off gives all that it still
+Messages are read in file order, so that a truncated file gives all that it still
 has; the mcap package gives nothing of a chunk that is cut. Behind a damage reading resumes at the next
 records that make sense (`top_level`); what was lost is counted. The summary at the file's end
 (`summary`) serves for channels whose own records are lost, and shows how many messages are missing.

@@ -115,7 +115,7 @@ def cut_container(
 
 
 def _said_once(topics: Sequence[Topic]) -> list[int]:
-    """Positions of the topics whose few messages hold for the whole recording."""
+    """Positions of the topics whose few messages apply to the whole recording."""
     return [
         number
         for number, topic in enumerate(topics)

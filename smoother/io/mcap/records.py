@@ -203,7 +203,7 @@ def _heads(chunk: bytes, place: IntArray) -> NDArray:
 _FOOTER = struct.Struct("<BQQQI")
 #: A summary has no more bytes than this; chunk indexes take about a hundred bytes a megabyte.
 _LONGEST = 1 << 25
-#: What the record begins with that stands before a summary; it is looked for in the last bytes of a file.
+#: The beginning of the record that precedes a summary; it is looked for in the last bytes of a file.
 _DATA_END, _NEAR = HEAD.pack(Opcode.DATA_END, 4), 1 << 22
 #: What reading a damaged record raises.
 BROKEN = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowError, MemoryError, EOFError)

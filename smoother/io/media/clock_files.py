@@ -202,7 +202,7 @@ def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[
 
 
 COLUMNS = ("round", "node", "t_s")
-#: Times that say "not received", in lower case.
+#: Times that mean "not received", in lower case.
 MISSED = ("", "nan", "na", "n/a", "none", "null", "-")
 
 

@@ -62,7 +62,7 @@ def check_model(path: Path | None) -> Path:
     Raises
     ------
     UnoccludeError
-        There is none, or it is no bundle of the pose landmarker.
+        There is none, or it is not a bundle of the pose landmarker.
     """
     if path is None:
         raise UnoccludeError(f"{MODEL_WORDS}; name it with --model FILE")

@@ -237,7 +237,7 @@ def write_strap_recording(
     *,
     force: bool = False,
 ) -> None:
-    """Write the recording, its images, both lenses and how the cameras stand to each other.
+    """Write the recording, its images, both lenses and the cameras' relative pose.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def write_strap_recording(
 
 
 def _once(channel: int, stamp: IntArray, data: bytes) -> OutputStream:
-    """A message that holds from the first image on."""
+    """A message that applies from the first image on."""
     return OutputStream(channel, stamp[:1], lambda rows: list(islice([data], rows.start, rows.stop)))
 
 

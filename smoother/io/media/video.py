@@ -130,7 +130,7 @@ def open_video(path: Path, turn_deg: int = 0, mirrored: bool = False) -> Iterato
 
     if not path.is_file():
         raise RecordingError(f"{path} does not exist; name the file of a video.")
-    logging = cv2.utils.logging  # its lines about damaged files say less than our sentence
+    logging = cv2.utils.logging  # its lines about damaged files are less clear than our sentence
     previous = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:

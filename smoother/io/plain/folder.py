@@ -192,7 +192,7 @@ def _describe(folder: Path) -> _Description:
 
 
 def _check_places(folder: Path, description: _Description, outside: bool) -> None:
-    """Refuse files that lie elsewhere, and what is not a file."""
+    """Refuse files elsewhere, and what is not a file."""
     truth = description.truth
     cameras = [each for each in (description.camera, *description.cameras.values()) if each is not None]
     names = [camera.skeleton for camera in cameras if camera.skeleton is not None]

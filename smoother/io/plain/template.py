@@ -115,7 +115,7 @@ def with_template(keys: Keys, folder: Path, templates: Sequence[TableTemplate]) 
     Parameters
     ----------
     keys : ImuKeys or CameraKeys, optional
-        The section; what it says itself counts before the template.
+        The section; its own keys take precedence over the template.
     folder : Path
         Of its table.
     templates : sequence of TableTemplate

@@ -40,7 +40,7 @@ def join_bodies(
 ) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost.
 
-    Where IMUs tell people apart they decide: a body that wears what another wore is the same one, wherever
+    Where IMUs distinguish people they decide: a body that wears what another wore is the same one, wherever
     it comes back, and one that does not is another, even in the same place.
 
     Parameters

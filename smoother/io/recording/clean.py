@@ -327,7 +327,7 @@ def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, sou
 
 
 def _refuse_set_back(stamp_ns: IntArray, values: FloatArray, name: str, source: str, what: str) -> None:
-    """Dropping what goes back would leave all that follows at the wrong time."""
+    """Dropping stamps that go back would leave all that follows at the wrong time."""
     if (stamp_ns[1:] > stamp_ns[:-1]).all():
         return
     _, steps = clock_resets((stamp_ns - stamp_ns[0]) / 1e9, values)

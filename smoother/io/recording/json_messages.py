@@ -316,7 +316,7 @@ NOT_PASSED_THROUGH = "Not carried over"
 
 
 def may_copy(topic: Topic, passthrough_images: bool) -> bool:
-    """Whether a topic of a recording goes into files made of it.
+    """Whether a topic of a recording is copied into files made of it.
 
     Images in any form, sound, text, positions on Earth and whatever is not known do not, unless asked for.
 

@@ -59,7 +59,7 @@ def with_lenses(file: RecordingFile, topics: set[str]) -> None:
     file : RecordingFile
         As read, with its lenses.
     topics : set of str
-        That hold keypoints.
+        With keypoints.
     """
     kept = []
     for arm in file.arms:

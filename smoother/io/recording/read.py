@@ -140,7 +140,7 @@ def open_recording(
     path : path-like
         The file.
     only : collection of str
-        Topics: read on only until they and an IMU were met, for what holds from the first message on.
+        Topics: read on only until they and an IMU were met, for what applies from the first message on.
     store : Store, optional
         Where the samples are to lie; None = in memory.
     truth : bool

@@ -114,7 +114,7 @@ class ArmFrames:
 
 @dataclass(frozen=True)
 class KnownLens:
-    """The lens of a camera without depth, and where the camera stands if that was measured.
+    """The lens of a camera without depth, and the camera's pose if that was measured.
 
     Attributes
     ----------
@@ -312,7 +312,7 @@ def _sorted_arm(arm: ArmFrames, store: Store) -> ArmFrames:
 
 
 def _order(stamp_ns: IntArray) -> IntArray | None:
-    """Rows by stamp; None where they stand so."""
+    """Rows by stamp; None where they are sorted already."""
     if all((np.diff(stamp_ns[part.start : part.stop + 1]) >= 0).all() for part in batches(len(stamp_ns))):
         return None
     return np.argsort(stamp_ns, kind="stable")

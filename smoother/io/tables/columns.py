@@ -166,7 +166,7 @@ def joint_label(marker: str, kind: str) -> str:
 
 
 def stem_of(name: str) -> str:
-    """A stream's name without what says accelerometer or gyroscope, to find what belongs together."""
+    """A stream's name without accelerometer or gyroscope, to find what belongs together."""
     return " ".join(word for word in words_of(name) if not _says_what(word))
 
 

@@ -67,7 +67,7 @@ class ImuFormat:
         Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first; `{}` is replaced by
         what names the sensor.
     axes : str
-        What stands behind the stem, `{}` for the axis, where that is none of the usual ways.
+        Text after the stem, `{}` for the axis, if it is not one of the usual ones.
     acc_unit, gyro_unit : str
         Count where the file states none; the first may be a function that finds it, and notes it.
     time : tuple of str

@@ -226,7 +226,7 @@ _CONFIDENCE = {
     *("c", "conf", "confidence", "state", "tracking", "tracked", "trackingstate", "visibility", "vis", "v"),
     *("score", "presence", "likelihood", "status", "level"),
 }
-#: Columns with one of these words are no position.
+#: Columns with one of these words are not positions.
 _ELSE = {
     *("rot", "rotation", "orientation", "orient", "ori", "quat", "quaternion", "qx", "qy", "qz", "qw", "w"),
     *("euler", "roll", "pitch", "yaw", "depth", "color", "colour", "screen", "pixel", "px", "image", "img"),

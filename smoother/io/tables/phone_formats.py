@@ -332,7 +332,7 @@ def _android_times(sheet: Sheet) -> tuple[FloatArray, list[str]]:
     unit = time_unit(said, times)
     if unit is None:
         raise RecordingError(
-            f"{sheet.path} has times in {sheet.name(column or 0)} that are no s, ms, us or ns of a sensor"
+            f"{sheet.path} has times in {sheet.name(column or 0)} that are not s, ms, us or ns of a sensor"
             " at 3 to 2,500 Hz; describe it in a recording.toml (`unocclude import describe` prints one)."
         )
     return times * TIME[unit], [] if said == unit else [f"Times are in {unit}, by the rate that they give."]

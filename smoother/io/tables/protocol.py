@@ -164,7 +164,7 @@ class DeviceFormat(Protocol):
 
     @property
     def kind(self) -> str:
-        """What it holds: "imu", "skeleton" or "recording" (both)."""
+        """What it contains: "imu", "skeleton" or "recording" (both)."""
 
     @property
     def recognised_by(self) -> str:

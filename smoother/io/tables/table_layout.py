@@ -73,7 +73,7 @@ class TableLayout:
         Parameters
         ----------
         *stems : str
-            What stands before the axis ("acc" for `Acc_X`, `acc x`, `accX`); the first that fits counts.
+            Text before the axis ("acc" for `Acc_X`, `acc x`, `accX`); the first that fits counts.
         signs : sequence of str
             Signs of the three axes, tried in turn ("xyz", "123").
 

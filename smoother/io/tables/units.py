@@ -159,7 +159,7 @@ def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str
     Raises
     ------
     RecordingError
-        The values hold gravity in none of them.
+        The values contain gravity in none of them.
     """
     size = np.linalg.norm(values, axis=1)
     median = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
@@ -187,7 +187,7 @@ def turning_unit(values: FloatArray, notes: list[str]) -> str:
 
 
 def unit_by_size(values: FloatArray, source: Path) -> str:
-    """Unit, and with it the sensor, of a vector that says neither.
+    """Unit, and with it the sensor, of a vector that states neither.
 
     Parameters
     ----------

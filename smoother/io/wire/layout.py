@@ -23,7 +23,7 @@ BROKEN = (struct.error, IndexError, ValueError, OverflowError)
 
 @dataclass
 class MessageLayout:
-    """Where the fields of a message lie.
+    """Where the fields of a message are.
 
     Attributes
     ----------

@@ -43,7 +43,7 @@ def parsed(name: str, data: bytes) -> Any:
     Raises
     ------
     ValueError
-        They are no such message.
+        They are not such messages.
     """
     from google.protobuf.message import DecodeError
 

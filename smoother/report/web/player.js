@@ -2,7 +2,7 @@
 /* The arms in motion: a list of arms on one grid of times each, moved by the time that all plots share. */
 (() => {
   const { unpack, add, dot, cross, unit } = View3D;
-  const REGION = Math.sqrt(7.8147); // of the ellipsoid that holds 95 of 100 cases, in sigmas
+  const REGION = Math.sqrt(7.8147); // of the ellipsoid that contains 95 of 100 cases, in sigmas
   const TRAIL_S = 2, AROUND_S = 15, MOST_PATH = 2500, LONG_S = 90;
 
   class Arm {

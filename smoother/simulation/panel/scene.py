@@ -1,4 +1,4 @@
-"""What stands before the camera, as triangles and as what each of them looks like in infrared."""
+"""The scene before the camera, as triangles with their infrared brightness."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ class SimulatedPanel:
         The IMU on the panel and the one on the camera, over the whole session.
     R_K_E, t_K_E : ndarray, shape (3, 3) and (3,), m
         The answer of `calibrate panel`, camera from mocap: p_K = R_K_E p_E + t_K_E. Where the camera is
-        tilted between the poses, it holds for the first.
+        tilted between the poses, it is that of the first.
     R_K_B, R_P_I : ndarray, shape (3, 3)
         The answer of `calibrate world`: camera from base IMU, panel from its IMU.
     """
