@@ -375,7 +375,7 @@ def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -
     """
     document: dict[str, Any] = {"format": FORMAT, "version": VERSION} | tomllib.loads(held)
     for name in {"format", "version", "arm"} & set(calibration.tables):
-        raise CalibrationError(f"Calibration {path}: a table of its own cannot be called {name}.")
+        raise CalibrationError(f"Calibration {path}: an extra table cannot be named {name}.")
     sections = {side: section_of_arm(arm) for side, arm in calibration.arms.items()}
     for side, section in sections.items():
         if side not in SIDES:

@@ -184,12 +184,12 @@ def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:
     if fewest.level < LEVELS[1]:
         sentences.append(
             f"{fewest.count} {'gap is' if fewest.count == 1 else 'gaps are'} too few for 95 %: the largest"
-            f" error counts, which holds in {100 * fewest.level:.0f} of 100; {ENOUGH_GAPS} or more are needed"
-            " (--repetitions, or several recordings)"
+            f" error is used, which covers {100 * fewest.level:.0f} of 100; {ENOUGH_GAPS} or more are"
+            " needed (--repetitions, or several recordings)"
         )
     if max(row.factor for row in factors) > LARGEST_FACTOR:
         sentences.append(
-            f"a factor above {LARGEST_FACTOR:g} is not about sigma: some gaps are recovered wrongly, look"
-            " whether clock, axes and mounting are right"
+            f"a factor above {LARGEST_FACTOR:g} is not about sigma: some gaps are recovered wrongly; check"
+            " clock, axes and mounting"
         )
     return sentences

@@ -114,7 +114,7 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
         is_good &= sigma_deg < GOOD_DEG and pose.sigma_m < GOOD_M
         cosine = 0.5 * (float(np.trace(pose.R_K_C)) - 1.0)
         sentences.append(
-            f"{name} stands {np.linalg.norm(pose.p_K_C_m):.2f} m from {FIRST_CAMERA}, turned by"
+            f"{name} is {np.linalg.norm(pose.p_K_C_m):.2f} m from {FIRST_CAMERA}, turned by"
             f" {np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees; sigma {sigma_deg:.2f} degrees"
             f" and {100 * pose.sigma_m:.1f} cm per axis where the arm is"
         )

@@ -273,13 +273,13 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
             f"the sound lasts {len(samples) / rate_hz:.2f} s only; record at least a second"
         )
     if not np.isfinite(samples).all() or not np.ptp(samples) > 0:
-        raise CalibrationError("the sound is silent; see that the microphone is on")
+        raise CalibrationError("the sound is silent; check that the microphone is on")
     frames_t, frequency, power = _spectrogram(samples, rate_hz)
     level, at, above = _clearest(power, frequency, tone_hz)
     if above < LOUD_DB:
         raise CalibrationError(
-            f"no beep stands out of the sound (the clearest tone, {frequency[at]:.0f} Hz, is {above:.0f} dB"
-            f" above the quiet, {LOUD_DB:.0f} are needed); bring the buzzer nearer to the microphone"
+            f"no beep is loud enough (the clearest tone, {frequency[at]:.0f} Hz, is {above:.0f} dB above"
+            f" the background, {LOUD_DB:.0f} are needed); bring the buzzer nearer to the microphone"
         )
     beeps = []
     for first, last in _runs(level):
@@ -290,7 +290,9 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
         tone = _tone(samples, rate_hz, start, end, float(frequency[at]))
         beeps.append(_fit_end(samples, rate_hz, start, end, tone, above))
     if not beeps:
-        raise CalibrationError("the sound contains a tone that does not end; record the quiet after it too")
+        raise CalibrationError(
+            "the sound contains a tone that does not end; also record the silence after it"
+        )
     return beeps
 
 

@@ -163,7 +163,7 @@ def link_words(link: ClockLink) -> str:
         f" (at {link.at_s:.1f} s of {link.from_clock})"
     )
     if link.skew_sigma_ppm < SKEW_KNOWN_PPM:
-        sentences += f", growing by {link.skew_ppm:+.1f} +- {link.skew_sigma_ppm:.1f} parts in a million"
+        sentences += f", growing by {link.skew_ppm:+.1f} +- {link.skew_sigma_ppm:.1f} ppm"
     return sentences
 
 
@@ -172,7 +172,7 @@ def verdict(network: ClockNetwork) -> list[str]:
     links = network.links()
     worst = max(links, key=lambda link: link.sigma_s)
     sentences = [
-        f"{len(network.nodes)} clocks hang together in {len(links)} pairs; the worst pair"
+        f"{len(network.nodes)} clocks are linked by {len(links)} pairs; the worst pair"
         f" ({worst.from_clock}, {worst.to_clock}) is known to {1e3 * worst.sigma_s:.2f} ms"
     ]
     if len(set(network.group.tolist())) > 1:
@@ -182,9 +182,7 @@ def verdict(network: ClockNetwork) -> list[str]:
         ]
         sentences.append(f"nothing links these groups of clocks with each other: {'; '.join(groups)}")
     sentences += disagreements(network)
-    sentences.append(
-        "a clock offset belongs to its recording: measure it anew for every session, it is never carried over"
-    )
+    sentences.append("a clock offset is valid for its recording only: measure it again in every session")
     return sentences
 
 
@@ -268,7 +266,7 @@ def next_time(calibration: ClockCalibration) -> list[str]:
             "hold the buzzer right in front of the microphone, so that it is louder than its echo"
         )
     if motion is not None and motion.link.sigma_s > 0.003:
-        sentences.append("move the forearm briskly in view for 20 s; the clock shows in fast motion alone")
+        sentences.append("move the forearm briskly in view for 20 s; only fast motion determines the clock")
     return sentences or ["record in the same way: nothing is missing"]
 
 

@@ -13,7 +13,7 @@ from smoother.errors import CalibrationError
 
 from .beeps import Beep, find_beeps
 
-#: Crystals differ by some hundred parts in a million.
+#: Crystals differ by some hundred ppm.
 SKEW_SIGMA = 5e-4
 
 
@@ -55,7 +55,7 @@ class ClockLink:
         Names of the nodes.
     offset_s, sigma_s : float, s
         Offset at `at_s` with its standard deviation.
-    skew_ppm, skew_sigma_ppm : float, parts in a million
+    skew_ppm, skew_sigma_ppm : float, ppm
         How fast it grows; sigma is 500 where nothing was measured.
     at_s : float, s
         Time on `from_clock` for which the offset is stated.

@@ -19,9 +19,9 @@ CAMERA_WORDS = ("camera", "kinect", "k4a", "azure", "depth", "realsense")
 LEAST_SIGMA_S = 0.0005
 #: A time beyond this counts from 1970, not from the recording's start, s.
 UNIX_S = 1e8
-#: A skew with this sigma was not measured, parts in a million.
+#: A skew with this sigma was not measured, ppm.
 UNKNOWN_PPM = 499.0
-#: What crystals differ by in most devices, parts in a million: widens sigma where it was not measured.
+#: What crystals differ by in most devices, ppm: widens sigma where it was not measured.
 TYPICAL_PPM = 50.0
 
 
@@ -55,7 +55,7 @@ def measured_clock(file: CalibrationFile, recording: Recording) -> Clock | None:
     if len(links) > 1:
         names = ", ".join(_imu_end(link) for link in links)
         raise CalibrationError(
-            f"{file.source}: its [clock] links the camera with {names}, and none is called as the IMU"
+            f"{file.source}: its [clock] links the camera with {names}, and none has the name of the IMU,"
             f" {recording.imu.name}; give --clock-offset"
         )
     return _clock(links[0], file.source, recording)

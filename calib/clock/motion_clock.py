@@ -102,8 +102,8 @@ def clock_from_motion(
     excerpts = _excerpts(segments)
     if not excerpts:
         raise CalibrationError(
-            f"{recording.name}: the forearm was visible too shortly to find the clock; record 20 s of"
-            " motion in view"
+            f"{recording.name}: the forearm was visible for too short a time to find the clock; record"
+            " 20 s of motion in view"
         )
     with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
         arm = _mounting(excerpts, known, config, pool)
@@ -111,7 +111,7 @@ def clock_from_motion(
     rows = [(t, clock) for t, clock in clocks if clock is not None]
     if not rows:
         raise CalibrationError(
-            f"{recording.name}: in no excerpt could the clock be found; move more and faster"
+            f"{recording.name}: the clock could not be found in any excerpt; move more and faster"
         )
     t = np.array([t for t, _ in rows])
     offset = coarse + np.array([each[0] for _, each in rows])

@@ -305,7 +305,7 @@ class _System:
         columns = np.concatenate([self.free, n + self.free])
         part = design[:, columns]
         normal = part.T @ (information[:, None] * part)
-        size = np.sqrt(np.diag(normal))  # seconds and parts in a million: scaled for the inverse
+        size = np.sqrt(np.diag(normal))  # seconds and ppm: scaled for the inverse
         inverse = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
         step = np.zeros(2 * n)
         step[columns] = inverse @ (part.T @ (information * off))

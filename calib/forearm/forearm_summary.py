@@ -22,16 +22,15 @@ RESTLESS_RAD_S = 0.12
 
 #: What to look at when a measure of the pose and of the motion contradict each other.
 _BROKEN = {
-    "upper arm": "shoulder or elbow is placed otherwise in the pose than in motion (a sleeve, a shrugged"
+    "upper arm": "shoulder or elbow is placed differently in the pose than in motion (a sleeve, a shrugged"
     " shoulder)",
-    "forearm": "the camera places elbow or wrist otherwise in the pose than in motion (the arm pointed"
+    "forearm": "the camera places elbow or wrist differently in the pose than in motion (the arm pointed"
     " to the camera)",
     "strap to wrist": "the strap slid along the arm between the pose and the motion, or its place was"
     " measured wrongly",
     "strap to elbow": "the strap slid along the arm between the pose and the motion, or its place was"
     " measured wrongly",
-    "radius": "the forearm is not a straight line through its core, or the strap's place was found beside"
-    " the arm",
+    "radius": "the forearm is not straight, or the strap was found beside the arm",
     "direction": "the sensor turned on the arm between the pose and the motion, or the arm was not still"
     " in the pose",
     "roll": "the palm did not face the camera in the pose, or the sensor does not sit on the back of the"
@@ -128,7 +127,7 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
     arm, measures = without_wrong_axes(calibration.calibration, rows), calibration.measured.lengths
     sentences, left_open = verdict(calibration, rows), open_questions(calibration)
     if arm.R_F_A is None and calibration.calibration.R_F_A is not None:
-        left_open.append("R_F_A is left open: pose and motion contradict each other in it")
+        left_open.append("R_F_A is not written: pose and motion contradict each other")
     sigma_deg = {
         "direction": float(np.degrees(calibration.direction_sigma_rad)),
         "roll": float(np.degrees(calibration.roll_sigma_rad)),
@@ -192,7 +191,7 @@ def verdict(calibration: ForearmCalibration, rows: list[Compared]) -> list[str]:
     pose = calibration.pose
     said = [f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s"]
     if not rows:
-        why = calibration.why_not or "the motion showed nothing of the forearm"
+        why = calibration.why_not or "the motion did not show the forearm"
         return [*said, f"there is no motion to compare it with: {why}"]
     broken = [row for row in rows if not row.agrees]
     if not broken:
@@ -210,13 +209,13 @@ def open_questions(calibration: ForearmCalibration) -> list[str]:
     said = []
     if calibration.calibration.R_F_A is None:
         said.append(
-            "lever arms and R_F_A are left open: the sensor's orientation in the pose is not known"
+            "lever arms and R_F_A are not determined: the sensor's orientation in the pose is not known"
             f" ({calibration.why_not})"
         )
     if calibration.measured.strap_from == "usual":
         said.append(
             "the strap's place was neither seen nor measured: usual values are used (5 +- 2 cm to the"
-            " wrist, 3.5 +- 0.8 cm to the forearm's core)"
+            " wrist, 3.5 +- 0.8 cm to the forearm's axis)"
         )
     if calibration.pose.turning_rad_s > RESTLESS_RAD_S:
         said.append(

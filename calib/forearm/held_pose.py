@@ -210,7 +210,9 @@ RULER_SIGMA_M = 0.004
 USUAL_JOINT_BIAS_M = 0.008
 #: A sensor whose orientation in the pose is not known better than this gives no lever arms, rad.
 LARGEST_ATTITUDE_SIGMA_RAD = np.radians(12.0)
-_STILL = "the arm hardly moves in the recording, so that the sensor's heading against the camera is open"
+_STILL = (
+    "the arm hardly moves in the recording, so the sensor's heading relative to the camera is not determined"
+)
 #: The recording is solved over this much time about the pose, s.
 SOLVED_S = 90.0
 

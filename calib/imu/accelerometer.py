@@ -329,8 +329,8 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
     offset, matrix = answer.x[:3], symmetric(answer.x[3:])
     if not np.linalg.eigvalsh(matrix).min() > 0:
         raise CalibrationError(
-            "the rest poses fit no accelerometer; lay the sensor on its six sides and on six edges between"
-            " them."
+            "the rest poses do not fit an accelerometer; lay the sensor on its six sides and on six"
+            " edges between them."
         )
     residual = np.linalg.norm((rests.acc - offset) @ matrix, axis=1) - gravity
     freedom = max(len(rests) - 9, 1)
@@ -352,8 +352,9 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
     worst = float(sigma.max())
     if worst > REFUSED_SIGMA:
         raise CalibrationError(
-            f"the {rests.poses} rest poses leave the sensor's {axis_words(weak)} open; add rests in which it "
-            f"points up, and others in which it points down, until all six sides and some edges have been up."
+            f"the {rests.poses} rest poses leave the sensor's {axis_words(weak)} undetermined; add rests"
+            " in which it points up, and others in which it points down, until all six sides and some"
+            " edges have been up."
         )
     return AccelerometerCalibration(
         offset=offset,
@@ -396,7 +397,7 @@ def _jacobian(p: FloatArray, raw: FloatArray, gravity: float) -> FloatArray:
 
 def _poses_words(rests: Rests) -> str:
     if not len(rests):
-        return "the sensor never lay still"
+        return "the sensor was never still"
     same = f" in {len(rests)} rests" if len(rests) > rests.poses else ""
     return f"the recording contains {rests.poses} different rest pose{'s' * (rests.poses != 1)}{same}"
 
@@ -405,13 +406,13 @@ def _remarks(worst: float, weak: FloatArray, residual: FloatArray) -> list[str]:
     said = []
     if worst > DOUBTED_SIGMA:
         said.append(
-            f"with the sensor's {axis_words(weak)} up the answer is known to {worst:.3f} m/s^2 only; "
+            f"with the sensor's {axis_words(weak)} up the result is known to {worst:.3f} m/s^2 only; "
             "add rests in that direction and in the opposite one"
         )
     if np.abs(residual).max() > LARGE_RESIDUAL:
         k = int(np.argmax(np.abs(residual)))
         said.append(
-            f"rest {k + 1} misses gravity by {abs(residual[k]):.3f} m/s^2: it was not quite still, or"
+            f"rest {k + 1} is off gravity by {abs(residual[k]):.3f} m/s^2: it was not quite still, or"
             " the sensor is not linear; lay it on something firm"
         )
     return said

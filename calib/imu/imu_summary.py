@@ -142,8 +142,8 @@ def imu_verdict(calibration: ImuCalibration) -> list[str]:
             np.sqrt(np.mean((np.linalg.norm(calibration.rests.acc, axis=1) - calibration.gravity) ** 2))
         )
         said.append(
-            f"the rests missed gravity by {before:.3f} m/s^2 (root mean square) and miss it by"
-            f" {acc.rms:.4f} now"
+            f"gravity at rest was off by {before:.3f} m/s^2 (root mean square) before the correction, and"
+            f" by {acc.rms:.4f} now"
         )
     else:
         said.append(

@@ -205,8 +205,8 @@ def _check(radii: FloatArray, residual: float, coverage: Coverage) -> None:
     if coverage.hole_rad > LARGEST_HOLE_RAD:
         raise CalibrationError(
             f"the magnetometer's samples leave {np.degrees(coverage.hole_rad):.0f} degrees of the sphere"
-            f" open around the sensor's {axis_words(coverage.towards)}; go on turning until the field has"
-            " come from there as well."
+            f" open around the sensor's {axis_words(coverage.towards)}; continue turning until the field"
+            " has come from there as well."
         )
     if radii[2] > LONGEST_RATIO * radii[0]:
         raise CalibrationError(
@@ -231,8 +231,8 @@ def _remarks(off: FloatArray, residual: float, coverage: Coverage) -> list[str]:
     stray = float(np.mean(np.abs(off) > max(_STRAY * spread, LARGE_RESIDUAL)))
     if stray > STRAY_SHARE:
         said.append(
-            f"{100 * stray:.1f} % of the samples lie far off the rest and hardly counted: something of iron"
-            " came near for a while"
+            f"{100 * stray:.1f} % of the samples lie far off the rest and hardly counted: a magnetic"
+            " object came near for a while"
         )
     if coverage.hole_rad > LARGE_HOLE_RAD:
         said.append(
@@ -241,7 +241,7 @@ def _remarks(off: FloatArray, residual: float, coverage: Coverage) -> list[str]:
         )
     if residual > LARGE_RESIDUAL:
         said.append(
-            f"the samples lie {100 * residual:.1f} % off the ellipsoid (root mean square): the field was not "
-            "the same all over the place; record on one spot, half a metre from iron and electronics"
+            f"the samples lie {100 * residual:.1f} % off the ellipsoid (root mean square): the field was"
+            " not homogeneous; record on one spot, half a metre from iron and electronics"
         )
     return said

@@ -179,7 +179,7 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
     if known and not notes:
         notes.append(
             f"{calibration.source} corrects {', '.join(sorted(known))}; the recording's IMU is"
-            f" {recording.imu.name} and was taken as it is"
+            f" {recording.imu.name} and was left uncorrected"
         )
     notes = [*recording.notes, *notes]
     return replace(recording, imu=imu, base_imu=base, further_imus=further, trunk=trunk, notes=tuple(notes))

@@ -155,7 +155,7 @@ def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
     path, stable = running_bias(imu.gyro)
     if stable.sum() < STILL_SAMPLES or np.abs(path[-1]).max() > _LARGEST_BIAS:
         raise CalibrationError(
-            f"the gyroscope was still for {rests.samples} samples only and its bias needs {STILL_SAMPLES};"
+            f"the gyroscope was still for {rests.samples} samples only, and its bias needs {STILL_SAMPLES};"
             " leave the sensor lying for some seconds while it records."
         )
     used = imu.gyro[1:][stable]

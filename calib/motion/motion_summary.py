@@ -408,9 +408,7 @@ def clocks_not_determined(offsets: Sequence[ClockOffset]) -> list[str]:
     sentences = []
     for each in offsets:
         if not np.isfinite(each.offset_s):
-            sentences.append(
-                f"{each.recording}: IMU and visible forearm never came together; it showed nothing"
-            )
+            sentences.append(f"{each.recording}: IMU and visible forearm never overlap; it was not used")
         elif each.sigma_s > CLOCK_SIGMA_S:
             sentences.append(
                 f"{each.recording}: the clock offset is known to {1e3 * each.sigma_s:.0f} ms only; "

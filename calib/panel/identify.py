@@ -23,7 +23,7 @@ AS_GOOD, MORE_M = 3.0, 0.0015
 EDGE_ON_DEG = 65.0
 #: Spots whose spread across is below this share of that along lie on one line.
 ON_ONE_LINE = 0.1
-SEE_DEPTH = "see that the camera measures depth there (dull surface, 0.5 to 4 m away, no sunlight)."
+SEE_DEPTH = "check that the camera measures depth there (dull surface, 0.5 to 4 m away, no sunlight)."
 TURN_IT = "turn it towards the camera, within 40 degrees of facing it."
 _PAIRS = np.array(list(combinations(range(4), 2)))
 _ORDERS = np.array(list(permutations(range(4))))
@@ -119,8 +119,8 @@ def identify_spots(
     if len(blobs) < 4:
         count = ("no bright spot is", "one bright spot is", "two bright spots are", "three bright spots are")
         raise NotIdentified(
-            f"{name}: {count[len(blobs)]} to be seen in the infrared image and the panel has four markers;"
-            " see that all four face the camera and nothing covers them."
+            f"{name}: {count[len(blobs)]} visible in the infrared image and the panel has four markers;"
+            " check that all four face the camera and nothing covers them."
         )
     sets = np.array(list(combinations(range(len(blobs)), 4)))
     thetas, known = _planes(blobs.pixels[sets], depth_m, rays)
@@ -144,8 +144,8 @@ def identify_spots(
         raise _none_fits(name, blobs, places)
     best = _clearly_best(
         facing,
-        f"{name}: {len(blobs)} bright spots are to be seen and more than one way fits them to the panel;"
-        " cover what reflects beside the four markers.",
+        f"{name}: {len(blobs)} bright spots are visible and fit the panel in more than one way; cover"
+        " reflections beside the four markers.",
     )
     row = int(np.flatnonzero((np.sort(sets, axis=1) == np.sort(best.index)).all(axis=1))[0])
     where = [int(np.flatnonzero(sets[row] == spot)[0]) for spot in best.index]
@@ -170,22 +170,22 @@ def identify_markers(markers_E: FloatArray, panel: Panel, name: str) -> Reading:
         Fewer than four markers, or none or several ways fit the panel.
     """
     if len(markers_E) < 4:
-        raise NotIdentified(f"{name}: {len(markers_E)} mocap markers are there and the panel has four.")
+        raise NotIdentified(f"{name}: {len(markers_E)} mocap markers were given and the panel has four.")
     if len(markers_E) > 40:
-        raise NotIdentified(f"{name}: {len(markers_E)} markers are too many; give the panel's four alone.")
+        raise NotIdentified(f"{name}: {len(markers_E)} markers are too many; give only the panel's four.")
     sets = np.array(list(combinations(range(len(markers_E)), 4)))
     readings = _readings(markers_E[sets], sets, panel.markers_P, 0.02)
     if not readings:
         size = np.ptp(markers_E, axis=0).max() / panel.size_m
         unit = " (they look like millimetres; give metres)" if 200 < size < 5000 else ""
         raise NotIdentified(
-            f"{name}: the mocap markers do not have the distances of the panel's definition{unit}; see that"
-            " the file belongs to this panel, and measure the panel anew."
+            f"{name}: the mocap markers do not have the distances of the panel's definition{unit}; check"
+            " that the file belongs to this panel, and measure the panel again."
         )
     return _clearly_best(
         readings,
-        f"{name}: the mocap markers fit the panel in more than one way; take a panel whose arms differ in"
-        " length, and give its four markers alone.",
+        f"{name}: the mocap markers fit the panel in more than one way; use a panel whose arms differ in"
+        " length, and give only its four markers.",
     )
 
 
@@ -261,8 +261,8 @@ def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
         return _edge_on_line(name)
     if len(blobs) > 4:
         return NotIdentified(
-            f"{name}: of {len(blobs)} bright spots no four have the distances of the panel's definition; see"
-            " that all four markers are to be seen, and cover what else reflects."
+            f"{name}: of {len(blobs)} bright spots no four have the distances of the panel's definition;"
+            " check that all four markers are visible, and cover other reflections."
         )
     centre = places[0].mean(axis=0)
     if np.isfinite(centre).all():
@@ -271,8 +271,8 @@ def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
         if angle > EDGE_ON_DEG - 10:
             return EdgeOn(f"{name}: the panel is seen edge-on; {TURN_IT}")
     return NotIdentified(
-        f"{name}: the four bright spots do not have the distances of the panel's definition; see that all"
-        " four are markers of this panel, and that the panel was measured in metres."
+        f"{name}: the four bright spots do not have the distances of the panel's definition; check that"
+        " all four are markers of this panel, and that the panel was measured in metres."
     )
 
 

@@ -104,7 +104,7 @@ def _findings(calibration: PanelCalibration) -> list[str]:
         length = "long" if offset > 0 else "short"
         sentences.append(
             f"The camera's depth is {abs(offset):.1f} +- {sigma:.1f} mm too {length}, by the markers'"
-            " spacing; the answer is free of it."
+            " spacing; the result is corrected for it."
         )
     else:
         sentences.append(
@@ -121,13 +121,13 @@ def _findings(calibration: PanelCalibration) -> list[str]:
         sentences.append(
             f"The residuals are {np.sqrt(solution.misfit):.1f} times what the stated noise makes expected,"
             f" and sigma is widened for it; the worst is marker {calibration.labels[pose][marker]} of"
-            f" {calibration.names[pose]}, {worst:.1f} mm off: leave that pose out and see."
+            f" {calibration.names[pose]}, {worst:.1f} mm off: try without that pose."
         )
     shape = max(_definition_misfit(calibration))
     if shape > DEFINITION_M:
         sentences.append(
             f"The mocap markers' distances differ from the panel's definition by {1e3 * shape:.1f} mm rms;"
-            " the definition only shows which marker is which, so that the answer does not suffer."
+            " the definition only shows which marker is which, so the result is not affected."
         )
     tilted = [
         name for name, each in zip(calibration.names, calibration.seen, strict=True) if each.tilt_deg > 45
@@ -141,7 +141,7 @@ def _findings(calibration: PanelCalibration) -> list[str]:
         "The published method (principal components of regions) has too few depth points along the arms."
         if apart is None
         else f"The published method (principal components of regions{mean})"
-        f" differs from the answer by {apart[0]:.2f} degrees and {1e3 * apart[1]:.1f} mm at the panel."
+        f" differs from the result by {apart[0]:.2f} degrees and {1e3 * apart[1]:.1f} mm at the panel."
     )
     return sentences
 

@@ -360,8 +360,9 @@ def calibrate_world(
             return WorldCalibration(solution, tuple(kept), by_eye, tuple(sentences))
         if len(kept) <= FEWEST:
             raise CalibrationError(
-                f"The poses contradict each other ({kept[worst].name} by {solution.worst_sigma[worst]:.0f} "
-                "sigmas); see that each IMU is fixed to its body and keeps the camera's clock, and take more."
+                f"The poses contradict each other ({kept[worst].name} by"
+                f" {solution.worst_sigma[worst]:.0f} sigmas); check that each IMU is fixed to its body"
+                " and uses the camera's clock, and record more poses."
             )
         sentences.append(
             f"{kept[worst].name} contradicts the other poses by {solution.worst_sigma[worst]:.0f} sigmas "

@@ -80,7 +80,7 @@ def verdict(calibration: WorldCalibration) -> Verdict:
     use = {
         "good": "good for `smooth`, which takes gravity from the base IMU",
         "usable": "of use for `smooth`, which weighs gravity from the base IMU by this sigma",
-        "not good enough": "not better than a camera that is taken to stand level",
+        "not good enough": "not better than assuming a level camera",
     }[grade]
     return Verdict(
         grade, f"{grade}: {tilt}: {use}.", _findings(calibration, sigma), _next(calibration, sigma)
@@ -91,8 +91,9 @@ def _findings(calibration: WorldCalibration, sigma: WorldAccuracy) -> tuple[str,
     sentences = []
     if sigma.heading_free:
         sentences.append(
-            "The heading between camera and base IMU is free: neither a magnetometer nor a turn of the "
-            "camera shows it. Gravity is valid while the camera is placed about as in these poses."
+            "The heading between camera and base IMU is undetermined: neither a magnetometer nor a"
+            " rotation of the camera shows it. Gravity is valid while the camera is placed about as in"
+            " these poses."
         )
     else:
         sentences.append(
@@ -124,7 +125,8 @@ def _next(calibration: WorldCalibration, sigma: WorldAccuracy) -> tuple[str, ...
         )
     if not calibration.by_eye and sigma.mounting_deg.max() > GOOD_DEG:
         advice.append(
-            "Tilt the panel by 30 to 40 degrees, in each pose another way; rolls alone leave a turn open."
+            "Tilt the panel by 30 to 40 degrees, in another direction in each pose; rolls alone leave"
+            " one rotation undetermined."
         )
     elif not sigma.heading_free and sigma.tilt_deg > GOOD_DEG:
         advice.append("Take more poses, the camera tilted anew for each, and hold each for two seconds.")

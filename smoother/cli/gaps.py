@@ -129,7 +129,7 @@ def print_factors(factors: Sequence[LengthFactor]) -> None:
     """Print the sigma correction factors by length of gap."""
     if not factors:
         return
-    columns = ("gap, s", "for 50 %", "for 95 %", "to be applied", "gaps behind it")
+    columns = ("gap, s", "for 50 %", "for 95 %", "to be applied", "hidden gaps")
     rows = [
         (
             f"{row.length_s:g}",

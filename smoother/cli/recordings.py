@@ -404,7 +404,7 @@ def _print(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
         if not camera["reason"]:
             away_m = math.dist((0.0, 0.0, 0.0), camera["p_K_C_m"])
             say(
-                f"{camera['name']} stands {away_m:.2f} m from the first camera (sigma"
+                f"{camera['name']} is {away_m:.2f} m from the first camera (sigma"
                 f" {camera['sigma_deg']:.1f} degrees, {100 * camera['sigma_m']:.1f} cm); both see"
                 f" the forearm for {camera['together_s']:.0f} s"
             )

@@ -237,7 +237,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     shown = sorted(gaps, key=lambda gap: _doubt(gap[1]))[:most]
     if rows := [_gap_row(number, gap) for number, gap in sorted(shown, key=lambda gap: gap[0])]:
         which = "Gaps" if len(rows) == len(gaps) else f"The {len(rows)} least certain of {len(gaps)} gaps"
-        title = f"{which}: how far off at most, in 95 of 100 cases"
+        title = f"{which}: errors that 95 of 100 stay below"
         columns = ("gap", "starts, s", "length, s", "trusted", "position, cm", "elbow, deg", "seen from")
         print_table(title, columns, rows)
     found = found_in(recovery, recording)

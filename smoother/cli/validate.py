@@ -276,7 +276,7 @@ def _print_errors(recovery: Recovery, validation: Validation, verbose: bool) -> 
                 figures.samples,
             )
         )
-    title = validation.title("Error against the truth: 95 of 100 cases are within, and what was stated of it")
+    title = validation.title("Error against the truth, with the measured and the stated 95 % bound")
     print_table(title, columns, rows)
     if verbose and (bias := validation.all.position_bias_m) is not None:
         say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")

@@ -157,7 +157,7 @@ def _what_was_wrong(recovery: Recovery) -> list[str]:
         return []
     more = f"; and {len(reasons) - _MOST_REASONS} more" if len(reasons) > _MOST_REASONS else ""
     named = "; ".join(list(reasons)[:_MOST_REASONS])
-    return [f"Avoid what made parts of this recording not to be trusted: {named}{more}."]
+    return [f"Avoid the causes of the parts that are not to be trusted: {named}{more}."]
 
 
 def _motion(estimates: ArmEstimates | None) -> list[str]:
@@ -343,14 +343,14 @@ def _camera(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
     jumping = _share(recovery, (row.count for row in rows if row.reason in wrong))
     if jumping > JUMPS:
         sentences.append(
-            "Clear the view of other people and of things near the arm, and mind bright light behind:"
-            f" {100 * jumping:.0f} % of the tracked samples were on something else than the arm."
+            "Clear the view of other people and of things near the arm, and avoid bright light behind:"
+            f" {100 * jumping:.0f} % of the tracked samples were not on the arm."
         )
     noise = {} if estimates is None else {joint: each.sample_m for joint, each in estimates.camera.items()}
     loud = [joint for joint, sigma in noise.items() if sigma > CAMERA_SIGMA_M]
     if loud:
         sentences.append(
-            "Go nearer to the camera (1.5 to 3 m), with even light and without loose sleeves: the"
+            "Move closer to the camera (1.5 to 3 m), with even light and without loose sleeves: the"
             f" {_listed(loud)} jittered by {100 * max(noise[joint] for joint in loud):.1f} cm."
         )
     if estimates is not None and estimates.joint_bias_sigma_m > JOINT_BIAS_M:
@@ -378,8 +378,8 @@ def _pauses(recovery: Recovery) -> list[str]:
         return []
     times = "once" if len(pauses_s) == 1 else f"{len(pauses_s)} times"
     return [
-        f"The IMU paused {times}, for {pauses_s.sum():.1f} s in all, and nothing is recovered there: look"
-        " after its battery, and keep its receiver near."
+        f"The IMU paused {times}, for {pauses_s.sum():.1f} s in all, and nothing is recovered there: check"
+        " its battery, and keep its receiver near."
     ]
 
 

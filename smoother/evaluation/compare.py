@@ -311,7 +311,7 @@ def _notes(
             notes.append(f"{row.method} could not recover it: {row.failure}")
         elif row.validation.all.unanswered:
             count = row.validation.all.unanswered
-            notes.append(f"{row.method} left {count} samples with truth unanswered; they are in no figure.")
+            notes.append(f"{row.method} left {count} samples with truth without a result; they are excluded.")
     if not graph.occluded.any():
         notes.append("The recording has no gap: methods are compared where the camera sees the arm.")
     return list(dict.fromkeys(notes))

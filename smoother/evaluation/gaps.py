@@ -265,10 +265,10 @@ class TriedGaps:
             allowed = "the forearm was never visible for long enough to try a gap"
         elif longest_s == 0.0:
             shortest = f"{self.length_s[0]:g} s are known to {100 * self.sigma_m[0]:.0f} cm"
-            allowed = f"no gap stays {within}: those of {shortest}"
+            allowed = f"no gap is recovered {within}; gaps of {shortest}"
         else:
-            more = " and more" if longest_s == self.length_s[-1] else ""
-            allowed = f"gaps up to about {longest_s:.2g} s{more} {within}"
+            up_to = "at least" if longest_s == self.length_s[-1] else "about"
+            allowed = f"gaps up to {up_to} {longest_s:.2g} s are recovered {within}"
         return (allowed, *self.not_determined)
 
     def to_dict(self) -> dict[str, object]:

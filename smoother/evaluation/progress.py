@@ -278,7 +278,7 @@ def without_like_movements(change: Change, first_count: float, last_count: float
         return change
     sentence = (
         f"sessions {change.first.session} and {change.last.session} have {first_count:.0f} and"
-        f" {last_count:.0f} movements: a mean over them is of other movements"
+        f" {last_count:.0f} movements: their means are not comparable"
     )
     word = UNKNOWN if fewer < LIKE_SHARE * more else change.word
     return replace(change, word=word, limits=(sentence, *change.limits))

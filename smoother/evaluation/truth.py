@@ -196,14 +196,14 @@ def truth_notes(recovery: Recovery, truth: Truth, aligned: bool = False) -> list
     correlations = _correlations(recovery, truth)
     if correlations and max(correlations) < LEAST_CORRELATION:
         return [
-            "The truth and the answer do not move alike (correlation of their speeds at best"
-            f" {max(correlations):.2f} within half a second): the truth is of another recording, or its clock"
-            " is elsewhere; try --align."
+            "Truth and result do not move alike (correlation of their speeds at best"
+            f" {max(correlations):.2f} within half a second): the truth is of another recording, or its"
+            " clock differs; try --align."
         ]
     notes = []
     if distance_m > OTHER_FRAME_M and correlations:
         notes.append(
-            f"The truth moves as the answer does but lies {distance_m:.2f} m (median) from it where the"
+            f"The truth moves as the result does but is {distance_m:.2f} m (median) from it where the"
             " camera sees the arm: are its axes the camera's? (--align solves them)"
         )
     return notes + _axes_notes(recovery, at, chosen)

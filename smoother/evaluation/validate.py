@@ -416,8 +416,8 @@ def _notes(errors: SampleErrors, figures: Figures) -> list[str]:
         notes.append("The truth and the result share no orientation; only positions are compared.")
     if figures.unanswered:
         notes.append(
-            f"{figures.unanswered} of {figures.unanswered + figures.samples} samples with truth have"
-            " no answer and are in no figure."
+            f"{figures.unanswered} of {figures.unanswered + figures.samples} samples with truth have no"
+            " result and are excluded."
         )
     return notes
 

@@ -494,7 +494,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     names, _ = told_apart(words["marker"])
     known = np.asarray(np.isfinite(rows).all(axis=1), bool)
     if not known.any():
-        raise RecordingError(f"{path} has no marker; give marker,x,y,z in metres, a row a marker.")
+        raise RecordingError(f"{path} has no marker; give marker,x,y,z in metres, one row per marker.")
     return {name: row for name, row, good in zip(names, rows, known.tolist(), strict=True) if good}
 
 

@@ -70,13 +70,13 @@ class Allowance:
     def sentence(self) -> str:
         """In a line."""
         if self.obstacles:
-            return f"allows no answer to be trusted: {'; '.join(self.obstacles)}"
+            return f"does not allow a result to be trusted: {'; '.join(self.obstacles)}"
         within = f"{100 * self.within_m:.0f} cm"
         if self.longest_s is None:
             first = f"allows no gap within {within}"
         else:  # `check` tries the lengths: two numbers for one thing confuse
             some = "some seconds" if self.longest_s >= SOME_SECONDS_S else "a second or less"
-            first = f"allows gaps of {some} within {within}, by a rule of thumb; `unocclude check` tries them"
+            first = f"allows gaps of {some} within {within} (rule of thumb; `unocclude check` tests it)"
         return "; ".join([first, *self.undetermined])
 
 

@@ -414,7 +414,7 @@ def resets_message(steps: list[tuple[float, float]], what: str) -> str:
     back = ", ".join(f"by {by:.{1 if by >= 0.95 else 2}f} s at {at:.1f} s" for by, at in steps)
     return (
         f"The clock was set back {back}: the {what} behind {'it go' if len(steps) == 1 else 'them go'} on"
-        " after the ones before at the usual interval."
+        " at the usual interval."
     )
 
 

@@ -199,7 +199,7 @@ class Rejection(IntEnum):
 #: The reasons by their code.
 REASONS = (
     Reason(""),
-    Reason("frozen", "the value stands still while the sensor moves"),
+    Reason("frozen", "the value is frozen while the sensor moves"),
     Reason("jump", "far from its neighbours in time"),
     Reason("bone length", "elbow and wrist are too near or too far"),
     Reason("direction", "forearm more than 30 degrees off the inertial one"),
@@ -207,6 +207,6 @@ REASONS = (
     Reason("strap", "off the elbow-wrist line or nearer the elbow"),
     Reason("residual", "does not agree with the recovered motion"),
     Reason("far away", "farther from the camera than it can see"),
-    Reason("interpolated", "on a line or a cubic: a program filled a gap, no camera saw it"),
+    Reason("interpolated", "on a line or a cubic: a program filled a gap; not measured by the camera"),
     Reason("contradicted", "a block of samples that all the rest of the recording contradicts"),
 )

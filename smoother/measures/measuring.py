@@ -250,7 +250,7 @@ class Measuring:
                 return reason
         known = [name for name in self.layout.centres_deg if key in _keys_of(name)]
         if known and not np.isfinite(self.layout.centres_deg[known[0]]):
-            return "The angle went all the way round: it has no smallest and largest value."
+            return "The angle made a full turn: it has no smallest and largest value."
         if known:
             return "The angle is known for less than 0.3 s here."
         if key.startswith(("hand_to_", "hand_behind", "elbow_trunk")):
@@ -258,11 +258,11 @@ class Measuring:
         if key == "hand_reach_sphere_percent":
             return "Needs the arm's length: shoulder, elbow and wrist."
         if key.startswith("hand_reach"):
-            return "The hand's places have no volume."
+            return "The hand's positions have no volume."
         if key == "hand_path_ratio":
             return "No movement ends more than 5 cm from where it began."
         if key.startswith("repetition"):
-            return "No round of an exercise comes again often enough."
+            return "Too few repetitions."
         return "There is no movement of the hand to measure."
 
 

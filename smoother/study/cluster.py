@@ -171,8 +171,8 @@ def _connect(scheduler: str) -> Client:
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise UnoccludeError(
-            f"no Dask scheduler answers at {scheduler}; start one with `dask scheduler` and give its address,"
-            " such as tcp://10.0.0.1:8786"
+            f"no Dask scheduler responds at {scheduler}; start one with `dask scheduler` and give its"
+            " address, such as tcp://10.0.0.1:8786"
         ) from error
     try:
         client.wait_for_workers(1, timeout=FIRST_WORKER_S)
@@ -228,7 +228,7 @@ def _run(
             if looked - last_seen > alone_s:
                 raise UnoccludeError(
                     f"no process for the recordings could start within {alone_s:.0f} s; close other programs,"
-                    " or use fewer --processes: the memory may not suffice"
+                    " or use fewer --processes: memory may be insufficient"
                 )
         while len(running) < slots and (job := next(jobs, None)) is not None:
             # the same key for the same work: what runs already is not started again

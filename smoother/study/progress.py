@@ -106,10 +106,11 @@ def sessions_of(
     sessions = with_named_days({name: entry for name, entry in found.items() if entry is not None})
     if not sessions:
         raise UnoccludeError(
-            f"{folder}: its recordings are in no folder, so their persons are unknown; record as"
-            " PERSON/SESSION.mcap, or name them in a table (--sessions FILE.csv with file, person, session)"
+            f"{folder}: its recordings are not in folders, so their persons are unknown; name files"
+            " PERSON/SESSION.mcap, or list them in a table (--sessions FILE.csv with file, person,"
+            " session)"
         )
-    return sessions, [f"{name}: it is in no person's folder" for name in names if name not in sessions]
+    return sessions, [f"{name}: it is not in a person's folder" for name in names if name not in sessions]
 
 
 def progress_of(
@@ -299,7 +300,7 @@ def _notes(rows: Iterable[Row], used: Mapping[str, float]) -> list[str]:
     done = [row for row in rows if row["measures"]]
     if len({(row["config_hash"], row["version"]) for row in done}) > 1:
         notes.append(
-            "The sessions were recovered with different settings or versions, which alone can move a measure:"
+            "The sessions were recovered with different settings or versions, which can change measures:"
             " run `unocclude batch` again on all of them."
         )
     if len({row["calibration_hash"] for row in done}) > 1:

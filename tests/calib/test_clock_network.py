@@ -274,7 +274,7 @@ def test_the_tone_may_be_named():
     [
         (np.zeros(16000), "is silent"),
         (np.ones(100), "record at least a second"),
-        (np.random.default_rng(0).normal(size=32000), "no beep stands out"),
+        (np.random.default_rng(0).normal(size=32000), "no beep is loud enough"),
         (
             np.sin(np.arange(32000)) * (np.arange(32000) > 16000) + 1e-3 * np.cos(0.1 * np.arange(32000)),
             "does not end",

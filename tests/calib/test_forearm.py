@@ -152,7 +152,7 @@ def test_a_pose_without_motion_leaves_the_mounting_open():
     found = calibrate_forearm(short, config=ONE_PROCESS)
     assert found.calibration.lever_arms == {} and found.calibration.R_F_A is None
     assert found.calibration.upper_arm is not None
-    assert any("lever arms and R_F_A are left open" in text for text in open_questions(found))
+    assert any("lever arms and R_F_A are not determined" in text for text in open_questions(found))
     assert any("move for 20 s" in text for text in next_time(found, compare(found)))
 
 

@@ -297,7 +297,7 @@ def test_clocks():
     offsets = [ClockOffset("a", 0.02, 0.001, 0.0), ClockOffset("b", 0.02, 0.04, 0.0), ClockOffset("c")]
     assert clocks_not_determined(offsets) == [
         "b: the clock offset is known to 40 ms only; the arm moved too little or too slowly",
-        "c: IMU and visible forearm never came together; it showed nothing",
+        "c: IMU and visible forearm never overlap; it was not used",
     ]
 
 

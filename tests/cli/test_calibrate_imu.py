@@ -123,7 +123,7 @@ def test_corrections_are_applied_as_a_recording_is_loaded(tmp_path, capsys):
     assert with_measured_noise(stated, recording.imu).imu.accelerometer_density == 0.05
     other = cal.read_text().replace("forearm_right", "base")
     cal.write_text(other)
-    assert any("taken as it is" in note for note in load_arm(path, cal)[0].notes)
+    assert any("left uncorrected" in note for note in load_arm(path, cal)[0].notes)
     cal.write_text(other.replace("imu.base", "imu.forearm_right").replace("[0.1, 0.2, 0.3]", '["a", 0, 0]'))
     assert run(["smooth", str(path), "-o", str(tmp_path / "o.mcap"), "--calibration", str(cal)]) == 1
     assert "imu.forearm_right.accelerometer.offset must contain 3 numbers" in capsys.readouterr().err

@@ -134,7 +134,7 @@ def test_another_unit(answer, truth, factor, unit):
 def test_another_recording_or_clock(answer, truth):
     for wrong in (truth_of(T, T * 1.3), replace(truth, t_s=truth.t_s + 1.5)):
         (note,) = truth_notes(answer, wrong)
-        assert "of another recording, or its clock is elsewhere; try --align" in note
+        assert "of another recording, or its clock differs; try --align" in note
         without = replace(wrong, quaternion=np.full_like(wrong.quaternion, np.nan))
         assert "another recording" in truth_notes(answer, without)[0]
     assert truth_notes(answer, truth_of(T, T * 1.3), aligned=True) == []

@@ -151,6 +151,6 @@ def test_a_described_skeleton_and_what_is_unsure(tmp_path: Path, capsys: pytest.
     (tmp_path / "numbers.csv").write_text("\n".join(rows(made.ACC, made.GYRO)) + "\n")
     assert run(["import", "describe", str(tmp_path / "numbers.csv")]) == 0
     text = capsys.readouterr().out
-    assert "ax = 1" in text and "gx = 4" in text and "rate_hz is made up" in text
+    assert "ax = 1" in text and "gx = 4" in text and "rate_hz is a guess" in text
     (tmp_path / "words.csv").write_text("a,b\nx,y\n")
     assert run(["import", "describe", str(tmp_path / "words.csv")]) == 1

@@ -31,7 +31,7 @@ def test_a_sound_recording_is_ready():
     found = allowance(arm())
     assert found.ready and found.undetermined == ()
     assert found.within_m == 0.02 and found.longest_s is not None and 3.0 < found.longest_s < 8.0
-    assert found.sentence.startswith("allows gaps of some seconds within 2 cm, by a rule of thumb")
+    assert found.sentence.startswith("allows gaps of some seconds within 2 cm (rule of thumb")
 
 
 def test_a_slow_imu_allows_less_and_then_nothing():

@@ -143,7 +143,7 @@ def test_advice_of_a_partly_untrusted_result_names_what_to_avoid() -> None:
     sentences = advice(replace(made(), estimates=PARTLY), None)
     assert (
         sentences[0]
-        == "Avoid what made parts of this recording not to be trusted: another <person's> joints."
+        == "Avoid the causes of the parts that are not to be trusted: another <person's> joints."
     )
     assert not any("record the next one in the same way" in each for each in sentences)
 

@@ -62,7 +62,7 @@ def test_within_reach_nothing_is_moved(short: SimulatedArm, long: SimulatedArm) 
 
 
 def test_clocks_that_drift_far_apart(long: SimulatedArm) -> None:
-    """1200 parts in a million over 330 s: 0.4 s, as 20 of them are in 6 hours; and 1 s to begin with."""
+    """1200 ppm over 330 s: 0.4 s, as 20 of them are in 6 hours; and 1 s to begin with."""
     t = long.recording.arm.t_s
     offset = 1.0 + 1.2e-3 * t
     coarse = coarse_clock(later(long, offset))

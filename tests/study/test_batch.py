@@ -121,7 +121,7 @@ def test_wrong_use(made, tmp_path, capsys):
             [tmp_path / "nowhere", "-o", tmp_path / "o"],
         ),
         (1, "is a file", [made, "-o", tmp_path / "bad.toml"]),
-        (1, "no Dask scheduler answers", [made, "-o", tmp_path / "o2", "--scheduler", "nonsense"]),
+        (1, "no Dask scheduler responds", [made, "-o", tmp_path / "o2", "--scheduler", "nonsense"]),
         (2, "--processes", [made, "-o", tmp_path / "o", "--scheduler", "tcp://h:1", "--processes", 2]),
         (2, "--side", [made, "-o", tmp_path / "o", "--side", "up"]),
     ):

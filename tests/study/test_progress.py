@@ -166,7 +166,7 @@ def test_means_over_other_movements_are_not_compared():
     words = {each.key: each.change.word for each in person.series}
     assert (words["sparc"], words[FLEXION]) == (UNKNOWN, MORE)
     limits = next(each.change.limits for each in person.series if each.key == "sparc")
-    assert limits[0] == "sessions s0 and s1 have 6 and 3 movements: a mean over them is of other movements"
+    assert limits[0] == "sessions s0 and s1 have 6 and 3 movements: their means are not comparable"
 
 
 def test_tasks_and_arms_are_compared_with_their_own(tmp_path: Path):
@@ -255,7 +255,7 @@ def test_studies_that_cannot_be_used(tmp_path: Path):
     with pytest.raises(UnoccludeError, match="is not a study with results"):
         read_rows(tmp_path / "empty")
     flat = write_study(tmp_path / "flat", [study_row("a.mcap", [made_measures()])])
-    with pytest.raises(UnoccludeError, match="are in no folder"):
+    with pytest.raises(UnoccludeError, match="are not in folders"):
         sessions_of(flat, read_rows(flat))
     bare = write_study(tmp_path / "bare", [study_row("p/a.mcap", None)])
     with pytest.raises(UnoccludeError, match="has no measures"):

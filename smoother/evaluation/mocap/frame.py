@@ -74,7 +74,7 @@ def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFr
     if not isinstance(table, dict):
         raise CalibrationError(
             f"{source} has no [{TABLE}]; make it with `unocclude calibrate panel`, or leave --calibration out"
-            " to have the truth aligned by the motion itself"
+            " to align the truth by the motion"
         )
     rotation, translation = (
         _numbers(table, key, size, source) for key, size in (("rotation", 4), ("translation", 3))
@@ -84,7 +84,7 @@ def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFr
     if frame is None:
         raise CalibrationError(
             f"the axes of the recording's camera are unknown, so [{TABLE}] of {source} cannot be used;"
-            " leave --calibration out to have the truth aligned by the motion itself"
+            " leave --calibration out to align the truth by the motion"
         )
     R_K_C = FROM_OPTICAL[frame]
     R_C_E = Rotation.from_quat(rotation, scalar_first=True).as_matrix()
@@ -133,8 +133,9 @@ def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> C
     spread = np.linalg.svd(E - E.mean(axis=0), compute_uv=False) / np.sqrt(len(E))
     if spread[1] < LEAST_SPREAD_M:
         raise RecordingError(
-            f"{motion.source}: what the camera saw of the joint centres lies on a line, which leaves the turn"
-            " about it open; map more joints, or give --calibration with [camera_from_mocap]"
+            f"{motion.source}: what the camera saw of the joint centres lies on a line, which leaves the"
+            " rotation about it undetermined; map more joints, or give --calibration with"
+            " [camera_from_mocap]"
         )
     stated = [_typical_variance(covariance[rows]) for _, _, covariance in points]
     return _robust_transform(K, E, t_imu, owner, np.array(stated))
@@ -237,7 +238,7 @@ def solve_plate_place(
     if good.sum() < 10:
         raise RecordingError(
             f"{motion.source}: plate and visible answer share too few samples to find the IMU on the plate;"
-            " state the markers' places in the IMU's axes in the map, [imu_plate]"
+            " give the markers' positions in the IMU's axes in the map, [imu_plate]"
         )
     R_K_P = frame.R_K_E @ Rotation.from_quat(quaternion[good], scalar_first=True).as_matrix()
     in_plate = np.median(np.einsum("nji,nj->ni", R_K_P, away[good]), axis=0)

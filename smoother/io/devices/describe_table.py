@@ -164,7 +164,7 @@ def gyroscope_unit(
     if scale is not None:
         unit = "deg/s" if scale < 1 / WRONG_SCALE else "rad/s"
         guess.keys["gyroscope_unit"] = unit
-        guess.reasons["gyroscope_unit"] = "so it turns as gravity does in the accelerometer"
+        guess.reasons["gyroscope_unit"] = "it then rotates as gravity does in the accelerometer"
         return
     guess.keys["gyroscope_unit"] = "deg/s" if fast > 20 else "rad/s"
     guess.reasons["gyroscope_unit"] = f"it reads up to {fast:.3g}"
@@ -359,7 +359,7 @@ def _time(sheet: Sheet, guess: Guess, used: set[int]) -> FloatArray | None:
         guess.reasons["rate_hz"] = "stated above the table"
     else:
         guess.reasons["rate_hz"] = "NOT KNOWN: the file has no times and states no rate"
-        guess.unsure.append("rate_hz is made up: write the rate that the sensor was set to.")
+        guess.unsure.append("rate_hz is a guess: write the rate that the sensor was set to.")
     return np.arange(len(sheet)) / rate if rate else None
 
 
@@ -390,7 +390,7 @@ def guess_skeleton(sheet: Sheet, joints: JointColumns) -> Guess:
         guess.unsure.append("states: what the values of the confidence mean is in the program's manual.")
     unit = unit_by_arm({joint: sheet.vectors(columns) for joint, columns in axes.items()})
     guess.keys["position_unit"] = unit[0] if unit else "m"
-    guess.reasons["position_unit"] = "arms have an arm's length so" if unit else "NOT KNOWN: no unit fits"
+    guess.reasons["position_unit"] = "gives plausible arm lengths" if unit else "NOT KNOWN: no unit fits"
     scale, why = ("", "") if time is None else described_time_unit(sheet, time)
     if time is not None and scale:
         guess.columns["t"] = named(sheet, time)

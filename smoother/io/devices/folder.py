@@ -52,7 +52,7 @@ def sort_files(
         if importer is None:
             head = read_head(path)
             passed_over.append(
-                f"{path.name} has an unknown format and was passed over; it begins: {first_rows(head, 100)}."
+                f"{path.name} has an unknown format and was skipped; it begins: {first_rows(head, 100)}."
             )
             continue
         try:
@@ -88,7 +88,7 @@ def _joined(halves: dict[str, list[Path]]) -> list[ImuFiles]:
         return [ImuFiles((halves["acc"][0], halves["gyro"][0]))]
     listed = ", ".join(path.name for path in (*halves["acc"], *halves["gyro"]))
     raise RecordingError(
-        f"{listed} contain accelerometers or gyroscopes alone; name those that belong together:"
+        f"{listed} contain accelerometers or gyroscopes only; name those that belong together:"
         " --imu NAME=ACC_FILE,GYRO_FILE."
     )
 

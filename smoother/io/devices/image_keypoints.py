@@ -112,8 +112,8 @@ def keypoint_table(path: Path, rows: list[Row], scale: float | None, rate_hz: fl
     names = POINT_SETS.get(count)
     if names is None:
         raise RecordingError(
-            f"{path}: {count} keypoints a person are of no known set ({', '.join(map(str, POINT_SETS))} are);"
-            " export COCO's 17 or OpenPose's BODY_25."
+            f"{path}: {count} keypoints per person are not a known set"
+            f" ({', '.join(map(str, POINT_SETS))} are); export COCO's 17 or OpenPose's BODY_25."
         )
     table = np.full((len(rows), count, 3), np.nan)
     for at, (_, _, flat) in enumerate(rows):

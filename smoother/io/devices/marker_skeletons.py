@@ -68,8 +68,7 @@ def skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
     notes = [*markers.notes, "; ".join(sentences) + "."]
     if skin:
         notes.append(
-            "Markers on the skin lie 1 to 4 cm beside the joint's centre: expect lengths that are not a"
-            " bone's."
+            "Skin markers are 1 to 4 cm from the joint centre: expect lengths that differ from the bones'."
         )
     notes += _in_metres(position, markers.unit, path)
     is_camera = any("k4abt" in name.lower() for name in markers.names)

@@ -198,7 +198,7 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
     angles = sorted({c.topic for c in reader.connections if c.msgtype == _JOINT_STATE})
     if angles:
         tables[0].notes.append(
-            f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not places of joints; left alone."
+            f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not joint positions; ignored."
         )
     return tables
 

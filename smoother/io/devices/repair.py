@@ -167,7 +167,7 @@ def _follows(t_s: FloatArray, number: IntArray) -> bool:
 
 def _unwrapped(t_s: FloatArray) -> tuple[FloatArray, list[str]]:
     t_s, wraps = unwrapped(t_s)
-    said = f"The device's clock started anew {_times_message(wraps)}; it was continued."
+    said = f"The device's clock restarted {_times_message(wraps)}; it was continued."
     return t_s, [said] if wraps else []
 
 
@@ -357,7 +357,7 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
     """What to add to each stream's times so that all of them can be in one recording.
 
     Streams that overlap share a clock and are moved together. Where the IMUs' clock has nothing in common
-    with the camera's, both start at zero; the motion gives the offset.
+    with the camera's, both were set to start at zero; the offset is estimated from the motion.
 
     Parameters
     ----------
@@ -402,9 +402,9 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
             shift[row] = -own
         names = ", ".join(streams[row].label for row in group)
         sentences.append(
-            f"The clock of {names} ({_clock_message(own)}) has nothing in common with the camera's"
-            f" ({_clock_message(first_frame)}): both start at zero; the motion gives the offset"
-            " (--imu-starts-at S where it cannot)."
+            f"The clock of {names} ({_clock_message(own)}) is unrelated to the camera's"
+            f" ({_clock_message(first_frame)}): both were set to start at zero; the offset is estimated"
+            " from the motion (if that fails, give --imu-starts-at S)."
         )
     return shift, sentences
 

@@ -192,7 +192,7 @@ class Axivity:
         usable = data[whole & intact]
         if not len(usable):
             axes = int(data["axes"][0] >> 4) if len(data) else 0
-            what = f"holds {axes} axes, no gyroscope" if axes == 3 else "has no intact blocks of samples"
+            what = f"has {axes} axes, no gyroscope" if axes == 3 else "has no intact blocks of samples"
             raise RecordingError(
                 f"{path} is an {self.title} that {what}; set up an AX6 with its gyroscope on, and download"
                 " it again."
@@ -216,7 +216,7 @@ def _table(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
     t_s = _starts(blocks, rate)[:, None] + np.arange(40) / rate[:, None]
     notes = [f"{amount(left_out, 'damaged block was', 'damaged blocks were')} left out."] if left_out else []
     if cut:  # a file is a whole number of blocks
-        notes.append("The file is cut off within a block; what is behind it is lost. Download it again.")
+        notes.append("The file is cut off within a block; what follows is lost. Download it again.")
     return ImuTable(
         name="",
         t_s=_even(t_s, blocks)[filled],
@@ -309,7 +309,7 @@ class Mvnx:
                     element.clear()
         except ParseError as error:
             raise RecordingError(
-                f"{path} is not sound MVNX: {shown(str(error), 80)}; export it again."
+                f"{path} is damaged MVNX: {shown(str(error), 80)}; export it again."
             ) from error
         except (OSError, ValueError) as error:
             raise RecordingError(f"{path} cannot be read as MVNX: {shown(str(error), 80)}.") from error
@@ -379,7 +379,7 @@ def _vectors(path: Path, key: str, texts: list[str]) -> np.ndarray:
         values = np.array(" ".join(texts).split(), dtype=float).reshape(len(texts), -1, 3)
     except ValueError:
         raise RecordingError(
-            f"{path}: {key} is not three numbers a sensor in every frame; export it again."
+            f"{path}: {key} is not three numbers per sensor in every frame; export it again."
         ) from None
     if len(lengths) > 1 and len({len(text.split()) for text in texts}) > 1:
         raise RecordingError(f"{path}: {key} has unequally many numbers in its frames; export it again.")

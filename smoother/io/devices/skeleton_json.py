@@ -56,7 +56,7 @@ def read_json(path: Path, expected: str) -> Any:
             return rows
         where = f" in line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
         raise RecordingError(
-            f"{path} should be {expected}, and its JSON breaks off{where}; copy or export it again."
+            f"{path} should be {expected}, and its JSON is cut off{where}; copy or export it again."
         ) from None
 
 

@@ -177,7 +177,7 @@ def check_frames(name: str | os.PathLike[str], frames: int, rate_hz: float) -> N
     if frames > MOST_FRAMES:
         slower = np.floor(100 * rate_hz * MOST_FRAMES / frames) / 100
         raise UnoccludeError(
-            f"{name}: a C3D file holds {MOST_FRAMES} frames at most and this would have {frames};"
+            f"{name}: a C3D file contains at most {MOST_FRAMES} frames and this would have {frames};"
             f" give --rate {slower:g} or less, or export to trc or parquet"
         )
 
@@ -351,9 +351,7 @@ def shoulder_place(recovery: Recovery) -> FloatArray:
     places = recovery.joints.get("shoulder", np.empty((0, 3)))
     places = places[np.isfinite(places).all(axis=1)]
     if not len(places):
-        raise UnoccludeError(
-            f"{recovery.name}: it has no shoulder to put the origin into; leave --origin out"
-        )
+        raise UnoccludeError(f"{recovery.name}: it has no shoulder for the origin; leave out --origin")
     return np.asarray(np.median(places, axis=0))
 
 

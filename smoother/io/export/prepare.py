@@ -210,7 +210,7 @@ def level_note(recovery: Recovery) -> tuple[str, ...]:
 
     if np.isfinite(recovery.gravity_direction).all():
         return ()
-    return (f"the method '{recovery.method}' found no gravity: the camera is taken to stand level.",)
+    return (f"the method '{recovery.method}' found no gravity: the camera is assumed level.",)
 
 
 def _markers(

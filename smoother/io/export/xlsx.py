@@ -38,8 +38,8 @@ def check_xlsx(recovery: Recovery) -> None:
     extra_module("openpyxl", "openpyxl", "xlsx")
     if len(recovery) >= MOST_ROWS:
         raise UnoccludeError(
-            f"{recovery.name} has {len(recovery):,} samples, and a sheet holds {MOST_ROWS - 1:,}: export csv"
-            " or parquet, or cut the recording"
+            f"{recovery.name} has {len(recovery):,} samples, and a sheet has at most {MOST_ROWS - 1:,}:"
+            " export csv or parquet, or cut the recording"
         )
 
 

@@ -304,8 +304,8 @@ class ChunkSource:
         packed = content[start + 8 :]
         if stated > chunk_limit() or self._unpacked + stated > whole_limit(size):
             what = (
-                f"the chunk at byte {offset} states {stated} bytes, which a container does not hold;"
-                f" it was left out (the variable {LIMIT_NAME} sets the limit in MB)"
+                f"the chunk at byte {offset} states {stated} bytes, which exceeds a container; it was left"
+                f" out (the variable {LIMIT_NAME} sets the limit in MB)"
             )
             return self._left_out(file, record, what, (first, last))
         compression = bytes(content[CHUNK.size : start]).decode("latin-1")

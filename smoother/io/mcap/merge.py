@@ -361,7 +361,7 @@ def repair_notes(metadata: dict[str, dict[str, str]]) -> list[str]:
     try:
         notes = json.loads(metadata.get(REPAIRED, {}).get("notes", "[]"))
     except (ValueError, RecursionError):
-        notes = ["of what was lost nothing can be read."]
+        notes = ["nothing of the lost part can be read."]
     if not isinstance(notes, list):
         notes = [notes]
     return [f"The file was repaired: {printable(str(note)[:1000])}" for note in notes[:20]]

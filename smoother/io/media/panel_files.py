@@ -250,7 +250,8 @@ def _markers_at(path: Path, stamps: list[int]) -> list[dict[str, FloatArray]]:
     for stamp, track in zip(stamps, tracks, strict=True):
         if not track:
             raise RecordingError(
-                f"{path}: there are no mocap markers about the images at {(stamp - stamps[0]) / 1e9:.2f} s."
+                f"{path}: there are no mocap markers at the time of the images at"
+                f" {(stamp - stamps[0]) / 1e9:.2f} s."
             )
     return [{name: np.mean(each, axis=0) for name, each in track.items()} for track in tracks]
 

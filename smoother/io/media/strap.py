@@ -156,7 +156,9 @@ class Cameras:
             )
         between = transform_between(self._transforms, reference.frame_id, image.frame_id)
         if between is None:
-            self._note(f"no transform links {reference.frame_id} and {image.frame_id}: one place for both")
+            self._note(
+                f"no transform links {reference.frame_id} and {image.frame_id}: both are assumed at one place"
+            )
         R, t = between or (np.eye(3), np.zeros(3))
         return PlacedCamera(own.resized(width, height), R @ self._R_C_K, t)
 

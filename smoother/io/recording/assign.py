@@ -98,8 +98,8 @@ def choose(
     further, further_notes = _further_by_name(file, pair[0], chosen_side)
     if role(pair[0]) == "hand":
         further_notes.append(
-            f"IMU {pair[0].topic} is named after the hand and used as the forearm's: where the wrist bends,"
-            " the answer is off by centimetres. Wear one on the forearm as well."
+            f"IMU {pair[0].topic} is named after the hand and used as the forearm's: where the wrist"
+            " bends, the result is off by centimetres. Wear one on the forearm too."
         )
     more = truth_notes + further_notes
     choice = StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + more, further)

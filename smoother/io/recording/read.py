@@ -188,7 +188,7 @@ def open_recording(
     angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
     if angles:
         file.notes.append(
-            f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not places of joints; left alone."
+            f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not joint positions; ignored."
         )
     _take_metadata(file)
     with_lenses(file, {each.topic.label for each in decoders.values() if isinstance(each, KeypointDecoder)})

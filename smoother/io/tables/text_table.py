@@ -378,9 +378,9 @@ class Sheet:
     def _note_wrong(self, column: int, rows: np.ndarray) -> None:
         count = "1 cell" if len(rows) == 1 else f"{len(rows):,} cells"
         self.notes.append(
-            f"{count} of {shown(self.name(column), 60)} {'is' if len(rows) == 1 else 'are'} no number and "
-            f"{'counts' if len(rows) == 1 else 'count'} as missing"
-            f" ('{self._cell(column, int(rows[0]))}' in line {self.line(int(rows[0]))})."
+            f"{count} of {shown(self.name(column), 60)} {'is' if len(rows) == 1 else 'are'} not a number"
+            f" and treated as missing ('{self._cell(column, int(rows[0]))}' in line"
+            f" {self.line(int(rows[0]))})."
         )
 
 

@@ -237,8 +237,8 @@ def test_a_broken_file_is_one_sentence(tmp_path: Path):
     path = mvnx(tmp_path, "sensorAcceleration", "sensorAngularVelocity")
     text = path.read_text()
     path.write_text(text[: len(text) // 2])
-    with pytest.raises(RecordingError, match="not sound MVNX"):
+    with pytest.raises(RecordingError, match="damaged MVNX"):
         read_mvnx(path)
     path.write_text(text.replace("0.0", "zero", 3))
-    with pytest.raises(RecordingError, match="not three numbers a sensor"):
+    with pytest.raises(RecordingError, match="not three numbers per sensor"):
         read_mvnx(path)

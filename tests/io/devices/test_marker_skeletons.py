@@ -91,7 +91,7 @@ def test_joint_centres_before_skin_markers(tmp_path: Path) -> None:
     assert "shoulder_right is the marker RShoulder" in words
     assert "elbow_right is the middle of r_lelbow_study and r_melbow_study" in words
     assert "wrist_right is the joint centre RWJC" in words
-    assert "Markers on the skin" in words
+    assert "Skin markers" in words
 
 
 def test_azure_kinect_in_trc(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def test_no_gravity_but_a_camera_that_says_its_axes(tmp_path, capsys):
     for frame in ("camera", "opensim"):
         name = tmp_path / f"{frame}.trc"
         done("export", tmp_path / "hold.mcap", "--format", "trc", "--frame", frame, "-o", name)
-    assert "the camera is taken to stand level" in capsys.readouterr().out
+    assert "the camera is assumed level" in capsys.readouterr().out
     *_, camera = read_trc(tmp_path / "camera.trc")
     *_, level = read_trc(tmp_path / "opensim.trc")
     # Optical: x right, y down, z forward. OpenSim: x to the camera, y up, z right of who faces it.

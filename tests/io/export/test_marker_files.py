@@ -213,7 +213,7 @@ def test_all_nan_stays_blank(tmp_path):
 
 def test_too_many_frames_for_a_c3d(tmp_path):
     recovery = made()
-    with pytest.raises(UnoccludeError, match=r"65535 frames at most.*give --rate 3278\.\d+ or less"):
+    with pytest.raises(UnoccludeError, match=r"at most 65535 frames.*give --rate 3278\.\d+ or less"):
         prepare_export(recovery, "c3d", rate_hz=4000.0)
     with pytest.raises(UnoccludeError, match="65535"):
         write_c3d(tmp_path / "a.c3d", C3dContent(["a"], np.zeros((MOST_FRAMES + 1, 1, 3)), 100.0))

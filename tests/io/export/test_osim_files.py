@@ -175,7 +175,7 @@ def test_the_origin_where_it_means_nothing(tmp_path, capsys):
         assert run([*command, "-o", str(tmp_path / "out")]) != 0
         return capsys.readouterr().err
 
-    assert "no shoulder to put the origin into" in sentence("strap.mcap", "c3d", "shoulder")
+    assert "no shoulder for the origin" in sentence("strap.mcap", "c3d", "shoulder")
     assert "--origin is for trc and c3d, not for csv" in sentence("arm.mcap", "csv", "shoulder")
     assert "--origin is camera or shoulder" in sentence("arm.mcap", "trc", "elbow")
     assert not (tmp_path / "out").exists()
