@@ -294,7 +294,7 @@ def _missing(calibration: ArmCalibration, evidence: Evidence) -> list[str]:
         if joint not in known:
             seen = evidence.frames.get(joint, 0)
             how = "was never tracked" if seen == 0 else f"was tracked in {seen} frames only"
-            sentences.append(f"the {joint} {how}: its lever arm is open")
+            sentences.append(f"the {joint} {how}: its lever arm is not determined")
     return sentences
 
 
@@ -308,8 +308,8 @@ def _bias(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: floa
     if not joint_bias_m > JOINT_BIAS_M or not set(calibration.lever_arms) - set(known.lever_arms):
         return []
     return [
-        f"the camera places joints some {1e3 * joint_bias_m:.0f} mm off (per axis), always in the same way: "
-        "lever arms and lengths are known no better, whatever the motion"
+        f"the camera places joints some {1e3 * joint_bias_m:.0f} mm off (per axis), always in the same"
+        " way: this limits the accuracy of lever arms and lengths"
     ]
 
 

@@ -204,7 +204,7 @@ def print_matches(title: str, matches: list[ImuMatch]) -> None:
     print_table(title, ("IMU", "body", "joint", "probability", "IMU - camera, s", "else"), rows)
     sure = sum(one.is_sure for one in matches)
     are = "is" if sure == 1 else "are"
-    say(f"{sure} of {len(matches)} IMUs {are} on a limb for sure (probability above 0.95)")
+    say(f"{sure} of {len(matches)} IMUs {are} matched with a probability above 0.95")
 
 
 def _print_beside(answers: dict[str, list[ImuMatch]]) -> None:

@@ -225,7 +225,7 @@ def test_axes_need_elbow_and_wrist():
     assert forearm_frame(only) is None
     evidence = replace(GOOD, frames=FRAMES | {"elbow": 0, "hand": 4, "upper_arm": 0})
     text = said(replace(only, upper_arm=None), evidence)
-    assert "the elbow was never tracked: its lever arm is open" in text
+    assert "the elbow was never tracked: its lever arm is not determined" in text
     assert "the hand was tracked in 4 frames only" in text
     assert "R_F_A) need both elbow and wrist" in text
     assert "never seen together: the upper arm's length is not known" in text
