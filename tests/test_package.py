@@ -140,7 +140,9 @@ def test_what_a_person_gets_wrong_is_one_sentence(session: Path) -> None:
         unocclude.smooth(session.with_name("none.mcap"))
     with pytest.raises(UnoccludeError, match=r"side: smooth\(\) chooses among a file's streams"):
         unocclude.smooth(recording, side="left")
-    with pytest.raises(UnoccludeError, match=r"arm\.toml: a calibration file goes with the recording's file"):
+    with pytest.raises(
+        UnoccludeError, match=r"arm\.toml: a calibration file belongs to the recording's file"
+    ):
         unocclude.smooth(recording, session.with_name("arm.toml"))
     with pytest.raises(UnoccludeError, match="left"):
         unocclude.smooth(session, side="left")

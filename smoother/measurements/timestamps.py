@@ -412,10 +412,7 @@ def begins_frames(time: FloatArray, kind: IntArray) -> bool:
 def resets_message(steps: list[tuple[float, float]], what: str) -> str:
     """A sentence on steps of a clock; `what` are the rows behind them."""
     back = ", ".join(f"by {by:.{1 if by >= 0.95 else 2}f} s at {at:.1f} s" for by, at in steps)
-    return (
-        f"The clock was set back {back}: the {what} behind {'it go' if len(steps) == 1 else 'them go'} on"
-        " at the usual interval."
-    )
+    return f"The clock was set back {back}: the following {what} continue at the usual interval."
 
 
 def _fill_up(t_s: FloatArray, dt: FloatArray, usual: float, least: float) -> bool:

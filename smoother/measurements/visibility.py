@@ -199,7 +199,7 @@ class Rejection(IntEnum):
 #: The reasons by their code.
 REASONS = (
     Reason(""),
-    Reason("frozen", "the value is frozen while the sensor moves"),
+    Reason("frozen", "the value repeats while the sensor moves"),
     Reason("jump", "far from its neighbours in time"),
     Reason("bone length", "elbow and wrist are too near or too far"),
     Reason("direction", "forearm more than 30 degrees off the inertial one"),

@@ -306,7 +306,7 @@ def test_errors_of_the_camera_are_no_fault_of_the_motion():
     said_then = not_determined(arm, forearm_frame(arm), GOOD, NOTHING, joint_bias_m=0.0119)
     assert said_then[0] == (
         "the camera places joints some 12 mm off (per axis), always in the same way: "
-        "lever arms and lengths are known no better, whatever the motion"
+        "this limits the accuracy of lever arms and lengths"
     )
     text = "\n".join(said_then)
     assert "known only roughly" not in text

@@ -41,7 +41,7 @@ def test_without_a_calibration(frozen, tmp_path, capsys):
     assert "the IMU's clock is " in out and "noise of the camera's joints, mm per axis: elbow " in out
     assert "constant errors of the joints against each other, mm: elbow " in out
     assert "not determined: the camera places joints some " in out
-    assert "Tracked samples that were rejected" in out and "frozen: the value stands still" in out
+    assert "Tracked samples that were rejected" in out and "frozen: the value repeats" in out
     found = figures["found"]
     assert set(found["lever_arms"]) == {"elbow", "wrist", "hand"} and found["given"] == []
     assert found["lengths"]["forearm"]["sigma_m"] > 0 and found["clock_offsets"][0]["sigma_s"] < 0.01
@@ -56,7 +56,7 @@ def test_what_is_given_is_not_called_found(frozen, tmp_path, capsys):
     capsys.readouterr()
     figures = smoothed(frozen, tmp_path, "--calibration", tmp_path / "c.toml")
     out = capsys.readouterr().out
-    assert "Lever arms" not in out and "lever arms and lengths are known no better" not in out
+    assert "Lever arms" not in out and "the accuracy of lever arms and lengths" not in out
     assert {"elbow", "wrist", "hand", "upper_arm"} <= set(figures["found"]["given"])
     # the file remembers, so that a report made of it later says the same
     (kept,) = read_recovery(tmp_path / "out.mcap")

@@ -142,8 +142,7 @@ def test_several_arms_begin_with_the_one_that_is_wrong(tmp_path: Path) -> None:
 def test_advice_of_a_partly_untrusted_result_names_what_to_avoid() -> None:
     sentences = advice(replace(made(), estimates=PARTLY), None)
     assert (
-        sentences[0]
-        == "Avoid the causes of the parts that are not to be trusted: another <person's> joints."
+        sentences[0] == "Avoid the causes of the parts that are not to be trusted: another <person's> joints."
     )
     assert not any("record the next one in the same way" in each for each in sentences)
 

@@ -67,7 +67,7 @@ def test_a_folder(files: Path, capsys: pytest.CaptureFixture[str]):
     out = files / "rec.mcap"
     assert run(["import", "files", str(files), "-o", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "notes.md has an unknown format and was passed over" in printed
+    assert "notes.md has an unknown format and was skipped" in printed
     # a.csv and g.csv are the two files of one sensor
     assert {i.topic for i in open_recording(out).imus} == {
         *("/imu/Right_Wrist", "/imu/Sternum", "/imu/dot", "/imu/g")

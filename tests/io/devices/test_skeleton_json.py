@@ -154,7 +154,7 @@ def test_coco_takes_the_surest_person_and_its_visibilities(tmp_path: Path) -> No
 
 def test_a_number_of_keypoints_that_is_no_known_set(tmp_path: Path) -> None:
     value = [{"people": [{"pose_keypoints_2d": [1.0] * 33}]}] * 5
-    with pytest.raises(RecordingError, match="11 keypoints a person are of no known set"):
+    with pytest.raises(RecordingError, match="11 keypoints per person are not a known set"):
         read(write(tmp_path / "a.json", value), "pose-json")
 
 
