@@ -14,14 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..body import SEGMENTS
 from .help_page import GroupedCommand
+from .live_arms import check_arms, further_streams, receivers_of, sides_of, streams_of_arms, together
 from .live_dashboard import Aside, Dashboard, Lines, Table
 from .options import Calibration, ConfigFile, Force, Json, Side, one_side
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
 
 if TYPE_CHECKING:
     from ..config import Config
-    from ..streams.arrivals import Source, SourceInfo
+    from ..streams.arrivals import Source
+    from ..streams.lsl_source import LslSource
     from ..streams.session import LiveSession, Receiver, SessionCalibration
     from ..streams.session_recording import Recorder
 
@@ -108,98 +111,72 @@ def lsl_source(
     prefer_side: str | None,
     body: str | None,
     gyro: str | None,
+    further: dict[str, str],
     wait_s: float,
     stop_request: StopRequest,
     stack: ExitStack,
-) -> Source | None:
+    beside: LslSource | None = None,
+) -> LslSource | None:
     """Streams of the Lab Streaming Layer, once both are there; None where it was ended before."""
     from ..streams.lsl_source import LslSource
 
-    source = LslSource(imu, skeleton, side, prefer_side, body, gyro)
+    source = LslSource(imu, skeleton, side, prefer_side, body, gyro, further, beside)
     stack.callback(source.close)
-    say(f"looking for the streams, at most {wait_s:g} s")
+    if beside is None:
+        say(f"looking for the streams, at most {wait_s:g} s")
     return source if source.open(wait_s, stop_request, say) else None
 
 
-def receivers_of(
-    info: SourceInfo,
-    page: int | None,
-    foxglove: int | None,
-    lsl_out: str | None,
-    lsl_network: bool,
-    stack: ExitStack,
-) -> list[Receiver]:
-    """Who is sent the answers, and where they are found."""
-    receivers: list[Receiver] = []
-    if page is not None:
-        from ..streams.page_server import LivePage
-
-        live_page = LivePage(info, page)
-        stack.callback(live_page.close)
-        say(f"page: {live_page.address}")
-        receivers.append(live_page)
-    if foxglove is not None:
-        from ..streams.foxglove import FoxgloveServer
-
-        server = FoxgloveServer(info, foxglove)
-        stack.callback(server.close)
-        say(f"Foxglove: open connection, Foxglove WebSocket, {server.address}; layout:"
-            " docs/unocclude.foxglove-layout.json")  # fmt: skip
-        receivers.append(server)
-    if lsl_out is not None:
-        from ..streams.lsl import LslOutlet
-        from ..streams.lsl_local import LocalLslOutlet
-
-        receivers.append((LslOutlet if lsl_network else LocalLslOutlet)(lsl_out, info))
-        stack.callback(receivers[-1].close)
-        who = "all computers of this network" if lsl_network else "this computer"
-        say(f"LSL: streams {lsl_out} and {lsl_out}_settled, for {who}")
-    return receivers
-
-
 @contextmanager
-def engine_session(
-    source: Source,
-    calibration: SessionCalibration,
+def engine_sessions(
+    sources: Sequence[Source],
+    calibrations: Sequence[SessionCalibration],
     config: Config,
     lag_s: float,
     recording: Recorder | None,
-    receivers: Sequence[Receiver],
-) -> Iterator[LiveSession]:
-    """A session; whatever ends it, its recording is whole."""
+    receivers: Sequence[Sequence[Receiver]],
+) -> Iterator[list[LiveSession]]:
+    """A session for each arm; whatever ends them, their recording is whole."""
     from ..live.calibrations import InlineCalibrator
     from ..live.smoother import LiveSmoother
     from ..streams.session import LiveSession
 
-    info = source.info
+    sessions = []
     with ExitStack() as stack:
         if recording is not None:
             stack.callback(recording.close)
-        engine = LiveSmoother(
-            info.side,
-            calibration.arm,
-            calibration.config(config),
-            lag_s,
-            info.gravity_hint,
-            info.camera_frame,
-            None if source.speed else InlineCalibrator(),  # the background may be waited for too
-        )
-        stack.enter_context(engine)
-        yield LiveSession(source, engine, calibration, recording, receivers)
+        arms = zip(sources, calibrations, receivers, strict=True)
+        for number, (source, calibration, of_arm) in enumerate(arms):
+            info = source.info
+            engine = LiveSmoother(
+                info.side,
+                calibration.arm,
+                calibration.config(config),
+                lag_s,
+                info.gravity_hint,
+                info.camera_frame,
+                None if source.speed else InlineCalibrator(),  # the background may be waited for too
+                list(info.further),
+            )
+            stack.enter_context(engine)
+            sessions.append(LiveSession(source, engine, calibration, recording, of_arm, number))
+        yield sessions
 
 
-def run_session(session: LiveSession, stop_request: StopRequest) -> dict[str, Any]:
-    """Run a session until it ends, and show it; its figures."""
+def run_sessions(sessions: Sequence[LiveSession], stop_request: StopRequest) -> list[dict[str, Any]]:
+    """Run the sessions of all arms until they end, and show them; their figures."""
+    from ..streams.session import run_together
+
     if sys.stdout.isatty():
         keys = "q ends, s ends and smooths" if stop_request.has_keys else "Ctrl-C ends"
         dashboard: Dashboard = Table(f"unocclude live ({keys})")
     else:
         dashboard = Lines()
     with dashboard:
-        if not session.source.speed:
-            return session.run(stop_request, dashboard.show).figures()
+        if not sessions[0].source.speed:
+            return [each.figures() for each in run_together(sessions, stop_request, dashboard.show)]
         with Aside(dashboard) as aside:
-            return session.run(stop_request, aside.show).figures()
+            return [each.figures() for each in run_together(sessions, stop_request, aside.show)]
 
 
 def print_source(source: Source, calibration: SessionCalibration) -> None:
@@ -207,18 +184,23 @@ def print_source(source: Source, calibration: SessionCalibration) -> None:
     info = source.info
     arm = f"{info.side} arm" if info.side else "arm"
     say(f"IMU {info.imu}, {arm} of {info.skeleton} ({', '.join(info.joints)})")
+    for segment, name in info.further.items():
+        say(f"IMU {name} on the {SEGMENTS[segment].label}")
     print_notes([*info.notes, *calibration.notes])
 
 
-def print_session(figures: dict[str, Any]) -> None:
-    """Print what the session was like."""
+def print_session(figures: dict[str, Any], arm: str = "") -> None:
+    """Print what the session was like, of an arm."""
     state = figures["state_s"]
     say(
-        f"{figures['seconds']:.1f} s: visible {state['visible']:.1f} s, {figures['gaps']} gaps of"
+        f"{arm}{figures['seconds']:.1f} s: visible {state['visible']:.1f} s, {figures['gaps']} gaps of"
         f" {state['gap']:.1f} s, the longest {figures['longest_gap_s']:.1f} s; calibrating"
         f" {state['calibrating']:.1f} s, the IMU lost {state['lost']:.1f} s"
     )
-    for name, stream in (("IMU", figures["imu"]), ("camera", figures["skeleton"])):
+    streams = [("IMU", figures["imu"]), ("camera", figures["skeleton"])]
+    for segment, stream in figures.get("further", {}).items():
+        streams.append((f"IMU on the {SEGMENTS[segment].label}", stream))
+    for name, stream in streams:
         words = f"{stream['count']} came, {stream['missing']} missing, {stream['late']} late"
         if stream["lost_times"]:
             words += f", lost {stream['lost_times']} times for {stream['lost_s']:.1f} s"
@@ -260,8 +242,13 @@ class LiveCommand(GroupedCommand):
 
 def live(
     imu: Annotated[
-        str | None,
-        typer.Option("--imu", metavar="STREAM", help="Name of the IMU's LSL stream; a topic with --replay."),
+        list[str] | None,
+        typer.Option(
+            "--imu",
+            metavar="STREAM",
+            help="Name of the IMU's LSL stream; a topic with --replay. With --arms both right=STREAM and"
+            " left=STREAM.",
+        ),
     ] = None,
     skeleton: Annotated[
         str | None,
@@ -275,7 +262,18 @@ def live(
             "--gyro", metavar="STREAM", help="Name of the gyroscope's LSL stream, if it has one of its own."
         ),
     ] = None,
+    further_imu: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--further-imu",
+            metavar="SEGMENT=STREAM",
+            help="LSL stream of a further IMU of the arm: upper-arm=NAME; may be given again.",
+        ),
+    ] = None,
     side: Side = None,
+    arms: Annotated[
+        str, typer.Option("--arms", metavar="one|both", help="Both arms of one person, each with its IMU.")
+    ] = "one",
     body: Annotated[
         str | None,
         typer.Option("--body", metavar="N", help="Which of several bodies of the skeleton's LSL stream."),
@@ -352,7 +350,9 @@ def live(
     `pip install '.[live]'`.
     """
     side = one_side(side)
-    of_streams = {"--body": body, "--gyro": gyro}
+    sides = sides_of(arms, side, gyro)
+    imus, further = streams_of_arms(imu or (), sides), further_streams(further_imu or (), sides)
+    of_streams = {"--body": body, "--gyro": gyro, "--further-imu": "".join(further_imu or ()) or None}
     if lsl_network and lsl_out is None:
         raise typer.BadParameter("--lsl-network is of what --lsl-out sends; give it as well")
     _check_use(
@@ -373,28 +373,51 @@ def live(
         lsl_module()
     if foxglove is not None:
         foxglove_module()
-    config, calibrations = read_config(config_file), read_calibration_file(calibration_file)
-    prefer = prefer_side(calibrations)
+    config, file = read_config(config_file), read_calibration_file(calibration_file)
+    prefer = prefer_side(file)
     with StopRequest() as stop_request, ExitStack() as stack:
-        if replay is not None:
-            source: Source | None = Replay(replay, imu, skeleton, side, prefer, speed, latency_s)
-        else:
-            source = lsl_source(imu, skeleton, side, prefer, body, gyro, wait_s, stop_request, stack)
-        if source is None:
-            say("ended before the streams were there; nothing was recorded")
-            return
-        calibration = SessionCalibration.of(calibrations, source.info)
-        print_source(source, calibration)
-        receivers = receivers_of(source.info, page, foxglove, lsl_out, lsl_network, stack)
+        sources: list[Source] = []
+        played: Replay | None = None
+        received: LslSource | None = None
+        for each in sides:
+            if replay is not None:
+                played = Replay(replay, imus[each], skeleton, each, prefer, speed, latency_s, played)
+                sources.append(played)
+                continue
+            received = lsl_source(
+                imus[each],
+                skeleton,
+                each,
+                prefer,
+                body,
+                gyro,
+                further[each],
+                wait_s,
+                stop_request,
+                stack,
+                received,
+            )
+            if received is None:
+                say("ended before the streams were there; nothing was recorded")
+                return
+            sources.append(received)
+        infos = [source.info for source in sources]
+        check_arms(infos, replay)
+        calibrations = [SessionCalibration.of(file, info) for info in infos]
+        for source, calibration in zip(sources, calibrations, strict=True):
+            print_source(source, calibration)
+        receivers = receivers_of(infos, page, foxglove, lsl_out, lsl_network, stack)
         recording = None
         if record is not None:
-            recording = Recorder(SessionRecording(record, source.info, force), patient=not source.speed)
-        session = stack.enter_context(
-            engine_session(source, calibration, config, lag_s, recording, receivers)
+            growing = SessionRecording(record, infos[0], force, infos[1:])
+            recording = Recorder(growing, patient=not sources[0].speed)
+        sessions = stack.enter_context(
+            engine_sessions(sources, calibrations, config, lag_s, recording, receivers)
         )
-        figures = run_session(session, stop_request)
-    write_json(json_file, figures, force)
-    print_session(figures)
+        figures = run_sessions(sessions, stop_request)
+    write_json(json_file, together(infos, figures), force)
+    for info, own in zip(infos, figures, strict=True):
+        print_session(own, f"{info.side} arm, " if len(sides) > 1 else "")
     has_recording = recording is not None and recording.has_samples
     say_written(record if has_recording else None, json_file)
     if record is None or not has_recording:

@@ -31,16 +31,16 @@ class Dashboard(Protocol):
     ) -> None:
         """End; what was shown last stays."""
 
-    def show(self, view: SessionView) -> None:
-        """Show the session as it is now."""
+    def show(self, *views: SessionView) -> None:
+        """Show the session of each arm as it is now."""
 
 
 class Lines:
-    """A line every two seconds, and one for whatever happens."""
+    """A line every two seconds for each arm, and one for whatever happens."""
 
     def __init__(self) -> None:
         self._last = -math.inf
-        self._events = 0
+        self._events: dict[str, int] = {}
 
     def __enter__(self) -> Lines:
         return self
@@ -50,15 +50,18 @@ class Lines:
     ) -> None:
         return None
 
-    def show(self, view: SessionView) -> None:
+    def show(self, *views: SessionView) -> None:
         """Print what happened since, and the line if it is time."""
-        new = view.event_count - self._events
-        for when, sentence in view.events[-new:] if new else ():
-            say(f"{when:8.1f} s  {sentence}")
-        self._events = view.event_count
-        if time.monotonic() - self._last > _LINE_S:
-            self._last = time.monotonic()
-            print(f"{view.seconds:8.1f} s  {'; '.join(words(view))}", flush=True)
+        is_time = time.monotonic() - self._last > _LINE_S
+        for view in views:
+            arm = f"{view.side} arm: " if len(views) > 1 else ""
+            new = view.event_count - self._events.get(view.side, 0)
+            for when, sentence in view.events[-new:] if new else ():
+                say(f"{when:8.1f} s  {arm}{sentence}")
+            self._events[view.side] = view.event_count
+            if is_time:
+                self._last = time.monotonic()
+                print(f"{view.seconds:8.1f} s  {arm}{'; '.join(words(view))}", flush=True)
 
 
 class Table:
@@ -82,11 +85,15 @@ class Table:
     ) -> None:
         self._live.__exit__(kind, error, trace)
 
-    def show(self, view: SessionView) -> None:
+    def show(self, *views: SessionView) -> None:
         """Draw it if it is time."""
         if time.monotonic() - self._last > _DRAWN_S:
+            from rich.console import Group
+
             self._last = time.monotonic()
-            self._live.update(drawn(self._title, view), refresh=True)
+            titles = [f"{self._title}: {view.side} arm" if len(views) > 1 else self._title for view in views]
+            shown = [drawn(title, view) for title, view in zip(titles, views, strict=True)]
+            self._live.update(shown[0] if len(shown) == 1 else Group(*shown), refresh=True)
 
 
 class Aside:
@@ -99,7 +106,7 @@ class Aside:
 
     def __init__(self, dashboard: Dashboard) -> None:
         self._dashboard = dashboard
-        self._view: SessionView | None = None
+        self._views: tuple[SessionView, ...] = ()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="dashboard", daemon=True)
 
@@ -113,16 +120,16 @@ class Aside:
         self._closing.set()
         self._thread.join(_PATIENCE_S)
 
-    def show(self, view: SessionView) -> None:
-        """Show the session as it is now; only the newest is looked at."""
-        self._view = view
+    def show(self, *views: SessionView) -> None:
+        """Show the session of each arm as it is now; only the newest is looked at."""
+        self._views = views
 
     def _work(self) -> None:
         while not self._closing.wait(_LOOKED_S):
-            if self._view is not None:
-                self._dashboard.show(self._view)
-        if self._view is not None:
-            self._dashboard.show(self._view)
+            if self._views:
+                self._dashboard.show(*self._views)
+        if self._views:
+            self._dashboard.show(*self._views)
 
 
 def drawn(title: str, view: SessionView) -> Any:
@@ -132,7 +139,7 @@ def drawn(title: str, view: SessionView) -> Any:
     from rich.text import Text
 
     streams = RichTable("stream", "rate", "missing", "late", "delay", "", title=title, title_justify="left")
-    for stream in (view.imu, view.skeleton):
+    for stream in (view.imu, view.skeleton, *view.further):
         rate = f"{stream.rate_hz:.1f} /s"
         delay = milliseconds(delay_s(view, stream))
         lost = Text("nothing comes", style="bold red") if stream.is_lost else Text("")
@@ -143,14 +150,14 @@ def drawn(title: str, view: SessionView) -> Any:
     style = {"visible": "green", "gap": "bold yellow"}.get(str(view.output and view.output.state), "bold")
     state, *rest = words(view)
     lines.append(Text(f" {state}", style=style))
-    lines.append(Text(f" {';  '.join(rest[2:])}"))
+    lines.append(Text(f" {';  '.join(rest[2 + len(view.further) :])}"))
     lines += [Text(f" {when:7.1f} s  {printable(sentence)}", style="dim") for when, sentence in view.events]
     return Group(*lines)
 
 
 def words(view: SessionView) -> list[str]:
     """The session in words: the answer, the streams, the clock, the load."""
-    streams = [_stream_words(view, stream) for stream in (view.imu, view.skeleton)]
+    streams = [_stream_words(view, stream) for stream in (view.imu, view.skeleton, *view.further)]
     output = view.output
     if output is None:
         return ["nothing has come yet", *streams, f"load {100 * view.load:.0f} %"]
@@ -195,7 +202,7 @@ def _state_words(view: SessionView) -> str:
 
 
 def _stream_words(view: SessionView, stream: StreamView) -> str:
-    name = "IMU" if stream is view.imu else "camera"
+    name = {id(view.imu): "IMU", id(view.skeleton): "camera"}.get(id(stream), stream.name)
     if stream.is_lost:
         return f"{name}: nothing comes"
     missing = f", {stream.missing} missing" if stream.missing else ""

@@ -25,7 +25,7 @@ from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
 from ..linalg import unit
 from ..measurements.rays import squashed
-from ..window.problem import JointMeasurements, SegmentRun, Window
+from ..window.problem import JointMeasurements, NoiseModel, SegmentRun, Window
 from .factors import (
     IMU_ROWS,
     POINT_ROWS,
@@ -373,7 +373,21 @@ def _add_shoulder_end(built: WindowGraph, window: Window, run: SegmentRun) -> No
 
 
 def _tissue(window: Window, run: SegmentRun, nodes: IntArray) -> list[float]:
-    """Sigma of a joint in the IMU's axes at nodes (k,): tissue moves slowly, denser samples add nothing."""
-    step = np.gradient(window.t[nodes]) if len(nodes) > 1 else np.full(len(nodes), TISSUE_S)
-    sigma = dict(window.noise.tissue_m)[run.segment] * np.sqrt(np.maximum(TISSUE_S / step, 1.0))
-    return [float(each) for each in np.round(sigma, 3)]
+    """Sigma of a joint in the IMU's axes at nodes (k,)."""
+    step_s = np.gradient(window.t[nodes]) if len(nodes) > 1 else np.full(len(nodes), TISSUE_S)
+    return [float(each) for each in tissue_sigma(window.noise, run.segment, step_s)]
+
+
+def tissue_sigma(noise: NoiseModel, segment: str, step_s: FloatArray) -> FloatArray:
+    """Sigma of a joint in an IMU's axes (k,), m: tissue moves slowly, denser samples add nothing.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    segment : str
+        That the IMU is on.
+    step_s : ndarray, shape (k,), s
+        Times between samples.
+    """
+    sigma = dict(noise.tissue_m)[segment] * np.sqrt(np.maximum(TISSUE_S / step_s, 1.0))
+    return np.asarray(np.round(sigma, 3))

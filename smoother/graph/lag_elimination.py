@@ -9,11 +9,14 @@ import gtsam
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import SEGMENTS
 from .variables import DIMENSION, values_of
 
-#: Of a variable, by its letter.
 #: Elimination goes along time; the variables of few nodes follow, and last come those of all.
-_RANK = {ord(letter): rank for letter, rank in (("x", 0), ("v", 0), ("s", 1), ("b", 2))}
+_RANK = {ord("s"): 1}
+for _segment in SEGMENTS.values():
+    _letters = [ord(letter) for letter in _segment.letters]
+    _RANK |= dict.fromkeys(_letters[:2] + _letters[4:], 0) | {_letters[2]: 2}
 _LAST = 3
 #: Above these bits of a key stands its letter, in them its number.
 _LETTER_BIT = 56

@@ -5,7 +5,7 @@ Nodes inside may still be changed: a late frame or IMU sample costs no more than
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -13,143 +13,23 @@ from gtsam import Pose3, Rot3
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
 from ..array_types import FloatArray
-from ..body import FOREARM
+from ..body import FOREARM, SEGMENTS
 from ..recording import JOINTS
 from ..window.problem import ImuIncrements, NoiseModel, Priors
 from ..window.shared import SharedLayout
 from ..window.solution import LagSolution, NodeState
-from .factors import (
-    constant_velocity,
-    imu_factor,
-    isotropic,
-    joint_factor,
-    knot_walk,
-    length_factor,
-    noise_levels,
-    preintegrate,
-    preintegration_parameters,
-    robust,
-)
-from .lag_elimination import LagIteration, iterate, marginalise, split
+from .build import TISSUE_S
+from .lag_elimination import LagIteration, in_order, iterate, marginalise, split
+from .lag_factors import LagBody, LagFactors, LagNode, state_keys_of
 from .shared_prior import (
-    bias_walk,
     gravity_axes,
     have_turned,
     insert_constants,
+    lever_keys,
     prior_factor,
     turned_with_axes,
 )
 from .variables import keys_of
-
-#: Before any frame a first node is known so well: rad, m, m/s.
-FIRST_TURN_RAD, FIRST_POSITION_M, FIRST_VELOCITY = 0.5, 0.5, 1.5
-
-
-@dataclass
-class LagNode:
-    """A node with its factors.
-
-    Attributes
-    ----------
-    number : int
-        Of its variables.
-    t : float, s
-    epoch : int
-        Number of its bias variable.
-    imu : gtsam.NonlinearFactor or None
-        The IMU's from the node before it.
-    camera : list of gtsam.NonlinearFactor
-        What the camera saw at it.
-    others : list of gtsam.NonlinearFactor
-        All others at it.
-    """
-
-    number: int
-    t: float
-    epoch: int
-    imu: gtsam.NonlinearFactor | None = None
-    camera: list[gtsam.NonlinearFactor] = field(default_factory=list)
-    others: list[gtsam.NonlinearFactor] = field(default_factory=list)
-
-    @property
-    def factors(self) -> list[gtsam.NonlinearFactor]:
-        """The IMU's first."""
-        return ([] if self.imu is None else [self.imu]) + self.camera + self.others
-
-
-class LagFactors:
-    """Makes the factors of a lag window.
-
-    Parameters
-    ----------
-    priors : Priors
-        On the shared quantities.
-    noise : NoiseModel
-    sigma_m : ndarray, shape (5,), m
-        Noise of the camera's joints, per axis.
-    gravity_magnitude : float, m/s^2
-    """
-
-    def __init__(
-        self, priors: Priors, noise: NoiseModel, sigma_m: FloatArray, gravity_magnitude: float
-    ) -> None:
-        self._noise, self._sigma_m, self._g = noise, sigma_m, gravity_magnitude
-        self._walk = priors.bias_walk
-        layout, mean = priors.layout, priors.shared.mean
-        self._joints, self._has_upper_arm = layout.joints, layout.has_upper_arm
-        self._upper_arm_m = float(mean[layout.upper_arm].sum())
-        self._elbow = mean[layout.lever("elbow")] if layout.has_upper_arm else np.zeros(3)
-        self._keys = keys_of(FOREARM.name)
-        self._params: dict[tuple[int, int], gtsam.PreintegrationParams] = {}
-
-    def first(self, number: int, state: NodeState) -> list[gtsam.NonlinearFactor]:
-        """Wide priors on the first node, `PriorFactorPose3` and `PriorFactorVector`."""
-        model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FIRST_TURN_RAD, FIRST_POSITION_M], 3))
-        pose = Pose3(Rot3(state.R), state.p)
-        return [
-            gtsam.PriorFactorPose3(X(number), pose, model),
-            gtsam.PriorFactorVector(V(number), state.v, isotropic(3, FIRST_VELOCITY)),
-        ]
-
-    def imu(self, before: LagNode, node: LagNode, increments: ImuIncrements) -> gtsam.NonlinearFactor:
-        """One interval of the IMU, `ImuFactorWithGravityDirection` (Forster et al., TRO 2017)."""
-        level = noise_levels(increments, np.array([node.t - before.t]), self._noise, self._g)[0]
-        if level not in self._params:
-            self._params[level] = preintegration_parameters(self._noise, self._g, *level)
-        (pim,) = preintegrate(increments, [self._params[level]])
-        return imu_factor(self._keys, before.number, node.number, node.epoch, pim, self._g)
-
-    def constant_velocity(self, number: int, change: float) -> gtsam.NonlinearFactor:
-        """The velocity changes by no more than about `change`, m/s, from the node before."""
-        return constant_velocity(number - 1, round(change, 4))
-
-    def bias_walk(self, epoch: int, length_s: float) -> gtsam.NonlinearFactor:
-        """A bias variable near the one before it, `BetweenFactorConstantBias`."""
-        model = gtsam.noiseModel.Diagonal.Sigmas(self._walk * np.sqrt(length_s))
-        return bias_walk(B(epoch - 1), B(epoch), model)
-
-    def joint(self, number: int, joint: str, position: FloatArray) -> gtsam.NonlinearFactor:
-        """A joint of the forearm where the camera sees it, `GPSFactorArmCalib` or `GPSFactorArm`."""
-        lever = self._keys.lever_of(joint) if joint in self._joints else None
-        return joint_factor(X(number), lever, position, self._robust(joint))
-
-    def shoulder(self, knot: int, position: FloatArray) -> gtsam.NonlinearFactor:
-        """A shoulder knot where the camera sees it, `PriorFactorPoint3`."""
-        return gtsam.PriorFactorPoint3(S(knot), position, self._robust("shoulder"))
-
-    def knot_walk(self, before: int, knot: int, length_s: float) -> gtsam.NonlinearFactor:
-        """A shoulder knot near the one before it, `BetweenFactorPoint3`."""
-        return knot_walk(before, knot, self._noise.shoulder_walk, float(np.sqrt(length_s)))
-
-    def upper_arm(self, knot: int) -> list[gtsam.NonlinearFactor]:
-        """The upper arm's length from a knot to its node's elbow, `RangeFactorWithTransformBias3D`."""
-        if not self._has_upper_arm:
-            return []
-        sigma_m = self._noise.upper_arm_sigma_m
-        return [length_factor(knot, knot, self._upper_arm_m, sigma_m, self._elbow)]
-
-    def _robust(self, joint: str) -> gtsam.noiseModel.Robust:
-        return robust(round(float(self._sigma_m[JOINTS.index(joint)]), 6), self._noise.cauchy)
 
 
 @dataclass(frozen=True)
@@ -232,21 +112,22 @@ class LagReading:
 
 
 def constant_keys(layout: SharedLayout) -> list[int]:
-    """Keys of what is one variable a window: gravity, the upper arm's length, lever arms."""
+    """Keys of what is one variable a window: gravity, the upper arm's length, the forearm's lever arms."""
     levers = [L(JOINTS.index(joint)) for joint in layout.joints]
     return [G(0), *([U(0)] if layout.has_upper_arm else []), *levers]
 
 
-def state_of(values: gtsam.Values, node: LagNode) -> NodeState:
-    """A node's pose and velocity."""
-    pose = values.atPose3(X(node.number))
-    velocity = values.atVector(V(node.number))
+def state_of(values: gtsam.Values, node: LagNode, segment: str = FOREARM.name) -> NodeState:
+    """A segment's pose and velocity at a node."""
+    keys = keys_of(segment)
+    pose = values.atPose3(keys.pose + node.number)
+    velocity = values.atVector(keys.velocity + node.number)
     return NodeState(node.t, pose.rotation().matrix(), pose.translation(), velocity)
 
 
-def bias_of(values: gtsam.Values, epoch: int) -> FloatArray:
+def bias_of(values: gtsam.Values, epoch: int, segment: str = FOREARM.name) -> FloatArray:
     """A bias (6,), m/s^2 and rad/s."""
-    return np.asarray(values.atConstantBias(B(epoch)).vector())
+    return np.asarray(values.atConstantBias(keys_of(segment).bias + epoch).vector())
 
 
 def gravity_of(values: gtsam.Values, magnitude: float) -> FloatArray:
@@ -270,10 +151,10 @@ def _state_blocks(prefix: str, number: int, R: FloatArray) -> list[tuple[str, in
     ]
 
 
-#: Interval between new bias variables, s.
-BIAS_EPOCH_S = 1.0
 #: Shoulder knots keep this far apart, s.
 KNOT_S = 0.09
+#: Interval between new bias variables, s.
+BIAS_EPOCH_S = 1.0
 #: An iteration that moves the newest node by less than this is the last, m; this many at most. 3 mm leaves
 #: 0.5 mm at most (measured), and spares half of the iterations.
 SETTLED_M = 0.003
@@ -314,11 +195,14 @@ class LagWindow:
         mean = priors.shared.mean
         self._values = gtsam.Values()
         insert_constants(self._values, priors.layout, mean)
-        self._values.insert(B(0), gtsam.imuBias.ConstantBias(mean[:3], mean[3:6]))
-        #: Of no node: the prior, the walk of the bias, and what is left of those that left.
-        self._lasting: list[gtsam.NonlinearFactor] = [
-            prior_factor(priors, [B(0), *constant_keys(priors.layout)])
-        ]
+        first, *further = (keys_of(segment).bias for segment in priors.layout.segments)
+        for segment, key in zip(priors.layout.segments, (first, *further), strict=True):
+            bias = mean[priors.layout.bias_of(segment)]
+            self._values.insert(key, gtsam.imuBias.ConstantBias(bias[:3], bias[3:]))
+        upper_arm = [U(0)] if priors.layout.has_upper_arm else []
+        prior_keys = [first, G(0), *upper_arm, *lever_keys(priors.layout), *further]
+        #: Of no node: the prior, the walk of the biases, and what is left of those that left.
+        self._lasting: list[gtsam.NonlinearFactor] = [prior_factor(priors, prior_keys)]
         self._axes = gravity_axes(self._values)
 
     @property
@@ -328,8 +212,12 @@ class LagWindow:
 
     @property
     def bias(self) -> FloatArray:
-        """The newest bias (6,), m/s^2 and rad/s."""
-        return bias_of(self._values, self._epoch)
+        """The forearm IMU's newest bias (6,), m/s^2 and rad/s."""
+        return self.bias_of(FOREARM.name)
+
+    def bias_of(self, segment: str) -> FloatArray:
+        """The newest bias (6,) of the IMU on a segment, m/s^2 and rad/s."""
+        return bias_of(self._values, self._epoch, segment)
 
     @property
     def gravity(self) -> FloatArray:
@@ -340,9 +228,13 @@ class LagWindow:
         """A joint's lever arm (3,) in {A}, m; zero for the IMU itself."""
         return lever_of(self._values, joint) if joint in self._layout.joints else np.zeros(3)
 
-    def state(self, index: int) -> NodeState:
-        """A node's pose and velocity; -1 is the newest."""
-        return state_of(self._values, self._nodes[index])
+    def state(self, index: int, segment: str = FOREARM.name) -> NodeState:
+        """A segment's pose and velocity at a node where it has variables; -1 is the newest node."""
+        return state_of(self._values, self._nodes[index], segment)
+
+    def nodes_of(self, segment: str) -> list[int]:
+        """Indices of the nodes at which a segment has variables."""
+        return [index for index, node in enumerate(self._nodes) if segment in node.bodies]
 
     def add(
         self, state: NodeState, increments: ImuIncrements | None, velocity_change: float = np.inf
@@ -373,24 +265,95 @@ class LagWindow:
         if self._knot is not None and state.t - self._knot_s >= KNOT_S:
             self._add_knot(node, self._values.atPoint3(S(self._knot)))
 
-    def set_increments(self, index: int, increments: ImuIncrements) -> None:
-        """Set the IMU's way to a node from the one before, also where there was one already.
+    def attach(
+        self, index: int, segment: str, state: NodeState, increments: ImuIncrements | None = None
+    ) -> None:
+        """Give a further segment with an IMU its variables at a node.
 
         Parameters
         ----------
         index : int
-            Of the node, not the first.
+            Of the node; the segment has none at it yet, nor at a later one.
+        segment : str
+            One of the priors' layout.
+        state : NodeState
+            Where to start.
+        increments : ImuIncrements or None
+            Of the interval from the segment's last node; None where it begins.
+        """
+        node, before = self._nodes[index], self.nodes_of(segment)
+        lever = self._factors.shared_joint_m[segment]
+        pose, velocity, point = state_keys_of(segment, node.number)
+        self._values.insert(pose, Pose3(Rot3(state.R), state.p))
+        self._values.insert(velocity, state.v)
+        self._values.insert(point, state.p + state.R @ lever)
+        node.bodies[segment] = body = LagBody()
+        if increments is None:
+            body.others += self._factors.first(node.number, state, segment)
+        else:
+            self.set_increments(index, increments, segment)
+        step_s = TISSUE_S if increments is None else node.t - self._nodes[before[-1]].t
+        body.others += self._factors.shared_joint(node.number, segment, step_s)
+        if self._values.exists(S(node.number)):
+            body.others += self._factors.shoulder_end(node.number, segment, KNOT_S)
+        waiting, node.waiting = node.waiting, []
+        for joint, position in waiting:
+            self._see(node, joint, position)
+
+    def detach(self, segment: str, since_s: float) -> None:
+        """Take a further segment out of all nodes from a time on."""
+        leaving: list[int] = []
+        for node in self._nodes:
+            if segment in node.bodies and node.t >= since_s:
+                del node.bodies[segment]
+                leaving += state_keys_of(segment, node.number)
+                _, node.camera = split(node.camera, set(leaving))
+        # what those that left say of it stays, as far as it is about the rest
+        held = set(leaving) & {key for factor in self._lasting for key in list(factor.keys())}
+        if held:
+            self._lasting = marginalise(self._lasting, self._values, in_order(held))
+        for key in set(leaving) - held:
+            self._values.erase(key)
+
+    def misfit(self, segment: str, since_s: float) -> float:
+        """How badly a further segment's IMU fits to the rest at nodes from a time on.
+
+        Returns
+        -------
+        misfit : float
+            Mean squared error in sigmas of its factors; nan without any.
+        """
+        bodies = [
+            node.bodies[segment] for node in self._nodes if segment in node.bodies and node.t >= since_s
+        ]
+        factors = [each for body in bodies if body.imu is not None for each in (body.imu, *body.others)]
+        if not factors:
+            return float("nan")
+        rows = sum(each.dim() for each in factors)
+        return 2.0 * sum(each.error(self._values) for each in factors) / rows
+
+    def set_increments(self, index: int, increments: ImuIncrements, segment: str = FOREARM.name) -> None:
+        """Set an IMU's way to a node from its one before, also where there was one already.
+
+        Parameters
+        ----------
+        index : int
+            Of the node, not the segment's first.
         increments : ImuIncrements
             Of one interval.
+        segment : str
+            That the IMU is on.
         """
-        node = self._nodes[index]
-        node.imu = self._factors.imu(self._nodes[index - 1], node, increments)
+        node, at = self._nodes[index], self.nodes_of(segment)
+        before = self._nodes[at[at.index(index % len(self._nodes)) - 1]]
+        body = node.bodies[segment]
+        body.imu, body.before = self._factors.imu(before, node, increments, segment), before.number
 
     def measure(self, index: int, joint: str, position: FloatArray) -> None:
         """Add a joint's position (3,) m in {K} at a node; the shoulder counts at the knot before it."""
         node = self._nodes[index]
         if joint != "shoulder":
-            node.camera.append(self._factors.joint(node.number, joint, position))
+            self._see(node, joint, position)
             return
         if self._knot is None or self._knot_s > node.t + KNOT_S:
             if index not in (-1, len(self._nodes) - 1):
@@ -399,11 +362,20 @@ class LagWindow:
         assert self._knot is not None
         node.camera.append(self._factors.shoulder(self._knot, position))
 
+    def _see(self, node: LagNode, joint: str, position: FloatArray) -> None:
+        """A joint at a node; it waits where the IMU that it belongs to is not there yet."""
+        segment = self._layout.segment_of(joint)
+        if segment in node.bodies:
+            node.camera.append(self._factors.joint(node.number, joint, position, segment))
+        else:
+            node.waiting.append((joint, position))
+
     def retract(self, after_s: float) -> None:
         """Take back what the camera saw at nodes after a time."""
         for node in self._nodes:
             if node.t > after_s:
                 node.camera.clear()
+                node.waiting.clear()
 
     def solve(self, settled_s: float) -> LagSolution:
         """Optimise (Gauss-Newton), read the newest node and one a lag ago, let old nodes leave.
@@ -460,9 +432,9 @@ class LagWindow:
         keys = self._leaving_keys(leaving, self._nodes[0])
         factors = self._lasting + [factor for node in leaving for factor in node.factors]
         # what ties those that stay to those that leave goes with them
-        first = self._nodes[0]
-        factors += [] if first.imu is None else [first.imu]
-        first.imu = None
+        first, gone = self._nodes[0], {node.number for node in leaving}
+        for node in self._nodes:
+            factors += [f for body in node.bodies.values() if body.before in gone for f in body.release()]
         for node in self._nodes:
             ties, node.others = split(node.others, set(keys))
             seen, node.camera = split(node.camera, set(keys))
@@ -472,8 +444,9 @@ class LagWindow:
 
     def _leaving_keys(self, leaving: list[LagNode], first: LagNode) -> list[int]:
         """Keys of what leaves with some nodes, in the order of elimination; `first` is the first to stay."""
-        states = [key for node in leaving for key in (X(node.number), V(node.number))]
-        biases = [B(epoch) for epoch in range(self._first_epoch, first.epoch)]
+        states = [key for node in leaving for key in node.state_keys]
+        first_biases = [keys_of(segment).bias for segment in self._layout.segments]
+        biases = [bias + epoch for epoch in range(self._first_epoch, first.epoch) for bias in first_biases]
         knots = [S(node.number) for node in leaving if node.number != self._knot]
         return [*states, *biases, *(knot for knot in knots if self._values.exists(knot))]
 
@@ -483,8 +456,10 @@ class LagWindow:
             return
         if np.isfinite(self._epoch_s):
             self._epoch += 1
-            self._values.insert(B(self._epoch), self._values.atConstantBias(B(self._epoch - 1)))
-            self._lasting.append(self._factors.bias_walk(self._epoch, t - self._epoch_s))
+            for segment in self._layout.segments:
+                bias = keys_of(segment).bias + self._epoch
+                self._values.insert(bias, self._values.atConstantBias(bias - 1))
+                self._lasting.append(self._factors.bias_walk(self._epoch, t - self._epoch_s, segment))
         self._epoch_s = t
 
     def _add_knot(self, node: LagNode, position: FloatArray) -> None:
@@ -493,4 +468,7 @@ class LagWindow:
         if self._knot is not None:
             node.others.append(self._factors.knot_walk(self._knot, node.number, node.t - self._knot_s))
         node.others += self._factors.upper_arm(node.number)
+        for segment, body in node.bodies.items():
+            if SEGMENTS[segment].parent:
+                body.others += self._factors.shoulder_end(node.number, segment, KNOT_S)
         self._knot, self._knot_s = node.number, node.t

@@ -6,6 +6,7 @@ import math
 import multiprocessing
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -24,12 +25,14 @@ from ..measurements.visibility import joints_needed
 from ..recording import CameraFrame, Recording
 from ..runtime.pool import Pool, blank_main, interrupts_wait, one_thread_each, prepare_worker
 from ..selfcal.excerpts import informative_excerpts
+from ..selfcal.further_imu import calibrate_further_imus, without_joints_of
 from ..selfcal.pairing import coarse_clock
 from ..selfcal.rounds import self_calibrate
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.priors import with_measured_noise
 from .buffers import FrameBuffer, ImuBuffer
 from .camera_clock import USUAL_LATENCY_S, CameraClock
+from .further_imus import FurtherPlace, LiveFurtherImu
 
 #: Joints that fit no better than this to any mounting and clock are not calibrated, m per axis.
 LARGEST_SIGMA_M = 0.10
@@ -70,6 +73,10 @@ class LiveCalibration:
         t_imu = t_camera + offset, of the camera's own stamps; None without a model.
     reason : str
         Why there is no model, one sentence; "" where there is one.
+    further : tuple of FurtherPlace
+        The IMUs beyond the forearm that the model contains.
+    left_out : tuple of str
+        Why it does not contain the others, a sentence each.
     """
 
     from_s: float
@@ -77,6 +84,8 @@ class LiveCalibration:
     model: SelfCalibration | None = None
     clock: Clock | None = None
     reason: str = ""
+    further: tuple[FurtherPlace, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 def calibrate_excerpts(job: CalibrationJob) -> LiveCalibration:
@@ -113,7 +122,9 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
             )
         config = with_measured_noise(job.config, recording.imu)
         with Pool(1, 0) as here:
-            model = self_calibrate(excerpts, job.given, config, here, OFFSET_SIGMA_S)
+            further, left_out = calibrate_further_imus(recording, job.given, config, here)
+            own = [without_joints_of(excerpt, further) for excerpt in excerpts]
+            model = self_calibrate(own, job.given, config, here, OFFSET_SIGMA_S)
     except (UnoccludeError, ValueError, ArithmeticError) as error:
         return LiveCalibration(np.nan, np.nan, reason=str(error))
     if model.mounting_unknown:
@@ -124,7 +135,20 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
         return LiveCalibration(
             np.nan, np.nan, reason="camera and IMU do not fit each other yet: move the arm in view"
         )
-    return LiveCalibration(np.nan, np.nan, model, model.clock.after(before))
+    for imu in further:
+        model = imu.joined(model)
+    if model.estimate.mountings:  # those that were given of IMUs that are not there
+        there = {imu.segment.name: model.estimate.mountings[imu.segment.name] for imu in further}
+        model = replace(model, estimate=replace(model.estimate, mountings=there))
+    end_s = recording.arm.t_s[-1:]
+    places = tuple(
+        FurtherPlace(
+            imu.segment.name, imu.model.errors.imu, float((model.clock.at(end_s) - imu.clock.at(end_s))[0])
+        )
+        for imu in further
+    )
+    clock = model.clock.after(before)
+    return LiveCalibration(np.nan, np.nan, model, clock, further=places, left_out=tuple(left_out))
 
 
 #: The background leaves the processor to what is live (`os.nice`).
@@ -285,7 +309,7 @@ class Calibrations:
         self._calibrator, self._side, self._given, self._config = calibrator, side, given, config
         self._gravity_hint, self._camera_frame = gravity_hint, camera_frame
         self._asked_s: float | None = None
-        self._count = 0
+        self._count, self._left_out = 0, tuple[str, ...]()
         self.last: LiveCalibration | None = None
         self.offset_s = self.clock_sigma_s = float("nan")
         self.needed = 1
@@ -306,7 +330,13 @@ class Calibrations:
         self.offset_s, self.clock_sigma_s = float(answer.clock.at(at)[0]), answer.clock.sigma_s
         return True
 
-    def ask(self, imu: ImuBuffer, frames: FrameBuffer, camera: CameraClock) -> None:
+    def ask(
+        self,
+        imu: ImuBuffer,
+        frames: FrameBuffer,
+        camera: CameraClock,
+        worn: Mapping[str, LiveFurtherImu] | None = None,
+    ) -> None:
         """Ask for the next one when it is time."""
         if self._calibrator.busy or not len(imu) or not len(frames):
             return
@@ -323,9 +353,15 @@ class Calibrations:
             camera_frame=self._camera_frame,
             gravity_hint=self._gravity_hint,
             name="live",
+            further_imus={name: each.sound_stream() for name, each in (worn or {}).items() if each},
         )
         offset_s = arrival_offset_s if np.isnan(self.offset_s) else self.offset_s
         self._calibrator.submit(CalibrationJob(recording, self._given, self._config, offset_s))
+
+    def left_out(self) -> list[str]:
+        """Why the last one does without some of the IMUs beyond the forearm, where that is new."""
+        now, self._left_out = self._left_out, () if self.last is None else self.last.left_out
+        return [sentence for sentence in self._left_out if sentence not in now]
 
     def clock_jumped(self, sigma_s: float) -> None:
         """The camera's clock jumped: it is less certain by the step, and the next calibration is due."""

@@ -17,7 +17,6 @@ from ..measurements.inertial import (
 )
 from ..measurements.segment import without_spikes
 from ..recording import ImuStream
-from ..selfcal.self_calibration import SelfCalibration
 from ..window.problem import ImuIncrements
 from ..window.solution import NodeState
 from .buffers import ImuBuffer
@@ -73,30 +72,38 @@ class LiveSignal:
     ----------
     imu : ImuBuffer
         Read only.
-    model : SelfCalibration
-        Its scale errors are taken off.
+    errors : ndarray, shape (2, 3, 3)
+        Scale errors of accelerometer and gyroscope, which are taken off.
+    shift_s : float, s
+        What is added to the samples' times: to the clock of the forearm's IMU.
     """
 
-    def __init__(self, imu: ImuBuffer, model: SelfCalibration) -> None:
-        self._imu = imu
-        self._scale = tuple(np.eye(3) - matrix for matrix in model.errors.imu)
+    def __init__(self, imu: ImuBuffer, errors: FloatArray, shift_s: float = 0.0) -> None:
+        self._imu, self._shift_s = imu, shift_s
+        self._scale = tuple(np.eye(3) - matrix for matrix in errors)
         self._cached: tuple[int, float, DoubtfulSignal] | None = None
 
     def since(self, start_s: float) -> DoubtfulSignal:
         """The signal from some time on."""
         cached = self._cached
         if cached is None or cached[0] != self._imu.version or cached[1] > start_s:
-            first_s = min(start_s, self._imu.end_s - CACHED_S)
-            imu = without_spikes(self._imu.stream(first_s - BEFORE_S))
+            first_s = min(start_s, self.end_s - CACHED_S)
+            own_s = first_s - BEFORE_S - self._shift_s
+            imu = without_spikes(self._imu.stream(own_s))
             acc, gyro = imu.acc @ self._scale[0].T, imu.gyro @ self._scale[1].T
-            doubt = self._imu.doubt(first_s - BEFORE_S)
-            cached = self._imu.version, first_s, DoubtfulSignal(replace(imu, acc=acc, gyro=gyro), doubt)
+            imu = replace(imu, t_s=imu.t_s + self._shift_s, acc=acc, gyro=gyro)
+            cached = self._imu.version, first_s, DoubtfulSignal(imu, self._imu.doubt(own_s))
             self._cached = cached
         return cached[2]
 
+    @property
+    def end_s(self) -> float:
+        """Time of the newest sample, s; -inf without any."""
+        return self._imu.end_s + self._shift_s
+
     def pause_s(self, since_s: float) -> float:
         """Longest time without samples since some time, s."""
-        t = self._imu.t
+        t = self._imu.t + self._shift_s
         t = t[np.searchsorted(t, since_s) - 1 :] if len(t) else t
         return float(np.diff(t).max(initial=0.0))
 

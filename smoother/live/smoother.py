@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import SEGMENTS
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
@@ -19,6 +21,7 @@ from .buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, Calibrator, LiveCalibration
 from .camera_clock import USUAL_LATENCY_S, CameraClock, Shift, ShiftCause
 from .display import Display, predicted
+from .further_imus import LiveFurtherImu
 from .monitor import Culprit
 from .tracker import LONGEST_PAUSE_S, Tracker
 from .tracker_handover import TrackerHandover
@@ -57,6 +60,8 @@ class LiveSmoother:
         The convention of the camera's axes.
     calibrator : Calibrator, optional
         Who works the self-calibration out; a process in the background where None.
+    further : sequence of str
+        Segments beyond the forearm that wear an IMU (`body.SEGMENTS`).
 
     Raises
     ------
@@ -73,6 +78,7 @@ class LiveSmoother:
         gravity_hint: FloatArray | None = None,
         camera_frame: CameraFrame | None = None,
         calibrator: Calibrator | None = None,
+        further: Sequence[str] = (),
     ) -> None:
         if not 0.0 <= lag_s <= 2.0:
             raise UnoccludeError(f"The lag is {lag_s:g} s; give one from 0 to 2 s.")
@@ -82,7 +88,10 @@ class LiveSmoother:
         self._calibrations = Calibrations(
             calibrator or BackgroundCalibrator(), side, given, config, gravity_hint, camera_frame
         )
-        self._handover = TrackerHandover(self._calibrations, config, self._imu, self._frames, lag_s)
+        self._worn = {name: LiveFurtherImu(SEGMENTS[name], BUFFER_S) for name in further}
+        self._handover = TrackerHandover(
+            self._calibrations, config, self._imu, self._frames, lag_s, self._worn
+        )
         self._display = Display(lag_s)
         self._changed_s: float | None = None
         self._late: list[SkeletonFrame] = []
@@ -103,6 +112,10 @@ class LiveSmoother:
     def add_imu(self, batch: ImuBatch) -> None:
         """Take samples in, in any order; those older than half a second before the newest are dropped."""
         self._imu_changed(self._imu.add(batch))
+
+    def add_further_imu(self, segment: str, batch: ImuBatch) -> None:
+        """Take samples of the IMU on a segment beyond the forearm in, as `add_imu`."""
+        self._worn[segment].add(batch)
 
     def _imu_changed(self, since_s: float | None) -> None:
         """Samples from some time on are others now."""
@@ -159,6 +172,8 @@ class LiveSmoother:
         began = time.thread_time()
         self._notes, notes = [], self._notes
         self._check_imu()
+        for worn in self._worn.values():
+            self._notes += worn.check(now_s)
         # 1. The calibration, in the background; who follows with it catches up, and takes over.
         self._calibrate(now_s)
         # 2. What has arrived, into the window; the past is corrected.
@@ -219,7 +234,8 @@ class LiveSmoother:
         """Fetch a calibration that is ready, ask for the next when it is time, let a successor catch up."""
         if self._calibrations.fetch():
             self._handover.calibrated()
-        self._calibrations.ask(self._imu, self._frames, self._camera)
+            self._notes += self._calibrations.left_out()
+        self._calibrations.ask(self._imu, self._frames, self._camera, self._worn)
         before = self._handover.advance(now_s)
         tracker = self._handover.tracker
         if before is not None and before.solution is not None and tracker is not None:
@@ -281,6 +297,10 @@ class LiveSmoother:
     def _mend(self, tracker: Tracker) -> bool:
         """Work in what came late; whether anything did."""
         changed = self._changed_s is not None
+        for follower in tracker.further:
+            if follower.worn.changed_s is not None:
+                follower.integrate_again(tracker.window, follower.worn.changed_s)
+                follower.worn.changed_s = None
         if self._changed_s is not None:
             tracker.integrate_again(self._changed_s)
             self._changed_s = None

@@ -11,6 +11,7 @@ from ..array_types import BoolArray, FloatArray
 from ..config import Config
 from ..graph.lag_window import LagWindow
 from ..linalg import interpolate
+from ..measurements.alignment import located
 from ..measurements.clock import constant_clock
 from ..measurements.segment import SegmentTraits, make_segment
 from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks
@@ -24,6 +25,7 @@ from ..window.shared import Gaussian
 from ..window.solution import LagSolution, NodeState
 from .buffers import ImuBuffer, SkeletonFrame
 from .frame_history import FrameHistory
+from .further_imus import SegmentFollower
 from .monitor import CameraMonitor, Culprit, Finding, residuals_of
 from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, displacement, increments_between, propagated
 
@@ -115,6 +117,8 @@ class Tracker:
         How long nodes stay.
     before : Tracker, optional
         With an earlier calibration: its biases and gravity count.
+    further : sequence of SegmentFollower
+        Of IMUs beyond the forearm.
 
     Attributes
     ----------
@@ -142,17 +146,19 @@ class Tracker:
         imu: ImuBuffer,
         length_s: float = LENGTH_S,
         before: Tracker | None = None,
+        further: Sequence[SegmentFollower] = (),
     ) -> None:
         self.model, self.offset_s, self._needed = model, offset_s, needed
-        self.noise = noise_of(config, model.upper_arm_sigma_m)
+        self.noise = noise_of(config, model.upper_arm_sigma_m, model.estimate)
         priors = first_priors(model.initial, model.estimate, config)
         if before is not None and before.solution is not None:
             priors = _with_learnt(priors, before.solution)
         self.window = LagWindow(priors, self.noise, model.joint_sigma_m, GRAVITY, length_s)
-        self.signal, self.history = LiveSignal(imu, model), FrameHistory()
-        self.monitor = CameraMonitor(model, self.noise)
+        self.signal, self.history = LiveSignal(imu, model.errors.imu), FrameHistory()
+        self.monitor, self.further = CameraMonitor(model, self.noise), further
         self.findings: list[Finding] = []
         self.left_out: list[float] = []
+        self._located = np.array(JOINTS)[located(model.estimate)].tolist()
         self._forces: deque[tuple[float, FloatArray]] = deque()
         self.solution: LagSolution | None = None
         self.cursor_s = -np.inf
@@ -276,8 +282,12 @@ class Tracker:
             self.window.set_increments(index, increments_between(signal, start_s, end_s, self.window.bias))
 
     def solve(self, settled_s: float) -> LagSolution:
-        """Solve the window."""
+        """Solve the window, with what the IMUs beyond the forearm reach."""
+        for follower in self.further:
+            follower.follow(self.window)
         self.solution = self.window.solve(settled_s)
+        for follower in self.further:
+            follower.judge(self.window)
         self.monitor.solved(self.solution)
         return self.solution
 
@@ -324,7 +334,7 @@ class Tracker:
         """Add a frame's joints at a node."""
         for column in np.flatnonzero(accepted):
             joint = JOINTS[column]
-            if joint in ("shoulder", "strap") or joint in self.model.estimate.lever_arms:
+            if joint in ("shoulder", "strap") or joint in self._located:
                 self.window.measure(index, joint, position[column])
 
     def _shift(self, node: NodeState, t_s: float) -> FloatArray:

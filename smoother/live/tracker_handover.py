@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..config import Config
 from .buffers import FrameBuffer, ImuBuffer, SkeletonFrame
 from .calibrations import Calibrations
+from .further_imus import LiveFurtherImu, SegmentFollower
 from .monitor import Culprit
 from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
 
@@ -34,6 +37,8 @@ class TrackerHandover:
         Both of the live smoother, read only.
     lag_s : float, s
         How long before the present `settled` is.
+    worn : mapping of str to LiveFurtherImu, optional
+        IMUs beyond the forearm, by segment.
 
     Attributes
     ----------
@@ -44,10 +49,16 @@ class TrackerHandover:
     """
 
     def __init__(
-        self, calibrations: Calibrations, config: Config, imu: ImuBuffer, frames: FrameBuffer, lag_s: float
+        self,
+        calibrations: Calibrations,
+        config: Config,
+        imu: ImuBuffer,
+        frames: FrameBuffer,
+        lag_s: float,
+        worn: Mapping[str, LiveFurtherImu] | None = None,
     ) -> None:
         self._calibrations, self._config, self._imu, self._frames = calibrations, config, imu, frames
-        self._lag_s = lag_s
+        self._lag_s, self._worn = lag_s, worn or {}
         self.tracker: Tracker | None = None
         self.has_followed = False
         self._successor: Tracker | None = None
@@ -147,12 +158,17 @@ class TrackerHandover:
         calibration = self._calibrations.last
         if calibration is None or calibration.model is None:
             return None
+        model, offset_s = calibration.model, self._calibrations.offset_s
         return Tracker(
-            calibration.model,
-            self._calibrations.offset_s,
+            model,
+            offset_s,
             self._calibrations.needed,
             self._config,
             self._imu,
             max(LENGTH_S, self._lag_s + 0.3),
             self.tracker,
+            [
+                SegmentFollower(self._worn[place.segment], place, model, self._frames, offset_s)
+                for place in calibration.further
+            ],
         )

@@ -6,7 +6,7 @@ Steps of a stream's clock while it runs: found by when samples arrive, and taken
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
@@ -131,11 +131,14 @@ class Arrivals:
     frames : FrameRows
     events : tuple of str
         What was done to their stamps, a sentence each.
+    further : mapping of str to ImuRows
+        Of IMUs on segments beyond the forearm, by the segment's name.
     """
 
     imu: ImuRows = field(default_factory=ImuRows.none)
     frames: FrameRows = field(default_factory=FrameRows.none)
     events: tuple[str, ...] = ()
+    further: Mapping[str, ImuRows] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,8 @@ class SourceInfo:
         The same on this computer's LSL clock, where that is the session's.
     notes : tuple of str
         How it was decided, and what is assumed, one sentence each.
+    further : mapping of str to str
+        Names of the streams of IMUs on segments beyond the forearm, by the segment's name.
     """
 
     imu: str
@@ -174,6 +179,7 @@ class SourceInfo:
     name: str = "session"
     lsl_start_s: float | None = None
     notes: tuple[str, ...] = ()
+    further: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def down(self) -> FloatArray | None:

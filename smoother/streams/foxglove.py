@@ -36,11 +36,20 @@ _NOW = {
     "tf": "foxglove.FrameTransforms",
     "joints": "foxglove.JointStates",
 }
-_SETTLED = {f"{name}/settled": _NOW[name] for name in ("skeleton", "forearm")}
+_SETTLED = {name: _NOW[name] for name in ("skeleton", "forearm")}
 _FRAMES = {"camera": "unocclude.Skeleton", "arm_camera": "foxglove.SceneUpdate"}
 _GAPS = {"gaps": "foxglove.Event", "log": "foxglove.Log"}
-#: Every topic, and the full name of its schema.
-TOPICS = {f"{RESULT_PREFIX}{name}": schema for name, schema in (_NOW | _SETTLED | _FRAMES | _GAPS).items()}
+
+
+def topics_of(suffix: str) -> dict[str, str]:
+    """Every topic of an arm, and the full name of its schema; gaps and log are of both arms."""
+    of_arm = {f"{RESULT_PREFIX}{name}{suffix}": schema for name, schema in (_NOW | _FRAMES).items()}
+    settled = {f"{RESULT_PREFIX}{name}{suffix}/settled": schema for name, schema in _SETTLED.items()}
+    return of_arm | settled | {f"{RESULT_PREFIX}{name}": schema for name, schema in _GAPS.items()}
+
+
+#: Of a session with one arm.
+TOPICS = topics_of("")
 
 
 class LiveMessage(NamedTuple):
@@ -81,16 +90,19 @@ class LiveMessages:
     ----------
     info : SourceInfo
         Of the session.
+    suffix : str
+        Behind the topics' names, where there are two arms: "/right".
     """
 
-    def __init__(self, info: SourceInfo):
-        self._info = info
+    def __init__(self, info: SourceInfo, suffix: str = ""):
+        self._info, self._suffix = info, suffix
         self._down = info.down
 
     def estimate(self, estimate: LiveEstimate, wanted: Collection[str] = TOPICS) -> Iterator[LiveMessage]:
         """The arm at a moment, on those of its topics that are wanted."""
         names, suffix = (_NOW, "") if estimate.kind == "now" else (_SETTLED, "/settled")
-        topics = _among(names, wanted)
+        suffix = self._suffix + suffix
+        topics = _among(names, suffix, wanted)
         if topics:
             here = _no_frame(self._info.skeleton, estimate.t_s)
             yield from self._encoded(self._recovery(estimate, here), suffix, topics)
@@ -109,12 +121,12 @@ class LiveMessages:
         wanted : collection of str
             Topics.
         """
-        topics = _among(_FRAMES, wanted)
+        topics = _among(_FRAMES, self._suffix, wanted)
         if not topics:
             return
         t_s = frames.t_s + (offset_s if np.isfinite(offset_s) else 0.0)
         tracks = JointTracks(self._info.skeleton, t_s, frames.position, frames.state)
-        yield from self._encoded(self._recovery(None, tracks), "", topics)
+        yield from self._encoded(self._recovery(None, tracks), self._suffix, topics)
 
     def gap(self, gap: Gap) -> Iterator[LiveMessage]:
         """A gap that is over, as an event and a line of the log."""
@@ -180,9 +192,9 @@ class LiveMessages:
         )
 
 
-def _among(names: Collection[str], wanted: Collection[str]) -> set[str]:
+def _among(names: Collection[str], suffix: str, wanted: Collection[str]) -> set[str]:
     """Topics of these names that are wanted."""
-    return {topic for name in names if (topic := f"{RESULT_PREFIX}{name}") in wanted}
+    return {topic for name in names if (topic := f"{RESULT_PREFIX}{name}{suffix}") in wanted}
 
 
 def _no_frame(name: str, t_s: float) -> JointTracks:
@@ -217,6 +229,8 @@ class FoxgloveServer:
         Of the session.
     port : int
         0 takes a free one.
+    others : sequence of SourceInfo
+        Of the same person's other arm: topics then end in the arm's side.
 
     Raises
     ------
@@ -224,14 +238,17 @@ class FoxgloveServer:
         foxglove-sdk is not installed, or the port is taken.
     """
 
-    def __init__(self, info: SourceInfo, port: int = FOXGLOVE_PORT):
-        self._messages = LiveMessages(info)
-        self._drawn_s = float("-inf")
+    def __init__(self, info: SourceInfo, port: int = FOXGLOVE_PORT, others: Sequence[SourceInfo] = ()):
+        infos = (info, *others)
+        suffixes = [f"/{each.side}" if others else "" for each in infos]
+        self._messages = [LiveMessages(each, suffix) for each, suffix in zip(infos, suffixes, strict=True)]
+        self._drawn_s = [float("-inf")] * len(infos)
+        topics = {topic: schema for suffix in suffixes for topic, schema in topics_of(suffix).items()}
         self._foxglove = foxglove_module()
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         self._context = self._foxglove.Context()
         self._channels: dict[str, Any] = {
-            topic: self._channel(topic, schema) for topic, schema in TOPICS.items()
+            topic: self._channel(topic, schema) for topic, schema in topics.items()
         }
         self._host, self._server = self._hidden_server()
         try:
@@ -248,21 +265,29 @@ class FoxgloveServer:
         """What is entered in Foxglove under Open connection."""
         return f"ws://{LOOPBACK}:{self._gate.port}"
 
-    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
-        """Send what a step answered, the arm at most some 30 times per second."""
+    def send(
+        self,
+        output: LiveOutput,
+        frames: FrameRows,
+        gap: Gap | None,
+        events: Sequence[str],
+        number: int = 0,
+    ) -> None:
+        """Send what a step answered of an arm, that at most some 30 times per second."""
+        messages = self._messages[number]
         wanted = {topic for topic, channel in self._channels.items() if channel.has_sinks()}
         if not wanted:
             return
         if len(frames):
-            self.log(self._messages.frames(frames, output.clock_offset_s, wanted))
-        if not abs(output.now_s - self._drawn_s) < _DRAWN_EACH_S:
-            self._drawn_s = output.now_s
+            self.log(messages.frames(frames, output.clock_offset_s, wanted))
+        if not abs(output.now_s - self._drawn_s[number]) < _DRAWN_EACH_S:
+            self._drawn_s[number] = output.now_s
             for estimate in (output.now, output.settled):
                 if estimate is not None:
-                    self.log(self._messages.estimate(estimate, wanted))
+                    self.log(messages.estimate(estimate, wanted))
         if gap is not None:
-            self.log(self._messages.gap(gap))
-        self.log(self._messages.line(text, output.now_s) for text in events)
+            self.log(messages.gap(gap))
+        self.log(messages.line(text, output.now_s) for text in events)
 
     def log(self, messages: Iterable[LiveMessage]) -> None:
         """Send messages to whoever subscribed to their topics."""

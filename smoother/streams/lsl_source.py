@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..body import SEGMENTS
 from ..errors import UnoccludeError
 from ..io.recording.selection import named_side
 from ..runtime.printable import printable
@@ -44,6 +45,10 @@ class LslSource:
         A calibration's side: taken where the skeleton has both arms and nothing else says.
     body : str, optional
         Which of several bodies of the skeleton's stream.
+    further : mapping of str to str, optional
+        The same of IMUs on segments beyond the forearm, by segment.
+    beside : LslSource, optional
+        Of the same person's other arm, which is looked at first: its skeleton is this one's, too.
     """
 
     speed = 1.0
@@ -56,18 +61,28 @@ class LslSource:
         prefer_side: str | None = None,
         body: str | None = None,
         gyro: str | None = None,
+        further: Mapping[str, str] | None = None,
+        beside: LslSource | None = None,
     ):
         lsl = lsl_module()
         self._something = threading.Event()
-        self._inlets = [
+        self._inlets: list[LslInlet] = [
             LslInlet(imu, _IMU_TYPES, self._something.set),
-            LslInlet(skeleton, _SKELETON_TYPES, self._something.set),
+            LslInlet(skeleton, _SKELETON_TYPES, self._something.set) if beside is None else beside._inlets[1],
         ]
+        self._beside, self._frame_batches = beside, list[LslSamples]()
+        self._further = {
+            segment: LslInlet(name, _IMU_TYPES, self._something.set)
+            for segment, name in (further or {}).items()
+        }
+        self._further_channels: dict[str, ImuChannels] = {}
         if gyro is not None:
             self._inlets.append(LslInlet(gyro, _GYRO_TYPES, self._something.set))
         self._side, self._prefer_side, self._body = side, prefer_side, body
         self._start_s = float(np.floor(lsl.local_clock()))
         self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
+        if beside is not None:
+            self._start_s, self._origin_ns = beside._start_s, beside._origin_ns
         self._opened: tuple[_Imu, SkeletonChannels, SourceInfo] | None = None
 
     def open(
@@ -100,20 +115,22 @@ class LslSource:
             A stream's labels do not identify its channels.
         """
         imu_inlet, skeleton_inlet = self._inlets[:2]
-        for inlet in self._inlets:
+        for inlet in self._own_inlets:
             inlet.start()
         until = time.monotonic() + seconds
         imu = skeleton = None
-        while imu is None or skeleton is None:
-            for inlet in self._inlets:
+        while imu is None or skeleton is None or len(self._further_channels) < len(self._further):
+            for inlet in self._all_inlets:
                 inlet.check()
+            self._look_for_further(say)
             if imu is None and imu_inlet.stream is not None:
                 imu = self._imu_there(say)
             if skeleton is None and skeleton_inlet.stream is not None:
                 side = self._side or named_side("" if imu_inlet.stream is None else imu_inlet.stream.name())
                 labels = StreamLabels.of(skeleton_inlet.stream)
                 skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
-                say(f"skeleton stream {skeleton_inlet.stream.name()} is there")
+                if self._beside is None:
+                    say(f"skeleton stream {skeleton_inlet.stream.name()} is there")
             if stopped():
                 return False
             if time.monotonic() > until:
@@ -138,6 +155,23 @@ class LslSource:
         halves = HalfChannels.of(labels, "acc"), HalfChannels.of(StreamLabels.of(gyro), "gyro")
         say(f"accelerometer stream {stream.name()} and gyroscope stream {gyro.name()} are there")
         return (*halves, ImuHalves(stream.name(), gyro.name()))
+
+    def _look_for_further(self, say: Callable[[str], None]) -> None:
+        """Take down the IMUs beyond the forearm that are there."""
+        for segment, inlet in self._further.items():
+            if segment not in self._further_channels and inlet.stream is not None:
+                self._further_channels[segment] = ImuChannels.of(StreamLabels.of(inlet.stream))
+                say(f"IMU stream {inlet.stream.name()} of the {SEGMENTS[segment].label} is there")
+
+    @property
+    def _all_inlets(self) -> list[LslInlet]:
+        return [*self._inlets, *self._further.values()]
+
+    @property
+    def _own_inlets(self) -> list[LslInlet]:
+        """Without the skeleton's, where that is the other arm's as well."""
+        shared = [] if self._beside is None else [self._inlets[1]]
+        return [inlet for inlet in self._all_inlets if inlet not in shared]
 
     def _look_for_gyro(self, stream: Any) -> None:
         """Receive the one stream that is the gyroscope beside an accelerometer's, by name and type."""
@@ -170,8 +204,15 @@ class LslSource:
     def arrivals(self) -> Arrivals:
         """What came since the last call."""
         imu_channels, skeleton_channels, _ = self._open
-        imu_batches, frame_batches, *gyro_batches = [inlet.samples() for inlet in self._inlets]
-        events = tuple(text for inlet in self._inlets for text in inlet.events())
+        imu_batches, *gyro_batches = [inlet.samples() for inlet in (self._inlets[0], *self._inlets[2:])]
+        if self._beside is None:
+            self._frame_batches = self._inlets[1].samples()
+        frame_batches = (self._beside or self)._frame_batches
+        events = tuple(text for inlet in self._own_inlets for text in inlet.events())
+        further = {
+            segment: _joined([self._imu(self._further_channels[segment], batch) for batch in inlet.samples()])
+            for segment, inlet in self._further.items()
+        }
         frames = [self._frames(skeleton_channels, batch) for batch in frame_batches]
         if isinstance(imu_channels, ImuChannels):
             imu = _joined([self._imu(imu_channels, batch) for batch in imu_batches])
@@ -181,11 +222,12 @@ class LslSource:
             gyro = _joined([self._half(gyro_channels, batch) for batch in gyro_batches[0]])
             imu, said = halves.joined(acc, gyro)
             events += said
-        return Arrivals(imu, FrameRows.joined(frames) if frames else FrameRows.none(), events)
+        joined = FrameRows.joined(frames) if frames else FrameRows.none()
+        return Arrivals(imu, joined, events, further)
 
     def close(self) -> None:
         """Let the streams go."""
-        for inlet in self._inlets:
+        for inlet in self._own_inlets:
             inlet.close()
 
     @property
@@ -209,7 +251,8 @@ class LslSource:
     def _described(self, skeleton: SkeletonChannels) -> SourceInfo:
         imu_name, skeleton_name, *gyro_names = [printable(inlet.stream.name()) for inlet in self._inlets]
         corrections = [
-            f"{printable(inlet.stream.name())} {1e3 * inlet.correction_s:+.1f} ms" for inlet in self._inlets
+            f"{printable(inlet.stream.name())} {1e3 * inlet.correction_s:+.1f} ms"
+            for inlet in self._all_inlets
         ]
         notes = [f"LSL's time correction: {', '.join(corrections)}."]
         if gyro_names:
@@ -226,6 +269,7 @@ class LslSource:
             skeleton.camera_frame,
             lsl_start_s=self._start_s,
             notes=tuple(notes),
+            further={segment: printable(inlet.stream.name()) for segment, inlet in self._further.items()},
         )
 
     def _missing(self, seconds: float) -> str:
@@ -235,7 +279,12 @@ class LslSource:
             for inlet, (option, known) in zip(self._inlets, types, strict=False)
             if inlet.stream is None
         ]
-        there = listed([stream for inlet in self._inlets for stream in inlet.others])
+        names += [
+            f"{segment.replace('_', '-')}={inlet.wanted}"
+            for segment, inlet in self._further.items()
+            if inlet.stream is None
+        ]
+        there = listed([stream for inlet in self._all_inlets for stream in inlet.others])
         return (
             f"no stream for {' and '.join(names)} came within {seconds:g} s; streams on the network: {there}"
         )

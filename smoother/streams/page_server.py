@@ -51,6 +51,8 @@ class LivePage:
         Of the session.
     port : int
         0 takes a free one.
+    others : sequence of SourceInfo
+        Of the same person's other arm, shown beside it.
 
     Raises
     ------
@@ -58,9 +60,11 @@ class LivePage:
         The port is taken.
     """
 
-    def __init__(self, info: SourceInfo, port: int = PAGE_PORT):
-        self._down, self._side = info.down, info.side
-        self._axes = _view(self._down)
+    def __init__(self, info: SourceInfo, port: int = PAGE_PORT, others: Sequence[SourceInfo] = ()):
+        self._sides = [each.side for each in (info, *others)]
+        self._downs = [each.down for each in (info, *others)]
+        self._axes = [_view(down) for down in self._downs]
+        self._others: dict[int, dict[str, Any]] = {}
         self._token = secrets.token_urlsafe(18)
         self._news = threading.Condition()
         self._text, self._number, self._sent_s = "", 0, -np.inf
@@ -88,13 +92,25 @@ class LivePage:
         """What is opened in a browser; whoever has it sees the session."""
         return f"http://{LOOPBACK}:{self.port}/?token={self._token}"
 
-    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
-        """Show what a step answered, some 60 times per second."""
-        self._events = [*self._events, *events][-4:]
+    def send(
+        self,
+        output: LiveOutput,
+        frames: FrameRows,
+        gap: Gap | None,
+        events: Sequence[str],
+        number: int = 0,
+    ) -> None:
+        """Show what a step answered of an arm, some 60 times per second; the last arm's sends them all."""
+        named = [f"{self._sides[number]} arm: {text}" for text in events] if self._sides[1:] else events
+        self._events = [*self._events, *named][-4:]
+        if number < len(self._sides) - 1:
+            self._others[number] = self._shown(output, number)
+            return
         if abs(time.monotonic() - self._sent_s) < 0.9 * _EACH_S:
             return
         self._sent_s = time.monotonic()
-        text = json.dumps(self._shown(output), allow_nan=False)
+        arms = [*(self._others[each] for each in sorted(self._others)), self._shown(output, number)]
+        text = json.dumps({"arms": arms, "events": self._events}, allow_nan=False)
         with self._news:
             self._text, self._number = text, self._number + 1
             self._news.notify_all()
@@ -117,15 +133,14 @@ class LivePage:
         self._server.server_close()
         self._thread.join(_PATIENCE_S)
 
-    def _shown(self, output: LiveOutput) -> dict[str, Any]:
-        """What the page draws of an answer."""
+    def _shown(self, output: LiveOutput, number: int) -> dict[str, Any]:
+        """What the page draws of an arm's answer."""
         shown: dict[str, Any] = {
             "t": round(output.now_s, 3),
-            "side": self._side,
+            "side": self._sides[number],
             "state": str(output.state),
             "light": light_of(output),
             "why": output.doubt or output.calibration,
-            "events": self._events,
             "joints": {},
             "angles": {},
         }
@@ -135,11 +150,11 @@ class LivePage:
         shown["sigma_cm"] = round(100 * now.sigma_m, 1)
         shown["gap_s"] = None if now.since_s is None else round(now.t_s - now.since_s, 2)
         shown["joints"] = {
-            joint: [round(float(value), 4) for value in self._axes @ now.joints[joint]]
+            joint: [round(float(value), 4) for value in self._axes[number] @ now.joints[joint]]
             for joint in JOINTS
             if joint in now.joints and np.isfinite(now.joints[joint]).all()
         }
-        angles = live_angles(now, self._down)
+        angles = live_angles(now, self._downs[number])
         shown["angles"] = {
             name: [round(value, 1), round(min(sigma, 180.0), 1)]
             for name, (value, sigma) in angles.items()
@@ -182,7 +197,14 @@ class LivePage:
     def _file(self, name: str) -> bytes:
         """A file of the page; the token is in its links."""
         text = files("smoother.streams").joinpath("web", name).read_text("utf-8")
-        titles = json.dumps(TITLES)
+        sides = self._sides if self._sides[1:] else [""]
+        titles = json.dumps(
+            [
+                [number, name, f"{title}, {side}" if side else title]
+                for number, side in enumerate(sides)
+                for name, title in TITLES.items()
+            ]
+        )
         return (
             text.replace("%TOKEN%", self._token).replace("%ANGLES%", titles.replace('"', "&quot;")).encode()
         )

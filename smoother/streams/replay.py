@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +34,11 @@ class LogTimes:
         The file.
     imu, skeleton : str
         Topics as the reader calls them.
+    further : sequence of str
+        Of IMUs beyond the forearm.
     """
 
-    def __init__(self, path: Path, imu: str, skeleton: str):
+    def __init__(self, path: Path, imu: str, skeleton: str, further: Sequence[str] = ()):
         self._imu, self._skeleton = imu, skeleton
         self._stamp: dict[str, IntArray] = {}
         self._log: dict[str, IntArray] = {}
@@ -44,7 +47,7 @@ class LogTimes:
         logs: dict[str, list[IntArray]] = {}
 
         def wanted(topic: Topic) -> bool:
-            return topic.label in (imu, skeleton)
+            return topic.label in (imu, skeleton, *further)
 
         for batch in container.by_topic(wanted):
             for position, messages in batch.items():
@@ -65,6 +68,10 @@ class LogTimes:
     def of_imu(self, stamp_ns: IntArray) -> IntArray:
         """When samples (n,) arrived, on the IMU's clock, ns; at their stamps where they are unknown."""
         return self._arrivals(self._imu, stamp_ns, 0)
+
+    def of_further(self, topic: str, stamp_ns: IntArray) -> IntArray:
+        """The same of an IMU beyond the forearm."""
+        return self._arrivals(topic, stamp_ns, self._shift())
 
     def of_frames(self, stamp_ns: IntArray, latency_s: float | None) -> tuple[IntArray, str]:
         """When frames (n,) arrived, on the IMU's clock, ns, and how that is known.
@@ -122,6 +129,8 @@ class Replay:
         lost.
     latency_s : float, s, optional
         From a frame's stamp to its arrival; by the recording's log times where None, or 0.1 s.
+    beside : Replay, optional
+        Of the same person's other arm, which is played at the same time and looked at first.
 
     Raises
     ------
@@ -138,6 +147,7 @@ class Replay:
         prefer_side: str | None = None,
         speed: float = 1.0,
         latency_s: float | None = None,
+        beside: Replay | None = None,
     ):
         file = open_recording(path, truth=False)
         with file.damage_told():
@@ -145,11 +155,20 @@ class Replay:
         arm = choice.arm
         if not len(choice.imu.stamp_ns) or not len(arm.stamp_ns):
             raise RecordingError(f"{path}: the IMU or the skeleton has no sample.")
-        log_times = LogTimes(path, choice.imu.topic, arm.topic)
+        origin = int(choice.imu.stamp_ns.min()) // SECOND_NS * SECOND_NS
+        origin = origin if beside is None else beside.info.origin_ns
+        log_times = LogTimes(path, choice.imu.topic, arm.topic, [s.topic for s in choice.further.values()])
         imu_ns = log_times.of_imu(choice.imu.stamp_ns)
+        self._further_imus = {
+            segment: ImuRows(
+                seconds(each.stamp_ns, origin), each.acc, each.gyro, seconds(at_ns, origin), each.mag
+            ).select(np.argsort(at_ns, kind="stable"))
+            for segment, each in choice.further.items()
+            for at_ns in [log_times.of_further(each.topic, each.stamp_ns)]
+            if len(each.stamp_ns)
+        }
         frame_ns, note = log_times.of_frames(arm.stamp_ns, latency_s)
         self._check(path, imu_ns, frame_ns)
-        origin = int(choice.imu.stamp_ns.min()) // SECOND_NS * SECOND_NS
         order, frame_order = np.argsort(imu_ns, kind="stable"), np.argsort(frame_ns, kind="stable")
         self._imu = ImuRows(
             seconds(choice.imu.stamp_ns, origin),
@@ -171,13 +190,18 @@ class Replay:
             file.gravity_hint,
             path.name,
             notes=(*file.notes, *choice.notes, note),
+            further={segment: choice.further[segment].topic for segment in self._further_imus},
         )
         self.speed = speed
         self._next_imu = self._next_frame = 0
+        self._next_further = dict.fromkeys(self._further_imus, 0)
         self._first = min(float(self._imu.arrival_s[0]), float(self._frames.arrival_s[0]))
         self._last = max(float(self._imu.arrival_s[-1]), float(self._frames.arrival_s[-1]))
         self._now = self._first
         self._began: float | None = None
+        self._beside = beside
+        if beside is not None:
+            beside._first = beside._now = self._first = self._now = min(self._first, beside._first)
 
     @property
     def info(self) -> SourceInfo:
@@ -196,6 +220,8 @@ class Replay:
 
     def now_s(self) -> float:
         """The recording's time, s."""
+        if self._beside is not None:
+            return self._beside.now_s()
         if self.speed and self._began is not None:
             return self._first + self.speed * (time.monotonic() - self._began)
         return self._now
@@ -206,22 +232,34 @@ class Replay:
             return
         if self._began is None:
             self._began = time.monotonic()
-        due = min(
+        due = [
             rows.arrival_s[at]
             for rows, at in ((self._imu, self._next_imu), (self._frames, self._next_frame))
             if at < len(rows)
-        )
-        time.sleep(min(max((float(due) - self.now_s()) / self.speed, 0.0), seconds))
+        ]
+        if not due:  # the other arm goes on
+            time.sleep(seconds)
+            return
+        wait_s = (float(min(due)) - self.now_s()) / self.speed
+        time.sleep(min(max(wait_s, 0.0), seconds))
 
     def arrivals(self) -> Arrivals:
         """What arrived since the last call."""
-        self._now = self.now_s() if self.speed else self._now + _STEP_S
+        lasts = self.speed or self._beside is not None
+        self._now = self.now_s() if lasts else self._now + _STEP_S
         stop_imu = int(np.searchsorted(self._imu.arrival_s, self._now, "right"))
         stop_frame = int(np.searchsorted(self._frames.arrival_s, self._now, "right"))
         imu = self._imu.select(slice(self._next_imu, stop_imu))
         frames = self._frames.select(slice(self._next_frame, stop_frame))
         self._next_imu, self._next_frame = stop_imu, stop_frame
-        return Arrivals(imu, frames)
+        further = {}
+        for segment, rows in self._further_imus.items():
+            first, stop = (
+                self._next_further[segment],
+                int(np.searchsorted(rows.arrival_s, self._now, "right")),
+            )
+            further[segment], self._next_further[segment] = rows.select(slice(first, stop)), stop
+        return Arrivals(imu, frames, further=further)
 
     def close(self) -> None:
         """Nothing to let go."""

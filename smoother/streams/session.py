@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
 from calib.file import CalibrationFile, read_calibration, sigma_factors_of
 from calib.imu.sensor import SensorCalibration, sensor_of
 
+from ..body import FOREARM
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..io.recording.write import imu_topic
@@ -34,6 +35,8 @@ class SessionCalibration:
         Of the arm.
     sensor : SensorCalibration or None
         Of the IMU: taken off what is used, not off what is recorded.
+    further : mapping of str to SensorCalibration
+        Likewise of IMUs beyond the forearm, by segment.
     notes : tuple of str
         What of it is used, one sentence each.
     """
@@ -41,6 +44,7 @@ class SessionCalibration:
     arm: ArmCalibration | None = None
     sensor: SensorCalibration | None = None
     notes: tuple[str, ...] = ()
+    further: Mapping[str, SensorCalibration] = field(default_factory=dict)
 
     @classmethod
     def of(cls, file: CalibrationFile | None, info: SourceInfo) -> SessionCalibration:
@@ -58,14 +62,21 @@ class SessionCalibration:
         arm = replace(file.arm(info.side), sigma_factors=factors) if file.arms else None
         if arm is None and factors is not None:
             arm = ArmCalibration(info.side, sigma_factors=factors)
-        notes = [] if sensor is None else [f"{topic}: {', '.join(sensor.named)} corrected ({file.source})"]
-        return cls(arm, sensor, tuple(notes))
+        topics = {segment: imu_topic(name, info.side, segment) for segment, name in info.further.items()}
+        further = {
+            segment: found for segment, name in topics.items() if (found := sensor_of(file, name)) is not None
+        }
+        used = [] if sensor is None else [(topic, sensor)]
+        used += [(topics[segment], each) for segment, each in further.items()]
+        notes = [f"{name}: {', '.join(each.named)} corrected ({file.source})" for name, each in used]
+        return cls(arm, sensor, tuple(notes), further)
 
-    def corrected(self, rows: ImuRows) -> ImuRows:
+    def corrected(self, rows: ImuRows, segment: str = FOREARM.name) -> ImuRows:
         """Samples as the sensor should have given them."""
-        if self.sensor is None or not len(rows):
+        sensor = self.sensor if segment == FOREARM.name else self.further.get(segment)
+        if sensor is None or not len(rows):
             return rows
-        stream = self.sensor.apply(ImuStream("", rows.t_s, rows.acc, rows.gyro))
+        stream = sensor.apply(ImuStream("", rows.t_s, rows.acc, rows.gyro))
         return replace(rows, acc=stream.acc, gyro=stream.gyro)
 
     def config(self, config: Config) -> Config:
@@ -103,6 +114,9 @@ class Engine(Protocol):
     def add_imu(self, batch: ImuBatch) -> None:
         """Take samples in."""
 
+    def add_further_imu(self, segment: str, batch: ImuBatch) -> None:
+        """Take samples of the IMU on a further segment in."""
+
     def add_frame(self, frame: SkeletonFrame) -> None:
         """Take a frame in."""
 
@@ -120,6 +134,50 @@ class Receiver(Protocol):
         """Nothing more will come."""
 
 
+class SharedReceiver(Protocol):
+    """Who is sent what the sessions of both arms answer."""
+
+    def send(
+        self,
+        output: LiveOutput,
+        frames: FrameRows,
+        gap: Gap | None,
+        events: Sequence[str],
+        number: int = 0,
+    ) -> None:
+        """As `Receiver`, and which arm it is of."""
+
+    def close(self) -> None:
+        """Nothing more will come."""
+
+
+@dataclass(frozen=True)
+class OneArmReceiver:
+    """A shared receiver as the session of one arm sees it.
+
+    Attributes
+    ----------
+    shared : SharedReceiver
+    number : int
+        Of the arm.
+    """
+
+    shared: SharedReceiver
+    number: int
+
+    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
+        """As `Receiver`."""
+        self.shared.send(output, frames, gap, events, self.number)
+
+    def marks(self) -> list[str]:
+        """What was marked since the last call; whoever asks first is told."""
+        return list(getattr(self.shared, "marks", list)())
+
+    def close(self) -> None:
+        """As `Receiver`."""
+        self.shared.close()
+
+
 class LiveSession:
     """Runs from the first sample to the end; use `run`.
 
@@ -135,6 +193,8 @@ class LiveSession:
         Where everything is recorded, as it came but for steps of the clocks.
     receivers : sequence of Receiver
         Who is sent the answers.
+    arm : int
+        Which arm of the recording it is.
     """
 
     def __init__(
@@ -144,15 +204,21 @@ class LiveSession:
         calibration: SessionCalibration | None = None,
         recording: Recorder | None = None,
         receivers: Sequence[Receiver] = (),
+        arm: int = 0,
     ):
-        self.source, self.engine = source, engine
+        self.source, self.engine, self._arm = source, engine, arm
         self.recording, self.receivers = recording, receivers
         self._calibration = calibration or SessionCalibration()
         info = source.info
         self._imu_steps: StampSteps[ImuRows] = StampSteps(info.imu, STEP_OF_IMU_S, STEP_OF_IMU_S)
         self._frame_steps: StampSteps[FrameRows] = StampSteps(info.skeleton)
+        self._further_steps = {
+            segment: StampSteps[ImuRows](name, STEP_OF_IMU_S, STEP_OF_IMU_S)
+            for segment, name in info.further.items()
+        }
         self._healths = StreamHealth(info.imu), StreamHealth(info.skeleton)
-        self.figures = SessionFigures(*self._healths)
+        self._further = {segment: StreamHealth(name) for segment, name in info.further.items()}
+        self.figures = SessionFigures(*self._healths, self._further, info.side)
         self._last_step = 0.0
 
     def run(self, stopped: Callable[[], bool], show: Callable[[SessionView], None]) -> SessionFigures:
@@ -175,24 +241,28 @@ class LiveSession:
         UnoccludeError
             A stream came back as another one.
         """
-        while not stopped() and not self.source.ended:
-            self._wait()
-            arrivals = self._mended(self.source.arrivals())
-            if self.recording is not None:
-                self.recording.take(arrivals)
-            self._add(arrivals)
-            now_s = self.source.now_s()
-            events = [*arrivals.events, *self._counted(arrivals), *self._look(now_s), *self._marked(now_s)]
-            output = self.engine.step(now_s)
-            if self.recording is not None:
-                self.recording.shown(output)
-                events += self.recording.events()
-            self._answered(output, arrivals.frames, [*events, *output.notes])
-            show(self.figures.view(now_s))
+        return run_together([self], stopped, show)[0]
+
+    def advance(self) -> SessionView:
+        """Take in what arrived, and answer; what a dashboard shows of it."""
+        arrivals = self._mended(self.source.arrivals())
         if self.recording is not None:
-            self.recording.wait()  # what its last rows met belongs to the session
+            self.recording.take(arrivals, self._arm)
+        self._add(arrivals)
+        now_s = self.source.now_s()
+        events = [*arrivals.events, *self._counted(arrivals), *self._look(now_s), *self._marked(now_s)]
+        output = self.engine.step(now_s)
+        if self.recording is not None:
+            self.recording.shown(output, self._arm)
+            events += self.recording.events()
+        self._answered(output, arrivals.frames, [*events, *output.notes])
+        return self.figures.view(now_s)
+
+    def end(self) -> None:
+        """Wait for the recording; what its last rows met belongs to the session."""
+        if self.recording is not None:
+            self.recording.wait()
             self.figures.event(self.source.now_s(), self.recording.events())
-        return self.figures
 
     def _marked(self, now_s: float) -> list[str]:
         """What somebody marked, who looks at the session."""
@@ -202,7 +272,8 @@ class LiveSession:
                 self.recording.mark(text, now_s)
         return [f"marked: {text}" for text in marks]
 
-    def _wait(self) -> None:
+    def wait(self) -> None:
+        """Until something comes, and the last step is long enough ago."""
         self.source.wait(_WAIT_S)
         if self.source.speed:
             time.sleep(max(self._last_step + _STEP_S - time.monotonic(), 0.0))
@@ -212,18 +283,28 @@ class LiveSession:
         """What arrived, with steps of the clocks taken out; as its events state."""
         imu, imu_events = self._imu_steps.corrected(arrivals.imu)
         frames, frame_events = self._frame_steps.corrected(arrivals.frames)
-        return Arrivals(imu, frames, (*arrivals.events, *imu_events, *frame_events))
+        events, further = [*arrivals.events, *imu_events, *frame_events], {}
+        for segment, rows in arrivals.further.items():
+            further[segment], said = self._further_steps[segment].corrected(rows)
+            events += said
+        return Arrivals(imu, frames, tuple(events), further)
 
     def _counted(self, arrivals: Arrivals) -> list[str]:
         """Count what arrived; sentences on streams that are back."""
         imu, frames = arrivals.imu, arrivals.frames
         of_imu, of_camera = self._healths
+        for segment, rows in arrivals.further.items():  # what becomes of it, the smoother says
+            self._further[segment].take(rows.t_s, rows.arrival_s)
         return [*of_imu.take(imu.t_s, imu.arrival_s), *of_camera.take(frames.t_s, frames.arrival_s)]
 
     def _add(self, arrivals: Arrivals) -> None:
         imu: ImuRows = self._calibration.corrected(arrivals.imu)
         if len(imu):
             self.engine.add_imu(ImuBatch(imu.t_s, imu.acc, imu.gyro))
+        for segment, came in arrivals.further.items():
+            used = self._calibration.corrected(came, segment)
+            if len(used):
+                self.engine.add_further_imu(segment, ImuBatch(used.t_s, used.acc, used.gyro))
         frames = arrivals.frames
         # the smoother follows the camera's clock by itself, with its uncertainty
         t_s = frames.t_s - self._frame_steps.stepped_s
@@ -233,6 +314,8 @@ class LiveSession:
 
     def _look(self, now_s: float) -> list[str]:
         """What became of the streams."""
+        for health in self._further.values():
+            health.look(now_s)
         return [sentence for health in self._healths for sentence in health.look(now_s)]
 
     def _answered(self, output: LiveOutput, frames: FrameRows, events: list[str]) -> None:
@@ -244,3 +327,37 @@ class LiveSession:
             done_s = self.source.now_s()
             for arrival_s in frames.arrival_s.tolist():
                 self.figures.frame_delays.add((done_s - arrival_s) / self.source.speed)
+
+
+def run_together(
+    sessions: Sequence[LiveSession],
+    stopped: Callable[[], bool],
+    show: Callable[..., None],
+) -> list[SessionFigures]:
+    """Sessions of the arms of one person, step by step side by side, until they are stopped or have ended.
+
+    Parameters
+    ----------
+    sessions : sequence of LiveSession
+        The first is the one that waits for samples.
+    stopped : callable
+        True where they are to end.
+    show : callable
+        Given what a dashboard shows of each, after every step.
+
+    Returns
+    -------
+    figures : list of SessionFigures
+        What each was like.
+
+    Raises
+    ------
+    UnoccludeError
+        A stream came back as another one.
+    """
+    while not stopped() and not all(session.source.ended for session in sessions):
+        sessions[0].wait()
+        show(*[session.advance() for session in sessions])
+    for session in sessions:
+        session.end()
+    return [session.figures for session in sessions]

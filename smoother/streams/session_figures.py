@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -232,6 +232,10 @@ class SessionView:
         How many there were in all.
     load : float
         Processor time of the whole program as a share of one core.
+    further : tuple of StreamView
+        Of IMUs beyond the forearm.
+    side : str
+        Which arm.
     """
 
     seconds: float
@@ -241,6 +245,8 @@ class SessionView:
     events: tuple[tuple[float, str], ...]
     event_count: int
     load: float
+    further: tuple[StreamView, ...] = ()
+    side: str = ""
 
 
 class SessionFigures:
@@ -250,10 +256,20 @@ class SessionFigures:
     ----------
     imu, skeleton : StreamHealth
         Of the streams.
+    further : mapping of str to StreamHealth, optional
+        Of IMUs beyond the forearm, by segment.
+    side : str
+        Which arm.
     """
 
-    def __init__(self, imu: StreamHealth, skeleton: StreamHealth):
-        self.imu, self.skeleton = imu, skeleton
+    def __init__(
+        self,
+        imu: StreamHealth,
+        skeleton: StreamHealth,
+        further: Mapping[str, StreamHealth] | None = None,
+        side: str = "",
+    ):
+        self.imu, self.skeleton, self.further, self.side = imu, skeleton, further or {}, side
         self.frame_delays = DelayCounts()
         self.steps = 0
         self.events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
@@ -296,6 +312,8 @@ class SessionFigures:
             tuple(self.events)[-6:],
             self.event_count,
             self.load,
+            tuple(StreamView.of(health, now_s) for health in self.further.values()),
+            self.side,
         )
 
     @property
@@ -311,6 +329,11 @@ class SessionFigures:
             "steps": self.steps,
             "imu": self.imu.figures(),
             "skeleton": self.skeleton.figures(),
+            **(
+                {"further": {segment: health.figures() for segment, health in self.further.items()}}
+                if self.further
+                else {}
+            ),
             "state_s": {str(state): seconds for state, seconds in self.state_s.items()},
             "gaps": self.gaps,
             "longest_gap_s": self.longest_gap_s,

@@ -6,7 +6,7 @@ import json
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +37,27 @@ SHOWN_TOPIC, MARKS_TOPIC = "/live/forearm", "/live/marks"
 _SHOWN_EACH_S = 0.03
 
 
+class _RecordedArm:
+    """The topics of one arm, and when it was shown last."""
+
+    def __init__(self, info: SourceInfo, several: bool, taken: set[str]):
+        self.info, self.shown_s = info, -np.inf
+        self.present = [JOINTS.index(joint) for joint in info.joints]
+        self.imu_topic = self._free(imu_topic(info.imu, info.side), taken)
+        self.further_topics = {
+            segment: self._free(imu_topic(name, info.side, segment), taken)
+            for segment, name in info.further.items()
+        }
+        self.shown_topic = f"{SHOWN_TOPIC}/{info.side}" if several else SHOWN_TOPIC
+        self.messages: LiveMessages | None = None
+
+    def _free(self, topic: str, taken: set[str]) -> str:
+        """A topic that no other IMU has: devices may all have one name."""
+        topic = f"{topic}_{self.info.side}" if topic in taken else topic
+        taken.add(topic)
+        return topic
+
+
 class SessionRecording:
     """Writes IMU and skeleton to an MCAP file as they arrive: stamps inside, arrival as log time.
 
@@ -58,6 +79,8 @@ class SessionRecording:
         Of the session.
     force : bool
         Overwrite a file that exists.
+    others : sequence of SourceInfo
+        Of the same person's other arm, in the same file.
 
     Raises
     ------
@@ -65,7 +88,7 @@ class SessionRecording:
         The file exists, or one that a killed session left, or it cannot be written.
     """
 
-    def __init__(self, path: Path, info: SourceInfo, force: bool = False):
+    def __init__(self, path: Path, info: SourceInfo, force: bool = False, others: Sequence[SourceInfo] = ()):
         check_recording(path, force)
         self.path, self.growing = path, growing_name(path)
         self._info = info
@@ -77,14 +100,13 @@ class SessionRecording:
             self._output.__enter__()
         except OSError as error:
             raise UnoccludeError(f"{self.growing} cannot be written: {error.strerror or error}") from error
-        self._imu_topic = imu_topic(info.imu, info.side)
-        self._present = [JOINTS.index(joint) for joint in info.joints]
-        self._flushed_s = self._shown_s = -np.inf
-        self._messages: LiveMessages | None = None
+        taken: set[str] = set()
+        self._arms = [_RecordedArm(each, bool(others), taken) for each in (info, *others)]
+        self._flushed_s = -np.inf
         self._write_metadata()
 
-    def take(self, arrivals: Arrivals) -> None:
-        """Write what arrived; its events become notes of the recording.
+    def take(self, arrivals: Arrivals, number: int = 0) -> None:
+        """Write what arrived of an arm; its events become notes of the recording.
 
         Raises
         ------
@@ -93,44 +115,48 @@ class SessionRecording:
         """
         self._notes += arrivals.events
         imu, frames, outgoing = arrivals.imu, arrivals.frames, []
-        origin = self._info.origin_ns
-        if len(imu):
-            stamp = nanoseconds(imu.t_s, origin)
-            samples = ImuSamples(
-                self._imu_topic, self._imu_topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag
-            )
+        origin, of_arm = self._info.origin_ns, self._arms[number]
+        imus = [(of_arm.imu_topic, imu)]
+        imus += [(of_arm.further_topics[segment], rows) for segment, rows in arrivals.further.items()]
+        for topic, rows in imus:
+            if not len(rows):
+                continue
+            stamp = nanoseconds(rows.t_s, origin)
+            samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, rows.acc, rows.gyro, rows.mag)
             messages = imu_messages(self._output, samples)
-            outgoing.append(replace(messages, time_ns=nanoseconds(imu.arrival_s, origin)))
+            outgoing.append(replace(messages, time_ns=nanoseconds(rows.arrival_s, origin)))
         if len(frames):
             stamp = nanoseconds(frames.t_s, origin)
-            arm = ArmFrames("/skeleton", CAMERA, 0, self._info.side, stamp, frames.position, frames.state)
-            messages = arm_messages(self._output, arm, self._present)
+            side = of_arm.info.side
+            arm = ArmFrames("/skeleton", CAMERA, 0, side, stamp, frames.position, frames.state)
+            messages = arm_messages(self._output, arm, of_arm.present)
             outgoing.append(replace(messages, time_ns=nanoseconds(frames.arrival_s, origin)))
         if not outgoing:
             return
         self.has_samples = True
-        newest = max(float(rows.arrival_s[-1]) for rows in (imu, frames) if len(rows))
+        came = [rows.arrival_s for rows in (imu, *arrivals.further.values())]
+        newest = max(float(arrival_s[-1]) for arrival_s in (frames.arrival_s, *came) if len(arrival_s))
         self._write(outgoing, newest)
 
-    def shown(self, output: LiveOutput) -> None:
-        """Write what was shown, some 30 times per second: `/live/forearm`, the pose of the IMU *now*.
+    def shown(self, output: LiveOutput, number: int = 0) -> None:
+        """Write what was shown of an arm, some 30 times per second: the pose of the IMU *now*.
 
         Raises
         ------
         UnoccludeError
             The disk is full.
         """
-        now = output.now
-        if now is None or abs(output.now_s - self._shown_s) < _SHOWN_EACH_S:
+        now, arm = output.now, self._arms[number]
+        if now is None or abs(output.now_s - arm.shown_s) < _SHOWN_EACH_S:
             return
-        self._shown_s = output.now_s
-        if self._messages is None:
+        arm.shown_s = output.now_s
+        if arm.messages is None:
             from .foxglove import LiveMessages
 
-            self._messages = LiveMessages(self._info)
+            arm.messages = LiveMessages(arm.info)
         wanted = {f"{RESULT_PREFIX}forearm"}
-        data = [message.data for message in self._messages.estimate(now, wanted)]
-        self._write([self._stream(SHOWN_TOPIC, "foxglove.Odometry", data, output.now_s)], output.now_s)
+        data = [message.data for message in arm.messages.estimate(now, wanted)]
+        self._write([self._stream(arm.shown_topic, "foxglove.Odometry", data, output.now_s)], output.now_s)
 
     def mark(self, text: str, t_s: float) -> None:
         """Write what somebody marked, on `/live/marks`.
@@ -242,13 +268,13 @@ class Recorder:
         """Something was written."""
         return self.recording.has_samples
 
-    def take(self, arrivals: Arrivals) -> None:
-        """Write what arrived."""
-        self._put(lambda: self.recording.take(arrivals))
+    def take(self, arrivals: Arrivals, number: int = 0) -> None:
+        """Write what arrived of an arm."""
+        self._put(lambda: self.recording.take(arrivals, number))
 
-    def shown(self, output: LiveOutput) -> None:
-        """Write what was shown."""
-        self._put(lambda: self.recording.shown(output))
+    def shown(self, output: LiveOutput, number: int = 0) -> None:
+        """Write what was shown of an arm."""
+        self._put(lambda: self.recording.shown(output, number))
 
     def mark(self, text: str, t_s: float) -> None:
         """Write a mark."""

@@ -13,6 +13,7 @@ class CameraEcho:
 
     def __init__(self, *_, **__):
         self.imu, self.frames, self.steps, self.finished = [], [], 0, False
+        self.further = {}
         self._since = None
 
     def __enter__(self):
@@ -23,6 +24,9 @@ class CameraEcho:
 
     def add_imu(self, batch):
         self.imu.append(batch)
+
+    def add_further_imu(self, segment, batch):
+        self.further.setdefault(segment, []).append(batch)
 
     def add_frame(self, frame):
         self.frames.append(frame)

@@ -1,6 +1,6 @@
 """A lab's network on this computer, for tests: outlets that play a recording, and a reader, as programs.
 
-python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --halves]
+python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --halves | --both]
 python lsl_lab.py read NAME SECONDS
 """
 
@@ -10,7 +10,7 @@ import argparse
 import json
 import sys
 import time
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
@@ -63,16 +63,15 @@ class Halves:
         gyro.push_sample(np.degrees(row[3:]).tolist(), stamp_s)
 
 
-def skeleton_outlet(name: str, side: str = "right", unit: str = "meters"):
+def skeleton_outlet(name: str, *sides: str, unit: str = "meters"):
     import pylsl
 
-    info = pylsl.StreamInfo(name, "MoCap", 12, pylsl.IRREGULAR_RATE, "double64", f"id-{name}")
+    sides = sides or ("right",)
+    info = pylsl.StreamInfo(name, "MoCap", 12 * len(sides), pylsl.IRREGULAR_RATE, "double64", f"id-{name}")
     channels = info.desc().append_child("channels")
-    for joint in JOINTS[:3]:
-        for kind, kind_unit in (
-            *((f"Position{axis}", unit) for axis in "XYZ"),
-            ("Confidence", "normalized"),
-        ):
+    kinds = (*((f"Position{axis}", unit) for axis in "XYZ"), ("Confidence", "normalized"))
+    for side, joint in product(sides, JOINTS[:3]):
+        for kind, kind_unit in kinds:
             channel = channels.append_child("channel")
             channel.append_child_value("label", f"{joint}_{side}_{kind}")
             channel.append_child_value("marker", f"{joint}_{side}")
@@ -81,22 +80,25 @@ def skeleton_outlet(name: str, side: str = "right", unit: str = "meters"):
     return pylsl.StreamOutlet(info)
 
 
-def events_of(path: Path, late_s: float):
+def events_of(path: Path, late_s: float, sides: tuple[str, ...] = ()):
     """When each sample and frame arrives, which it is, its stamp and its values."""
     from smoother.io import read_recording
 
-    recording = read_recording(path)
-    values = np.hstack([recording.imu.acc, recording.imu.gyro])
-    imu = [(t, "imu", t, row) for t, row in zip(recording.imu.t_s.tolist(), values.tolist(), strict=True)]
+    arms = [read_recording(path, side=side) for side in sides] if sides else [read_recording(path)]
+    imus = {"imu": arms[0].imu} if not sides else {arm.side: arm.imu for arm in arms}
+    imus |= {f"{arm.side}_{name}": imu for arm in arms for name, imu in arm.further_imus.items()}
+    samples = []
+    for kind, imu in imus.items():
+        values = np.hstack([imu.acc, imu.gyro])
+        samples += [(t, kind, t, row) for t, row in zip(imu.t_s.tolist(), values.tolist(), strict=True)]
     frames = []
-    for t, position, state in zip(
-        recording.arm.t_s.tolist(), recording.arm.position, recording.arm.state, strict=True
-    ):
+    for k, t in enumerate(arms[0].arm.t_s.tolist()):
         row = []
-        for joint in range(3):
-            row += [*position[joint].tolist(), {0: 0.0, 1: 0.3, 2: 1.0}[int(state[joint])]]
+        for arm, joint in product(arms, range(3)):
+            state = int(arm.arm.state[k, joint])
+            row += [*arm.arm.position[k, joint].tolist(), {0: 0.0, 1: 0.3, 2: 1.0}[state]]
         frames.append((t + late_s, "skeleton", t, row))
-    return sorted([*imu, *frames], key=lambda event: event[0])
+    return sorted([*samples, *frames], key=lambda event: event[0])
 
 
 def play(options: argparse.Namespace) -> None:
@@ -106,11 +108,16 @@ def play(options: argparse.Namespace) -> None:
     """
     import pylsl
 
-    events = events_of(options.recording, options.late)
+    sides = ("right", "left") if options.both else ()
+    events = events_of(options.recording, options.late, sides)
     make = {
         "imu": lambda: Halves(options.imu) if options.halves else imu_outlet(options.imu, options.bare),
-        "skeleton": lambda: skeleton_outlet(options.skeleton),
+        "skeleton": lambda: skeleton_outlet(options.skeleton, *sides),
     }
+    if sides:
+        kinds = {kind for _, kind, *_ in events} - {"skeleton"}
+        make = {"skeleton": make["skeleton"]}
+        make |= {kind: lambda kind=kind: imu_outlet(f"{options.imu}_{kind}") for kind in sorted(kinds)}  # type: ignore[misc]
     outlets = {kind: outlet() for kind, outlet in make.items()}
     back_at: dict[str, float] = {}
     commands: SimpleQueue[str] = SimpleQueue()
@@ -171,6 +178,7 @@ def main() -> None:
     player.add_argument("--late", type=float, default=0.1)
     player.add_argument("--bare", action="store_true")
     player.add_argument("--halves", action="store_true")
+    player.add_argument("--both", action="store_true")
     player.set_defaults(run=play)
     reader = commands.add_parser("read")
     reader.add_argument("name")

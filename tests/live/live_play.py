@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Literal
 
 import numpy as np
 
@@ -16,17 +17,26 @@ LATENCY_S = 0.1
 #: The realistic preset stamps frames late by so much: t_imu = t_camera - 0.02.
 OFFSET_S = -0.02
 
-Event = tuple[float, ImuBatch | SkeletonFrame]
+#: What arrives when: samples, a frame, or samples of an IMU beyond the forearm with its segment.
+Event = tuple[float, ImuBatch | SkeletonFrame | tuple[str, ImuBatch]]
 
 
-def simulated(seed: int, duration_s: float = 30.0, gaps_s: tuple[float, ...] = (1.0,)) -> SimulatedArm:
-    """A realistic arm with a 100 Hz IMU."""
-    return simulate_arm(
-        ArmSimulation.preset(
-            "realistic", protocol="random", duration_s=duration_s, imu_rate_hz=100, occlusion_lengths_s=gaps_s
-        ),
-        seed,
+def simulated(
+    seed: int,
+    duration_s: float = 30.0,
+    gaps_s: tuple[float, ...] = (1.0,),
+    imus: Literal["wrist", "wrist,upper-arm", "wrist,hand"] = "wrist",
+) -> SimulatedArm:
+    """A realistic arm with 100 Hz IMUs."""
+    config = ArmSimulation.preset(
+        "realistic",
+        protocol="random",
+        duration_s=duration_s,
+        imu_rate_hz=100,
+        occlusion_lengths_s=gaps_s,
+        imus=imus,
     )
+    return simulate_arm(config, seed)
 
 
 def events(simulation: SimulatedArm) -> list[Event]:
@@ -37,6 +47,11 @@ def events(simulation: SimulatedArm) -> list[Event]:
         rows = slice(first, first + 5)
         batch = ImuBatch(imu.t_s[rows], imu.acc[rows], imu.gyro[rows])
         arrivals.append((float(batch.t_s[-1]), batch))
+    for segment, own in simulation.recording.further_imus.items():
+        for first in range(0, len(own), 5):
+            rows = slice(first, first + 5)
+            batch = ImuBatch(own.t_s[rows], own.acc[rows], own.gyro[rows])
+            arrivals.append((float(batch.t_s[-1]), (segment, batch)))
     for t, position, state in zip(arm.t_s, arm.position, arm.state, strict=True):
         arrival = float(t) + OFFSET_S + LATENCY_S
         arrivals.append((arrival, SkeletonFrame(float(t), arrival, position, state)))
@@ -56,6 +71,8 @@ def play(
                 next_s += step_s
             if isinstance(event, ImuBatch):
                 live.add_imu(event)
+            elif isinstance(event, tuple):
+                live.add_further_imu(*event)
             else:
                 live.add_frame(event)
         yield live.step(next_s)

@@ -7,20 +7,12 @@ import pytest
 
 from smoother.live.buffers import ImuBatch, ImuBuffer
 from smoother.live.signal import LiveSignal, displacement, increments_between, propagated
-from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.units import GRAVITY
 from smoother.window.solution import NodeState
 
 DOWN = GRAVITY * np.array([0.0, 0.0, -1.0])
 T = np.arange(0.0, 2.0, 0.01)
 NODE = NodeState(1.0, np.eye(3), np.array([0.1, 0.2, 1.0]), np.array([0.3, 0.0, -0.1]))
-
-
-class Unscaled:
-    """A calibration that leaves the samples as they are."""
-
-    class errors:
-        imu = (np.zeros((3, 3)), np.zeros((3, 3)))
 
 
 def rows(t: np.ndarray) -> ImuBatch:
@@ -36,8 +28,7 @@ def buffer(t: np.ndarray = T) -> ImuBuffer:
 
 
 def live(imu: ImuBuffer) -> LiveSignal:
-    model: SelfCalibration = Unscaled()  # type: ignore[assignment]
-    return LiveSignal(imu, model)
+    return LiveSignal(imu, np.zeros((2, 3, 3)))
 
 
 def test_it_is_made_anew_only_with_new_samples_or_for_an_earlier_time() -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from lsl_lab import JOINTS, config
 
+from smoother.cli.run import run
 from smoother.io import read_recording
 
 HELPERS = Path(__file__).parents[1] / "helpers"
@@ -196,6 +197,47 @@ def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path):
     np.testing.assert_allclose(
         recorded.imu.acc[inside], expected[inside], atol=0.005
     )  # LSL corrects each stream by itself
+
+
+def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
+    both = tmp_path / "both.mcap"
+    made = ["--arms", "both", "--imus", "wrist,upper-arm", "--protocol", "random", "--duration-s", "8"]
+    assert run(["simulate", "arm", "-o", str(both), *made]) == 0
+    outlets = lab.start("lsl_lab.py", "play", both, "imu", "kinect", "--both")
+    lines_until(outlets, "ready")
+    arguments = ["--arms", "both", "--imu", "right=imu_right", "--imu", "left=imu_left"]
+    arguments += ["--further-imu", "right-upper-arm=imu_right_upper_arm"]
+    arguments += ["--further-imu", "left-upper-arm=imu_left_upper_arm", "--skeleton", "kinect"]
+    arguments += ["--lsl-out", "arm", "--record", "session.mcap", "--json", "session.json"]
+    live = lab.start("live_program.py", "--echo", "live", *arguments)
+    lines_until(live, "LSL: streams arm_left and arm_left_settled, for this computer")
+    tell(outlets, "go")
+    lines_until(live, "left arm: visible")
+    reader = lab.start("lsl_lab.py", "read", "arm_left", 3)
+    read, errors = reader.communicate(timeout=60)
+    assert reader.returncode == 0, errors
+    live.send_signal(signal.SIGINT)
+    said, errors = live.communicate(timeout=20)
+    assert (live.returncode, errors) == (0, ""), said
+    sent = json.loads(read)
+    assert sent["labels"][0][0] == "imu_left_x" and len(sent["samples"]) > 20
+    arms = {each["side"]: each for each in json.loads((tmp_path / "session.json").read_text())["arms"]}
+    assert set(arms) == {"right", "left"}
+    for side, figures in arms.items():
+        recorded, played = (
+            read_recording(tmp_path / name, side=side) for name in ("session.mcap", "both.mcap")
+        )
+        for imu, original in (
+            (recorded.imu, played.imu),
+            (recorded.further_imus["upper_arm"], played.further_imus["upper_arm"]),
+        ):
+            rows = {tuple(row) for row in original.acc.tolist()}
+            assert len(imu) > 100 and all(tuple(row) in rows for row in imu.acc.tolist())
+        assert figures["further"]["upper_arm"]["count"] > 100
+        wrist = recorded.arm.joint("wrist")
+        of_side = played.arm.joint("wrist")
+        nearest = np.linalg.norm(wrist[:, None] - of_side[None], axis=2)
+        assert np.nanmax(np.nanmin(nearest, axis=1)) < 1e-6
 
 
 def test_streams_that_cannot_be_used(lab, tmp_path):

@@ -103,12 +103,21 @@ class Errors:
 def play(simulation: SimulatedArm, lag_s_: float = 0.2) -> list[LiveOutput]:
     """All answers of one recording."""
     recording, outputs = simulation.recording, []
+    further, before_s = recording.further_imus, -np.inf
     with LiveSmoother(
-        recording.side, lag_s=lag_s_, camera_frame=recording.camera_frame, calibrator=InlineCalibrator(15)
+        recording.side,
+        lag_s=lag_s_,
+        camera_frame=recording.camera_frame,
+        calibrator=InlineCalibrator(15),
+        further=list(further),
     ) as live:
         for now_s, batches, frames in arrivals(recording, OFFSET_S, LATENCY_S):
             for batch in batches:
                 live.add_imu(batch)
+            for segment, imu in further.items():
+                new = imu.select((imu.t_s > before_s) & (imu.t_s <= now_s))
+                live.add_further_imu(segment, ImuBatch(new.t_s, new.acc, new.gyro))
+            before_s = now_s
             for frame in frames:
                 live.add_frame(frame)
             outputs.append(live.step(now_s))
@@ -148,6 +157,7 @@ def live(options: argparse.Namespace) -> Iterator[str]:
         duration_s=options.duration_s,
         imu_rate_hz=100,
         occlusion_lengths_s=tuple(options.gap_s),
+        imus=options.imus,
     )
     if options.hours:
         yield from memory(simulate_arm(config, options.seeds.start), options.hours)
@@ -171,6 +181,7 @@ CHECKS = (
             seeds_option("1:11"),
             option("--gap-s", type=float, nargs="+", default=[1.0]),
             option("--duration-s", type=float, default=60.0),
+            option("--imus", default="wrist", help="where IMUs are worn, as `simulate arm --imus`"),
             option(
                 "--plays",
                 type=int,

@@ -16,14 +16,17 @@ const say = {
   lost: "No signal just now.",
 };
 const words = { seen: "seen", recovered: "recovered", unsure: "with care", lost: "lost", wait: "calibrating" };
-const state = { shown: null, came: 0, angle: "elbow_flexion", inside: null, count: 0, paused: false, sound: null };
+const state = { shown: null, came: 0, arm: 0, angle: "elbow_flexion", inside: null, count: 0, paused: false, sound: null, events: [] };
 // An angle has to leave the target by this before it counts again, degrees.
 const LEAVE_DEG = 5;
 // Nothing came for so long: the session is over or away, ms.
 const AWAY_MS = 2500;
 
-for (const [name, title] of Object.entries(titles)) at("angle").add(new Option(title, name));
-at("angle").onchange = () => { state.angle = at("angle").value; state.inside = null; };
+for (const [arm, name, title] of titles) at("angle").add(new Option(title, `${arm} ${name}`));
+at("angle").onchange = () => {
+  const [arm, name] = at("angle").value.split(" ");
+  [state.arm, state.angle, state.inside] = [Number(arm), name, null];
+};
 
 async function mark(text) {
   const reply = await fetch(`/mark?token=${encodeURIComponent(token)}`, { method: "POST", body: text });
@@ -93,7 +96,7 @@ function figures(shown) {
   const reason = { unsure: `${told.unsure}: ${shown.why}.`, wait: shown.why };
   at("why").textContent = reason[shown.light] ?? told[shown.light];
   instruct(say[shown.light] || "", !shown.joints.elbow);
-  at("events").replaceChildren(...shown.events.map((text) => {
+  at("events").replaceChildren(...state.events.map((text) => {
     const line = document.createElement("li");
     line.textContent = text;
     return line;
@@ -105,7 +108,8 @@ function instruct(text, alone) {
   at("say").classList.toggle("alone", alone);
 }
 
-function draw(shown) {
+// All arms by one scale; the one whose angle is chosen is in the middle unless there are two.
+function draw(arms) {
   const canvas = at("arm"), pen = canvas.getContext("2d"), ratio = window.devicePixelRatio || 1;
   const width = canvas.clientWidth, height = canvas.clientHeight;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
@@ -114,13 +118,21 @@ function draw(shown) {
   }
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.clearRect(0, 0, width, height);
+  const middles = arms.map(({ joints }) => joints.shoulder || joints.elbow || joints.wrist).filter(Boolean);
+  if (!middles.length) return;
+  const mean = (k) => middles.reduce((sum, p) => sum + p[k], 0) / middles.length;
+  const centre = middles.length > 1 ? mean(0) : null;
+  for (const shown of arms) drawArm(pen, shown, width, height, centre, mean(1));
+}
+
+function drawArm(pen, shown, width, height, between, level) {
   const joints = shown.joints, middle = joints.shoulder || joints.elbow || joints.wrist;
   if (!middle) return;
   const side = at("mirror").getAttribute("aria-pressed") === "true" ? -1 : 1;
   const scale = Math.min(width, height) / 1.7;
   const inward = shown.side === "left" ? -0.18 : 0.18;  // to the chest, as the camera sees who faces it
-  const centre = middle[0] + (joints.shoulder ? inward / 2 : 0);
-  const place = (p) => [width / 2 + side * scale * (p[0] - centre), height * 0.42 - scale * (p[1] - middle[1])];
+  const centre = between ?? middle[0] + (joints.shoulder ? inward / 2 : 0);
+  const place = (p) => [width / 2 + side * scale * (p[0] - centre), height * 0.42 - scale * (p[1] - level)];
   const style = getComputedStyle(document.body), ink = style.color, body = style.getPropertyValue("--body");
   const line = (a, b, thick, colour) => {
     pen.lineWidth = thick; pen.lineCap = "round"; pen.strokeStyle = colour;
@@ -152,21 +164,22 @@ function draw(shown) {
 let frames = 0;
 function frame() {
   if (state.shown && performance.now() - state.came > AWAY_MS) {
-    const nothing = { light: "lost", joints: {}, angles: {}, events: [], why: "" };
-    draw(nothing);
+    const nothing = { light: "lost", joints: {}, angles: {}, why: "" };
+    state.events = [];
+    draw([nothing]);
     figures(nothing);
     at("light").textContent = "no connection";
     at("why").textContent = "The session has ended, or was interrupted.";
     instruct("The session has ended.", true);
     state.shown = null;
   }
-  if (state.shown) { draw(state.shown); figures(state.shown); frames += 1; document.body.dataset.frames = frames; }
+  if (state.shown) { draw(state.shown); figures(state.shown[state.arm]); frames += 1; document.body.dataset.frames = frames; }
   requestAnimationFrame(frame);
 }
 const events = new EventSource(`/events?token=${encodeURIComponent(token)}`);
 events.onmessage = (message) => {
-  state.shown = JSON.parse(message.data);
-  state.came = performance.now();
-  count(state.shown);
+  const news = JSON.parse(message.data);
+  [state.shown, state.events, state.came] = [news.arms, news.events, performance.now()];
+  count(state.shown[state.arm]);
 };
 requestAnimationFrame(frame);

@@ -1,0 +1,266 @@
+"""IMUs on segments beyond the forearm: which of their samples count, and their part in a tracker's window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..body import BodySegment
+from ..graph.lag_window import LagWindow
+from ..measurements.inertial import ImuRun, imu_run
+from ..measurements.segment import Segment
+from ..measurements.visibility import accepted_samples
+from ..recording import ImuStream
+from ..selfcal.self_calibration import SelfCalibration
+from ..window.prepare import prepare_further
+from ..window.problem import States
+from ..window.solution import NodeState
+from .buffers import FrameBuffer, ImuBatch, ImuBuffer
+from .imu_check import AGAIN_S
+from .signal import BEFORE_S, LiveSignal, increments_between, propagated
+
+#: No sample for this long: it is left out and said, s.
+STOPPED_S = 0.5
+#: A pause that is longer interrupts it, s.
+LONGEST_PAUSE_S = 0.3
+#: It contradicts the rest of the arm where the mean squared error of its factors at the nodes of the last
+#: moments, s, is above this (a sound one's is 0.02 at most), in this many solutions in a row.
+LOOKED_S, CONTRADICTS, IN_A_ROW = 0.5, 0.3, 3
+#: It is left out for this long then, s, and twice as long where it had just been, up to this; it is called
+#: sound when it has fitted for this long, s.
+DOUBT_S, LONGEST_DOUBT_S, PROVED_S = 1.0, 8.0, 2.0
+#: Where it begins is read from this much before, s, with this many samples, and tried this often, s.
+AROUND_S, FEWEST_SAMPLES, EACH_S = 3.0, 40, 0.25
+#: Its first velocity is read off this many nodes.
+NODES = 6
+
+
+@dataclass(frozen=True)
+class FurtherPlace:
+    """How an IMU beyond the forearm sits, as a self-calibration found it, beside the joints in its axes.
+
+    Attributes
+    ----------
+    segment : str
+        That it is on.
+    errors : ndarray, shape (2, 3, 3)
+        Scale errors of accelerometer and gyroscope.
+    shift_s : float, s
+        What is added to its stamps: to the clock of the forearm's IMU.
+    """
+
+    segment: str
+    errors: FloatArray
+    shift_s: float
+
+
+class LiveFurtherImu:
+    """An IMU beyond the forearm over a session.
+
+    Parameters
+    ----------
+    segment : BodySegment
+        That it is on.
+    capacity_s : float, s
+        How much of its samples is held.
+
+    Attributes
+    ----------
+    segment : BodySegment
+    buffer : ImuBuffer
+    doubted_s, usable_s : float, s
+        Samples between these two stamps do not take part.
+    changed_s : float or None, s
+        Samples from this stamp on are others than they were.
+    """
+
+    def __init__(self, segment: BodySegment, capacity_s: float) -> None:
+        self.segment, self.buffer = segment, ImuBuffer(capacity_s)
+        self.doubted_s = self.usable_s = -np.inf
+        self.changed_s: float | None = None
+        self._because: tuple[str, ...] = ()
+        self._has_stopped = False
+        self._doubt_s, self._contradicted_s = DOUBT_S, -np.inf
+
+    def add(self, batch: ImuBatch) -> None:
+        """Take samples in."""
+        self._changed(self.buffer.add(batch))
+
+    def check(self, now_s: float) -> list[str]:
+        """Look at what came; a sentence where it is left out from now on, or takes part again."""
+        if not len(self.buffer):
+            return []
+        self._changed(self.buffer.check())
+        end_s, because = self.buffer.end_s, self.buffer.doubtful_because
+        if because:
+            self._leave_out(end_s - AGAIN_S, end_s)
+        if end_s < self._contradicted_s + PROVED_S:
+            because = (*because, "it contradicts the rest of the arm")
+        name, notes = f"the IMU on the {self.segment.label}", []
+        if bool(because) != bool(self._because):
+            notes.append(f"{name} is left out: {'; '.join(because)}" if because else f"{name} is sound again")
+        has_stopped = now_s - self.buffer.end_s > STOPPED_S
+        if has_stopped != self._has_stopped:
+            notes.append(f"{name} is left out: it has stopped" if has_stopped else f"{name} is back")
+        self._because, self._has_stopped = because, has_stopped
+        return notes
+
+    def contradicted(self, since_s: float) -> None:
+        """The rest of the arm contradicts its samples from a stamp on."""
+        end_s = self.buffer.end_s
+        again = end_s < self._contradicted_s + PROVED_S + 1.0
+        self._doubt_s = min(2.0 * self._doubt_s, LONGEST_DOUBT_S) if again else DOUBT_S
+        self._contradicted_s = end_s + self._doubt_s
+        self._leave_out(since_s, self._contradicted_s)
+
+    def _leave_out(self, since_s: float, until_s: float) -> None:
+        """Samples between two stamps do not take part."""
+        if since_s > self.usable_s:
+            self.doubted_s = since_s
+        self.usable_s = max(self.usable_s, until_s)
+
+    def __bool__(self) -> bool:
+        """It has sent samples enough for a look."""
+        return len(self.buffer) >= FEWEST_SAMPLES
+
+    def sound_stream(self) -> ImuStream:
+        """All of its samples but for stretches that are doubtful."""
+        return replace(self.buffer.sound_stream(), name=f"the IMU on the {self.segment.label}")
+
+    def usable_since_s(self) -> float:
+        """From which stamp on its samples can be used without a pause, s."""
+        return max(self.usable_s, self.buffer.since_pause_s(LONGEST_PAUSE_S, AROUND_S))
+
+    def _changed(self, since_s: float | None) -> None:
+        if since_s is not None:
+            self.changed_s = since_s if self.changed_s is None else min(self.changed_s, since_s)
+
+
+class SegmentFollower:
+    """Gives a tracker's window the motion of an IMU beyond the forearm.
+
+    Its samples may come later than the forearm IMU's: nodes that they have not reached wait for them.
+
+    Parameters
+    ----------
+    worn : LiveFurtherImu
+    place : FurtherPlace
+    model : SelfCalibration
+        With the segment among its mountings.
+    frames : FrameBuffer
+        Of the live smoother, read only.
+    offset_s : float, s
+        t_imu = t_camera + offset.
+    """
+
+    def __init__(
+        self,
+        worn: LiveFurtherImu,
+        place: FurtherPlace,
+        model: SelfCalibration,
+        frames: FrameBuffer,
+        offset_s: float,
+    ) -> None:
+        self.worn, self._place, self._model = worn, place, model
+        self._frames, self._offset_s = frames, offset_s
+        self._signal = LiveSignal(worn.buffer, place.errors, place.shift_s)
+        self._tried_s, self._bad = -np.inf, 0
+
+    def follow(self, window: LagWindow) -> None:
+        """Add what its samples reach; leave out what is doubtful."""
+        name, shift_s = self.worn.segment.name, self._place.shift_s
+        if not len(self.worn.buffer):
+            return
+        t, at = window.t, window.nodes_of(name)
+        doubted_s, usable_s = self.worn.doubted_s + shift_s, self.worn.usable_s + shift_s
+        if any(doubted_s <= t[k] < usable_s for k in at):
+            window.detach(name, doubted_s)
+            at = window.nodes_of(name)
+        since_s = self.worn.usable_since_s() + shift_s
+        if not at or t[at[-1]] < since_s:
+            at = self._begin(window, since_s, at)
+        if not at:
+            return
+        signal = self._signal.since(float(t[at[-1]]))
+        for index in range(at[-1] + 1, int(np.searchsorted(t, signal.end_s, side="right"))):
+            start_s, end_s, bias = float(t[index - 1]), float(t[index]), window.bias_of(name)
+            state = propagated(window.state(index - 1, name), end_s, signal, bias, window.gravity)
+            window.attach(index, name, state, increments_between(signal, start_s, end_s, bias))
+
+    def judge(self, window: LagWindow) -> None:
+        """Leave it out where a solved window shows that it contradicts the rest of the arm."""
+        t, name = window.t, self.worn.segment.name
+        is_bad = window.misfit(name, t[-1] - LOOKED_S) > CONTRADICTS
+        self._bad = self._bad + 1 if is_bad else 0
+        if self._bad >= IN_A_ROW:
+            self.worn.contradicted(t[0] - self._place.shift_s)
+            window.detach(name, t[0])
+            self._bad = 0
+
+    def integrate_again(self, window: LagWindow, since_s: float) -> None:
+        """Integrate the intervals anew that samples from a stamp on belong to."""
+        name, t = self.worn.segment.name, window.t
+        at = window.nodes_of(name)
+        for before, index in pairwise(at):
+            if index == before + 1 and t[index] >= since_s + self._place.shift_s - BEFORE_S:
+                start_s, end_s = float(t[before]), float(t[index])
+                signal = self._signal.since(float(t[at[0]]))
+                increments = increments_between(signal, start_s, end_s, window.bias_of(name))
+                window.set_increments(index, increments, name)
+
+    def _begin(self, window: LagWindow, since_s: float, before: Sequence[int]) -> list[int]:
+        """Begin at a node with what camera and IMU say around it; its index, or none."""
+        t, name = window.t, self.worn.segment.name
+        first = 0 if not before else before[-1] + 1
+        at = [k for k in range(first, len(t)) if since_s + BEFORE_S < t[k] <= self._signal.end_s][-NODES:]
+        if len(at) < 2 or t[at[-1]] - self._tried_s < EACH_S:
+            return []
+        self._tried_s = float(t[at[-1]])
+        states = [window.state(k) for k in at]
+        parent = States(*(np.array([getattr(state, kind) for state in states]) for kind in "Rpv"))
+        run = self._run(max(since_s, self._tried_s - AROUND_S), self._tried_s + AROUND_S)
+        start = None if run is None else self._start(run, t[at], parent)
+        if start is None:
+            return []
+        window.attach(at[0], name, NodeState(float(t[at[0]]), start.R[0], start.p[0], start.v[0]))
+        return [at[0]]
+
+    def _run(self, start_s: float, end_s: float) -> ImuRun | None:
+        """Its samples between two times of the forearm IMU's clock, with their attitude."""
+        shift_s = self._place.shift_s
+        imu = self.worn.buffer.stream(start_s - shift_s, end_s - shift_s)
+        if len(imu) < FEWEST_SAMPLES:
+            return None
+        accelerometer, gyroscope = np.eye(3) - self._place.errors
+        acc, gyro = imu.acc @ accelerometer.T, imu.gyro @ gyroscope.T
+        return imu_run(self.worn.segment.name, replace(imu, t_s=imu.t_s + shift_s, acc=acc, gyro=gyro))
+
+    def _start(self, run: ImuRun, t: FloatArray, parent: States) -> States | None:
+        """Its states at some nodes, (k,); None where the camera sees too little of the segment."""
+        start_s, end_s = run.signal.start_s, run.signal.end_s
+        arm = self._frames.tracks(start_s - self._offset_s)
+        arm = arm.select(arm.t_s + self._offset_s < end_s)
+        if len(arm) < 2:
+            return None
+        accepted, position = accepted_samples(arm), arm.position - self._model.joint_bias.error_m
+        segment = Segment(
+            signal=run.signal,
+            attitude=run.attitude,
+            frame_t_camera=arm.t_s,
+            position=position,
+            accepted=accepted,
+            reason=np.zeros(accepted.shape, np.uint8),
+            down=self._model.initial.down,
+            needed=1,
+            frames=slice(0, len(arm)),
+            start_s=start_s,
+            end_s=end_s,
+            further=(run,),
+        )
+        hangs = None if self.worn.segment.carries_parent else parent
+        found = prepare_further(segment, arm.t_s + self._offset_s, accepted, self._model.estimate, t, hangs)
+        return found[0].start if found and found[0].first == 0 else None

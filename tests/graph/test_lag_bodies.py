@@ -1,0 +1,240 @@
+"""A lag window with a second IMU: two bodies share the elbow; samples come late, or are left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam import Rot3
+
+from smoother.array_types import FloatArray
+from smoother.graph.lag_elimination import in_order
+from smoother.graph.lag_window import LagWindow
+from smoother.graph.variables import keys_of
+from smoother.recording import JOINTS
+from smoother.units import GRAVITY
+from smoother.window.problem import ImuIncrements, NoiseModel, Priors
+from smoother.window.shared import Gaussian, SharedLayout, axes_across
+from smoother.window.solution import LagSolution, NodeState
+
+UPPER = "upper_arm"
+NOISE = NoiseModel(0.02, 0.003, 0.0, 0.0, 1e3, 0.01, 0.3, tissue_m=((UPPER, 0.005),))
+DOWN = np.array([0.1, -0.4, -0.9]) / np.linalg.norm([0.1, -0.4, -0.9])
+LEVERS = {"elbow": np.array([-0.12, 0.01, 0.02]), "wrist": np.array([0.1, 0.0, -0.01])}
+UPPER_LEVERS = {"elbow": np.array([0.0, -0.14, 0.03]), "shoulder": np.array([0.01, 0.16, 0.03])}
+SHOULDER = np.array([0.3, 0.2, 0.1])
+SIGMA_M, DT, COUNT = 0.01, 1 / 30, 75
+#: Nothing of the forearm is seen in these; the gap is longer than the short window.
+GAP = range(35, 65)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """True states of both IMUs, the intervals between them, noisy joints."""
+
+    states: dict[str, list[NodeState]]
+    increments: dict[str, list[ImuIncrements]]
+    joints: list[dict[str, FloatArray]]
+
+
+def intervals(
+    t: FloatArray, R: list[Rot3], place: list[FloatArray], rng: np.random.Generator
+) -> tuple[list[NodeState], list[ImuIncrements]]:
+    """States that go through places, and noisy samples of the intervals: exact but for the noise.
+
+    The places are those at the beginning; each interval has the one specific force that leads to the next.
+    """
+    velocity = (place[1] - place[0]) / DT
+    states, increments = [NodeState(float(t[0]), R[0].matrix(), place[0], velocity)], []
+    for k in range(1, len(t)):
+        before = states[-1]
+        gyro = Rot3.Logmap(R[k - 1].between(R[k])) / DT
+        # what leads there by a constant acceleration, damped: the velocity at both ends is the mean one
+        acceleration = 2.0 * (place[k] - before.p - before.v * DT) / DT**2
+        acceleration = 0.5 * (acceleration + ((place[k] - place[k - 1]) / DT - before.v) / DT)
+        force = R[k - 1].unrotate(acceleration - GRAVITY * DOWN)
+        pim = gtsam.PreintegratedImuMeasurements(
+            gtsam.PreintegrationParams(GRAVITY * DOWN), gtsam.imuBias.ConstantBias()
+        )
+        pim.integrateMeasurement(force, gyro, 0.5 * DT)
+        pim.integrateMeasurement(force, gyro, 0.5 * DT)
+        nav = pim.predict(gtsam.NavState(Rot3(before.R), before.p, before.v), gtsam.imuBias.ConstantBias())
+        states.append(NodeState(float(t[k]), nav.attitude().matrix(), nav.position(), nav.velocity()))
+        force = force + rng.normal(0.0, NOISE.accelerometer_density / np.sqrt(DT), 3)
+        gyro = gyro + rng.normal(0.0, NOISE.gyroscope_density / np.sqrt(DT), 3)
+        two = np.stack([force, force])[None]
+        increments.append(
+            ImuIncrements(two, gyro[None], np.array([0.5 * DT]), np.array([0, 1]), np.zeros(6), np.zeros(1))
+        )
+    return states, increments
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    """An upper arm that turns about a still shoulder, and a forearm that turns about its elbow."""
+    rng, t = np.random.default_rng(4), np.arange(COUNT) * DT
+    upper = [
+        Rot3.Expmap(np.array([0.6 * np.sin(1.9 * s), 0.3 * np.sin(1.3 * s), 0.5 * np.sin(2.2 * s)]))
+        for s in t
+    ]
+    fore = [
+        Rot3.Expmap(np.array([0.5 * np.sin(2.0 * s), 0.6 * np.sin(2.6 * s + 1.0), 0.7 * np.sin(1.7 * s)]))
+        for s in t
+    ]
+    places = [SHOULDER - R.rotate(UPPER_LEVERS["shoulder"]) for R in upper]
+    states, increments = {}, {}
+    states[UPPER], increments[UPPER] = intervals(t, upper, places, rng)
+    elbows = [state.p + state.R @ UPPER_LEVERS["elbow"] for state in states[UPPER]]
+    places = [elbow - R.rotate(LEVERS["elbow"]) for elbow, R in zip(elbows, fore, strict=True)]
+    states["forearm"], increments["forearm"] = intervals(t, fore, places, rng)
+    joints = []
+    for state, own in zip(states["forearm"], states[UPPER], strict=True):
+        seen = {joint: state.p + state.R @ lever for joint, lever in LEVERS.items()}
+        seen["shoulder"] = own.p + own.R @ UPPER_LEVERS["shoulder"]
+        joints.append({joint: point + rng.normal(0.0, SIGMA_M, 3) for joint, point in seen.items()})
+    return Chain(states, increments, joints)
+
+
+def window(length_s: float, further: tuple[str, ...] = (UPPER,)) -> LagWindow:
+    """Lever arms known to 5 mm, gravity to a degree."""
+    joints = tuple(joint for joint in JOINTS if joint in LEVERS)
+    layout = SharedLayout(joints, True, axes_across(DOWN), further)
+    mean, sigma = np.zeros(layout.size), np.full(layout.size, 0.005)
+    sigma[:3], sigma[3:6], sigma[layout.gravity] = 0.05, 0.005, 0.02
+    for joint, lever in LEVERS.items():
+        mean[layout.lever(joint)] = lever
+    for segment in further:
+        bias = layout.bias_of(segment)
+        sigma[bias.start : bias.start + 3] = 0.05
+        for joint, lever in UPPER_LEVERS.items():
+            mean[layout.lever(joint, segment)] = lever
+    mean[layout.upper_arm], sigma[layout.upper_arm] = 0.3, 0.3
+    priors = Priors(layout, Gaussian(mean, np.diag(sigma**2)), np.repeat([1e-3, 1e-4], 3))
+    return LagWindow(priors, NOISE, np.full(len(JOINTS), SIGMA_M), GRAVITY, length_s)
+
+
+def attach(lag: LagWindow, chain: Chain, k: int, index: int = -1) -> None:
+    """The upper arm at the k-th node, which is `index` in the window; it begins where it has none yet."""
+    index %= len(lag.t)
+    begins = not lag.nodes_of(UPPER)
+    state = chain.states[UPPER][k]
+    start = NodeState(state.t, state.R, state.p + 0.003, state.v)
+    lag.attach(index, UPPER, start, None if begins else chain.increments[UPPER][k - 1])
+
+
+def followed(
+    chain: Chain, length_s: float, late: int = 0, joins: bool = True, further: tuple[str, ...] = (UPPER,)
+) -> tuple[LagWindow, list[LagSolution]]:
+    """A window fed node by node; the second IMU's samples come so many nodes late."""
+    lag, solutions = window(length_s, further), []
+    for k, state in enumerate(chain.states["forearm"]):
+        begin = NodeState(state.t, state.R, state.p + 0.003, state.v)
+        lag.add(begin, chain.increments["forearm"][k - 1] if k else None)
+        for joint in ("shoulder", *(() if k in GAP else LEVERS)):
+            lag.measure(-1, joint, chain.joints[k][joint])
+        if joins and k >= late:
+            attach(lag, chain, k - late, -1 - late)
+        solutions.append(lag.solve(state.t - 0.2))
+    return lag, solutions
+
+
+def errors(chain: Chain, solutions: list[LagSolution]) -> tuple[FloatArray, FloatArray]:
+    """How far off each newest node is, m, and its sigma, m, both of three axes."""
+    pairs = zip(chain.states["forearm"], solutions, strict=True)
+    off = [float(np.linalg.norm(solution.newest.p - state.p)) for state, solution in pairs]
+    sigma = [float(np.sqrt(np.trace(solution.block("position")))) for solution in solutions]
+    return np.array(off), np.array(sigma)
+
+
+def test_what_left_the_window_counts_as_if_it_were_there(chain: Chain) -> None:
+    (lag, short), (_, whole) = (followed(chain, length) for length in (0.7, 100.0))
+    assert len(lag.t) == len(lag.nodes_of(UPPER)) == 21
+    for a, b in zip(short[15:], whole[15:], strict=True):
+        sigma = np.sqrt(np.diag(b.covariance)[b.rows["position"]])
+        # linearised at different moments (seen 0.03 sigma, and 1 % of a variance)
+        assert (np.abs(a.newest.p - b.newest.p) < 0.08 * sigma).all()
+        ratio = np.diag(a.covariance) / np.diag(b.covariance)
+        assert all((np.abs(ratio[a.rows[name]] - 1.0) < 0.04).all() for name in ("turn", "position"))
+
+
+def test_it_holds_the_forearm_in_a_gap_and_says_how_well(chain: Chain) -> None:
+    (_, two), (_, one) = followed(chain, 0.7), followed(chain, 0.7, further=(), joins=False)
+    (off, sigma), (_, alone) = errors(chain, two), errors(chain, one)
+    end = GAP[-1]
+    assert sigma[end] < 0.6 * alone[end]
+    assert (off < 3.0 * sigma).all()
+
+
+def test_samples_that_come_late_count_like_those_in_time(chain: Chain) -> None:
+    (lag, late), (_, prompt) = followed(chain, 0.7, late=4), followed(chain, 0.7)
+    assert len(lag.nodes_of(UPPER)) == len(lag.t) - 4
+    for k in range(COUNT - 4, COUNT):
+        attach(lag, chain, k, k - COUNT)
+    a, b = lag.solve(0.0), prompt[-1]
+    apart = np.abs(a.newest.p - b.newest.p) / np.sqrt(np.diag(b.block("position")))
+    assert (apart < 0.08).all()  # some left before they came, linearised elsewhere
+    off, sigma = errors(chain, late)
+    assert (off < 3.0 * sigma).all()
+    _, alone = errors(chain, followed(chain, 0.7, further=(), joins=False)[1])
+    assert sigma[GAP[-1]] < 0.7 * alone[GAP[-1]]
+
+
+def test_left_out_before_it_left_it_is_as_if_it_had_never_been_there(chain: Chain) -> None:
+    lags = [window(100.0), window(100.0)]
+    for k, state in enumerate(chain.states["forearm"][:20]):
+        for lag in lags:
+            lag.add(state, chain.increments["forearm"][k - 1] if k else None)
+            for joint in ("shoulder", *LEVERS):
+                lag.measure(-1, joint, chain.joints[k][joint])
+        attach(lags[0], chain, k)
+    lags[0].detach(UPPER, -np.inf)
+    assert not lags[0].nodes_of(UPPER)
+    a, b = (lag.solve(0.0) for lag in lags)
+    np.testing.assert_allclose(a.newest.p, b.newest.p, atol=1e-12)
+    np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-9, atol=1e-15)
+
+
+def test_left_out_after_it_left_the_rest_goes_on_and_it_may_begin_again(chain: Chain) -> None:
+    lag, solutions = window(0.5), []
+    for k, state in enumerate(chain.states["forearm"]):
+        lag.add(state, chain.increments["forearm"][k - 1] if k else None)
+        for joint in ("shoulder", *(() if k in GAP else LEVERS)):
+            lag.measure(-1, joint, chain.joints[k][joint])
+        if k == 25:
+            lag.detach(UPPER, lag.t[3])
+            assert len(lag.nodes_of(UPPER)) == 3
+            lag.detach(UPPER, -np.inf)
+            assert not lag.nodes_of(UPPER)
+        if k < 25 or k >= 30:
+            attach(lag, chain, k)
+        solutions.append(lag.solve(state.t - 0.2))
+    off, sigma = errors(chain, solutions)
+    assert (off < 3.0 * sigma).all()
+    assert lag.nodes_of(UPPER) == list(range(len(lag.t)))
+
+
+def test_an_imu_that_rests_beside_a_moving_arm_does_not_fit(chain: Chain) -> None:
+    lag, _ = followed(chain, 100.0)
+    sound = lag.misfit(UPPER, -np.inf)
+    # 12 rows a node, three of them taken up by the shared joint's place and nine by the state
+    assert sound < 0.7
+    assert np.isnan(window(1.0).misfit(UPPER, -np.inf))
+    still = -GRAVITY * chain.states[UPPER][0].R.T @ DOWN
+    force, half_s, first = np.tile(still, (1, 2, 1)), np.array([0.5 * DT]), np.array([0, 1])
+    rest = ImuIncrements(force, np.zeros((1, 3)), half_s, first, np.zeros(6), np.zeros(1))
+    for index in lag.nodes_of(UPPER)[30:]:
+        lag.set_increments(index, rest, UPPER)
+    lag.solve(0.0)
+    assert lag.misfit(UPPER, -np.inf) > 20.0 * sound
+
+
+def test_the_variables_of_all_segments_leave_in_the_order_of_time() -> None:
+    fore, upper = keys_of("forearm"), keys_of(UPPER)
+    moments = [keys.pose + k for k in (3, 4) for keys in (fore, upper)]
+    assert in_order([upper.bias, moments[3], upper.lever, moments[0], moments[2], moments[1]]) == [
+        *moments,
+        upper.bias,
+        upper.lever,
+    ]

@@ -1,0 +1,192 @@
+"""Both arms in one program: one skeleton, a tracker an arm, one page, one recording."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import Browser, chromium
+from live_engine import CameraEcho
+
+import smoother.live.smoother
+from smoother.cli.run import run
+from smoother.io import read_recording
+from smoother.live.answers import LiveState
+from smoother.streams.arrivals import FrameRows
+from smoother.streams.foxglove import LiveMessages, topics_of
+from smoother.streams.page_server import LivePage
+from smoother.streams.replay import Replay
+from smoother.streams.session import LiveSession, OneArmReceiver, run_together
+
+SIDES = ("right", "left")
+WAIT_S = 20.0
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("both") / "both.mcap"
+    made = ["--arms", "both", "--imus", "wrist,upper-arm", "--protocol", "random", "--duration-s", "6"]
+    assert run(["simulate", "arm", "-o", str(path), "--seed", "3", *made]) == 0
+    return path
+
+
+def test_each_arm_gets_what_it_gets_alone(both):
+    right = Replay(both, side="right", speed=0.0)
+    sources = [right, Replay(both, side="left", speed=0.0, beside=right)]
+    assert sources[0].info.origin_ns == sources[1].info.origin_ns
+    engines, steps = [CameraEcho(), CameraEcho()], []
+    sessions = [LiveSession(*pair, arm=k) for k, pair in enumerate(zip(sources, engines, strict=True))]
+    figures = run_together(sessions, lambda: False, lambda *views: steps.append(views))
+    assert [view.side for view in steps[-1]] == list(SIDES)
+    assert all(abs(a.seconds - b.seconds) < 1e-9 for a, b in steps)
+    for side, engine, own in zip(SIDES, engines, figures, strict=True):
+        alone = CameraEcho()
+        LiveSession(Replay(both, side=side, speed=0.0), alone).run(lambda: False, lambda _: None)
+        np.testing.assert_array_equal(engine.imu_t, alone.imu_t)
+        for one, other in (
+            (engine.imu, alone.imu),
+            (engine.further["upper_arm"], alone.further["upper_arm"]),
+        ):
+            stacked = [np.concatenate([batch.acc for batch in batches]) for batches in (one, other)]
+            np.testing.assert_array_equal(*stacked)
+        pairs = list(zip(engine.frames, alone.frames, strict=True))
+        assert len(pairs) > 100
+        assert all(a.t_s == b.t_s and a.arrival_s == b.arrival_s for a, b in pairs)
+        np.testing.assert_array_equal(
+            *([each.position for each in pair] for pair in zip(*pairs, strict=True))
+        )
+        assert own.figures()["further"]["upper_arm"]["count"] == own.imu.count
+    moved = [np.array([frame.position[2] for frame in engine.frames]) for engine in engines]
+    assert np.nanmedian(np.linalg.norm(moved[0] - moved[1], axis=1)) > 0.1  # of two arms
+
+
+def test_one_recording_one_file_of_figures_and_every_line_names_its_arm(both, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(smoother.live.smoother, "LiveSmoother", CameraEcho)
+    session, figures = tmp_path / "session.mcap", tmp_path / "session.json"
+    arguments = ["--arms", "both", "--speed", "0", "--record", str(session), "--json", str(figures)]
+    assert run(["live", "--replay", str(both), *arguments]) == 0
+    said, errors = capsys.readouterr()
+    assert not errors
+    for side in SIDES:
+        assert f"IMU /imu/upper_arm_{side} on the upper arm" in said
+        assert f"s  {side} arm: calibrating" in said
+        assert f"{side} arm, " in said
+        played, kept = (read_recording(path, side=side) for path in (both, session))
+        np.testing.assert_array_equal(kept.imu.acc, played.imu.acc)
+        np.testing.assert_array_equal(kept.imu.t_s, played.imu.t_s)
+        np.testing.assert_array_equal(
+            kept.further_imus["upper_arm"].gyro, played.further_imus["upper_arm"].gyro
+        )
+        np.testing.assert_array_equal(kept.arm.t_s, played.arm.t_s)
+        np.testing.assert_array_equal(kept.arm.position, played.arm.position)
+        np.testing.assert_array_equal(kept.arm.state, played.arm.state)
+    arms = {each["side"]: each for each in json.loads(figures.read_text())["arms"]}
+    assert list(arms) == list(SIDES)
+    assert arms["left"]["skeleton"]["count"] == arms["right"]["skeleton"]["count"] > 100
+    # an arm alone has its figures as before
+    assert (
+        run(
+            [
+                "live",
+                "--replay",
+                str(both),
+                "--side",
+                "left",
+                "--speed",
+                "0",
+                "--json",
+                str(tmp_path / "left.json"),
+            ]
+        )
+        == 0
+    )
+    alone = json.loads((tmp_path / "left.json").read_text())
+    same = ("steps", "imu", "skeleton", "further", "state_s", "gaps", "longest_gap_s")
+    assert {key: alone[key] for key in same} == {key: arms["left"][key] for key in same}
+
+
+def test_what_a_person_gets_wrong(both, capsys):
+    def sentence(*arguments: str, code: int = 2) -> str:
+        capsys.readouterr()
+        assert run(["live", *arguments]) == code
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        return said
+
+    played = ("--replay", str(both))
+    assert "give one or both" in sentence(*played, "--arms", "three")
+    assert "right=STREAM and left=STREAM" in sentence(*played, "--arms", "both", "--imu", "wrist")
+    assert "right=STREAM and left=STREAM" in sentence("--arms", "both", "--imu", "up=wrist")
+    assert "--imu is given twice" in sentence("--imu", "a", "--imu", "b")
+    assert "--gyro is of one arm" in sentence("--arms", "both", "--gyro", "g")
+    assert "--further-imu is of a stream" in sentence(*played, "--further-imu", "hand=a")
+    assert "of upper-arm, hand" in sentence("--further-imu", "leg=a")
+    assert "of right-upper-arm, right-hand" in sentence("--arms", "both", "--further-imu", "hand=a")
+    assert "once for each segment" in sentence("--further-imu", "hand=a", "--further-imu", "hand=b")
+    same = ("--imu", "right=/imu/forearm_left", "--imu", "left=/imu/forearm_left")
+    said = sentence(*played, "--arms", "both", "--speed", "0", *same, code=1)
+    assert "/imu/forearm_left" in said or "which IMU is on which arm" in said
+
+
+def test_topics_end_in_the_side(both):
+    from test_live_page import INFO, answer
+
+    output = answer(1.0, 40.0)
+    assert output.now is not None
+    right = list(LiveMessages(INFO, "/right").estimate(output.now, topics_of("/right")))
+    assert {message.topic for message in right} <= topics_of("/right").keys()
+    assert "/unocclude/forearm/right" in {message.topic for message in right}
+    assert not list(LiveMessages(INFO, "/right").estimate(output.now, topics_of("/left")))
+    assert topics_of("/right").keys() & topics_of("/left").keys() == {"/unocclude/gaps", "/unocclude/log"}
+
+
+@pytest.mark.skipif(chromium() is None, reason="Chromium is not installed")
+def test_the_page_shows_both_and_counts_the_one_that_is_chosen():
+    from dataclasses import replace
+
+    from test_live_page import INFO, answer
+
+    page, program = LivePage(INFO, 0, [replace(INFO, side="left")]), chromium()
+    assert program is not None
+    browser = Browser(program)
+    receivers = [OneArmReceiver(page, number) for number in (0, 1)]
+
+    def shown(right_deg: float, left_deg: float, value: str) -> None:
+        until = time.monotonic() + WAIT_S
+        while browser.run("document.getElementById('value').textContent") != value:
+            receivers[0].send(answer(1.0, right_deg), FrameRows.none(), None, ("the IMU is sound again",))
+            receivers[1].send(answer(1.0, left_deg, LiveState.GAP), FrameRows.none(), None, ())
+            assert time.monotonic() < until, value
+            time.sleep(0.02)
+
+    try:
+        browser.size(1280, 800, phone=False)
+        browser.call("Page.navigate", url=page.address)
+        browser.wait("document.body?.dataset?.angles && document.getElementById('angle')?.options.length")
+        titles = "[...document.getElementById('angle').options].map((option) => option.text)"
+        assert browser.run(titles)[::3] == ["Elbow flexion, right", "Elbow flexion, left"]
+        shown(20.0, 50.0, "20°")
+        assert browser.run("document.getElementById('light').textContent") == "seen"
+        assert "right arm: the IMU is sound again" in browser.run(
+            "document.getElementById('events').textContent"
+        )
+        browser.run(
+            "document.getElementById('angle').selectedIndex = 3;"
+            "document.getElementById('angle').dispatchEvent(new Event('change'))"
+        )
+        shown(20.0, 50.0, "50°")
+        assert browser.run("document.getElementById('light').textContent") == "recovered"
+        for left in (
+            70.0,
+            50.0,
+            75.0,
+        ):  # into the target of 60 to 90 degrees, twice; the right arm does not count
+            shown(65.0, left, f"{left:.0f}°")
+        assert browser.run("document.getElementById('repetitions').textContent") == "2"
+        assert not browser.complaints()
+    finally:
+        browser.close()
+        page.close()
