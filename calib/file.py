@@ -43,7 +43,8 @@ _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 class _Section(BaseModel):
     """A table whose keys are all known; numbers are numbers and finite."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    # built where a file is read: most commands read none
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 class _LeverArmSection(_Section):

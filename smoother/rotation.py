@@ -39,10 +39,9 @@ class Rotation:
     def from_rotvec(cls, rotvec: ArrayLike) -> Rotation:
         """From rotation vectors (3,) or (n, 3), rad (Rodrigues' formula)."""
         rotvec = np.asarray(rotvec, float)
-        angle = np.linalg.norm(rotvec, axis=-1)
-        half = np.sinc(angle / (2.0 * np.pi))  # sin(angle / 2) / (angle / 2)
-        quaternion = np.concatenate([np.cos(0.5 * angle)[..., None], 0.5 * half[..., None] * rotvec], axis=-1)
-        return cls(_matrix_of(quaternion))
+        half = 0.5 * np.sqrt(np.einsum("...i,...i->...", rotvec, rotvec))
+        scale = np.divide(np.sin(half), 2.0 * half, out=np.full_like(half, 0.5), where=half > 0.0)
+        return cls(_matrix_of(np.cos(half), *(scale * rotvec[..., axis] for axis in range(3))))
 
     @classmethod
     def from_quat(cls, quaternion: ArrayLike, *, scalar_first: bool = False) -> Rotation:
@@ -58,7 +57,8 @@ class Rotation:
         if (length == 0.0).any():
             raise ValueError("a quaternion of length zero is not a rotation")
         unit /= length
-        return cls(_matrix_of(unit if scalar_first else np.roll(unit, 1, axis=-1)))
+        w, x, y, z = (unit[..., k] for k in ((0, 1, 2, 3) if scalar_first else (3, 0, 1, 2)))
+        return cls(_matrix_of(w, x, y, z))
 
     @classmethod
     def about_z(cls, angle: FloatArray) -> Rotation:
@@ -212,14 +212,15 @@ def rotvec_of(matrix: FloatArray) -> FloatArray:
     return np.array([scale * x, scale * y, scale * z])
 
 
-def _matrix_of(quaternion: FloatArray) -> FloatArray:
-    """Matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
-    w, x, y, z = (quaternion[..., k] for k in range(4))
-    matrix = np.empty((*quaternion.shape[:-1], 3, 3))
-    matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    matrix[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    matrix[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+def _matrix_of(w: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) of unit quaternions, by their parts (...)."""
+    matrix = np.empty((*w.shape, 3, 3))
+    xx, yy, zz = x * x, y * y, z * z
+    matrix[..., 0, 0] = 1.0 - 2.0 * (yy + zz)
+    matrix[..., 1, 1] = 1.0 - 2.0 * (xx + zz)
+    matrix[..., 2, 2] = 1.0 - 2.0 * (xx + yy)
     for i, j, u, v, s in ((0, 1, x, y, z), (1, 2, y, z, x), (2, 0, z, x, y)):
-        matrix[..., i, j] = 2.0 * (u * v - w * s)
-        matrix[..., j, i] = 2.0 * (u * v + w * s)
+        product, turned = u * v, w * s
+        matrix[..., i, j] = 2.0 * (product - turned)
+        matrix[..., j, i] = 2.0 * (product + turned)
     return matrix

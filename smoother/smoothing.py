@@ -107,16 +107,17 @@ def smooth(
     report(0.0, "calibrating")
     as_recorded = recording
     timeline = Timeline.of(recording)
-    with diagnose_failures(recording, given, clock):
-        recording, coarse_clock, pairing = pair(recording, timeline, clock)
     count = config.windows.processes if processes is None else processes
-    with diagnose_failures(recording, given, clock), Pool(count, len(recording.arm)) as workers:
+    with Pool(count, len(recording.arm)) as workers:
+        with diagnose_failures(recording, given, clock):
+            recording, coarse_clock, pairing = pair(recording, timeline, clock, workers)
 
         def solved(one: Recording) -> Solved:
             return _solved(one, given, config, workers, store, report, clock, coarse_clock, (draws, seed))
 
         # 2. to 6. The motion; blocks of the camera's samples that the rest contradicts are left out of it.
-        best = without_wrong_blocks(recording, solved, names_of(rig, recording.arm))
+        with diagnose_failures(recording, given, clock):
+            best = without_wrong_blocks(recording, solved, names_of(rig, recording.arm))
     #    The thorax by an IMU on the trunk, where there is one.
     recovery = with_cameras(with_trunk(best.recovery, as_recorded, store), rig)
     # 7. Sigma as hidden gaps of this camera asked for: the calibration's, or the self-check's.

@@ -155,9 +155,9 @@ def _with_sigma(
     pose, shoulder = np.asarray(arm.pose_covariance), np.asarray(arm.joint_covariance["shoulder"])
     own = direction_variance(arm)
     sigmas = {}
-    for name, slope in geometry.slopes(values).items():
+    for name, slope in geometry.slopes(values, of_trunk is not None).items():
         # The pose moves the elbow, whose error counts in part as the shoulder's does, and turns the forearm.
-        of_elbow = np.concatenate([-slope.apart, slope.turn - slope.forearm], axis=1)
+        of_elbow = np.concatenate([-slope.apart, geometry.by_turn_of_elbow(slope.apart)], axis=1)
         by_pose = np.sqrt(UPPER_ARM_SHARE) * of_elbow
         by_pose[:, 3:] += slope.forearm
         variance = _propagated(by_pose, pose) + UPPER_ARM_SHARE * _propagated(slope.apart, shoulder)
@@ -183,12 +183,11 @@ def _propagated(slope: FloatArray, covariance: FloatArray) -> FloatArray:
 class _Slopes(NamedTuple):
     """Derivatives of an angle, (N, 3) each in {K}, deg/m and deg/rad.
 
-    By the shoulder's place against the IMU's; by the IMU's turn, which takes the elbow with it; by a turn of
-    the forearm about the elbow; by one of the whole arm, which is the trunk's the other way round.
+    By the shoulder's place against the IMU's; by a turn of the forearm about the elbow; by one of the whole
+    arm, which is the trunk's the other way round.
     """
 
     apart: FloatArray
-    turn: FloatArray
     forearm: FloatArray
     whole: FloatArray
 
@@ -217,22 +216,22 @@ class _Geometry:
         joints = {"shoulder": upper, "elbow": np.zeros_like(upper), "wrist": fore}
         return arm_angles(joints, len(upper), None, self._side, DOWN_T, forward=FORWARD_T)
 
-    def slopes(self, base: Angles) -> dict[str, _Slopes]:
-        """Of the angles that `angles` gives for the arm as it is."""
-        slopes = {name: _Slopes(*(np.empty((len(self.upper), 3)) for _ in range(4))) for name in base}
+    def slopes(self, base: Angles, of_whole: bool) -> dict[str, _Slopes]:
+        """Of the angles that `angles` gives for the arm as it is; by one of the whole only if asked for."""
+        slopes = {name: _Slopes(*(np.full((len(self.upper), 3), np.nan) for _ in range(3))) for name in base}
         for axis, step in enumerate(_STEP * np.eye(3)):
             turn = Rotation.from_rotvec(step).as_matrix()
-            by_turn = _turned(self._from_imu, turn) - self._from_imu
-            moved = (
-                self.angles(self.upper + step, np.eye(3)),
-                self.angles(self.upper - by_turn, turn),
-                self.angles(self.upper, turn),
-                self.angles(_turned(self.upper, turn), turn),
-            )
+            moved = [self.angles(self.upper + step, np.eye(3)), self.angles(self.upper, turn)]
+            if of_whole:
+                moved.append(self.angles(_turned(self.upper, turn), turn))
             for name, of_angle in slopes.items():
-                for slope, angles in zip(of_angle, moved, strict=True):
+                for slope, angles in zip(of_angle, moved, strict=False):
                     slope[:, axis] = wrapped_deg(angles[name] - base[name]) / _STEP
         return slopes
+
+    def by_turn_of_elbow(self, apart: FloatArray) -> FloatArray:
+        """Slopes (N, 3) by how the IMU's turn moves the elbow, from those by the shoulder's place."""
+        return np.asarray(np.cross(apart, self._from_imu))
 
 
 def _turned(vectors: FloatArray, turn: FloatArray) -> FloatArray:

@@ -159,9 +159,9 @@ class CameraBlocks:
         information, vector = self._reduced(system)
         cells, shifts = self.cells, []
         for rows in _blocks(cells):
-            of_pieces = (3 * np.arange(rows.start, rows.stop)[:, None] + np.arange(3)).T  # (3, n)
-            block = np.array([[information[np.ix_(a, b)].sum() for b in of_pieces] for a in of_pieces])
-            shift, covariance = _estimated(block, vector[of_pieces].sum(axis=1))
+            own, count = slice(3 * rows.start, 3 * rows.stop), rows.stop - rows.start
+            block = information[own, own].reshape(count, 3, count, 3).sum(axis=(0, 2))
+            shift, covariance = _estimated(block, vector[own].reshape(count, 3).sum(axis=0))
             allowed = covariance + SLOW_M**2 * np.eye(3)
             score = float(shift @ np.linalg.solve(allowed, shift)) / 3.0
             start_s, end_s = float(cells.start_s[rows.start]), float(cells.end_s[rows.stop - 1])

@@ -153,6 +153,8 @@ def _roots(weight: FloatArray, group: FactorGroup, window: Window) -> FloatArray
     else:
         key = noise_key(group.of, group.camera)
         measured = next(each for each in window.joint_measurements if each.key == key)
+        if measured.origin_m is None:
+            return None
         nodes, _, sigmas = stacked_measurements(measured, window.noise.cauchy)
         found = ray_roots(measured, nodes, sigmas)
         if found is None:
@@ -262,7 +264,7 @@ def offset_column(
     for factors in camera_rows(jacobian, window, groups):
         if factors.key in by_key:
             measured = by_key[factors.key]
-            mean, _ = _velocity_at_nodes(measured, states[measured.segment], window.noise.cauchy)
+            mean, _ = _velocity_at_nodes(measured, states[measured.segment])
             rows = np.zeros((factors.rows.stop, 1))
             rows[: len(column)] = column
             rows[factors.rows] = factors.whitened(mean[:, :, None])
@@ -325,20 +327,17 @@ def offset_information(
     information : float, 1/s^2
     """
     scatter = sum(
-        _velocity_at_nodes(measured, states[measured.segment], window.noise.cauchy)[1]
-        for measured in window.joint_measurements
+        _velocity_at_nodes(measured, states[measured.segment])[1] for measured in window.joint_measurements
     )
     return scatter + system.extra_information(column)
 
 
-def _velocity_at_nodes(
-    measured: JointMeasurements, states: States, cauchy: float
-) -> tuple[FloatArray, float]:
+def _velocity_at_nodes(measured: JointMeasurements, states: States) -> tuple[FloatArray, float]:
     """A joint's mean velocity (m, 3) m/s at each of its camera factors, in their order.
 
     And the information 1/s^2 in how samples that share a node differ in velocity, which no state follows.
     """
-    node, _, _ = stacked_measurements(measured, cauchy)
+    node = np.unique(measured.node)
     velocity, rays = states.v[measured.node] + measured.velocity, measured.rays
     group = np.searchsorted(node, measured.node)
     total = np.stack([np.bincount(group, velocity[:, axis]) for axis in range(3)], axis=1)

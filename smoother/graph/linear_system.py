@@ -177,11 +177,11 @@ class LinearSystem:
 
         Returns
         -------
-        normal : ndarray, shape (g, w + w + s, w + w + s)
-            What the rows of each group say; a group's columns are padded to the widest one's w, and the s
-            others are the border, the extra columns and the right-hand side.
-        loose : ndarray, shape (s, s)
-            Information from the rows that concern the border alone.
+        normal : ndarray, shape (g, w + w, w + w + s)
+            What the rows of each group say of its columns and the next one's; a group's are padded to the
+            widest one's w, and the s others are the border, the extra columns and the right-hand side.
+        others : ndarray, shape (s, s)
+            What all rows say of these others.
         """
         jacobian, count = self.jacobian, len(self._groups)
         wide, borders = max(len(columns) for columns in self._groups), len(self._border)
@@ -204,15 +204,15 @@ class LinearSystem:
             panel[group[rows], rank[rows], first : first + own.shape[1]] = own
             first += own.shape[1]
         panel[group, rank, -1] = jacobian.rhs
-        normal = np.swapaxes(panel, 1, 2) @ panel
-        return normal[:-1], normal[-1, 2 * wide :, 2 * wide :]
+        chained, others = panel[:-1, :, : 2 * wide], panel[:, :, 2 * wide :].reshape(-1, width - 2 * wide)
+        return np.swapaxes(chained, 1, 2) @ panel[:-1], others.T @ others
 
-    def _reduce(self, normal: FloatArray, loose: FloatArray) -> None:
+    def _reduce(self, normal: FloatArray, others: FloatArray) -> None:
         """Eliminate the chain: what is left of the information on the border and the extra columns."""
-        count, wide = len(normal), (normal.shape[1] - len(loose)) // 2
+        count, wide = len(normal), normal.shape[1] // 2
         own, right = normal[:, :wide, :wide], normal[:, :wide, wide:]
-        own[1:] += normal[:-1, wide : 2 * wide, wide : 2 * wide]
-        right[1:, :, wide:] += normal[:-1, wide : 2 * wide, 2 * wide :]
+        own[1:] += normal[:-1, wide:, wide : 2 * wide]
+        right[1:, :, wide:] += normal[:-1, wide:, 2 * wide :]
         diagonal = np.einsum("gii->gi", own)
         diagonal[diagonal == 0.0] = 1.0  # columns that pad a group
         self._scale = 1.0 / np.sqrt(diagonal)
@@ -220,20 +220,21 @@ class LinearSystem:
         right *= self._scale[:, :, None]
         right[:-1, :, :wide] *= self._scale[1:, None, :]
         coupling = right[:, :, wide:].reshape(count * wide, -1).copy()
-        forward = np.empty_like(right)
+        forward, inverses = np.empty_like(right), np.empty_like(own)
         for g in range(count):
             if g > 0:  # information from the groups before about this one
                 said = right[g - 1, :, :wide].T @ forward[g - 1]
                 own[g] -= said[:, :wide]
                 right[g, :, wide:] -= said[:, wide:]
-            forward[g] = np.linalg.solve(own[g], right[g])
-        self._own, self._gains = own, forward[:, :, :wide]
+            inverses[g] = np.linalg.inv(own[g])  # with so many right-hand sides half of what `solve` takes
+            forward[g] = inverses[g] @ right[g]
+        self._inverses, self._gains = inverses, forward[:, :, :wide]
         self._factors = np.asarray(np.linalg.cholesky(own), float)  # raises where a direction is left free
         solved = forward[:, :, wide:]
         for g in range(count - 2, -1, -1):
             solved[g] -= self._gains[g] @ solved[g + 1]
         said = coupling.T @ solved.reshape(count * wide, -1)
-        total = normal[:, 2 * wide :, 2 * wide :].sum(axis=0) + loose - 0.5 * (said + said.T)
+        total = others - 0.5 * (said + said.T)
         self._solved = solved * self._scale[:, :, None]
         #: information (b + e, b + e) and vector (b + e,) on the border's variables and the extra columns
         self.information, self.vector = total[:-1, :-1], total[:-1, -1]
@@ -265,7 +266,7 @@ class LinearSystem:
     @cached_property
     def _diagonal(self) -> FloatArray:
         """Covariance (g, w, w) within each group, the border held fixed, in scaled coordinates."""
-        blocks = np.linalg.inv(self._own)
+        blocks = self._inverses.copy()
         for g in range(len(blocks) - 2, -1, -1):
             gain = self._gains[g]
             blocks[g] += gain @ blocks[g + 1] @ gain.T

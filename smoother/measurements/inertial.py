@@ -138,6 +138,18 @@ class Preintegration:
     delta_p: FloatArray
     dt: FloatArray
 
+    def rows(self, rows: IntArray) -> Preintegration:
+        """Of some of the intervals (k,), a copy."""
+        return Preintegration(self.delta_R[rows], self.delta_v[rows], self.delta_p[rows], self.dt[rows])
+
+    def lengthen(self, rows: IntArray, more: Preintegration) -> None:
+        """Lengthen some of the intervals (k,), in place, each by the one that follows it."""
+        R, dt = self.delta_R[rows], more.dt[:, None]
+        self.delta_p[rows] += self.delta_v[rows] * dt + np.einsum("nij,nj->ni", R, more.delta_p)
+        self.delta_v[rows] += np.einsum("nij,nj->ni", R, more.delta_v)
+        self.delta_R[rows] = R @ more.delta_R
+        self.dt[rows] += more.dt
+
 
 def integrate(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preintegration:
     """Integrate the signal over each interval of consecutive times (Forster et al., TRO 2017, eq 33-35).

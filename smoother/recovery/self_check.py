@@ -28,7 +28,7 @@ from ..window.cut import cut
 from ..window.prepare import PreparedSegment
 from ..window.problem import Priors, Window
 from ..window.trajectory import joint_from_pose, merge_windows, share_after
-from .samples import frame_residuals, poses_at
+from .samples import poses_at
 from .task import Task
 
 #: Length of a stretch, s: as the gaps, within these limits; of a recording without gaps the last.
@@ -236,7 +236,7 @@ def _recovered(
     if reference is None:
         return HiddenStretch(gap.start_s, gap.end_s)
     column = JOINTS.index(reference)
-    rows = np.flatnonzero(hidden & accepted[:, column])
+    rows = np.flatnonzero(hidden & accepted[:, column] & (t >= prepared.t[0]) & (t <= prepared.t[-1]))
     accepted[np.ix_(np.flatnonzero(hidden), np.array(forearm))] = False
     copy = replace(
         prepared, accepted=accepted, gaps=tuple(sorted((*prepared.gaps, gap), key=lambda each: each.start_s))
@@ -253,10 +253,9 @@ def _recovered(
     nodes = prepared.t[(prepared.t >= own.t[0]) & (prepared.t <= own.t[-1])]
     trajectory = merge_windows(nodes, [replace(own, core_start_s=-np.inf, core_end_s=np.inf)], [solution])
     model = task.model
-    error = frame_residuals(prepared.position[rows], t[rows], copy, trajectory, model.estimate)[:, column]
     states, pose = poses_at(trajectory, prepared.forearm.signal, model.clock, t[rows])
     lever = model.estimate.lever_arms.get(reference)
-    _, covariance = joint_from_pose(
+    place, covariance = joint_from_pose(
         states.R,
         states.p,
         pose,
@@ -271,7 +270,9 @@ def _recovered(
     covariance = covariance + samples[cameras, None, None] ** 2 * np.eye(3)
     origin = origins_of(prepared.ray_origin_m, prepared.camera, len(t))
     position = prepared.position[rows, column]
-    error, covariance = _across(error, covariance, position, None if origin is None else origin[rows])
+    error, covariance = _across(
+        position - place, covariance, position, None if origin is None else origin[rows]
+    )
     squared = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     finite = np.isfinite(squared)
     if not finite.any():

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.segment import Timeline, down_hint
 from ..measurements.timestamps import split_at_pauses
 from ..recording import ImuStream, JointTracks, Recording
+from ..runtime.pool import Pool
 from .excerpts import EXCERPT_S, spread_excerpts
 from .turning_evidence import (
     GRID_HZ,
@@ -125,7 +127,9 @@ class _Stretch:
         return (self.camera.first + 0.5 * len(self.camera.rate)) / GRID_HZ
 
 
-def agreement(recording: Recording, timeline: Timeline | None = None) -> MotionAgreement | None:
+def agreement(
+    recording: Recording, timeline: Timeline | None = None, workers: Pool | None = None
+) -> MotionAgreement | None:
     """How camera and IMU agree over a recording; None where there is no forearm direction, or too little.
 
     Parameters
@@ -134,8 +138,10 @@ def agreement(recording: Recording, timeline: Timeline | None = None) -> MotionA
         With elbow and wrist (or hand); its clocks may be any time apart.
     timeline : Timeline, optional
         Of the recording, where it is there already.
+    workers : Pool, optional
+        Stretches are compared side by side in them; here where None.
     """
-    arm, imu = recording.arm, recording.imu
+    arm, imu, workers = recording.arm, recording.imu, workers or Pool(1, 0)
     tip = next((joint for joint in ("wrist", "hand") if joint in arm.present), None)
     if tip is None or "elbow" not in arm.present or len(arm) < 3 or len(imu) < 3:
         return None
@@ -143,11 +149,12 @@ def agreement(recording: Recording, timeline: Timeline | None = None) -> MotionA
     up = -down if down.any() else None
     found = None
     for around_s in (AROUND_S, FAR_S):
-        stretches = list(_stretches(recording, timeline, tip, around_s))
+        stretches = list(_stretches(recording, timeline, tip, around_s, workers))
         if not stretches:
             return None
         for direction in (up, None) if up is not None else (None,):
-            answer = _over(stretches, direction, float(imu.t_s[0] - arm.t_s[0]), float(arm.t_s[0]))
+            curves = list(workers.map(partial(_evidence, up=direction), stretches))
+            answer = _over(stretches, curves, direction, float(imu.t_s[0] - arm.t_s[0]), float(arm.t_s[0]))
             if found is None or answer.best.chance < SWITCH * found.best.chance:
                 found = answer
             if min(found.best.chance, found.near.chance) < CERTAIN:
@@ -191,7 +198,7 @@ def chance(evidence: float, explained: float, searched_s: float, stretches: int,
 
 
 def _stretches(
-    recording: Recording, timeline: Timeline | None, tip: str, around_s: float
+    recording: Recording, timeline: Timeline | None, tip: str, around_s: float, workers: Pool
 ) -> Iterator[_Stretch]:
     """The whole recording in pieces, or the excerpts of a long one."""
     arm, imu = recording.arm, recording.imu
@@ -202,11 +209,21 @@ def _stretches(
     timeline = timeline or Timeline.of(recording)
     context_s = 0.5 * (STRETCH_S - EXCERPT_S)
     count = min(EXCERPTS, int((arm.t_s[-1] - camera_s) / STRETCH_S))
-    for excerpt in spread_excerpts(recording, timeline, count, context_s, around_s):
-        camera = camera_turning(arm.select(excerpt.frames), camera_s, tip)
-        run = imu_turning(imu.select(excerpt.samples), imu_s)
-        if camera is not None and run is not None:
-            yield _Stretch(camera, (run,))
+    excerpts = spread_excerpts(recording, timeline, count, context_s, around_s)
+    parts = ((arm.select(excerpt.frames), imu.select(excerpt.samples)) for excerpt in excerpts)
+    found = workers.map(partial(_of_excerpt, origins_s=(camera_s, imu_s), tip=tip), parts)
+    yield from (stretch for stretch in found if stretch is not None)
+
+
+def _of_excerpt(
+    part: tuple[JointTracks, ImuStream], origins_s: tuple[float, float], tip: str
+) -> _Stretch | None:
+    camera, run = camera_turning(part[0], origins_s[0], tip), imu_turning(part[1], origins_s[1])
+    return None if camera is None or run is None else _Stretch(camera, (run,))
+
+
+def _evidence(stretch: _Stretch, up: FloatArray | None) -> EvidenceCurve:
+    return turning_evidence(stretch.camera, stretch.imu, up)
 
 
 def _whole(recording: Recording, tip: str, camera_s: float, imu_s: float) -> Iterator[_Stretch]:
@@ -233,10 +250,13 @@ def _whole(recording: Recording, tip: str, camera_s: float, imu_s: float) -> Ite
 
 
 def _over(
-    stretches: list[_Stretch], up: FloatArray | None, ahead_s: float, camera_s: float
+    stretches: list[_Stretch],
+    curves: list[EvidenceCurve],
+    up: FloatArray | None,
+    ahead_s: float,
+    camera_s: float,
 ) -> MotionAgreement:
     """The evidence of all stretches, added along lines of offsets."""
-    curves = [turning_evidence(each.camera, each.imu, up) for each in stretches]
     weight = np.array([each.camera.effective_samples for each in stretches])
     times = np.array([each.middle_s for each in stretches])
     middle_s = float(np.average(times, weights=np.maximum(weight, 1e-9)))

@@ -17,6 +17,7 @@ from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.segment import Timeline
 from ..recording import ImuStream, JointTracks, Recording
 from ..result.verdict import Pairing
+from ..runtime.pool import Pool
 from .agreement import MotionAgreement, OffsetLine, agreement, agreement_of
 
 #: Less likely by chance than this is proof; a clock is moved, or drift believed, from the second on.
@@ -39,7 +40,10 @@ SMALL_S = 0.15
 
 
 def find_pairing(
-    recording: Recording, timeline: Timeline | None = None, given: Clock | None = None
+    recording: Recording,
+    timeline: Timeline | None = None,
+    given: Clock | None = None,
+    workers: Pool | None = None,
 ) -> tuple[Pairing | None, Clock | None]:
     """Whether camera and IMU are of one motion, and the clock by which the camera's stamps are to be moved.
 
@@ -51,6 +55,8 @@ def find_pairing(
         Of the recording, where it is there already.
     given : Clock, optional
         What the user stated: then nothing is moved, and nothing has to be proved.
+    workers : Pool, optional
+        Parts of the recording are compared side by side in them; here where None.
 
     Returns
     -------
@@ -59,7 +65,7 @@ def find_pairing(
     clock : Clock or None
         To some tens of milliseconds; None where the fine search reaches it by itself.
     """
-    return decided(agreement(recording, timeline), recording, given)
+    return decided(agreement(recording, timeline, workers), recording, given)
 
 
 def decided(
@@ -176,7 +182,10 @@ _NOT_PROVED = "the motion in view is too short or too slow to prove that skeleto
 
 
 def pair(
-    recording: Recording, timeline: Timeline | None = None, given: Clock | None = None
+    recording: Recording,
+    timeline: Timeline | None = None,
+    given: Clock | None = None,
+    workers: Pool | None = None,
 ) -> tuple[Recording, Clock | None, Pairing | None]:
     """Whether camera and IMU belong together; their clocks brought to where the fine search reaches.
 
@@ -188,6 +197,8 @@ def pair(
         Of the recording, where it is there already.
     given : Clock, optional
         What the user stated, or was measured otherwise; then no other is looked for.
+    workers : Pool, optional
+        As `find_pairing` has them.
 
     Returns
     -------
@@ -200,9 +211,9 @@ def pair(
     """
     if given is not None:
         recording = _moved(recording, given)
-        pairing, _ = find_pairing(recording, None, given)
+        pairing, _ = find_pairing(recording, None, given, workers)
         return recording, given, pairing
-    pairing, clock = find_pairing(recording, timeline)
+    pairing, clock = find_pairing(recording, timeline, None, workers)
     return (recording if clock is None else _moved(recording, clock)), clock, pairing
 
 

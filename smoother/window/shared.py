@@ -12,6 +12,7 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..body import FOREARM, SEGMENTS, segment_of
+from ..linalg import skew_of
 from ..recording import JOINTS
 
 
@@ -116,7 +117,7 @@ class SharedLayout:
     def down(self, vector: FloatArray) -> FloatArray:
         """Unit vector of gravity (3,) in {K}, of a shared vector (s,)."""
         across = self.gravity_axes.T @ vector[self.gravity]
-        along = np.cross(self.gravity_axes[0], self.gravity_axes[1])
+        along = skew_of(self.gravity_axes[0]) @ self.gravity_axes[1]
         return across + along * np.sqrt(max(1.0 - float(across @ across), 1e-6))
 
 

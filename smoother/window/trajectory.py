@@ -50,6 +50,14 @@ class SegmentTrajectory:
     gravity: FloatArray
     segment: str = FOREARM.name
 
+    def of_nodes(self, nodes: slice) -> SegmentTrajectory:
+        """At some of the nodes."""
+        states, covariances = self.states, (self.pose_covariance[nodes], self.velocity_covariance[nodes])
+        own = States(states.R[nodes], states.p[nodes], states.v[nodes])
+        return SegmentTrajectory(
+            self.t[nodes], own, *covariances, self.bias[nodes], self.gravity[nodes], self.segment
+        )
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -294,6 +302,8 @@ def at_times(motion: SegmentTrajectory, signal: InertialSignal, at: FloatArray) 
     states : States
         At the N times.
     """
+    first, last = np.searchsorted(motion.t, at[[0, -1]], side="right").tolist()
+    motion = motion.of_nodes(slice(max(min(first, len(motion.t) - 1) - 1, 0), last + 1))
     nodes = motion.t
     union = np.union1d(nodes, at)
     node_row = np.searchsorted(union, nodes)
@@ -393,10 +403,7 @@ def segment_at(motion: SegmentTrajectory, prepared: PreparedSegment, at: FloatAr
             )
             if nodes.stop - nodes.start < 2 or inside.stop <= inside.start:
                 continue
-            own = States(*(getattr(motion.states, name)[nodes] for name in ("R", "p", "v")))
-            part = replace(
-                motion, t=motion.t[nodes], states=own, bias=motion.bias[nodes], gravity=motion.gravity[nodes]
-            )
+            part = motion.of_nodes(nodes)
             answer = at_times(part, run.signal, np.clip(at[inside], part.t[0], part.t[-1]))
             states.R[inside], states.p[inside], states.v[inside] = answer.R, answer.p, answer.v
     return states

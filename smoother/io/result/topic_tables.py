@@ -193,9 +193,11 @@ def draw_messages(draws: Draws, stamp: IntArray, first: IntArray, frame_id: str)
         for name, values in draws.columns().items():
             part = np.moveaxis(values[:, rows], 0, 1)
             known = np.isfinite(part)
-            scale = float(np.abs(part[known]).max(initial=0.0)) / _MOST or 1.0
-            whole = np.where(known, np.rint(np.where(known, part, 0.0) / scale), _NOTHING)
-            message.drawn.add(name=name, scale=scale, deviation=whole.astype(_KIND).tobytes())
+            filled = np.where(known, part, 0.0)
+            scale = float(np.abs(filled).max(initial=0.0)) / _MOST or 1.0
+            whole = np.rint(filled / scale).astype(_KIND)
+            whole[~known] = _NOTHING
+            message.drawn.add(name=name, scale=scale, deviation=whole.tobytes())
         yield message.SerializeToString(deterministic=True)
 
 
