@@ -17,19 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother.config import Config
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.study.folder import Row
-from smoother.study.inputs import InputSelection, config_hash, text_hash
-from smoother.study.job import Job, run_job
+from smoother.study.inputs import config_hash, text_hash
+from smoother.study.job import Job, StudySettings, run_job
 from smoother.study.ledger import MOST_ROWS, Ledger
 from smoother.study.run import study_folder
 
 
 def recovered(folder: Path, minutes: float, seed: int) -> tuple[Row, float]:
     """The row of a recording of this length, and the processor time that it took, s."""
-    settings = ArmSimulation.preset(
+    arm = ArmSimulation.preset(
         "white",
         protocol="random",
         duration_s=60.0 * minutes,
@@ -39,11 +38,10 @@ def recovered(folder: Path, minutes: float, seed: int) -> tuple[Row, float]:
         occlusion_every_s=10.0,
     )
     source = folder / f"{minutes:g}.mcap"
-    write_recording(simulate_arm(settings, seed).recording, source)
-    study, config, choice = study_folder(folder / "out"), Config(), InputSelection()
-    job = Job(
-        source.name, str(source), str(study.path), study.open(), config, choice, config_hash(config, choice)
-    )
+    write_recording(simulate_arm(arm, seed).recording, source)
+    study, settings = study_folder(folder / "out"), StudySettings()
+    hashed = config_hash(settings.config, settings.choice)
+    job = Job(source.name, str(source), str(study.path), study.open(), settings, hashed)
     began = time.process_time()
     row = run_job(job)
     if row["status"] != "done":

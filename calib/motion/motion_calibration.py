@@ -24,7 +24,7 @@ from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.window.priors import with_measured_noise
 
 from ..file import CalibrationFile, with_sigma_table
-from ..forearm.forearm_frame import ForearmFrame, forearm_frame
+from ..forearm.forearm_summary import ForearmFrame, forearm_frame
 from ..protocol import Answer
 from .motion_summary import (
     ClockOffset,
@@ -292,7 +292,10 @@ def calibrate_motion(
     CalibrationError
         No recording shows the forearm together with the IMU, or they are of different arms or mountings.
     """
-    from .hidden_gaps import hidden_gap_factors, short_recordings  # with SciPy, which `smooth` does not need
+    from ..sigma_factor import (  # with SciPy, which `smooth` does not need
+        hidden_gap_factors,
+        short_recordings,
+    )
 
     config = config or Config()
     if recordings:  # of one mounting: one sensor

@@ -72,10 +72,6 @@ class Plane:
         """`theta` if every depth is too long by `offset_m`."""
         return self.theta + offset_m * (self.offset_rate + offset_m * self.offset_curve)
 
-    def meet(self, rays: FloatArray, offset_m: float = 0.0) -> FloatArray:
-        """Where rays (N, 2) meet the plane, (N, 3) m."""
-        return on_plane(self.at_offset(offset_m), rays)
-
 
 def on_plane(theta: FloatArray, rays: FloatArray) -> FloatArray:
     """Where rays (..., 2) meet the plane theta . p = 1, (..., 3)."""

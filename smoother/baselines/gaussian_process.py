@@ -147,15 +147,10 @@ def gaussian_process(scene: Scene, kernel: Kernel | None = None) -> Path:
 
     Parameters
     ----------
-    scene : Scene
-        One segment.
     kernel : Kernel, optional
         Hyper-parameters; the likeliest where None.
 
-    Returns
-    -------
-    path : Path
-        Position and velocity, with the position's covariance.
+    Gives position and velocity, with the position's covariance.
     """
     if scene.visible.sum() < 2:
         return no_answer(scene)

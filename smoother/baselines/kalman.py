@@ -152,15 +152,7 @@ def kalman(scene: Scene) -> Path:
     Order: what is left of a movement by a low-pass of 2 Hz; on error-free sensors centimetres at the pace of
     a reaching arm (each Hz of its motion weakened by 1/(1 + (f/2)^4)), millimetres at half of it.
 
-    Parameters
-    ----------
-    scene : Scene
-        One segment.
-
-    Returns
-    -------
-    path : Path
-        Position and velocity, with the position's covariance.
+    Gives position and velocity, with the position's covariance.
     """
     frame_t, point = scene.visible_points
     first = int(np.searchsorted(scene.t, frame_t[0])) if len(frame_t) else len(scene.t)
@@ -342,15 +334,7 @@ def multirate_kalman(scene: Scene) -> Path:
     Order: on error-free sensors millimetres, what a constant acceleration between samples and the sensor's
     averaging over its interval leave.
 
-    Parameters
-    ----------
-    scene : Scene
-        One segment.
-
-    Returns
-    -------
-    path : Path
-        Position and velocity, with the position's covariance.
+    Gives position and velocity, with the position's covariance.
     """
     frame_t, point = scene.visible_points
     frame_t, point = frame_t[frame_t <= scene.t[-1]], point[frame_t <= scene.t[-1]]

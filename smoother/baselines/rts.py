@@ -277,15 +277,7 @@ class CameraAtNodes:
 def rts(scene: Scene) -> Path:
     """Recover one segment from all that was seen in it, before and after.
 
-    Parameters
-    ----------
-    scene : Scene
-        One segment.
-
-    Returns
-    -------
-    path : Path
-        Position, velocity and orientation, with the covariances of position and orientation.
+    Gives position, velocity and orientation, with the covariances of position and orientation.
     """
     levers = levers_of(scene)
     if not levers or scene.visible.sum() < 2:

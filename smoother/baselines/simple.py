@@ -30,15 +30,7 @@ def hold(scene: Scene) -> Path:
     Order: without noise and gaps, linear between frames: off by acceleration x (frame period)^2 / 8 and by
     the filter's orientation over the lever arms.
 
-    Parameters
-    ----------
-    scene : Scene
-        One segment.
-
-    Returns
-    -------
-    path : Path
-        Position and orientation, without covariance.
+    Gives position and orientation, without covariance.
     """
     t, point = scene.visible_points
     position = between(t, point, scene.t)
@@ -64,15 +56,7 @@ def pchip(scene: Scene) -> Path:
     Order: without noise and gaps exact at the frames; between them third order where the path is monotone
     and second where it turns: below acceleration x (frame period)^2 / 8.
 
-    Parameters
-    ----------
-    scene : Scene
-        One segment.
-
-    Returns
-    -------
-    path : Path
-        Position and joints, without covariance.
+    Gives position and joints, without covariance.
     """
     joints = {}
     for joint in ("shoulder", *(name for name in FOREARM_JOINTS if name != "strap")):
@@ -102,15 +86,7 @@ def camera_only(scene: Scene) -> Path:
     Order: without noise exact at the frames but for the distance from the axis; between frames linear,
     off by acceleration x (frame period)^2 / 8.
 
-    Parameters
-    ----------
-    scene : Scene
-        One segment.
-
-    Returns
-    -------
-    path : Path
-        Position and joints, without orientation or covariance.
+    Gives position and joints, without orientation or covariance.
     """
     tracks = {name: scene.camera_joints[:, JOINTS.index(name)] for name in JOINTS}
     joints = {name: between(scene.frame_t, track, scene.t) for name, track in tracks.items()}
@@ -158,15 +134,10 @@ def linear_drift(scene: Scene, boundary_s: float = BOUNDARY_S) -> Path:
 
     Parameters
     ----------
-    scene : Scene
-        One segment.
     boundary_s : float, s
         What the lines are fitted through.
 
-    Returns
-    -------
-    path : Path
-        Position, without covariance.
+    Gives position, without covariance.
     """
     t, point = scene.visible_points
     position = between(t, point, scene.t)
@@ -301,15 +272,10 @@ def autoregressive(scene: Scene, latency_s: float = LATENCY_S) -> Path:
 
     Parameters
     ----------
-    scene : Scene
-        One segment.
     latency_s : float, s
         Of the camera.
 
-    Returns
-    -------
-    path : Path
-        Position and its covariance.
+    Gives position and its covariance.
     """
     if scene.visible.sum() < 2:
         return no_answer(scene)
@@ -326,15 +292,10 @@ def constant_velocity(scene: Scene, latency_s: float = LATENCY_S) -> Path:
 
     Parameters
     ----------
-    scene : Scene
-        One segment.
     latency_s : float, s
         Of the camera.
 
-    Returns
-    -------
-    path : Path
-        Position and its covariance, as if the velocity wandered by `VELOCITY_WALK`.
+    Gives position and its covariance, as if the velocity wandered by `VELOCITY_WALK`.
     """
     frame_t, point = scene.visible_points
     if len(frame_t) < 2:

@@ -60,15 +60,7 @@ class NavigationState:
 def ukf(scene: Scene) -> Path:
     """Recover one segment; nan before the camera first sees the arm.
 
-    Parameters
-    ----------
-    scene : Scene
-        One segment.
-
-    Returns
-    -------
-    path : Path
-        Position, velocity and orientation, with the covariances of position and orientation.
+    Gives position, velocity and orientation, with the covariances of position and orientation.
     """
     levers = levers_of(scene)
     first_visible = np.flatnonzero(scene.visible & (scene.frame_t < scene.t[-1]))

@@ -21,7 +21,7 @@ from ..errors import RecordingError, UnoccludeError
 from ..evaluation.gaps import hide
 from ..evaluation.hidden_gaps import HiddenGap
 from ..recording import JOINTS, CameraFrame, JointState, Recording
-from .trials import VERSION, BenchmarkTrial
+from .datasets import VERSION, BenchmarkTrial
 
 _STATES = {
     int(JointState.NOT_TRACKED): "not_tracked",

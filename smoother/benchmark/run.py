@@ -21,8 +21,7 @@ from ..evaluation.methods import GRAPH, SharedGraph, make_methods
 from ..recording import Recording
 from ..runtime.pool import Pool
 from .answers import Answers, task_name, write_task
-from .datasets import DATASETS
-from .trials import BenchmarkTrial
+from .datasets import DATASETS, BenchmarkTrial
 
 #: The methods are as they come: their settings by default, on one process.
 _CONFIG = {"windows": {"processes": 1}}

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from ..evaluation.gap_table import GapFigures, GapTable, spread_by_length
 from ..evaluation.hidden_gaps import GapErrors
-from .datasets import DATASETS
+from .datasets import DATASETS, VERSION
 from .run import BenchmarkRun
-from .trials import VERSION
 
 CSV_COLUMNS = "dataset,split,trial,length_s,method,start_s,end_s,samples,rms_m,max_m,sigma_max_m,failure"
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.printable import printable
+from .app import GroupedCommand
 from .arm_output import end_strictly
-from .help_page import GroupedCommand
 from .load import camera_frame_of, damage
 from .options import (
     ANY_ARM,
@@ -244,8 +244,8 @@ def batch(
     from ..runtime.outputs import check_output
     from ..study.cluster import run_cluster, run_local
     from ..study.inputs import InputSelection, find_entries, left_out_note
-    from ..study.job import Limits
-    from ..study.run import StudySettings, run_study, study_folder
+    from ..study.job import Limits, StudySettings
+    from ..study.run import run_study, study_folder
     from .config import read_config
     from .methods import usual_draws
 
@@ -298,7 +298,7 @@ def batch(
         write_reports(rows, folder.path, processes or 0, force)
     if page is not None:
         from ..report.study import write_study
-        from ..study.group import long_rows, persons_of
+        from ..study.progress import long_rows, persons_of
 
         names = ["recording", "status", "recorded_day", "measures"]
         plain = rows.select(names).to_pylist()

@@ -82,10 +82,9 @@ def benchmark(
     """
     from .. import __version__
     from ..benchmark.answers import parse_answers
-    from ..benchmark.datasets import DATASETS
+    from ..benchmark.datasets import DATASETS, SPLITS
     from ..benchmark.run import BenchmarkOptions, find_trials, run_benchmark
     from ..benchmark.summary import plain
-    from ..benchmark.trials import SPLITS
 
     folder = data or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if folder is None:

@@ -12,15 +12,12 @@ import typer
 from ..errors import UnoccludeError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
 from .arm_output import arms_figures, each_arm, say_arm, warn
-from .load import AS_RECORDED, SetUp, load_arms
+from .load import EVERY_ARM, ArmInput
 from .methods import baseline_settings, choose, with_strap
 from .options import (
-    ANY_ARM,
     NO_FILES,
     Align,
-    ArmSelection,
     BoundaryS,
-    Calibration,
     ConfigFile,
     LatencyS,
     Live,
@@ -131,7 +128,7 @@ def compare(
     ] = "all",
     orientation: Orientation = None,
     boundary_s: BoundaryS = None,
-    calibration_file: Calibration = None,
+    source: ArmInput = EVERY_ARM,
     markers: Annotated[
         Path | None,
         typer.Option("--markers", metavar="MAP.toml", help="Which markers of the truth form a joint."),
@@ -140,8 +137,6 @@ def compare(
     config_file: ConfigFile = None,
     live: Live = False,
     latency_s: LatencyS = 0.1,
-    arm: ArmSelection = ANY_ARM,
-    set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     to: Outputs = NO_FILES,
@@ -159,17 +154,11 @@ def compare(
     if live:
         names = [*names, *LIVE_METHODS]
     settings = baseline_settings(names, orientation, boundary_s)
-    remedy, swap_sides = set_up.remedy()
-    inputs = [recording_file, truth_file, calibration_file, markers, config_file]
+    source.check()
+    inputs = [recording_file, truth_file, source.calibration_file, markers, config_file]
     check_outputs(to.force, [to.report, to.json_file], inputs)
     config = read_config(config_file, processes)
-    arms = load_arms(
-        recording_file,
-        calibration_file,
-        arm,
-        remedy=remedy,
-        swap_sides=swap_sides,
-    )
+    arms = source.load(recording_file)
     recordings = [recording for recording, _ in arms]
     for recording in recordings:
         _check_truth(recording_file, recording, truth_file, markers, align, several=len(arms) > 1)
@@ -178,7 +167,7 @@ def compare(
 
     def compare_arm(place: int) -> Comparison:
         recording, calibration = arms[place]
-        clock = set_up.clock(calibration_file, recording)
+        clock = source.clock(recording)
         given = with_strap(calibration, recording) if solve_lever_arms else calibration
         blind = replace(recording, truth=None)
 
@@ -197,7 +186,7 @@ def compare(
         graph = running[GRAPH](blind)
         recovered[place] = graph
         truth, alignment = truth_for(
-            recording, graph, truth_file, markers=markers, calibration=calibration_file, align=align
+            recording, graph, truth_file, markers=markers, calibration=source.calibration_file, align=align
         )
         return compare(
             blind,

@@ -55,8 +55,7 @@ def cut(
     Leave some seconds of visible arm before and after each gap: a part is recovered without the rest.
     """
     from ..io.mcap.cut_container import Part as PartOfFile
-    from ..io.recording.cut_file import cut_file
-    from ..io.recording.trials import read_trials
+    from ..io.recording.cut_file import cut_file, read_trials
     from ..runtime.disk_store import DiskStore
 
     if trials_file is None:

@@ -1,4 +1,4 @@
-"""`unocclude demo`, `doctor` and `config`: the main job on a small recording, what it needs, its settings."""
+"""`unocclude demo`, `app`, `doctor`, `config`: the main job on a small recording or on a page; settings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..runtime.packages import OPEN3D
+from ..runtime.packages import OPEN3D, extra_module
 from .arm_output import say_untrusted_parts, say_verdict
 from .options import ConfigFile, Force, Json, Processes
 from .output import (
@@ -251,3 +251,48 @@ def config(config_file: ConfigFile = None, json_file: Json = None, force: Force 
     settings = read_config(config_file)
     say(to_toml(settings).rstrip("\n"))
     write_json(json_file, settings.model_dump(mode="json"), force)
+
+
+#: Where recordings are stored unless the user says otherwise.
+FOLDER = Path("unocclude")
+
+
+def app(
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--port", metavar="N", min=0, max=65535, help="Port of the page.  [default: a free one]"
+        ),
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--folder",
+            metavar="DIR",
+            help="Folder for recordings and results; created if missing.  [default: unocclude, in your home"
+            " folder]",
+            show_default=False,
+        ),
+    ] = None,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the address only, without opening a browser.")
+    ] = False,
+) -> None:
+    """Open the local page: from files to report in the browser.
+
+    The printed address contains a token, which is required. Other computers cannot open the page.
+    Ctrl-C ends it: what is running then is stopped and can be repeated, all else is kept in the folder.
+    """
+    for name, package in (("uvicorn", "uvicorn"), ("starlette", "starlette")):
+        extra_module(name, package, "app")
+    from ..app.folder import AppFolder
+    from ..app.serving import serve
+
+    def ready(address: str) -> None:
+        print(address, flush=True)
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(AppFolder(Path.home() / FOLDER if folder is None else folder), port, ready)

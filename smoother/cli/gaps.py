@@ -13,13 +13,10 @@ import typer
 from ..errors import CalibrationError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
 from .arm_output import each_arm
-from .load import AS_RECORDED, SetUp, load_arms
+from .load import EVERY_ARM, ArmInput
 from .methods import baseline_settings, choose, with_strap
 from .options import (
-    ANY_ARM,
-    ArmSelection,
     BoundaryS,
-    Calibration,
     ConfigFile,
     Force,
     Json,
@@ -157,7 +154,7 @@ def gaps(
     ] = "graph",
     orientation: Orientation = None,
     boundary_s: BoundaryS = None,
-    calibration_file: Calibration = None,
+    source: ArmInput = EVERY_ARM,
     config_file: ConfigFile = None,
     live: Live = False,
     latency_s: LatencyS = 0.1,
@@ -168,8 +165,6 @@ def gaps(
     gaps_per_run: Annotated[
         int, typer.Option("--gaps-per-run", min=1, help="Most gaps hidden at the same time.")
     ] = 6,
-    arm: ArmSelection = ANY_ARM,
-    set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     report: Report = None,
@@ -203,13 +198,15 @@ def gaps(
     if live:
         names = [*names, *LIVE_METHODS]
     settings = baseline_settings(names, orientation, boundary_s)
-    remedy, swap_sides = set_up.remedy()
+    source.check()
     if keep_in is not None and GRAPH not in names:
         raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
     twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
     if twice:
         raise typer.BadParameter(f"{twice[0]} is named twice; it would count twice")
-    check_outputs(force, [report, json_file], [*recording_files, calibration_file, config_file, keep_in])
+    check_outputs(
+        force, [report, json_file], [*recording_files, source.calibration_file, config_file, keep_in]
+    )
     check_outputs(True, [keep_in], [*recording_files, config_file])
     if keep_in is not None and keep_in.exists():
         from calib.file import read_calibration
@@ -223,13 +220,7 @@ def gaps(
     several = False
     with progress_bar("hiding and recovering") as progress:
         for number, path in enumerate(recording_files):
-            arms = load_arms(
-                path,
-                calibration_file,
-                arm,
-                remedy=remedy,
-                swap_sides=swap_sides,
-            )
+            arms = source.load(path)
             here: list[Recording] = []
             for recording, _ in arms:
                 label = f"{recording.name}, {recording.arm_label}" if len(arms) > 1 else recording.name
@@ -244,7 +235,7 @@ def gaps(
                 file_progress: Callable[[float, str], None] = file_progress,
             ) -> GapTable:
                 recording, calibration = here[place], arms[place][1]
-                clock = set_up.clock(calibration_file, recording)
+                clock = source.clock(recording)
                 given = with_strap(calibration, recording) if solve_lever_arms else calibration
                 if keep_in is not None and given is not None:  # what is measured anew is not applied before
                     given = replace(given, sigma_factors=None)

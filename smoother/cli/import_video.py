@@ -66,7 +66,7 @@ def video(
     from ..io.devices.files import import_files
     from ..io.devices.registry import FileReader
     from ..io.devices.video_file import PoseVideo
-    from ..io.media.video import TURNS
+    from ..io.media.pose_landmarks import TURNS
     from ..io.plain.template import read_templates
     from ..io.tables.protocol import read_head
 

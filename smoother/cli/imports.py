@@ -223,7 +223,7 @@ def files(
     force: Force = False,
 ) -> None:
     """Import files as exported by devices and camera programs."""
-    from calib.lens_files import read_camera_file
+    from calib.intrinsics import read_camera_file
 
     from ..io.devices.files import import_files
     from ..io.devices.folder import add_truth, sort_files

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..body import SEGMENTS
-from .help_page import GroupedCommand
+from .app import GroupedCommand
 from .live_arms import check_arms, further_streams, receivers_of, sides_of, streams_of_arms, together
 from .live_dashboard import Aside, Dashboard, Lines, Table
 from .options import Calibration, ConfigFile, Force, Json, Side, one_side

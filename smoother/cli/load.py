@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Unpack
 
@@ -11,7 +12,7 @@ import typer
 
 from ..errors import RecordingError, UnoccludeError
 from ..runtime.pool import check_allowance
-from .options import ANY_ARM, ArmSelection, ConfigFile, Processes
+from .options import ANY_ARM, ArmSelection, Calibration, ConfigFile, Processes
 from .output import say
 
 if TYPE_CHECKING:
@@ -205,12 +206,55 @@ class SetUp:
             raise typer.BadParameter("--clock-sigma belongs to --clock-offset: give the measured clock too")
 
     def remedy(self) -> tuple[Remedy, bool]:
-        """See `remedy_of`."""
-        return remedy_of(self.mirror, self.swap, self.negate, self.camera_frame)
+        """What the options undo, and whether left and right are to be swapped.
+
+        Raises
+        ------
+        typer.BadParameter
+            A value is not known.
+        """
+        from ..measurements.remedy import Remedy
+        from ..recording import CameraFrame
+
+        swapped, negated = _names(self.swap), _names(self.negate)
+        sides = set(swapped) == SIDES and len(swapped) == 2
+        try:
+            frame = None if self.camera_frame is None else CameraFrame(self.camera_frame)
+        except ValueError:
+            names = ", ".join(CameraFrame)
+            raise typer.BadParameter(f"--camera-frame is one of {names}, not '{self.camera_frame}'") from None
+        if "" in (self.mirror, self.swap, self.negate):
+            raise typer.BadParameter("--mirror, --swap and --negate need a name each")
+        try:
+            return Remedy(self.mirror or "", () if sides else swapped, negated, frame), sides
+        except RecordingError as error:
+            raise typer.BadParameter(str(error)) from error
 
     def clock(self, calibration_file: Path | None, recording: Recording) -> Clock | None:
-        """See `clock_of`."""
-        return clock_of(self.clock_offset, self.clock_sigma, calibration_file, recording)
+        """The clock that was measured: by option, else by the calibration file; None where it is to be found.
+
+        Raises
+        ------
+        typer.BadParameter
+            A number cannot be.
+        CalibrationError
+            The file's [clock] cannot be used.
+        """
+        from calib.clock.links import measured_clock
+        from calib.file import read_calibration
+
+        from ..measurements.clock import constant_clock
+
+        sigma_s = CLOCK_SIGMA_S if self.clock_sigma is None else self.clock_sigma
+        if not sigma_s > 0.0 or not isfinite(sigma_s):
+            raise typer.BadParameter("--clock-sigma is a time above zero, in s")
+        if self.clock_offset is not None:
+            if not isfinite(self.clock_offset):
+                raise typer.BadParameter("--clock-offset is a time in s")
+            return constant_clock(self.clock_offset, sigma_s)
+        if calibration_file is None:
+            return None
+        return measured_clock(read_calibration(calibration_file), recording)
 
 
 #: None of them.
@@ -219,64 +263,42 @@ AS_RECORDED = SetUp()
 SIDES = {"left", "right"}
 
 
-def remedy_of(
-    mirror: str | None, swap: str | None, negate: str | None, camera_frame: str | None
-) -> tuple[Remedy, bool]:
-    """What the options undo, and whether left and right are to be swapped.
-
-    Raises
-    ------
-    typer.BadParameter
-        A value is not known.
-    """
-    from ..measurements.remedy import Remedy
-    from ..recording import CameraFrame
-
-    swapped, negated = _names(swap), _names(negate)
-    sides = set(swapped) == SIDES and len(swapped) == 2
-    try:
-        frame = None if camera_frame is None else CameraFrame(camera_frame)
-    except ValueError:
-        names = ", ".join(CameraFrame)
-        raise typer.BadParameter(f"--camera-frame is one of {names}, not '{camera_frame}'") from None
-    if mirror == "" or swap == "" or negate == "":
-        raise typer.BadParameter("--mirror, --swap and --negate need a name each")
-    try:
-        return Remedy(mirror or "", () if sides else swapped, negated, frame), sides
-    except RecordingError as error:
-        raise typer.BadParameter(str(error)) from error
-
-
 def _names(text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
 
-def clock_of(
-    offset_s: float | None, sigma_s: float | None, calibration_file: Path | None, recording: Recording
-) -> Clock | None:
-    """The clock that was measured: by option, else by the calibration file; None where it is to be found.
+@dataclass(frozen=True)
+class ArmInput:
+    """Which arms of a recording are read, and how, as a group of a command's options.
 
-    Raises
-    ------
-    typer.BadParameter
-        A number cannot be.
-    CalibrationError
-        The file's [clock] cannot be used.
+    Attributes
+    ----------
+    calibration_file : Path, optional
+        Of the arm; its [clock], if any, is a measured clock.
+    arm : ArmSelection
+    set_up : SetUp
     """
-    from math import isfinite
 
-    from calib.clock.measured import measured_clock
-    from calib.file import read_calibration
+    calibration_file: Calibration = None
+    arm: ArmSelection = ANY_ARM
+    set_up: SetUp = AS_RECORDED
 
-    from ..measurements.clock import constant_clock
+    def check(self) -> None:
+        """Refuse options whose values are not known, before any work is done."""
+        self.set_up.remedy()
 
-    sigma_s = CLOCK_SIGMA_S if sigma_s is None else sigma_s
-    if not sigma_s > 0.0 or not isfinite(sigma_s):
-        raise typer.BadParameter("--clock-sigma is a time above zero, in s")
-    if offset_s is not None:
-        if not isfinite(offset_s):
-            raise typer.BadParameter("--clock-offset is a time in s")
-        return constant_clock(offset_s, sigma_s)
-    if calibration_file is None:
-        return None
-    return measured_clock(read_calibration(calibration_file), recording)
+    def load(
+        self, path: Path, **reading: Unpack[FileReading]
+    ) -> list[tuple[Recording, ArmCalibration | None]]:
+        """Every arm, as `load_arms` reads it."""
+        remedy, swap_sides = self.set_up.remedy()
+        reading["swap_sides"] = swap_sides
+        return load_arms(path, self.calibration_file, self.arm, remedy, **reading)
+
+    def clock(self, recording: Recording) -> Clock | None:
+        """See `SetUp.clock`."""
+        return self.set_up.clock(self.calibration_file, recording)
+
+
+#: Every arm, as it was recorded.
+EVERY_ARM = ArmInput()

@@ -179,7 +179,8 @@ def measures(
     for recovery, one in zip(recoveries, rows, strict=True):
         say_arm(recovery, len(recoveries))
         print_arm(one, damage(recovery.notes))
-    _print_symmetry(pairs)
+    for both in pairs:
+        print_symmetry(both)
     say_written(csv_file, to.report, to.json_file)
 
 
@@ -217,9 +218,3 @@ def print_arm(one: Measures, damaged: list[str]) -> None:
     print_places("Movements of the hand", one.movements, "movement", one)
     print_places("Repetitions", one.repetitions, "repetition", one)
     print_notes([*damaged, *one.notes])
-
-
-def _print_symmetry(pairs: list[BothArms]) -> None:
-
-    for both in pairs:
-        print_symmetry(both)

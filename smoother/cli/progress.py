@@ -188,7 +188,7 @@ def _write_plots(
     import numpy as np
 
     from ..evaluation.agreement import WORDS
-    from ..report.agreement_plot import (
+    from ..report.publication import (
         file_name,
         prepared_folder,
         write_bland_altman,

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .arm_output import arms_figures, say_arm
-from .load import AS_RECORDED, SetUp, load_arms
+from .load import EVERY_ARM, ArmInput
 from .options import (
     ANY_ARM,
     Anatomy,
     ArmSelection,
-    Calibration,
     ConfigFile,
     Force,
     Json,
@@ -282,10 +281,8 @@ MOST_ROWS = 25
 
 def check(
     recording_file: RecordingPath,
-    calibration_file: Calibration = None,
+    source: ArmInput = EVERY_ARM,
     config_file: ConfigFile = None,
-    arm: ArmSelection = ANY_ARM,
-    set_up: SetUp = AS_RECORDED,
     anatomy: Anatomy = None,
     processes: Processes = None,
     json_file: Json = None,
@@ -298,19 +295,12 @@ def check(
     """
     from .config import read_config
 
-    remedy, swap_sides = set_up.remedy()
-    check_outputs(force, [json_file], [recording_file, calibration_file, config_file])
+    source.check()
+    check_outputs(force, [json_file], [recording_file, source.calibration_file, config_file])
     config = read_config(config_file, processes, anatomy)
-    arms = load_arms(
-        recording_file,
-        calibration_file,
-        arm,
-        truth=False,
-        remedy=remedy,
-        swap_sides=swap_sides,
-    )
+    arms = source.load(recording_file, truth=False)
     recordings = [recording for recording, _ in arms]
-    clocks = [set_up.clock(calibration_file, recording) for recording in recordings]
+    clocks = [source.clock(recording) for recording in recordings]
     findings = []
     with progress_bar("checking") as progress:
         for number, (recording, calibration) in enumerate(arms):

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from ..array_types import FloatArray
     from ..recording import ImuStream
-    from ..simulation.clocks import ClockSession
     from ..simulation.panel import PanelSimulation, SimulatedPanel
+    from ..simulation.rig import ClockSession
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def imu(
     """
     import numpy as np
 
-    from ..simulation.poses import SensorModel, long_rest, rest_poses
+    from ..simulation.rig import SensorModel, long_rest, rest_poses
 
     to.check()
     model = SensorModel.draw(np.random.default_rng([to.seed, 2]), offset=offset, scale=scale, cross=cross)
@@ -145,7 +145,7 @@ def magnetometer(
     """
     import numpy as np
 
-    from ..simulation.poses import SensorModel, turning_sensor
+    from ..simulation.rig import SensorModel, turning_sensor
 
     to.check()
     rng = np.random.default_rng([to.seed, 2])
@@ -355,7 +355,7 @@ def clock(
     """
     from ..io.media.clock_files import MOTION, SOUND, TIMES, write_clock_folder
     from ..io.media.panel_files import check_folder
-    from ..simulation.clocks import simulate_clock_session
+    from ..simulation.rig import simulate_clock_session
 
     check_folder(output, force)
     check_outputs(force, [json_file])
@@ -390,7 +390,7 @@ def clock(
 
 def true_links(session: ClockSession) -> list[dict[str, Any]]:
     """Every clock against every other at time 0 of the first, as the calibration file states links."""
-    from ..simulation.clocks import BASE, CAMERA, IMU
+    from ..simulation.rig import BASE, CAMERA, IMU
 
     links = []
     for first, second in ((CAMERA, BASE), (CAMERA, IMU), (BASE, IMU)):

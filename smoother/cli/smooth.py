@@ -21,7 +21,7 @@ from .arm_output import (
     say_untrusted_parts,
     say_verdict,
 )
-from .load import AS_RECORDED, SetUp, damage, load_arms
+from .load import EVERY_ARM, ArmInput, damage
 from .methods import (
     baseline_settings,
     choose,
@@ -31,12 +31,9 @@ from .methods import (
     with_strap_note,
 )
 from .options import (
-    ANY_ARM,
     NO_PICTURES,
     Anatomy,
-    ArmSelection,
     BoundaryS,
-    Calibration,
     ConfigFile,
     Draws,
     DrawSeed,
@@ -76,14 +73,13 @@ if TYPE_CHECKING:
 def smooth(
     recording_file: RecordingPath,
     output: Output,
-    calibration_file: Calibration = None,
+    source: ArmInput = EVERY_ARM,
     config_file: ConfigFile = None,
     method: Annotated[
         str, typer.Option("--method", metavar="M", help=f"Method: {', '.join(METHODS)}.")
     ] = "graph",
     orientation: Orientation = None,
     boundary_s: BoundaryS = None,
-    arm: ArmSelection = ANY_ARM,
     report: Report = None,
     pictures: Pictures = NO_PICTURES,
     passthrough_images: PassthroughImages = False,
@@ -95,7 +91,6 @@ def smooth(
             help="Mark samples whose sigma exceeds this on any axis (`usable` = 0).",
         ),
     ] = None,
-    set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
     anatomy: Anatomy = None,
     processes: Processes = None,
@@ -130,22 +125,14 @@ def smooth(
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     motions = drawn_motions(draws, seed, names[0])
     pictures.check(recording_file, report)
-    remedy, swap_sides = set_up.remedy()
+    source.check()
     check_mcap(output, exports=True)
-    check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
+    check_outputs(force, [output, report, json_file], [recording_file, source.calibration_file, config_file])
     config = read_config(config_file, processes, anatomy)
     with DiskStore() as store:  # memory stays flat however long the recording is
-        arms = load_arms(
-            recording_file,
-            calibration_file,
-            arm,
-            store=store,
-            truth=False,
-            remedy=remedy,
-            swap_sides=swap_sides,
-        )
+        arms = source.load(recording_file, store=store, truth=False)
         recordings = [recording for recording, _ in arms]
-        clocks = [set_up.clock(calibration_file, one) for one in recordings]
+        clocks = [source.clock(one) for one in recordings]
         given = [
             with_strap(calibration, recording) if solve_lever_arms else calibration
             for recording, calibration in arms

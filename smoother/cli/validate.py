@@ -173,7 +173,7 @@ def _write_plots(pairs: Sequence[MeasurePair], folder: Path, force: bool) -> Non
 
     from ..evaluation.agreement import FEWEST_PAIRS
     from ..evaluation.progress import is_main
-    from ..report.agreement_plot import file_name, prepared_folder, write_bland_altman
+    from ..report.publication import file_name, prepared_folder, write_bland_altman
 
     by_kind: dict[tuple[str, str], list[MeasurePair]] = {}
     for pair in pairs:

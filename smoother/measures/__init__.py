@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from .measure import Measure, Measures, Movement, Scope
+from .measure import Measure, Measures, MeasureSettings, Movement, Scope
 from .measuring import measure
-from .settings import MeasureSettings
 from .symmetry import BothArms, measure_both
 
 __all__ = [

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from .measure import UNKNOWN, Figure, share_of
+from .measure import UNKNOWN, Figure, Reach, share_of
 from .motion import Motion
-from .settings import Reach
 
 #: Ends nearer than this make no straight line to compare a path with, m.
 NEAREST_ENDS_M = 0.05

@@ -24,10 +24,9 @@ from .hand import (
     way_figures,
     zone_figures_of,
 )
-from .measure import UNKNOWN, Figure, Movement, Scope, share_of
+from .measure import UNKNOWN, Figure, MeasureSettings, Movement, Scope, share_of
 from .motion import Motion
 from .movements import as_movements, find_movements, find_repetitions
-from .settings import MeasureSettings
 
 #: A scope and the number in it.
 Place = tuple[Scope, int | None]

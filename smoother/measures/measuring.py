@@ -15,9 +15,8 @@ from ..runtime.pool import Pool, Progress
 from .angles import PERCENTILES
 from .definitions import FEWEST_DRAWS, definition_of, interval
 from .layout import SESSION, Figures, Layout, Place
-from .measure import UNKNOWN, Figure, Measure, Measures
+from .measure import UNKNOWN, Figure, Measure, Measures, MeasureSettings
 from .motion import ElbowBend, Motion, grid_of, motion_of, nearest_rows
-from .settings import MeasureSettings
 
 #: A drawn motion takes at least as long to measure as this many camera frames take to recover.
 FRAMES_A_DRAW = 200

@@ -13,7 +13,7 @@ from ..joint_angles import defined, elbow_bend, recovery_angles, torso_axes
 from ..linalg import interpolate, median_rate_hz, runs
 from ..result import Recovery
 from ..shoulder_angles import shoulder_angles, trunk_angles
-from .settings import Smoothing
+from .measure import Smoothing
 
 #: Samples further apart than this, in periods, do not belong to one run.
 APART_PERIODS = 4.0
@@ -173,11 +173,6 @@ def nearest_rows(t_s: FloatArray, at: FloatArray) -> np.ndarray:
     """Index (k,) of the sample nearest to each time."""
     right = np.clip(np.searchsorted(t_s, at), 1, max(len(t_s) - 1, 1))
     return np.where(at - t_s[right - 1] <= t_s[np.minimum(right, len(t_s) - 1)] - at, right - 1, right)
-
-
-def is_within(t_s: FloatArray, start_s: float, end_s: float) -> BoolArray:
-    """(n,) whether times are between two others, both included."""
-    return np.asarray((t_s >= start_s) & (t_s <= end_s))
 
 
 def _zeros(*shape: int) -> FloatArray:

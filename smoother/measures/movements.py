@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray, IntArray
 from ..linalg import masked_correlation, runs
-from .measure import Movement
+from .measure import MatchingRepetitions, Movement, SegmentingMovements
 from .motion import Motion, TimeGrid
-from .settings import MatchingRepetitions, SegmentingMovements
 
 
 # Dynamic time warping with bounded tempo. Own and minimal. Looked at: stumpy (matrix profiles) compares

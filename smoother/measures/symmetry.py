@@ -12,9 +12,8 @@ from ..errors import UnoccludeError
 from ..result import Recovery
 from .definitions import definition_of, interval
 from .layout import SESSION
-from .measure import Measure, Measures
+from .measure import Measure, Measures, MeasureSettings
 from .measuring import Measuring, measures_of
-from .settings import MeasureSettings
 
 #: Measures with a true zero, whose ratio means something.
 COMPARED = (

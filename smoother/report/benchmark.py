@@ -66,14 +66,10 @@ def _sections(run: BenchmarkRun) -> Iterator[str]:
         yield tabulated(
             f"{data.title}, {split}: share inside the stated 95 %",
             _INSIDE,
-            _inside_columns(table),
+            ("method", *(f"{length:g} s" for length in table.lengths)),
             _inside(table),
         )
     yield listing("Notes", all_notes(run), "There is nothing to note.")
-
-
-def _inside_columns(table: GapTable) -> tuple[str, ...]:
-    return ("method", *(f"{length:g} s" for length in table.lengths))
 
 
 def _inside(table: GapTable) -> Iterator[tuple[object, ...]]:

@@ -19,7 +19,17 @@ from ..evaluation.progress import (
 )
 from ..measures import BothArms, Measure, Measures
 from .chart import Mark, Strip, badge, bars, charted, sessions, strips
-from .sheet import NO_DIAGNOSIS, Html, bullets, explained, headed, tabulated, terms_of, write_sheet
+from .sheet import (
+    NO_DIAGNOSIS,
+    Html,
+    bullets,
+    capitalised,
+    explained,
+    headed,
+    tabulated,
+    terms_of,
+    write_sheet,
+)
 
 
 def with_interval(row: Measure) -> str:
@@ -70,11 +80,6 @@ def listed(names: Sequence[str]) -> str:
 def of_arm(arm: Measures, arms: Sequence[Measures]) -> str:
     """Which arm, where there are several."""
     return f", {arm.arm_label.replace(' arm', '')}" if len(arms) > 1 else ""
-
-
-def capitalised(text: str) -> str:
-    """With a capital at the start."""
-    return text[:1].upper() + text[1:]
 
 
 def both_arms(arms: Sequence[Measures]) -> tuple[Measures, Measures] | None:
@@ -159,7 +164,7 @@ def write_measures_page(
     write_sheet(
         path,
         f"Measures of {names or 'a recording'}",
-        f"{labels[0].upper()}{labels[1:]}, {length_s:.0f} s" if math.isfinite(length_s) else labels,
+        f"{capitalised(labels)}, {length_s:.0f} s" if math.isfinite(length_s) else labels,
         _verdict(arms),
         list(_sections(arms, pairs)),
         two_pages=True,
@@ -169,7 +174,7 @@ def write_measures_page(
 
 def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
     for arm in arms:
-        who = f"{arm.arm_label[0].upper()}{arm.arm_label[1:]}: "
+        who = f"{capitalised(arm.arm_label)}: "
         if arm.trusted is False:
             yield f"{who}{arm.verdict or 'Not to be trusted.'} Do not use these numbers"
         elif arm.verdict:
@@ -219,7 +224,7 @@ def _ranges(arms: Sequence[Measures]) -> str:
             text = f"{quantity(low.value, 'deg')} to {quantity(high.value, 'deg')}, range"
             text += f" {quantity(whole.value, 'deg')}"
             name = whole.name.removesuffix(", range") + of_arm(arm, arms)
-            rows.append(Strip(name[0].upper() + name[1:], text, mark_of(low), mark_of(high)))
+            rows.append(Strip(capitalised(name), text, mark_of(low), mark_of(high)))
     if not rows:
         return ""
     ends = [mark.value for row in rows for mark in (row.start, row.end)]

@@ -34,6 +34,7 @@ from .sheet import (
     CONTENTS,
     Html,
     bullets,
+    capitalised,
     figure,
     folded,
     headed,
@@ -155,7 +156,7 @@ def _angles(recovery: Recovery, truth: Truth | None) -> str:
         around = "The band holds 95 of 100 true values; gaps are shaded."
     reference = _REFERENCE if truth is not None else ""
     caption = f"Curves are {_colours([recovery])}. {around}{reference}"
-    below = f'<p class="caption"><small>{escape(_capital(meanings))}.</small></p>'
+    below = f'<p class="caption"><small>{escape(capitalised(meanings))}.</small></p>'
     return _figure("Joint angles", caption, plot) + bullets(missing) + below
 
 
@@ -456,7 +457,7 @@ def _of(arm: Arm) -> tuple[Validation | None, Truth | None]:
 
 
 def _name(recovery: Recovery) -> str:
-    return _capital(recovery.arm_label)
+    return capitalised(recovery.arm_label)
 
 
 def write_arms_comparison(
@@ -470,7 +471,7 @@ def write_arms_comparison(
         The page exists and `force` is not given, or it cannot be written.
     """
     arms = [
-        (_capital(recording.arm_label), verdict(comparison), of_comparison(comparison, recording))
+        (capitalised(recording.arm_label), verdict(comparison), of_comparison(comparison, recording))
         for recording, comparison in compared
     ]
     recording, comparison = compared[0]
@@ -491,7 +492,3 @@ def write_arms_comparison(
 def _mark(name: str) -> str:
     """A name as a part of an id."""
     return re.sub("[^a-z0-9]+", "-", name.lower())
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

@@ -13,6 +13,7 @@ from ..linalg import interpolate, unit
 from ..recording import CameraFrame, JointTracks, Recording
 from ..result import Recovery
 from ..rotation import Rotation
+from .sheet import listed
 from .space import packed, upwards
 
 #: Lengths as shares of stature: Drillis and Contini (1966), in Winter, Biomechanics and Motor Control of
@@ -72,7 +73,7 @@ def words_of(people: Sequence[dict[str, Any]]) -> str:
     upright = ", upright and facing the camera"
     if measured:
         upright = "" if "trunk" in measured else ", upright"
-    seen = f" As measured: {_listed(measured)}. The rest is" if measured else " It is"
+    seen = f" As measured: {listed(measured)}. The rest is" if measured else " It is"
     return (
         f"The grey body shows where the arm is.{seen} a silhouette by usual body proportions{upright}, which"
         " was not measured."
@@ -139,7 +140,7 @@ def _person(arms: Sequence[PersonArm], frame: CameraFrame | None) -> dict[str, A
         "stature": stature,
         "other": free,
         "measured": measured,
-        "extent": [_plain(np.nanmedian(points[name], axis=0)) for name in ("head", "hip_left", "hip_right")],
+        "extent": [np.nanmedian(points[name], axis=0).tolist() for name in ("head", "hip_left", "hip_right")],
     }
 
 
@@ -237,11 +238,3 @@ def _stature(arms: Sequence[PersonArm]) -> float:
     if not known:
         return STATURE_M
     return float(np.clip(np.mean(known) / (UPPER_ARM + FOREARM), *STATURES_M))
-
-
-def _listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def _plain(vector: FloatArray) -> list[float]:
-    return [float(value) for value in vector]

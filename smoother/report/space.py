@@ -69,9 +69,9 @@ def view_of(points: FloatArray, up: FloatArray, eye: FloatArray, aspect: float =
     away = np.linalg.norm(points - center, axis=1)
     radius = max(1.05 * float(np.percentile(away, 99.5)), 0.05)
     return {
-        "up": _plain(up),
-        "eye": _plain(eye),
-        "center": _plain(center),
+        "up": up.tolist(),
+        "eye": eye.tolist(),
+        "center": center.tolist(),
         "radius": radius,
         "aspect": aspect,
         "low": float(np.percentile(points @ up, 0.5)),
@@ -187,7 +187,3 @@ def _ramp(colours: Sequence[str]) -> list[str]:
     at = np.linspace(0, len(colours) - 1, _SHADES)
     shades = np.stack([np.interp(at, np.arange(len(colours)), channel) for channel in rgb.T], axis=1)
     return ["#" + "".join(f"{int(value):02x}" for value in shade.round()) for shade in shades]
-
-
-def _plain(vector: FloatArray) -> list[float]:
-    return [float(value) for value in vector]

@@ -1,7 +1,8 @@
-"""A study as one page: how its recordings are spread, the worst of them first."""
+"""A study as one page: its recordings, the worst of them first, and its persons together."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -13,16 +14,37 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from ..angles import JOINT_ANGLES
 from ..array_types import FloatArray
+from ..evaluation.group import (
+    GroupMeasure,
+    GroupWaveform,
+    Spread,
+    group_measures,
+    group_waveforms,
+    write_long,
+)
 from ..evaluation.progress import first_of
 from ..evaluation.summary import trust_word
 from .chart import NOT_TRUSTED, badge
-from .sheet import ALARM, CONTENTS, Html, figure, folded, label, listing, tabulated, write_sheet
-from .study_group import group_sections
-from .style import OCCLUDED, VISIBLE, dress
+from .sheet import (
+    ALARM,
+    CONTENTS,
+    Html,
+    figure,
+    folded,
+    headed,
+    label,
+    listing,
+    table,
+    tabulated,
+    write_sheet,
+)
+from .style import BAND, CAMERA, OCCLUDED, VISIBLE, band, curve, dress
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
 
 #: Rows of the table of the worst recordings, and of failures; points of the scatter plot.
 MOST_WORST, MOST_POINTS = 200, 5000
@@ -332,3 +354,101 @@ def _notes(recovered: pa.Table) -> str:
     counted = sorted(texts.value_counts().to_pylist(), key=lambda note: (-note["counts"], note["values"]))
     sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:20]]
     return listing("Notes in the results", sentences, "Nothing.")
+
+
+#: Single recordings that are drawn behind a mean.
+MOST_CURVES = 60
+_TITLES = {angle.name: angle.title for angle in JOINT_ANGLES}
+
+
+def group_sections(rows: pa.Table, long: Sequence[Mapping[str, Any]], page: Path) -> Iterator[str]:
+    """The group's table and curves; beside the page its file in long format. Nothing without measures.
+
+    Parameters
+    ----------
+    rows : pyarrow.Table
+        Of the study.
+    long : sequence of mapping
+        Its measures in long format (`evaluation.group.LONG`).
+    page : Path
+        Where the page is to be; the file is called after it.
+    """
+    if long:
+        file = page.with_name(f"{page.stem}_measures.csv")
+        write_long(long, file)
+        yield _table(group_measures(long), file.name)
+    waves = group_waveforms(rows.select(["waveforms"]).to_pylist())
+    if waves:
+        yield figure("Angles over a repetition", _WAVES, _drawn(waves))
+
+
+_WAVES = (
+    "From the beginning of a repetition (0 %) to its end. Thin grey: the mean of each recording; blue: the"
+    " mean of the recordings, the band one standard deviation between them (of a single recording: between"
+    " its repetitions). What is not to be trusted is left out."
+)
+
+
+def _table(measures: list[GroupMeasure], file: str) -> str:
+    """Mean, spread and change of each measure."""
+    several = any(each.last.count for each in measures)
+    tasks = any(each.task for each in measures)
+    heads = [
+        *("arm", *(["task"] if tasks else []), "measure", "persons", "mean (SD)"),
+        *(["last session, mean (SD)", "persons with both", "change (95 % interval)"] if several else []),
+    ]
+    cells = [
+        (
+            each.side or None,
+            *([each.task] if tasks else []),
+            f"{each.name}, {each.unit}".removesuffix(", "),
+            each.first.count,
+            _spread(each.first),
+            *([_spread(each.last), each.last.count, _change(each)] if several else []),
+        )
+        for each in measures
+    ]
+    first = " of the first session" if several else ""
+    link = f'<a href="{escape(quote(file))}">{escape(file)}</a>'
+    caption = Html(
+        f"Over the persons, mean and standard deviation{first}; the change is that from a person's first"
+        " session to the last, its mean over the persons with its interval by Student's t. Recordings that"
+        f" are not to be trusted are left out. All measures of all sessions, for R or SPSS: {link}, one"
+        " measure of one session per row, with a column <code>trusted</code>."
+    )
+    return headed("The group", caption) + table(heads, cells)
+
+
+def _spread(each: Spread) -> str | None:
+    if not each.count:
+        return None
+    return f"{each.mean:.3g}" + (f" ({each.sd:.2g})" if math.isfinite(each.sd) else "")
+
+
+def _change(each: GroupMeasure) -> str | None:
+    if not math.isfinite(each.change):
+        return None
+    interval = f" ({each.low:+.3g} to {each.high:+.3g})" if math.isfinite(each.low) else ""
+    return f"{each.change:+.3g}{interval}"
+
+
+def _drawn(waves: list[GroupWaveform]) -> go.Figure:
+    columns = min(2, len(waves))
+    lines = -(-len(waves) // columns)
+    titles = [
+        f"{each.side} {_TITLES[each.angle]}, degrees: {len(each.curves)} recording"
+        f"{'s' if len(each.curves) > 1 else ''}, {each.repetitions} repetitions".strip()
+        for each in waves
+    ]
+    plot = make_subplots(rows=lines, cols=columns, subplot_titles=titles, vertical_spacing=0.24 / lines)
+    plot.update_annotations(font={"size": 13})
+    for number, each in enumerate(waves):
+        row, column = number // columns + 1, number % columns + 1
+        share = np.linspace(0, 100, len(each.mean))
+        x, y = band(share, each.mean - each.sd, each.mean + each.sd)
+        around = go.Scatter(x=x, y=y, fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
+        single = [curve(share, one, None, CAMERA, 0.8, hoverinfo="skip") for one in each.curves[:MOST_CURVES]]
+        for trace in (*single, around, curve(share, each.mean, "mean", VISIBLE, 2.2)):
+            plot.add_trace(trace, row=row, col=column)
+        plot.update_xaxes(title_text="repetition, %", row=row, col=column)
+    return dress(plot, 60 + 280 * lines, head=40, showlegend=False)

@@ -15,7 +15,7 @@ from ..measurements.timestamps import pauses
 from ..measurements.visibility import occluded_at
 from ..result import Estimates, Recovery
 from ..result.untrusted import MOST_NAMED, partly_untrusted, untrusted_sentences
-from .sheet import ALARM, CARE
+from .sheet import ALARM, CARE, listed
 
 #: A gap in which 95 of 100 errors need not lie below this needs care, m.
 WIDE_M = 0.10
@@ -165,7 +165,7 @@ def _joints_against_reference(validation: Validation) -> str:
     if not errors:
         return "The reference has neither the sensor's position nor a joint to compare there."
     words = [f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()]
-    text = f"Against the reference the error {where} is {_and(words)} (root mean square)"
+    text = f"Against the reference the error {where} is {listed(words)} (root mean square)"
     nees = [value for joint in errors if (value := figures[joint].nees) is not None]
     if not nees:
         return f"{text}."
@@ -184,10 +184,6 @@ def _joint_figures(validation: Validation) -> dict[str, Figures]:
         if any(each.position_rms_m is not None for each in figures.values()):
             return figures
     return {}
-
-
-def _and(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _camera_doubts(recovery: Recovery) -> str:

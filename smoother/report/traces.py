@@ -14,7 +14,7 @@ from ..joint_angles import arm_angles
 from ..recording import JOINTS, CameraFrame, Truth
 from ..result import FrameResiduals, Recovery
 from .player import Point
-from .sheet import label
+from .sheet import capitalised, label
 from .style import (
     BAND,
     CAMERA,
@@ -102,7 +102,7 @@ def angles(recovery: Recovery, table: AngleTable, truth: Truth | None = None) ->
     shown = [angle for angle in table.angles if np.isfinite(table.values[angle.name]).any()]
     if not shown:
         return None
-    titles = [f"{_capital(angle.title)}, degrees" for angle in shown]
+    titles = [f"{capitalised(angle.title)}, degrees" for angle in shown]
     head, row_height = 84, 128
     height = head + 50 + row_height * len(shown)
     figure = make_subplots(
@@ -145,10 +145,6 @@ def angles(recovery: Recovery, table: AngleTable, truth: Truth | None = None) ->
     figure.update_xaxes(title_text=_TIME, row=len(shown), col=1)
     shade(figure, recovery)
     return dress(figure, height, head=head)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _down(recovery: Recovery) -> FloatArray | None:

@@ -312,7 +312,7 @@ def _angle_table(validation: Validation) -> str:
                 rows.append((WORDS[name], words, *figures, *icc, agreement.samples))
     heads = ("angle", "", "RMSE, degrees", "bias", "limits of agreement", "ICC(A,1)", "95 % interval")
     carrying = validation.angles.carrying_truth_deg
-    more = "" if carrying is None else f"<p>Passthrough angle of the reference: {carrying:.1f} degrees.</p>"
+    more = "" if carrying is None else f"<p>Carrying angle of the reference: {carrying:.1f} degrees.</p>"
     return table((*heads, "samples"), rows) + more
 
 

@@ -22,10 +22,14 @@ from .camera import (
     debounce,
     degrade_before_trunk,
     deliver,
+    depth_free,
     exposures,
     film,
+    is_rgb,
     lose_forearm,
+    photograph,
     random_gaps,
+    with_pixels,
 )
 from .config import ArmSimulation, PointSimulation
 from .further_cameras import FilmedScene, add_cameras
@@ -52,7 +56,6 @@ from .motion import (
 )
 from .people import mounted_anew, varied
 from .protocol import PAD_S, Performance, knot_times, perform, wander
-from .rgb import depth_free, is_rgb, photograph, with_pixels
 
 #: What the true calibration claims to be good to, m.
 LEVER_ARM_SIGMA_M = 0.002

@@ -12,11 +12,25 @@ from ..array_types import BoolArray, FloatArray
 from ..linalg import runs, unit
 from ..recording import Camera, CameraFrame
 from .body import BodyMeasures
-from .camera import add_noise, add_outliers, debounce, deliver, exposures, film, lose_forearm, random_gaps
+from .camera import (
+    add_noise,
+    add_outliers,
+    calibrated,
+    debounce,
+    deliver,
+    depth_free,
+    exposures,
+    film,
+    is_rgb,
+    lose_forearm,
+    optical_from,
+    photograph,
+    random_gaps,
+    with_pixels,
+)
 from .config import ArmSimulation
 from .motion import ArmMotion, Stage, TrunkTurn, tilt_rotation
 from .protocol import Performance, perform
-from .rgb import calibrated, depth_free, is_rgb, optical_from, photograph, with_pixels
 
 #: A further camera's latency differs from the first one's by up to this, s.
 LATENCY_S = 0.010

@@ -155,6 +155,46 @@ class Known:
 
 
 @dataclass(frozen=True)
+class StudySettings:
+    """How the recordings of a study are recovered.
+
+    Attributes
+    ----------
+    config : Config
+        Settings; its number of processes does not matter.
+    choice : InputSelection
+        What to take of recordings that have several of it.
+    calibration : str
+        File for all recordings that have none of their own; "" without one.
+    again : bool
+        Compute everything anew.
+    retry_failed : bool
+        Try again what failed before by the recording itself.
+    keep_paths : bool
+        Let rows contain absolute paths and the machine's name.
+    limits : Limits
+        What one recording may take of time and memory.
+    measures : bool
+        Measure what is recovered: rows contain it.
+    draws : int
+        Motions to draw for the intervals of the measures.
+    hash_names : bool
+        Call recordings by hashes of their names.
+    """
+
+    config: Config = field(default_factory=Config)
+    choice: InputSelection = field(default_factory=InputSelection)
+    calibration: str = ""
+    again: bool = False
+    retry_failed: bool = False
+    keep_paths: bool = False
+    limits: Limits = field(default_factory=Limits)
+    measures: bool = False
+    draws: int = 0
+    hash_names: bool = False
+
+
+@dataclass(frozen=True)
 class Job:
     """All that a worker needs to know; plain values, so that it travels between machines.
 
@@ -168,10 +208,10 @@ class Job:
         The study's folder, absolute.
     word : str
         The study's word, by which the worker checks that it sees the same folder.
-    config, choice : Config, InputSelection
-        Settings.
+    settings : StudySettings
+        Of the study.
     config_hash : str
-        Of both.
+        Of what of them counts.
     calibration : str
         Path of the calibration file, absolute, or "".
     calibration_hash : str
@@ -180,34 +220,18 @@ class Job:
         Of the program that started the study.
     known : tuple of Known
         Earlier results of this recording.
-    keep_paths : bool
-        Let rows contain absolute paths and the machine's name.
-    limits : Limits
-        What one recording may take of time and memory.
-    measures : bool
-        Measure what is recovered.
-    draws : int
-        Motions to draw for the intervals of the measures.
-    hash_names : bool
-        The recording's name is a hash.
     """
 
     name: str
     source: str
     folder: str
     word: str
-    config: Config
-    choice: InputSelection
+    settings: StudySettings
     config_hash: str
     calibration: str = ""
     calibration_hash: str = ""
     version: str = __version__
     known: tuple[Known, ...] = ()
-    keep_paths: bool = False
-    limits: Limits = field(default_factory=Limits)
-    measures: bool = False
-    draws: int = 0
-    hash_names: bool = False
 
     @property
     def key(self) -> str:
@@ -218,7 +242,7 @@ class Job:
 
     def row(self, status: str, input_hash: str = "", **more: object) -> Row:
         """A row of the results about this recording."""
-        keep = self.keep_paths
+        keep = self.settings.keep_paths
         row: Row = {
             "id": row_id(self.name, input_hash, self.config_hash, self.calibration_hash, self.version),
             "recording": self.name,
@@ -245,7 +269,7 @@ class Job:
 
     def _shown(self, text: str) -> str:
         """A sentence as a row contains it: without the folders of this machine."""
-        return text if self.keep_paths else without_places(text, self._names())
+        return text if self.settings.keep_paths else without_places(text, self._names())
 
     def _names(self) -> dict[str, str]:
         """Paths as in rows: the name in the study, "." for the study's folder, else the last name."""
@@ -254,7 +278,7 @@ class Job:
         if self.calibration:
             names |= {self.calibration: calibration.name, str(calibration.parent): ""}
         names[str(source.parent)] = ""
-        if self.hash_names:
+        if self.settings.hash_names:
             names |= {source.name: Path(self.name).name}
         return names
 
@@ -281,14 +305,14 @@ def run_job(job: Job) -> Row:
         about = os.stat(job.source)
         before = {
             "input_bytes": about.st_size,
-            "input_mtime_ns": about.st_mtime_ns if job.keep_paths else None,
+            "input_mtime_ns": about.st_mtime_ns if job.settings.keep_paths else None,
             "input_state": state_of(job.word, about.st_size, about.st_mtime_ns),
         }
         check_output_place(job, folder)
         input_hash = file_hash(job.source)
         if same := _same(job, folder, input_hash):
             return job.row(SAME, input_hash, id=same)
-        with limited(job.limits):
+        with limited(job.settings.limits):
             return _recover(job, folder, input_hash, before, began)
     except (Exception, TimeUp) as error:
         if debugging():
@@ -365,23 +389,26 @@ def _recover_in(
     from ..runtime.outputs import check_output
     from ..several_arms import smooth_arms
 
-    arms = read_arms(job.source, job.calibration or None, store=store, truth=False, **job.choice.selection)
-    windows = job.config.windows.model_copy(update={"processes": 1})  # a recording a process
-    config = job.config.model_copy(update={"windows": windows})
+    settings = job.settings
+    arms = read_arms(
+        job.source, job.calibration or None, store=store, truth=False, **settings.choice.selection
+    )
+    windows = settings.config.windows.model_copy(update={"processes": 1})  # a recording a process
+    config = settings.config.model_copy(update={"windows": windows})
     recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
     results = []
-    for recovery in smooth_arms(recordings, calibrations, config, store=store, draws=job.draws):
+    for recovery in smooth_arms(recordings, calibrations, config, store=store, draws=settings.draws):
         recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
         results.append((recording, with_given(recovery, calibration)))
     output = folder.output(job.name)
     staged = folder.staged(str(job.row(DONE, input_hash)["id"]))
     try:
-        images = job.choice.passthrough_images
+        images = settings.choice.passthrough_images
         answers = [recovery for _, recovery in results]
-        measured = measured_arms(answers) if job.measures else {}
+        measured = measured_arms(answers) if settings.measures else {}
         # the result is that of `smooth --draws 0`
         answers = [replace(recovery, draws=None) for recovery in answers]
-        if job.hash_names:
+        if settings.hash_names:
             answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
         left_out = write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)

@@ -10,57 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .. import __version__
-from ..config import Config
 from ..errors import UnoccludeError
 from .folder import DONE, FAILED, Row, StudyFolder
-from .inputs import Entry, InputSelection, config_hash, file_hash, hashed_name, text_hash
-from .job import SAME, Job, Limits
+from .inputs import Entry, config_hash, file_hash, hashed_name, text_hash
+from .job import SAME, Job, StudySettings
 from .ledger import Ledger
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 Work = Callable[[Iterator[Job]], Generator[Row | None, None, None]]
-
-
-@dataclass(frozen=True)
-class StudySettings:
-    """How the recordings of a study are recovered.
-
-    Attributes
-    ----------
-    config : Config
-        Settings; its number of processes does not matter.
-    choice : InputSelection
-        What to take of recordings that have several of it.
-    calibration : str
-        File for all recordings that have none of their own; "" without one.
-    again : bool
-        Compute everything anew.
-    retry_failed : bool
-        Try again what failed before by the recording itself.
-    keep_paths : bool
-        Let rows contain absolute paths and the machine's name.
-    limits : Limits
-        What one recording may take of time and memory.
-    measures : bool
-        Measure what is recovered: rows contain it.
-    draws : int
-        Motions to draw for the intervals of the measures.
-    hash_names : bool
-        Call recordings by hashes of their names.
-    """
-
-    config: Config = field(default_factory=Config)
-    choice: InputSelection = field(default_factory=InputSelection)
-    calibration: str = ""
-    again: bool = False
-    retry_failed: bool = False
-    keep_paths: bool = False
-    limits: Limits = field(default_factory=Limits)
-    measures: bool = False
-    draws: int = 0
-    hash_names: bool = False
 
 
 @dataclass
@@ -231,17 +190,11 @@ class _Plan:
             source=entry.path,
             folder=str(self._folder.path),
             word=self._word,
-            config=settings.config,
-            choice=settings.choice,
+            settings=settings,
             config_hash=self._config_hash,
             calibration=calibration,
             calibration_hash=calibration_hash,
             known=() if settings.again else known,
-            keep_paths=settings.keep_paths,
-            limits=settings.limits,
-            measures=settings.measures,
-            draws=settings.draws,
-            hash_names=settings.hash_names,
         )
 
 

@@ -18,9 +18,8 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from smoother.benchmark.datasets import DATASETS
+from smoother.benchmark.datasets import DATASETS, BenchmarkTrial
 from smoother.benchmark.run import find_trials
-from smoother.benchmark.trials import BenchmarkTrial
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.evaluation.hidden_gaps import HiddenGap, score_points

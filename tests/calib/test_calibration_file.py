@@ -24,8 +24,7 @@ from calib.protocol import Answer
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError
 from smoother.runtime.printable import plain
-from smoother.simulation.clocks import broadcast
-from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
+from smoother.simulation.rig import SensorModel, broadcast, magnetometer_turns, rest_poses
 
 HEAD = 'format = "unocclude calibration"\nversion = 1\n'
 

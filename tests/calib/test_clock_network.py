@@ -21,7 +21,7 @@ from smoother.errors import CalibrationError
 from smoother.recording import Recording
 from smoother.selfcal.pairing import coarse_offset
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.clocks import STEP_S, beep, broadcast
+from smoother.simulation.rig import STEP_S, beep, broadcast
 
 
 def test_twenty_rounds_give_a_fifth_of_a_millisecond():

@@ -30,7 +30,7 @@ from calib.imu.sensor_calibration import (
 )
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream
-from smoother.simulation.poses import REST_POSES, SensorModel, magnetometer_turns, rest_poses
+from smoother.simulation.rig import REST_POSES, SensorModel, magnetometer_turns, rest_poses
 
 
 def sensor(seed: int) -> SensorModel:

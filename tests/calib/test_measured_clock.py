@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.clock.measured import measured_clock
+from calib.clock.links import measured_clock
 from calib.file import CalibrationFile, write_calibration
-from smoother.cli.load import clock_of
+from smoother.cli.load import SetUp
 from smoother.errors import CalibrationError
 from smoother.io import write_recording
 from smoother.io.recording.read import read_arm
@@ -83,8 +83,8 @@ def test_a_file_of_clocks_needs_no_arm(recording: Recording, tmp_path: Path) -> 
     write_calibration(file, file_of(link()))
     read, arm = read_arm(path, file)
     assert arm is None
-    clock = clock_of(None, None, file, read)
+    clock = SetUp().clock(file, read)
     assert clock is not None and clock.mean_s == 1.5
-    typed = clock_of(0.3, 0.01, file, read)  # what is typed counts
+    typed = SetUp(clock_offset=0.3, clock_sigma=0.01).clock(file, read)  # what is typed counts
     assert typed is not None and (typed.mean_s, typed.sigma_s) == (0.3, 0.01)
-    assert clock_of(None, None, None, read) is None
+    assert SetUp().clock(None, read) is None

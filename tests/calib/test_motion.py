@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib import CalibrationFile, read_calibration, write_calibration
+from calib import CalibrationFile, read_calibration, sigma_factor, write_calibration
 from calib.file import sigma_factors_of
-from calib.forearm.forearm_frame import forearm_frame
-from calib.motion import hidden_gaps
-from calib.motion.hidden_gaps import hidden_gap_factors, short_recordings
+from calib.forearm.forearm_summary import forearm_frame
 from calib.motion.motion_calibration import MotionCalibration, calibrate_motion, motion_answer, names_given
 from calib.motion.motion_summary import (
     ClockOffset,
@@ -24,6 +22,7 @@ from calib.motion.motion_summary import (
     not_determined,
     roll_known,
 )
+from calib.sigma_factor import hidden_gap_factors, short_recordings
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.cli.run import run
 from smoother.config import Config
@@ -371,14 +370,14 @@ def test_only_many_short_recordings_count(trials: list[Recording]) -> None:
 @pytest.fixture(scope="module")
 def calibrated(trials: list[Recording]) -> MotionCalibration:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hidden_gaps, "ENOUGH_GAPS", FEW)
+        patch.setattr(sigma_factor, "ENOUGH_GAPS", FEW)
         return calibrate_motion(trials)
 
 
 def test_errors_that_are_larger_than_stated_ask_for_more(
     trials: list[Recording], calibrated: MotionCalibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hidden_gaps, "ENOUGH_GAPS", FEW)
+    monkeypatch.setattr(sigma_factor, "ENOUGH_GAPS", FEW)
     sound = calibrated.calibration.sigma_factors
     assert sound is not None and all(row.factor < 2.0 for row in sound.by_length)
     calibration = replace(calibrated.calibration, sigma_factors=None)

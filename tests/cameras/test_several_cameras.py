@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.cameras.camera_poses import calibrate_cameras, camera_poses, cameras_answer, with_camera_poses
+from calib.camera_poses import calibrate_cameras, camera_poses, cameras_answer, with_camera_poses
 from calib.file import CalibrationFile
-from smoother.baselines.one_camera import of_best_camera
+from smoother.baselines.registry import of_best_camera
 from smoother.cameras import join_cameras
 from smoother.errors import CalibrationError
 from smoother.evaluation.gaps import hide

@@ -14,7 +14,7 @@ from calib import read_calibration
 from smoother.cli.run import run
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.clocks import beep, broadcast
+from smoother.simulation.rig import beep, broadcast
 
 
 def command(*arguments: object) -> int:

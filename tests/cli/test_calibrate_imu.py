@@ -19,7 +19,7 @@ from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
+from smoother.simulation.rig import SensorModel, magnetometer_turns, rest_poses
 from smoother.window.priors import with_measured_noise
 
 TOPIC = "/imu/forearm_right"

@@ -9,7 +9,7 @@ import pytest
 import typer
 from click.testing import CliRunner
 
-from smoother.cli import help_page
+from smoother.cli import app as help_page
 from smoother.cli.app import app
 
 

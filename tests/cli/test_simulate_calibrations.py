@@ -16,7 +16,7 @@ from calib.imu.imu_summary import imu_answer
 from calib.imu.sensor_calibration import calibrate_imu
 from smoother.cli.run import run
 from smoother.io import read_imu, read_recording
-from smoother.simulation.clocks import simulate_clock_session
+from smoother.simulation.rig import simulate_clock_session
 
 #: A normalised error beyond this has a chance of one in fifteen thousand.
 MOST_SIGMAS = 4.0

@@ -16,8 +16,7 @@ from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.clocks import beep, broadcast
-from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
+from smoother.simulation.rig import SensorModel, beep, broadcast, magnetometer_turns, rest_poses
 from smoother.simulation.strap import strap_radius_m
 
 

@@ -14,7 +14,7 @@ from made_results import ZERO, recovery
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import read_recovery, write_recovery
-from smoother.io.result import topic_tables as draw_messages
+from smoother.io.result import messages as draw_messages
 from smoother.result import Draws, Recovery
 
 

@@ -20,8 +20,8 @@ from smoother.io import export_csv, read_recovery, write_recovery
 from smoother.io.devices.describe_table import Guess, toml_of
 from smoother.io.export.csv import csv_columns
 from smoother.io.export.markers import C3dContent, write_c3d
-from smoother.io.export.mot import MotTable, write_mot
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
+from smoother.io.export.storage import MotTable, write_mot
 from smoother.io.markers import read_c3d
 from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.mcap.messages import nanoseconds

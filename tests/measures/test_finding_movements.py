@@ -9,9 +9,9 @@ import pytest
 from measured_arms import minimum_jerk, recovery_of, simulated
 
 from smoother.measures import MeasureSettings, measure
+from smoother.measures.measure import MatchingRepetitions, SegmentingMovements
 from smoother.measures.motion import grid_of, motion_of
 from smoother.measures.movements import find_movements, find_repetitions, match_cost
-from smoother.measures.settings import MatchingRepetitions, SegmentingMovements
 from smoother.result import Recovery
 
 T = np.arange(0.0, 20.0, 0.01)

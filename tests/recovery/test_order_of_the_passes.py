@@ -48,7 +48,7 @@ def score(section: int) -> ClockScore:
 
 def answer(section: int) -> FirstAnswer:
     """All windows have the same mean, so pooling finds no spread between them that would widen them."""
-    nothing = cast(Any, None)
+    nothing = cast("Any", None)
     state = SectionState(np.full(3, section), section, nothing, nothing, nothing, nothing, [], nothing, ())
     codes = [code(section, window) for window in range(WINDOWS[section])]
     messages = [Message(t, Gaussian(np.zeros(LAYOUT.size), np.eye(LAYOUT.size) / (1.0 + t))) for t in codes]
@@ -83,14 +83,14 @@ def first_pass(dropped: tuple[int, ...], store: Store, monkeypatch: pytest.Monke
     monkeypatch.setattr("smoother.recovery.first_pass.solve_alone", solve_alone)
     shares: list[float] = []
     with Pool(1, 0) as workers:
-        first = FirstPass.over(cast(Any, FakeSections()), cast(Any, None), workers, store, shares.append)
+        first = FirstPass.over(cast("Any", FakeSections()), cast("Any", None), workers, store, shares.append)
     assert shares == [0.2, 0.4, 0.6, 0.8, 1.0]  # a section without an answer is done as well
     return first
 
 
 def field_of(first: FirstPass) -> dict[int, FieldMeasurements]:
     """A field for every other window, its sigma the window's code."""
-    nothing = cast(Any, None)
+    nothing = cast("Any", None)
     return {
         number: FieldMeasurements(nothing, nothing, nothing, message.t_s)
         for number, message in enumerate(first.messages)
@@ -171,7 +171,7 @@ def test_the_second_pass_answers_in_order(store: Store, monkeypatch: pytest.Monk
     """Each job with its own answer, taken from the store no earlier than it is asked for."""
 
     def solve_again(job: SecondJob, task: None) -> SecondAnswer:
-        return SecondAnswer(cast(Any, job.state.first_sample), [], (), SectionCheck((), ()))
+        return SecondAnswer(cast("Any", job.state.first_sample), [], (), SectionCheck((), ()))
 
     monkeypatch.setattr("smoother.recovery.second_pass.solve_again", solve_again)
     first = first_pass((2,), store, monkeypatch)
@@ -183,10 +183,10 @@ def test_the_second_pass_answers_in_order(store: Store, monkeypatch: pytest.Monk
             yield job
 
     with Pool(1, 0) as workers:
-        answers = second_pass(cast(Any, listen()), cast(Any, None), workers)
+        answers = second_pass(cast("Any", listen()), cast("Any", None), workers)
         assert not taken
         for section in (0, 1, 3, 4):
-            assert cast(Any, next(answers).answer) == section
+            assert cast("Any", next(answers).answer) == section
             assert taken[-1] == section
         assert next(answers, None) is None
 

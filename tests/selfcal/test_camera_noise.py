@@ -28,7 +28,7 @@ def sight_of(joint: str, node: np.ndarray) -> JointMeasurements:
 
 def window_of(*measured: JointMeasurements) -> Window:
     """A window of which only the samples are looked at."""
-    return cast(Window, SimpleNamespace(joint_measurements=measured))
+    return cast("Window", SimpleNamespace(joint_measurements=measured))
 
 
 def noise_in(*windows: dict[str, FloatArray]) -> dict[str, JointNoise]:
@@ -37,7 +37,7 @@ def noise_in(*windows: dict[str, FloatArray]) -> dict[str, JointNoise]:
         window_of(*(sight_of(joint, np.arange(len(values))) for joint, values in residuals.items()))
         for residuals in windows
     ]
-    return joint_noise(sights, [cast(Solution, SimpleNamespace(residuals=each)) for each in windows])
+    return joint_noise(sights, [cast("Solution", SimpleNamespace(residuals=each)) for each in windows])
 
 
 def remembering(phi: float, sigma: float, count: int, rng: np.random.Generator) -> FloatArray:
@@ -106,7 +106,7 @@ def test_lost_frames_do_not_hide_the_memory() -> None:
         series = remembering(phi, 0.008, 600, rng)
         seen = np.flatnonzero(rng.uniform(size=600) > 0.33)
         windows.append(window_of(sight_of("wrist", seen)))
-        solutions.append(cast(Solution, SimpleNamespace(residuals={"wrist": series[seen]})))
+        solutions.append(cast("Solution", SimpleNamespace(residuals={"wrist": series[seen]})))
     # a frame is dropped at times, so fewer samples share the same long-run error: the sigma is of all frames
     truth_m = 0.008 * np.sqrt((1 + phi) / (1 - phi))
     assert joint_noise(windows, solutions)["wrist"].effective_m == pytest.approx(truth_m, rel=0.3)

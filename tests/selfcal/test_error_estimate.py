@@ -174,7 +174,7 @@ def test_a_joint_alone_has_no_error() -> None:
 
     def window(**samples: int) -> Window:
         measured = [SimpleNamespace(joint=joint, node=np.arange(count)) for joint, count in samples.items()]
-        return cast(Window, SimpleNamespace(joint_measurements=measured))
+        return cast("Window", SimpleNamespace(joint_measurements=measured))
 
     few = FEWEST_SAMPLES - 1
     assert _told([window(wrist=50)]) == ()

@@ -31,7 +31,7 @@ def blob(infrared: np.ndarray, pixel: np.ndarray, reach: int = 7) -> np.ndarray:
 
 def board_depth(panel: SimulatedPanel, number: int = 0) -> np.ndarray:
     """Depth of the panel's plane in every pixel, mm: ray against plane, by hand."""
-    pose, rays = panel.poses[number], panel.lens.rays()
+    pose, rays = panel.poses[number], panel.lens.all_rays()
     normal = pose.R_K_P[:, 2]
     return 1000 * (normal @ pose.p_K_P) / (rays @ normal[:2] + normal[2])
 
@@ -59,7 +59,7 @@ def test_lens_agrees_with_opencv_both_ways():
     import cv2
 
     lens = simulate_panel(PanelSimulation.ideal(width=96, height=80, focal_px=70.0), 1).lens
-    rays = lens.rays().reshape(-1, 2)
+    rays = lens.all_rays().reshape(-1, 2)
     points = np.column_stack([rays, np.ones(len(rays))]) * 1.7
     ours = lens.project(points)
     theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion))

@@ -8,11 +8,10 @@ from pathlib import Path
 import pytest
 from studies import BROKEN, NAMES
 
-from smoother.config import Config
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.study.inputs import InputSelection, config_hash
-from smoother.study.job import Job, run_job
+from smoother.study.inputs import config_hash
+from smoother.study.job import Job, StudySettings, run_job
 from smoother.study.run import study_folder
 
 
@@ -42,9 +41,9 @@ def job(made: Path, tmp_path: Path) -> Job:
     """The first recording's job in a study of its own."""
     folder = study_folder(tmp_path / "out")
     word = folder.open()
-    config, choice = Config(), InputSelection()
-    source, hashed = str(made / NAMES[0]), config_hash(config, choice)
-    return Job(NAMES[0], source, str(folder.path), word, config, choice, hashed)
+    settings = StudySettings()
+    source, hashed = str(made / NAMES[0]), config_hash(settings.config, settings.choice)
+    return Job(NAMES[0], source, str(folder.path), word, settings, hashed)
 
 
 @pytest.fixture

@@ -10,12 +10,11 @@ from types import SimpleNamespace
 import pytest
 from studies import BROKEN, NAMES, batch, query, start_batch, state, until_stopped
 
-from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.study import cluster
-from smoother.study.inputs import InputSelection, find_entries
-from smoother.study.job import Job, run_job
-from smoother.study.run import StudySettings, run_study, study_folder
+from smoother.study.inputs import find_entries
+from smoother.study.job import Job, StudySettings, run_job
+from smoother.study.run import run_study, study_folder
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +96,7 @@ def test_a_scheduler_that_goes_away(monkeypatch, tmp_path, capfd):
             for number in range(100):
                 if number == 5:
                     leaving.close()
-                yield Job(
-                    f"{number}.mcap", "/nowhere.mcap", str(tmp_path), "", Config(), InputSelection(), ""
-                )
+                yield Job(f"{number}.mcap", "/nowhere.mcap", str(tmp_path), "", StudySettings(), "")
 
         with pytest.raises(UnoccludeError, match="went away; the same command continues"):
             list(cluster.run_cluster(jobs(), address))

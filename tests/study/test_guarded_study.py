@@ -20,7 +20,7 @@ from studies import BROKEN, NAMES, batch
 from smoother.study.cluster import run_local
 from smoother.study.folder import DONE, FAILED, Row
 from smoother.study.inputs import find_entries
-from smoother.study.job import Job, Limits, TimeUp, limited, run_job
+from smoother.study.job import Job, Limits, StudySettings, TimeUp, limited, run_job
 from smoother.study.ledger import Ledger
 from smoother.study.run import study_folder
 
@@ -191,7 +191,8 @@ def wasteful(job: Job) -> Row:
     import smoother.study.job as module
 
     if job.name in OVER:
-        module._recover = lambda *_: slow(60.0) if job.limits.time_s else [np.ones(10**8) for _ in range(9)]
+        limits = job.settings.limits
+        module._recover = lambda *_: slow(60.0) if limits.time_s else [np.ones(10**8) for _ in range(9)]
     return run_job(job)
 
 
@@ -206,7 +207,8 @@ OVER = {
 def test_a_recording_over_its_limits_fails_alone(job: Job, made: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("smoother.study.cluster.run_job", wasteful)
     others = [replace(job, name=name, source=str(made / name)) for name in NAMES[:2]]
-    killers = [replace(job, name=name, limits=limits) for name, (limits, _) in OVER.items()]
+    settings = {name: StudySettings(limits=limits) for name, (limits, _) in OVER.items()}
+    killers = [replace(job, name=name, settings=own) for name, own in settings.items()]
     rows = [row for row in run_local(iter([*others, *killers]), 2) if row is not None]
     expected = dict.fromkeys(NAMES[:2], DONE) | dict.fromkeys(OVER, FAILED)
     assert {row["recording"]: row["status"] for row in rows} == expected

@@ -35,9 +35,9 @@ from smoother.study import cluster
 from smoother.study.cluster import run_local
 from smoother.study.folder import DONE, FAILED, Row
 from smoother.study.inputs import find_entries
-from smoother.study.job import Job, Known, run_job
+from smoother.study.job import Job, Known, StudySettings, run_job
 from smoother.study.ledger import Ledger
-from smoother.study.run import StudySettings, run_study, study_folder
+from smoother.study.run import run_study, study_folder
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")

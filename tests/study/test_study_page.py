@@ -19,7 +19,7 @@ from smoother.errors import UnoccludeError
 from smoother.evaluation.group import LONG, group_measures, group_waveforms
 from smoother.report.study import worst_first, write_study
 from smoother.study.folder import COLUMNS, schema
-from smoother.study.group import long_rows, persons_of
+from smoother.study.progress import long_rows, persons_of
 from smoother.study.run import Tally
 
 

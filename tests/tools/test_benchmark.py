@@ -19,8 +19,16 @@ from tools.benchmark import __main__ as program
 from tools.benchmark.isolated import PrivatePeak, Stopped, isolated
 from tools.benchmark.profile import PARTS, READ, WRITE, profile
 from tools.benchmark.tables import growth, table, waiting
-from tools.benchmark.waiting import Waited, commands
-from tools.benchmark.whole import IMAGE_TOPIC, Made, make, read_truth, run_method, run_smooth
+from tools.benchmark.whole import (
+    IMAGE_TOPIC,
+    Made,
+    Waited,
+    commands,
+    make,
+    read_truth,
+    run_method,
+    run_smooth,
+)
 
 MINUTES, IMAGE_KB = 0.3, 2.0
 TIMES = {"check": 1.0, "smooth": 5.0, "gaps": 20.0}

@@ -15,8 +15,7 @@ from tools.reference import __main__ as program
 from tools.reference import inputs, running
 from tools.reference.cases import GROUPS
 from tools.reference.comparison import first_difference
-from tools.reference.masks import masked
-from tools.reference.renderings import LONG_LINE, broken_lines, rendering
+from tools.reference.renderings import LONG_LINE, broken_lines, masked, rendering
 from tools.reference.running import Group
 
 SMALL = (

@@ -16,6 +16,7 @@ from smoother.result.verdict import UntrustedInterval
 from smoother.smoothing import smooth
 from tools.reliability import __main__ as runner
 from tools.reliability import judging
+from tools.reliability.__main__ import preset_jobs, preset_pair
 from tools.reliability.cases import CASES, SOUND, UNUSUAL, WRONG
 from tools.reliability.judging import (
     ONE_PROCESS,
@@ -29,7 +30,6 @@ from tools.reliability.judging import (
     trusted_samples,
 )
 from tools.reliability.motions import EXERCISES, SPECIAL, perform
-from tools.reliability.pairs import preset_jobs, preset_pair
 from tools.reliability.real import known_offset_s
 from tools.reliability.scene import Scene, Tracker, draw_scene, film, ideal_imu, plan_gaps
 

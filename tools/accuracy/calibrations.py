@@ -34,8 +34,7 @@ from calib.intrinsics import Intrinsics, PlacedCamera
 from calib.strap import Depth, find_strap
 from smoother.errors import CalibrationError
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.clocks import beep, broadcast
-from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
+from smoother.simulation.rig import SensorModel, beep, broadcast, magnetometer_turns, rest_poses
 from smoother.simulation.strap import Arm, StrapImageNoise, render
 from tools.accuracy.check import ONE_PROCESS, Check, parts_option, rms, seeds_option
 

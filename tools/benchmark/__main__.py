@@ -27,8 +27,7 @@ from tools.benchmark.whole import METHODS, Beside, exactness_of_file, run_method
 from . import tables
 from .isolated import Stopped, isolated
 from .profile import READ, WRITE, profile
-from .waiting import waited
-from .whole import Made, against, end_to_end, help_seconds, make
+from .whole import Made, against, end_to_end, help_seconds, make, waited
 
 MEASURES = ("whole", "parts", "rest", "beside", "waiting")
 #: Numerical libraries on one thread, so that idle ones do not spin processor time away.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .profile import PARTS, READ, WRITE
-from .waiting import PATIENCE_S
+from .whole import PATIENCE_S
 
 #: What the project aims at; printed beside.
 AIM_TIMES_REAL = 100.0

@@ -199,14 +199,10 @@ CONTAINER: dict[str, Change] = {
 }
 
 
-def _line(lines: list[bytes], rng: Rng) -> int:
-    return int(rng.integers(len(lines)))
-
-
 def _by_line(change: Callable[[list[bytes], int, Rng], None]) -> Change:
     def changed(data: bytes, rng: Rng) -> bytes:
         lines = data.split(b"\n")
-        change(lines, _line(lines, rng), rng)
+        change(lines, int(rng.integers(len(lines))), rng)
         return b"\n".join(lines)
 
     return changed

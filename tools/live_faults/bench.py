@@ -181,7 +181,7 @@ def forked(job: Callable[[], Verdict], longest_s: float) -> Verdict:
             data += chunk
         else:
             raise TimeoutError(f"no answer within {longest_s:g} s")
-        return cast(Verdict, pickle.loads(data))
+        return cast("Verdict", pickle.loads(data))
     finally:
         os.close(reader)
         os.kill(child, signal.SIGKILL)

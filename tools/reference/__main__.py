@@ -14,9 +14,8 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tools.reference.archive import Reference
 from tools.reference.cases import GROUPS
-from tools.reference.comparison import differences, findings, other_versions, table
+from tools.reference.comparison import Reference, differences, findings, other_versions, table
 from tools.reference.running import run_groups
 
 DEFAULT = Path("out/reference.zip")

@@ -12,7 +12,7 @@ import numpy as np
 
 from tools.faults.__main__ import key_of
 from tools.faults.cases import Case, Workshop, all_cases, plain_folder
-from tools.reference.masks import PROJECT
+from tools.reference.renderings import PROJECT
 from tools.reference.running import Step
 
 #: Writes a file.
@@ -97,11 +97,7 @@ def damaged(folder: Path, part: int) -> Iterator[Step]:
         place = folder / f"{_number(key):x}"
         place.mkdir()
         words = (*case.arguments(Path()), "--json", "figures.json", "--force")
-        yield Step(words, place, key, partial(_damage, case, shop, place))
-
-
-def _damage(case: Case, shop: Workshop, place: Path) -> None:
-    case.make(shop, place)
+        yield Step(words, place, key, partial(case.make, shop, place))
 
 
 def chosen(cases: list[Case]) -> list[Case]:

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from smoother.cli.run import run
-from tools.reference.masks import PROJECT, masked
-from tools.reference.renderings import broken_lines, rendering
+from tools.reference.renderings import PROJECT, broken_lines, masked, rendering
 
 #: What a case is made of: its exit code, what it printed, its files; by name.
 Parts = dict[str, str]

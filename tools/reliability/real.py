@@ -25,8 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.motion.motion_calibration import calibrate_motion
 from smoother.array_types import BoolArray, FloatArray
-from smoother.benchmark.datasets import imported, open_utd, smartfallmm_trials, utd_files
-from smoother.benchmark.trials import BenchmarkTrial
+from smoother.benchmark.datasets import BenchmarkTrial, imported, open_utd, smartfallmm_trials, utd_files
 from smoother.calibration import ArmCalibration
 from smoother.errors import UnoccludeError
 from smoother.linalg import interpolate, unit

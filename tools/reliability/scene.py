@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
-from smoother.linalg import runs, unit
+from smoother.linalg import unit
 from smoother.recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from tools.reliability.body import Motion
 from tools.reliability.motions import Gaps, perform
@@ -266,11 +266,6 @@ def tracker_error(motion: Motion, tracker: Tracker, t_s: FloatArray, rng: np.ran
         error[:, column] += 0.6 * tracker.offset_m * unit(rng.normal(size=3))
         error[:, column] += 0.6 * tracker.offset_m * rng.normal() * along
     return np.asarray(error)
-
-
-def hidden_runs(mask: BoolArray) -> list[slice]:
-    """Runs of hidden frames, the longest first."""
-    return sorted(runs(mask), key=lambda run: run.start - run.stop)
 
 
 #: True time and places (N, 3) of the body to what the skeleton's coordinates call them.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.lens_files import CameraFile
+from calib.intrinsics import CameraFile
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from ...recording import CameraFrame, JointState
 from ...runtime.inputs import check_input
 from ..markers import Markers, read_c3d, read_trc, would_crash
 from ..tables.joint_columns import JointName, joint_name
-from ..tables.protocol import FileHead, SkeletonTable, shown
+from ..tables.protocol import FileFormat, FileHead, SkeletonTable, shown
 from ..tables.raw_skeleton import axis_words, down_of, frame_of, half_arm, require_arm, unit_by_arm, up_axis
 from ..tables.units import METRES
 
@@ -238,66 +238,58 @@ def _joint_of(label: str) -> str | None:
 _PROCESSORS = (84, 85, 86)
 
 
-@dataclass(frozen=True)
-class C3dSkeleton:
+def _is_c3d(head: FileHead) -> bool:
+    """Whether the file begins as a C3D file does."""
+    if len(head.raw) < 512 or head.raw[1] != 0x50 or head.raw[0] < 2:
+        return False
+    parameters = head.raw[512 * (head.raw[0] - 1) :][:4]
+    return len(parameters) < 4 or parameters[3] in _PROCESSORS
+
+
+def read_c3d_skeleton(path: Path) -> list[SkeletonTable]:
     """C3D files whose points are named as joints.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The file is damaged, or none of its points is an arm's joint.
     """
-
-    key: str = "c3d"
-    title: str = "C3D model markers or Theia3D segments"
-    kind: str = "skeleton"
-    recognised_by: str = "the second byte 0x50, and a block of parameters where the first byte points"
-
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the file begins as a C3D file does."""
-        if len(head.raw) < 512 or head.raw[1] != 0x50 or head.raw[0] < 2:
-            return False
-        parameters = head.raw[512 * (head.raw[0] - 1) :][:4]
-        return len(parameters) < 4 or parameters[3] in _PROCESSORS
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read the skeleton.
-
-        Raises
-        ------
-        RecordingError
-            The file is damaged, or none of its points is an arm's joint.
-        """
-        markers = read_segment_origins(path) or read_c3d(path)
-        return [skeleton_of(markers, path, y_up=False)]
+    markers = read_segment_origins(path) or read_c3d(path)
+    return [skeleton_of(markers, path, y_up=False)]
 
 
-@dataclass(frozen=True)
-class TrcSkeleton:
+C3D_SKELETON = FileFormat(
+    key="c3d",
+    title="C3D model markers or Theia3D segments",
+    kind="skeleton",
+    recognised_by="the second byte 0x50, and a block of parameters where the first byte points",
+    recognises=_is_c3d,
+    read=read_c3d_skeleton,
+)
+
+
+def _is_trc(head: FileHead) -> bool:
+    """Whether a line of markers' names is among the first ones."""
+    first = [line.strip(' \t,;"').lower() for line in head.lines[:12]]
+    return any(line.startswith("frame#") for line in first)
+
+
+def read_trc_skeleton(path: Path) -> list[SkeletonTable]:
     """TRC files whose markers are named as joints; y is up as OpenSim has it, where the body agrees.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The file is damaged, or none of its markers is an arm's joint.
     """
+    return [skeleton_of(read_trc(path), path, y_up=True)]
 
-    key: str = "trc"
-    title: str = "TRC (OpenCap, Pose2Sim, Theia)"
-    kind: str = "skeleton"
-    recognised_by: str = "a line that begins with Frame#, above the names of markers"
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether a line of markers' names is among the first ones."""
-        first = [line.strip(' \t,;"').lower() for line in head.lines[:12]]
-        return any(line.startswith("frame#") for line in first)
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read the skeleton.
-
-        Raises
-        ------
-        RecordingError
-            The file is damaged, or none of its markers is an arm's joint.
-        """
-        return [skeleton_of(read_trc(path), path, y_up=True)]
+TRC_SKELETON = FileFormat(
+    key="trc",
+    title="TRC (OpenCap, Pose2Sim, Theia)",
+    kind="skeleton",
+    recognised_by="a line that begins with Frame#, above the names of markers",
+    recognises=_is_trc,
+    read=read_trc_skeleton,
+)

@@ -20,69 +20,60 @@ from ..recording.streams import ArmFrames
 from ..tables.columns import find_sensors, imu_of, joint_label, stem_of
 from ..tables.imu_checks import paired
 from ..tables.joint_columns import AZURE, JointName, find_joint_columns, joint_name, words_of
-from ..tables.protocol import FileHead, ImuTable, SkeletonTable, shown
+from ..tables.protocol import FileFormat, ImuTable, SkeletonTable, begins, shown
 from ..tables.raw_skeleton import Conventions, RawSkeleton
 from ..tables.skeleton_formats import kinect_states, states_of
 from ..tables.units import METRES
 
 
-@dataclass(frozen=True)
-class McapFile:
+def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
     """IMUs and arms of an MCAP file, as `unocclude smooth` reads them too.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The file is damaged, or holds neither.
     """
+    file = open_recording(path, truth=False)
+    by_body: dict[tuple[str, int], list[ArmFrames]] = {}
+    for arm in file.arms:
+        by_body.setdefault((arm.topic, arm.body), []).append(arm)
+    tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
+    tables += [
+        ImuTable(
+            imu.topic.strip("/"),
+            seconds(imu.stamp_ns, 0),
+            imu.acc,
+            imu.gyro,
+            imu.mag,
+            units="m/s^2, rad/s",
+        )
+        for imu in file.imus
+    ]
+    if not tables:
+        listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
+        raise RecordingError(
+            f"{path} has no IMU and no skeleton that can be read (topics:"
+            f" {shown(listed or 'none', 150)});"
+            " record sensor_msgs/Imu and the body tracking's MarkerArray."
+        )
+    tables[0].notes += file.notes
+    for table in tables:
+        if isinstance(table, SkeletonTable) and file.camera_frame is not None:
+            table.frame = file.camera_frame
+        if isinstance(table, SkeletonTable) and file.gravity_hint is not None:
+            table.gravity_hint = file.gravity_hint
+    return tables
 
-    key: str = "mcap"
-    title: str = "MCAP recording"
-    kind: str = "recording"
-    recognised_by: str = "MCAP's first bytes"
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the file begins as MCAP files do."""
-        return head.raw.startswith(b"\x89MCAP0\r\n")
-
-    def read(self, path: Path) -> list[ImuTable | SkeletonTable]:
-        """Read all IMUs and bodies.
-
-        Raises
-        ------
-        RecordingError
-            The file is damaged, or holds neither.
-        """
-        file = open_recording(path, truth=False)
-        by_body: dict[tuple[str, int], list[ArmFrames]] = {}
-        for arm in file.arms:
-            by_body.setdefault((arm.topic, arm.body), []).append(arm)
-        tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
-        tables += [
-            ImuTable(
-                imu.topic.strip("/"),
-                seconds(imu.stamp_ns, 0),
-                imu.acc,
-                imu.gyro,
-                imu.mag,
-                units="m/s^2, rad/s",
-            )
-            for imu in file.imus
-        ]
-        if not tables:
-            listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
-            raise RecordingError(
-                f"{path} has no IMU and no skeleton that can be read (topics:"
-                f" {shown(listed or 'none', 150)});"
-                " record sensor_msgs/Imu and the body tracking's MarkerArray."
-            )
-        tables[0].notes += file.notes
-        for table in tables:
-            if isinstance(table, SkeletonTable) and file.camera_frame is not None:
-                table.frame = file.camera_frame
-            if isinstance(table, SkeletonTable) and file.gravity_hint is not None:
-                table.gravity_hint = file.gravity_hint
-        return tables
+MCAP = FileFormat(
+    key="mcap",
+    title="MCAP recording",
+    kind="recording",
+    recognised_by="MCAP's first bytes",
+    recognises=begins(b"\x89MCAP0\r\n"),
+    read=read_mcap,
+)
 
 
 def _skeleton(arms: list[ArmFrames]) -> SkeletonTable:
@@ -118,50 +109,41 @@ class _Rows:
     foreign: int = 0
 
 
-@dataclass(frozen=True)
-class RosBag1:
+def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
     """Bags of ROS 1; markers are bodies of the Azure Kinect's driver (id = body x 100 + joint).
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The library rosbags is not installed, the bag is damaged, or none of its topics can be used.
     """
+    try:
+        from rosbags.rosbag1 import Reader
+    except ImportError:
+        raise RecordingError(
+            f"{path}: ROS 1 bags are read by the library rosbags; install it with: pip install"
+            " '.[devices]' in the program's folder"
+        ) from None
+    try:
+        with Reader(path) as reader:
+            return _read(reader, path)
+    except RecordingError:
+        raise
+    except Exception as error:  # whatever a damaged file leads the library into
+        raise RecordingError(
+            f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
+            " may correct it, or record again."
+        ) from error
 
-    key: str = "rosbag1"
-    title: str = "ROS 1 bag"
-    kind: str = "recording"
-    recognised_by: str = "the first bytes #ROSBAG V2.0"
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the file begins as bags do."""
-        return head.raw.startswith(b"#ROSBAG V2.0")
-
-    def read(self, path: Path) -> list[ImuTable | SkeletonTable]:
-        """Read all IMUs and bodies.
-
-        Raises
-        ------
-        RecordingError
-            The library rosbags is not installed, the bag is damaged, or none of its topics can be used.
-        """
-        try:
-            from rosbags.rosbag1 import Reader
-        except ImportError:
-            raise RecordingError(
-                f"{path}: ROS 1 bags are read by the library rosbags; install it with: pip install"
-                " '.[devices]' in the program's folder"
-            ) from None
-        try:
-            with Reader(path) as reader:
-                return _read(reader, path)
-        except RecordingError:
-            raise
-        except Exception as error:  # whatever a damaged file leads the library into
-            raise RecordingError(
-                f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
-                " may correct it, or record again."
-            ) from error
+ROSBAG1 = FileFormat(
+    key="rosbag1",
+    title="ROS 1 bag",
+    kind="recording",
+    recognised_by="the first bytes #ROSBAG V2.0",
+    recognises=begins(b"#ROSBAG V2.0"),
+    read=read_rosbag1,
+)
 
 
 def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
@@ -282,55 +264,46 @@ class _Stream:
     values: np.ndarray
 
 
-@dataclass(frozen=True)
-class XdfFile:
+def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
     """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied.
 
     Stamps stay as they were sent otherwise: an even rate is estimated for sensors later, as for all files,
     and not for cameras, which drop frames.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The library pyxdf is not installed, the file is damaged, or none of its streams can be used.
     """
+    streams = [stream for entry in _loaded(path) if (stream := _stream(entry)) is not None]
+    skeletons = [table for stream in streams for table in _xdf_skeletons(stream, path)]
+    imus, reasons = _imus(streams, path)
+    if not skeletons and not imus:
+        listed = (
+            "; ".join(f"{s.name} ({s.kind}, {len(s.labels)} channels)" for s in streams)
+            or "none with numbers"
+        )
+        why = f"; {reasons[0]}" if reasons else ""
+        raise RecordingError(
+            f"{path} has no stream of an accelerometer, a gyroscope or joints by its channels' labels"
+            f" (streams: {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x,"
+            " WristRight_X and units."
+        )
+    for reason in reasons:
+        (imus or skeletons)[0].notes.append(f"A stream was left out: {reason}.")
+    for number, table in enumerate(skeletons):
+        table.body = number if len({other.body for other in skeletons}) < len(skeletons) else table.body
+    return [*skeletons, *imus]
 
-    key: str = "xdf"
-    title: str = "XDF recording (Lab Streaming Layer)"
-    kind: str = "recording"
-    recognised_by: str = "the first bytes XDF:"
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the file begins as XDF files do."""
-        return head.raw.startswith(b"XDF:")
-
-    def read(self, path: Path) -> list[ImuTable | SkeletonTable]:
-        """Read all sensors and skeletons.
-
-        Raises
-        ------
-        RecordingError
-            The library pyxdf is not installed, the file is damaged, or none of its streams can be used.
-        """
-        streams = [stream for entry in _loaded(path) if (stream := _stream(entry)) is not None]
-        skeletons = [table for stream in streams for table in _xdf_skeletons(stream, path)]
-        imus, reasons = _imus(streams, path)
-        if not skeletons and not imus:
-            listed = (
-                "; ".join(f"{s.name} ({s.kind}, {len(s.labels)} channels)" for s in streams)
-                or "none with numbers"
-            )
-            why = f"; {reasons[0]}" if reasons else ""
-            raise RecordingError(
-                f"{path} has no stream of an accelerometer, a gyroscope or joints by its channels' labels"
-                f" (streams: {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x,"
-                " WristRight_X and units."
-            )
-        for reason in reasons:
-            (imus or skeletons)[0].notes.append(f"A stream was left out: {reason}.")
-        for number, table in enumerate(skeletons):
-            table.body = number if len({other.body for other in skeletons}) < len(skeletons) else table.body
-        return [*skeletons, *imus]
+XDF = FileFormat(
+    key="xdf",
+    title="XDF recording (Lab Streaming Layer)",
+    kind="recording",
+    recognised_by="the first bytes XDF:",
+    recognises=begins(b"XDF:"),
+    read=read_xdf,
+)
 
 
 def _loaded(path: Path) -> list[dict[str, Any]]:

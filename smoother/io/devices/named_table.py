@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import RecordingError
 from ..plain.columns import ImuKeys, read_imu_columns
-from ..tables.protocol import FileHead, ImuTable
+from ..tables.protocol import FileFormat, FileHead, ImuTable
 from ..tables.table_layout import layout_of
 from ..tables.text_table import Sheet, read_sheet, sheet_of_text
 from .describe_table import Guess, guess_sensor
@@ -16,54 +15,48 @@ from .describe_table import Guess, guess_sensor
 _UNKNOWN = "NOT KNOWN"
 
 
-@dataclass(frozen=True)
-class NamedImu:
-    """Tables whose columns identify themselves; `import describe` prints the same guess to be edited.
+def _names_sensors(head: FileHead) -> bool:
+    """Whether accelerometer or gyroscope are found, and nothing about them is made up."""
+    if not head.text or layout_of(head.lines) is None:
+        return False
+    try:
+        return _settled(_guessed(sheet_of_text(head.path, "\n".join(head.lines))))
+    except RecordingError:
+        return False
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
-    """
 
-    key: str = "imu-table"
-    title: str = "table of an IMU by its columns"
-    kind: str = "imu"
-    recognised_by: str = "columns named after an accelerometer or a gyroscope and x, y, z; or date, x, y, z"
-
-    def recognises(self, head: FileHead) -> bool:
-        """Whether accelerometer or gyroscope are found, and nothing about them is made up."""
-        if not head.text or layout_of(head.lines) is None:
-            return False
-        try:
-            return _settled(_guessed(sheet_of_text(head.path, "\n".join(head.lines))))
-        except RecordingError:
-            return False
-
-    def read(self, path: Path) -> list[ImuTable]:
-        """Read the table; see `DeviceFormat.read`."""
-        guess = _guessed(read_sheet(path, f"a {self.title}"))
-        if not _settled(guess):
-            why = " ".join(guess.unsure) or "it names no sensor."
-            raise RecordingError(
-                f"{path} is a {self.title}, of which something is not known: {why} `unocclude import describe"
-                f" {path}` prints a recording.toml to complete."
-            )
-        keys = ImuKeys.model_validate({**guess.keys, "file": path.name, "columns": guess.columns})
-        halves = "ax" in guess.columns, "gx" in guess.columns
-        (table,) = read_imu_columns(path.parent, keys)
-        said = [f"{name} = {column}" for name, column in guess.columns.items()]
-        units = [
-            f"{value} ({guess.reasons.get(key, '')})" for key, value in guess.keys.items() if value != "iso"
-        ]
-        table.notes.insert(
-            0, f"Its columns were taken as {', '.join(said)}; units: {', '.join(units) or 'none'}."
+def read_named_imu(path: Path) -> list[ImuTable]:
+    """Tables whose columns identify themselves; `import describe` prints the same guess to be edited."""
+    guess = _guessed(read_sheet(path, f"a {NAMED_IMU.title}"))
+    if not _settled(guess):
+        why = " ".join(guess.unsure) or "it names no sensor."
+        raise RecordingError(
+            f"{path} is a {NAMED_IMU.title}, of which something is not known: {why} `unocclude import"
+            f" describe {path}` prints a recording.toml to complete."
         )
-        table.notes += [each for each in guess.unsure if "There is no" not in each]
-        table.gyro_unit_assumed = halves[1] and any(
-            "gyroscope's unit is guessed" in each for each in guess.unsure
-        )
-        return [table]
+    keys = ImuKeys.model_validate({**guess.keys, "file": path.name, "columns": guess.columns})
+    halves = "ax" in guess.columns, "gx" in guess.columns
+    (table,) = read_imu_columns(path.parent, keys)
+    said = [f"{name} = {column}" for name, column in guess.columns.items()]
+    units = [f"{value} ({guess.reasons.get(key, '')})" for key, value in guess.keys.items() if value != "iso"]
+    table.notes.insert(
+        0, f"Its columns were taken as {', '.join(said)}; units: {', '.join(units) or 'none'}."
+    )
+    table.notes += [each for each in guess.unsure if "There is no" not in each]
+    table.gyro_unit_assumed = halves[1] and any(
+        "gyroscope's unit is guessed" in each for each in guess.unsure
+    )
+    return [table]
+
+
+NAMED_IMU = FileFormat(
+    key="imu-table",
+    title="table of an IMU by its columns",
+    kind="imu",
+    recognised_by="columns named after an accelerometer or a gyroscope and x, y, z; or date, x, y, z",
+    recognises=_names_sensors,
+    read=read_named_imu,
+)
 
 
 def _guessed(sheet: Sheet) -> Guess:

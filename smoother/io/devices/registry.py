@@ -11,7 +11,7 @@ from ..tables.columns import MissingAxis, missing_axes, missing_axes_words
 from ..tables.imu_formats import IMU_FORMATS
 from ..tables.joint_columns import find_joint_columns
 from ..tables.phone_formats import PHONE_FORMATS
-from ..tables.protocol import DeviceFormat, FileHead, ImuTable, SkeletonTable, first_rows, no_table, read_head
+from ..tables.protocol import DeviceFormat, FileHead, ImuTable, Tables, first_rows, no_table, read_head
 from ..tables.skeleton_formats import SKELETON_FORMATS
 from ..tables.table_layout import layout_of
 
@@ -22,22 +22,22 @@ def formats() -> tuple[DeviceFormat, ...]:
     from . import marker_skeletons, message_files, named_table, sensor_files, skeleton_json, skeleton_tables
 
     importers: list[DeviceFormat] = [
-        *(message_files.XdfFile(), message_files.RosBag1(), message_files.McapFile()),
-        *(skeleton_tables.JointArray(), marker_skeletons.C3dSkeleton(), marker_skeletons.TrcSkeleton()),
-        *(skeleton_json.KinectJson(), skeleton_json.PoseJson(), *SKELETON_FORMATS),
-        *(skeleton_tables.LongSkeleton(), skeleton_tables.BareKinect()),
+        *(message_files.XDF, message_files.ROSBAG1, message_files.MCAP),
+        *(skeleton_tables.JOINT_ARRAY, marker_skeletons.C3D_SKELETON, marker_skeletons.TRC_SKELETON),
+        *(skeleton_json.KINECT_JSON, skeleton_json.POSE_JSON, *SKELETON_FORMATS),
+        *(skeleton_tables.JOINT_ROWS, skeleton_tables.KINECT_NUMBERS),
     ]
     #: Files that are not plain tables, listed behind a row of `IMU_FORMATS`.
     behind: dict[str, DeviceFormat] = {
-        "xsens-dot": sensor_files.Mvnx(),
-        "apdm": sensor_files.ApdmHdf(),
-        "phyphox": sensor_files.Axivity(),
+        "xsens-dot": sensor_files.MVNX,
+        "apdm": sensor_files.APDM_HDF,
+        "phyphox": sensor_files.AXIVITY,
     }
     for row in (*IMU_FORMATS, *PHONE_FORMATS):
         importers.append(row)
         if row.key in behind:
             importers.append(behind[row.key])
-    importers.append(named_table.NamedImu())  # of no device; only what no other importer knows
+    importers.append(named_table.NAMED_IMU)  # of no device; only what no other importer knows
     return tuple(importers)
 
 
@@ -113,9 +113,6 @@ def _lacking(head: FileHead) -> str:
 def keys() -> str:
     """Keys of all importers, for messages."""
     return ", ".join(importer.key for importer in formats())
-
-
-Tables = list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]
 
 
 class FileReader:
@@ -205,13 +202,12 @@ class FileReader:
 
         Other programs write columns that look like a device's.
         """
-        from .named_table import NamedImu
+        from .named_table import NAMED_IMU, read_named_imu
 
-        reader = NamedImu()
-        if importer.kind != "imu" or importer.key == reader.key or not reader.recognises(read_head(path)):
+        if importer.kind != "imu" or importer is NAMED_IMU or not NAMED_IMU.recognises(read_head(path)):
             return []
         try:
-            tables = reader.read(path)
+            tables = read_named_imu(path)
         except RecordingError:
             return []
         whole = [table for table in tables if table.acc is not None and table.gyro is not None]

@@ -15,59 +15,55 @@ from ...errors import RecordingError
 from ...runtime.inputs import crashes_in_subprocess
 from ...units import STANDARD_GRAVITY
 from ..tables.imu_checks import holds_gravity, size_notes
-from ..tables.protocol import FileHead, ImuTable, amount, shown
+from ..tables.protocol import FileFormat, FileHead, ImuTable, amount, begins, shown
 
 
-class ApdmHdf:
+def read_apdm_hdf(path: Path) -> list[ImuTable]:
     """Each sensor one IMU: m/s^2, rad/s, time in us since 1970.
 
     Layout: APDM, "HDF file format", version 5 (`/Sensors/<id>/Accelerometer`) and versions 1 to 4
     (`/<id>/Calibrated/Accelerometers`).
+
+    Raises
+    ------
+    RecordingError
+        The package h5py is absent, or the file has no sensors.
     """
+    try:
+        import h5py
+    except ImportError:
+        raise RecordingError(
+            f"{path} is HDF5, which is read by the library h5py; install it with: pip install h5py"
+            " (or export CSV)."
+        ) from None
 
-    key = "apdm-hdf5"
-    title = "APDM Opal HDF5"
-    kind = "imu"
-    recognised_by = "HDF5 with Sensors/<id>/Accelerometer or <id>/Calibrated/Accelerometers"
+    def read(file: Path) -> list[ImuTable]:
+        with h5py.File(file, "r") as opened:
+            return _sensors(opened)
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether it is an HDF5 file; which one shows in reading. Never raises."""
-        return head.raw[:8] == b"\x89HDF\r\n\x1a\n"
+    if crashes_in_subprocess(path, read):  # of damaged lengths HDF5 takes all memory
+        raise RecordingError(f"{path} is a damaged HDF5 file; export it again.")
+    try:
+        tables = read(path)
+    except (OSError, LookupError, ValueError, RuntimeError, TypeError, AttributeError) as error:
+        raise RecordingError(f"{path} cannot be read as HDF5: {shown(str(error), 100)}.") from error
+    if not tables:
+        raise RecordingError(
+            f"{path} has no raw sensors of an Opal; export 'raw data' as HDF5, or CSV, from the APDM program."
+        )
+    for table in tables:
+        table.notes += size_notes(table)
+    return tables
 
-    def read(self, path: Path) -> list[ImuTable]:
-        """One table per sensor: see `DeviceFormat.read`.
 
-        Raises
-        ------
-        RecordingError
-            The package h5py is absent, or the file has no sensors.
-        """
-        try:
-            import h5py
-        except ImportError:
-            raise RecordingError(
-                f"{path} is HDF5, which is read by the library h5py; install it with: pip install h5py"
-                " (or export CSV)."
-            ) from None
-
-        def read(file: Path) -> list[ImuTable]:
-            with h5py.File(file, "r") as opened:
-                return _sensors(opened)
-
-        if crashes_in_subprocess(path, read):  # of damaged lengths HDF5 takes all memory
-            raise RecordingError(f"{path} is a damaged HDF5 file; export it again.")
-        try:
-            tables = read(path)
-        except (OSError, LookupError, ValueError, RuntimeError, TypeError, AttributeError) as error:
-            raise RecordingError(f"{path} cannot be read as HDF5: {shown(str(error), 100)}.") from error
-        if not tables:
-            raise RecordingError(
-                f"{path} has no raw sensors of an Opal; export 'raw data' as HDF5, or CSV, from the APDM"
-                " program."
-            )
-        for table in tables:
-            table.notes += size_notes(table)
-        return tables
+APDM_HDF = FileFormat(
+    key="apdm-hdf5",
+    title="APDM Opal HDF5",
+    kind="imu",
+    recognised_by="HDF5 with Sensors/<id>/Accelerometer or <id>/Calibrated/Accelerometers",
+    recognises=begins(b"\x89HDF\r\n\x1a\n"),
+    read=read_apdm_hdf,
+)
 
 
 def _sensors(file: Any) -> list[ImuTable]:
@@ -156,49 +152,44 @@ _BLOCK = np.dtype(
 _USUAL_RANGE = 2000.0
 
 
-class Axivity:
-    """Gyroscope in deg/s and accelerometer in g, 16 bits, in blocks with a time stamp each."""
+def read_axivity(path: Path) -> list[ImuTable]:
+    """Gyroscope in deg/s and accelerometer in g, 16 bits, in blocks with a time stamp each.
 
-    key = "axivity"
-    title = "Axivity AX6 (CWA)"
-    kind = "imu"
-    recognised_by = "a binary header that begins with MD, and blocks that begin with AX"
-
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the file begins as a CWA file does; never raises."""
-        return head.raw[:4] == b"MD\xfc\x03" or head.raw[:4] == b"AX\xfc\x01"
-
-    def read(self, path: Path) -> list[ImuTable]:
-        """One table per sensor: see `DeviceFormat.read`.
-
-        Raises
-        ------
-        RecordingError
-            There are no blocks of samples, or they contain no gyroscope.
-        """
-        try:
-            raw = path.read_bytes()
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
-        blocks = np.frombuffer(raw, _BLOCK, count=len(raw) // _BLOCK.itemsize)
-        data = blocks[(blocks["mark"] == b"AX") & (blocks["length"] == 508)]
-        whole = (
-            (data["axes"] & 15 == 2)
-            & (data["axes"] >> 4 == 6)
-            & (data["count"] * 6 <= 240)
-            & (data["count"] > 0)
+    Raises
+    ------
+    RecordingError
+        There are no blocks of samples, or they contain no gyroscope.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    blocks = np.frombuffer(raw, _BLOCK, count=len(raw) // _BLOCK.itemsize)
+    data = blocks[(blocks["mark"] == b"AX") & (blocks["length"] == 508)]
+    whole = (
+        (data["axes"] & 15 == 2) & (data["axes"] >> 4 == 6) & (data["count"] * 6 <= 240) & (data["count"] > 0)
+    )
+    intact = _sums(data) == 0
+    usable = data[whole & intact]
+    if not len(usable):
+        axes = int(data["axes"][0] >> 4) if len(data) else 0
+        what = f"has {axes} axes, no gyroscope" if axes == 3 else "has no intact blocks of samples"
+        raise RecordingError(
+            f"{path} is an {AXIVITY.title} that {what}; set up an AX6 with its gyroscope on, and download"
+            " it again."
         )
-        intact = _sums(data) == 0
-        usable = data[whole & intact]
-        if not len(usable):
-            axes = int(data["axes"][0] >> 4) if len(data) else 0
-            what = f"has {axes} axes, no gyroscope" if axes == 3 else "has no intact blocks of samples"
-            raise RecordingError(
-                f"{path} is an {self.title} that {what}; set up an AX6 with its gyroscope on, and download"
-                " it again."
-            )
-        cut = len(raw) % _BLOCK.itemsize != 0
-        return [_table(usable, len(data) - len(usable), cut)]
+    cut = len(raw) % _BLOCK.itemsize != 0
+    return [_table(usable, len(data) - len(usable), cut)]
+
+
+AXIVITY = FileFormat(
+    key="axivity",
+    title="Axivity AX6 (CWA)",
+    kind="imu",
+    recognised_by="a binary header that begins with MD, and blocks that begin with AX",
+    recognises=begins(b"MD\xfc\x03", b"AX\xfc\x01"),
+    read=read_axivity,
+)
 
 
 def _table(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
@@ -267,53 +258,53 @@ _VALUES = ("sensorAcceleration", "sensorAngularVelocity", "sensorMagneticField")
 _EXPORT = "export it again with sensor data 'acceleration' and 'angular velocity' (calibrated sensor data) on"
 
 
-class Mvnx:
+def _is_mvnx(head: FileHead) -> bool:
+    """Whether the XML's root is mvnx."""
+    return bool(re.match(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", head.text[:4000], re.DOTALL))
+
+
+def read_mvnx(path: Path) -> list[ImuTable]:
     """Sensors of a suit, each one IMU: m/s^2 and rad/s in the sensor's axes.
 
     Layout: MVN user manual, appendix on MVNX (`sensorAcceleration`, `sensorAngularVelocity`).
+
+    Raises
+    ------
+    RecordingError
+        It is not sound XML, or has no raw sensors.
     """
+    rows: dict[str, list[str]] = {key: [] for key in _VALUES}
+    names: list[str] = []
+    times: list[str] = []
+    rate, other = None, ""
+    try:
+        for event, element in iterparse(path, events=("start", "end")):
+            tag = element.tag.rpartition("}")[2]
+            if event == "start":
+                if tag == "subject":
+                    rate = _number(element.get("frameRate"))
+                elif tag == "sensor":
+                    names.append(element.get("label", ""))
+                continue
+            if tag == "frame":
+                if element.get("type", "normal") == "normal":
+                    other = _read_frame(element, rows, times) or other
+                element.clear()
+    except ParseError as error:
+        raise RecordingError(f"{path} is damaged MVNX: {shown(str(error), 80)}; export it again.") from error
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path} cannot be read as MVNX: {shown(str(error), 80)}.") from error
+    return _tables(path, names, rows, times, rate, other)
 
-    key = "mvnx"
-    title = "Xsens MVNX"
-    kind = "imu"
-    recognised_by = "XML whose root is mvnx"
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the XML's root is mvnx; never raises."""
-        return bool(re.match(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", head.text[:4000], re.DOTALL))
-
-    def read(self, path: Path) -> list[ImuTable]:
-        """One table per sensor: see `DeviceFormat.read`.
-
-        Raises
-        ------
-        RecordingError
-            It is not sound XML, or has no raw sensors.
-        """
-        rows: dict[str, list[str]] = {key: [] for key in _VALUES}
-        names: list[str] = []
-        times: list[str] = []
-        rate, other = None, ""
-        try:
-            for event, element in iterparse(path, events=("start", "end")):
-                tag = element.tag.rpartition("}")[2]
-                if event == "start":
-                    if tag == "subject":
-                        rate = _number(element.get("frameRate"))
-                    elif tag == "sensor":
-                        names.append(element.get("label", ""))
-                    continue
-                if tag == "frame":
-                    if element.get("type", "normal") == "normal":
-                        other = _read_frame(element, rows, times) or other
-                    element.clear()
-        except ParseError as error:
-            raise RecordingError(
-                f"{path} is damaged MVNX: {shown(str(error), 80)}; export it again."
-            ) from error
-        except (OSError, ValueError) as error:
-            raise RecordingError(f"{path} cannot be read as MVNX: {shown(str(error), 80)}.") from error
-        return _tables(path, names, rows, times, rate, other)
+MVNX = FileFormat(
+    key="mvnx",
+    title="Xsens MVNX",
+    kind="imu",
+    recognised_by="XML whose root is mvnx",
+    recognises=_is_mvnx,
+    read=read_mvnx,
+)
 
 
 def _read_frame(element: Element, rows: dict[str, list[str]], times: list[str]) -> str:
@@ -339,7 +330,7 @@ def _tables(
 ) -> list[ImuTable]:
     if not rows["sensorAcceleration"] or not rows["sensorAngularVelocity"]:
         has = "free acceleration and orientation only" if other else "no raw sensors"
-        raise RecordingError(f"{path} is an {Mvnx.title} that contains {has}; {_EXPORT}.")
+        raise RecordingError(f"{path} is an {MVNX.title} that contains {has}; {_EXPORT}.")
     values = {}
     for key, texts in rows.items():
         if len(texts) != len(times):

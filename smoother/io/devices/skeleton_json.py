@@ -16,7 +16,7 @@ from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input
 from ..tables.joint_columns import AZURE, BLAZEPOSE, POINT_SETS, JointName, joint_name
-from ..tables.protocol import FileHead, SkeletonTable, decode
+from ..tables.protocol import FileFormat, FileHead, SkeletonTable, decode
 from ..tables.raw_skeleton import Conventions, RawSkeleton
 from ..tables.skeleton_formats import (
     about_hips,
@@ -154,53 +154,49 @@ class _Rows:
     joints: dict[str, list[tuple[float, float, float, float]]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class KinectJson:
+def _is_kinect_json(head: FileHead) -> bool:
+    """Whether the fields' names are in the first 64 kB."""
+    text = head.text.lstrip()
+    if not text.startswith(("{", "[")):
+        return False
+    return (
+        '"joint_positions"' in text
+        or ('"bodies"' in text and '"timestamp' in text)
+        or "k4abt" in text.lower()
+    )
+
+
+def read_kinect_json(path: Path) -> list[SkeletonTable]:
     """`frames`, each with `timestamp_usec` and `bodies`, each with `body_id` and `joint_positions` in mm.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The file breaks off, has other fields, or no arm is in it.
     """
-
-    key: str = "azure-kinect-json"
-    title: str = "Azure Kinect or Orbbec body tracking, JSON"
-    kind: str = "skeleton"
-    recognised_by: str = "JSON with joint_positions, or with bodies and timestamp_usec"
-
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the fields' names are in the first 64 kB."""
-        text = head.text.lstrip()
-        if not text.startswith(("{", "[")):
-            return False
-        return (
-            '"joint_positions"' in text
-            or ('"bodies"' in text and '"timestamp' in text)
-            or "k4abt" in text.lower()
+    value = read_json(path, _KINECT_EXPECTED)
+    frames = value.get("frames") if isinstance(value, Mapping) else value
+    if not isinstance(frames, list) or not frames:
+        raise RecordingError(
+            f"{path} should be {_KINECT_EXPECTED}, and has no list of frames; export it again."
         )
+    names = value.get("joint_names") if isinstance(value, Mapping) else None
+    order = [str(name) for name in names] if isinstance(names, list) and names else list(AZURE)
+    rows = _Rows()
+    for count, frame in enumerate(frames):
+        if isinstance(frame, Mapping):
+            _add_frame(rows, frame, count, order)
+    return _raw_bodies(path, rows).skeletons(Conventions("mm", CameraFrame.OPTICAL))
 
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read all bodies.
 
-        Raises
-        ------
-        RecordingError
-            The file breaks off, has other fields, or no arm is in it.
-        """
-        value = read_json(path, _KINECT_EXPECTED)
-        frames = value.get("frames") if isinstance(value, Mapping) else value
-        if not isinstance(frames, list) or not frames:
-            raise RecordingError(
-                f"{path} should be {_KINECT_EXPECTED}, and has no list of frames; export it again."
-            )
-        names = value.get("joint_names") if isinstance(value, Mapping) else None
-        order = [str(name) for name in names] if isinstance(names, list) and names else list(AZURE)
-        rows = _Rows()
-        for count, frame in enumerate(frames):
-            if isinstance(frame, Mapping):
-                _add_frame(rows, frame, count, order)
-        return _raw_bodies(path, rows).skeletons(Conventions("mm", CameraFrame.OPTICAL))
+KINECT_JSON = FileFormat(
+    key="azure-kinect-json",
+    title="Azure Kinect or Orbbec body tracking, JSON",
+    kind="skeleton",
+    recognised_by="JSON with joint_positions, or with bodies and timestamp_usec",
+    recognises=_is_kinect_json,
+    read=read_kinect_json,
+)
 
 
 def _add_frame(rows: _Rows, frame: Mapping[str, Any], count: int, order: list[str]) -> None:
@@ -313,51 +309,45 @@ class _Frames:
     points: list[dict[str, tuple[float, float, float, float]]] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class PoseJson:
+def _is_pose_json(head: FileHead) -> bool:
+    """Whether the fields' names are in the first 64 kB."""
+    return head.text.lstrip().startswith(("{", "[")) and bool(_MARK.search(head.text))
+
+
+def read_pose_json(path: Path) -> list[SkeletonTable]:
     """Frames of landmarks: in a list or by number, landmarks in a list or by name.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The file breaks off, the landmarks are parts of the image, or no arm is in it.
     """
+    value = read_json(path, _POSE_EXPECTED)
+    frames, listed = _Frames(), _frames_of(value)
+    for key, frame in listed:
+        _add(frames, key, frame, path)
+    contents = [frame for _, frame in listed]
+    rows = keypoint_rows(value, list(zip(frames.frame, frames.time, contents, strict=True)))
+    if rows is not None:
+        return [keypoint_table(path, rows, frames.scale, _rate(value))]
+    if not any(frames.points):
+        raise RecordingError(f"{path} should be {_POSE_EXPECTED}, and no frame of it has points in space.")
+    raw = _raw_landmarks(path, frames)
+    raw.rate_hz = _rate(value)
+    names = {_flat(name) for frame in frames.points for name in frame}
+    if frames.world or {"rightpinky", "leftpinky"} & names or about_hips(raw):
+        return landmarks_in_metres(raw, frames.world)
+    return raw.skeletons(Conventions())
 
-    key: str = "pose-json"
-    title: str = "MediaPipe or OpenPose landmarks in space, JSON"
-    kind: str = "skeleton"
-    recognised_by: str = "JSON with pose_world_landmarks, pose_keypoints_3d, or a wrist by name"
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the fields' names are in the first 64 kB."""
-        return head.text.lstrip().startswith(("{", "[")) and bool(_MARK.search(head.text))
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read the skeleton.
-
-        Raises
-        ------
-        RecordingError
-            The file breaks off, the landmarks are parts of the image, or no arm is in it.
-        """
-        value = read_json(path, _POSE_EXPECTED)
-        frames, listed = _Frames(), _frames_of(value)
-        for key, frame in listed:
-            _add(frames, key, frame, path)
-        contents = [frame for _, frame in listed]
-        rows = keypoint_rows(value, list(zip(frames.frame, frames.time, contents, strict=True)))
-        if rows is not None:
-            return [keypoint_table(path, rows, frames.scale, _rate(value))]
-        if not any(frames.points):
-            raise RecordingError(
-                f"{path} should be {_POSE_EXPECTED}, and no frame of it has points in space."
-            )
-        raw = _raw_landmarks(path, frames)
-        raw.rate_hz = _rate(value)
-        names = {_flat(name) for frame in frames.points for name in frame}
-        if frames.world or {"rightpinky", "leftpinky"} & names or about_hips(raw):
-            return landmarks_in_metres(raw, frames.world)
-        return raw.skeletons(Conventions())
+POSE_JSON = FileFormat(
+    key="pose-json",
+    title="MediaPipe or OpenPose landmarks in space, JSON",
+    kind="skeleton",
+    recognised_by="JSON with pose_world_landmarks, pose_keypoints_3d, or a wrist by name",
+    recognises=_is_pose_json,
+    read=read_pose_json,
+)
 
 
 def _rate(value: Any) -> float | None:

@@ -26,7 +26,7 @@ from ..tables.joint_columns import (
     plain_words,
     time_unit_of,
 )
-from ..tables.protocol import FileHead, SkeletonTable
+from ..tables.protocol import FileFormat, FileHead, SkeletonTable, begins
 from ..tables.raw_skeleton import Conventions, RawSkeleton, camera_time_scale, unit_by_arm
 from ..tables.skeleton_formats import (
     azure_states,
@@ -86,50 +86,46 @@ class _Columns:
     state: int | None
 
 
-@dataclass(frozen=True)
-class LongSkeleton:
+def _has_joint_rows(head: FileHead) -> bool:
+    """Whether the header has these columns."""
+    return _columns_of(header_of(head)) is not None
+
+
+def read_joint_rows(path: Path) -> list[SkeletonTable]:
     """One row per joint, joints by name or by their number in a Kinect v2, an Azure Kinect or BlazePose.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The file is not such a table, or no arm is in it.
     """
+    sheet = read_sheet(path, "a table with one row per joint")
+    columns = _columns_of(sheet.layout.names)
+    if columns is None:
+        raise RecordingError(
+            f"{path} has no columns for joint, x, y, z and a time or frame; export one row per joint with"
+            " these."
+        )
+    names, kind = _joints(sheet, columns.joint, path)
+    raw = _gathered(sheet, columns, names, kind, path)
+    if kind == "blazepose":
+        words = [plain_words(sheet.layout.names[at]) for at in columns.axes]
+        return landmarks_in_metres(raw, world=any("world" in word for word in words))
+    if kind == "azure":
+        return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL))
+    if kind == "kinect":
+        return raw.skeletons(Conventions("m", CameraFrame.KINECT))
+    return raw.skeletons(Conventions())
 
-    key: str = "joint-rows"
-    title: str = "table with one row per joint"
-    kind: str = "skeleton"
-    recognised_by: str = "columns for joint (or landmark), x, y, z, and a time or frame number"
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the header has these columns."""
-        return _columns_of(header_of(head)) is not None
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read all bodies.
-
-        Raises
-        ------
-        RecordingError
-            The file is not such a table, or no arm is in it.
-        """
-        sheet = read_sheet(path, "a table with one row per joint")
-        columns = _columns_of(sheet.layout.names)
-        if columns is None:
-            raise RecordingError(
-                f"{path} has no columns for joint, x, y, z and a time or frame; export one row per joint with"
-                " these."
-            )
-        names, kind = _joints(sheet, columns.joint, path)
-        raw = _gathered(sheet, columns, names, kind, path)
-        if kind == "blazepose":
-            words = [plain_words(sheet.layout.names[at]) for at in columns.axes]
-            return landmarks_in_metres(raw, world=any("world" in word for word in words))
-        if kind == "azure":
-            return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL))
-        if kind == "kinect":
-            return raw.skeletons(Conventions("m", CameraFrame.KINECT))
-        return raw.skeletons(Conventions())
+JOINT_ROWS = FileFormat(
+    key="joint-rows",
+    title="table with one row per joint",
+    kind="skeleton",
+    recognised_by="columns for joint (or landmark), x, y, z, and a time or frame number",
+    recognises=_has_joint_rows,
+    read=read_joint_rows,
+)
 
 
 def _columns_of(names: tuple[str, ...]) -> _Columns | None:
@@ -249,70 +245,64 @@ class _Order:
         return rows[:, start if self.state_first else start + self.per_joint - 1]
 
 
-@dataclass(frozen=True)
-class BareKinect:
+def _are_kinect_numbers(head: FileHead) -> bool:
+    """Whether rows have this many numbers, and both arms an arm's length in them."""
+    if not head.text:
+        return False
+    try:
+        sheet = sheet_of_text(head.path, "\n".join(head.lines[:40]) + "\n")
+        if sheet.layout.names or not len(sheet):
+            return False
+        rows = sheet.vectors(range(sheet.layout.width))
+        return any(_order_of(each) is not None for each in (rows, _filled(rows)))
+    except RecordingError:
+        return False
+
+
+def read_kinect_numbers(path: Path) -> list[SkeletonTable]:
     """32 or 25 joints of 3, 4, 7 or 8 numbers, with or without a time and a body's number in front.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        Rows do not contain this many numbers, or no arm is in them.
     """
+    sheet = read_sheet(path, "rows of numbers of a Kinect's joints")
+    rows = _filled(sheet.vectors(range(sheet.layout.width)))
+    order = _order_of(rows)
+    if order is None:
+        raise RecordingError(
+            f"{path}: {rows.shape[1]} numbers per row are not 32 joints of an Azure Kinect or 25 of a"
+            " Kinect v2 in their SDK's order; export the table with a header."
+        )
+    raw = RawSkeleton(path, {}, notes=list(sheet.notes))
+    is_azure = len(order.joints) == len(AZURE)
+    confidence: dict[str, FloatArray] = {}
+    for number, written in enumerate(order.joints):
+        name = joint_name(written)
+        if name is not None and name.joint:
+            raw.position[name.joint] = order.position(rows, number)
+            if (state := order.state(rows, number)) is not None:
+                confidence[name.joint] = state
+        elif name is not None:
+            raw.rest.append((name, order.position(rows, number)))
+    raw.state = states_of(confidence, azure_states if is_azure else kinect_states)
+    _leading(raw, rows[:, : order.leading])
+    inferred_throughout(raw)
+    device = "32 joints of an Azure Kinect" if is_azure else "25 joints of a Kinect v2"
+    raw.notes.append(f"Rows assumed to be {device}, {order.per_joint} numbers each, in the SDK's order.")
+    frame = CameraFrame.OPTICAL if is_azure else CameraFrame.KINECT
+    return raw.skeletons(Conventions("mm" if is_azure else "m", frame))
 
-    key: str = "kinect-numbers"
-    title: str = "Azure Kinect or Kinect v2 joints without a header"
-    kind: str = "skeleton"
-    recognised_by: str = (
-        "no header, and 32 or 25 joints of 3, 4, 7 or 8 numbers whose arms are as long as arms"
-    )
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether rows have this many numbers, and both arms an arm's length in them."""
-        if not head.text:
-            return False
-        try:
-            sheet = sheet_of_text(head.path, "\n".join(head.lines[:40]) + "\n")
-            if sheet.layout.names or not len(sheet):
-                return False
-            rows = sheet.vectors(range(sheet.layout.width))
-            return any(_order_of(each) is not None for each in (rows, _filled(rows)))
-        except RecordingError:
-            return False
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read all bodies.
-
-        Raises
-        ------
-        RecordingError
-            Rows do not contain this many numbers, or no arm is in them.
-        """
-        sheet = read_sheet(path, "rows of numbers of a Kinect's joints")
-        rows = _filled(sheet.vectors(range(sheet.layout.width)))
-        order = _order_of(rows)
-        if order is None:
-            raise RecordingError(
-                f"{path}: {rows.shape[1]} numbers per row are not 32 joints of an Azure Kinect or 25 of a"
-                " Kinect v2 in their SDK's order; export the table with a header."
-            )
-        raw = RawSkeleton(path, {}, notes=list(sheet.notes))
-        is_azure = len(order.joints) == len(AZURE)
-        confidence: dict[str, FloatArray] = {}
-        for number, written in enumerate(order.joints):
-            name = joint_name(written)
-            if name is not None and name.joint:
-                raw.position[name.joint] = order.position(rows, number)
-                if (state := order.state(rows, number)) is not None:
-                    confidence[name.joint] = state
-            elif name is not None:
-                raw.rest.append((name, order.position(rows, number)))
-        raw.state = states_of(confidence, azure_states if is_azure else kinect_states)
-        _leading(raw, rows[:, : order.leading])
-        inferred_throughout(raw)
-        device = "32 joints of an Azure Kinect" if is_azure else "25 joints of a Kinect v2"
-        raw.notes.append(f"Rows assumed to be {device}, {order.per_joint} numbers each, in the SDK's order.")
-        frame = CameraFrame.OPTICAL if is_azure else CameraFrame.KINECT
-        return raw.skeletons(Conventions("mm" if is_azure else "m", frame))
+KINECT_NUMBERS = FileFormat(
+    key="kinect-numbers",
+    title="Azure Kinect or Kinect v2 joints without a header",
+    kind="skeleton",
+    recognised_by="no header, and 32 or 25 joints of 3, 4, 7 or 8 numbers whose arms are as long as arms",
+    recognises=_are_kinect_numbers,
+    read=read_kinect_numbers,
+)
 
 
 def _filled(rows: FloatArray) -> FloatArray:
@@ -374,52 +364,43 @@ def _leading(raw: RawSkeleton, columns: FloatArray) -> None:
             raw.body = column
 
 
-@dataclass(frozen=True)
-class JointArray:
+def read_joint_array(path: Path) -> list[SkeletonTable]:
     """An array of frames, points and x, y, z (and a score); points are identified by their number.
 
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    Raises
+    ------
+    RecordingError
+        The file breaks off, or its shape is of no known set of points.
     """
+    array = _loaded(path)
+    names = POINT_SETS[array.shape[1]]
+    raw = RawSkeleton(path, {})
+    for at, name in enumerate(names):
+        meaning = joint_name(name)
+        if meaning is None:
+            continue
+        position = array[:, at, :3].copy()
+        if not meaning.joint:
+            raw.rest.append((meaning, position))
+            continue
+        raw.position[meaning.joint] = position
+        if array.shape[2] == 4:
+            raw.state[meaning.joint] = share_states(array[:, at, 3])
+    first, last = names[0], names[-1]
+    raw.notes.append(f"{array.shape[1]} points per frame, assumed in the order {first} .. {last}.")
+    if names is BLAZEPOSE:
+        return landmarks_in_metres(raw, world=False)
+    return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL) if names is AZURE else Conventions())
 
-    key: str = "joint-array"
-    title: str = "array of joints, npy (FreeMoCap)"
-    kind: str = "skeleton"
-    recognised_by: str = "numpy's npy file of an array of frames x points x 3 (or 4)"
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the file begins as numpy's do."""
-        return head.raw.startswith(b"\x93NUMPY")
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read the skeleton.
-
-        Raises
-        ------
-        RecordingError
-            The file breaks off, or its shape is of no known set of points.
-        """
-        array = _loaded(path)
-        names = POINT_SETS[array.shape[1]]
-        raw = RawSkeleton(path, {})
-        for at, name in enumerate(names):
-            meaning = joint_name(name)
-            if meaning is None:
-                continue
-            position = array[:, at, :3].copy()
-            if not meaning.joint:
-                raw.rest.append((meaning, position))
-                continue
-            raw.position[meaning.joint] = position
-            if array.shape[2] == 4:
-                raw.state[meaning.joint] = share_states(array[:, at, 3])
-        first, last = names[0], names[-1]
-        raw.notes.append(f"{array.shape[1]} points per frame, assumed in the order {first} .. {last}.")
-        if names is BLAZEPOSE:
-            return landmarks_in_metres(raw, world=False)
-        return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL) if names is AZURE else Conventions())
+JOINT_ARRAY = FileFormat(
+    key="joint-array",
+    title="array of joints, npy (FreeMoCap)",
+    kind="skeleton",
+    recognised_by="numpy's npy file of an array of frames x points x 3 (or 4)",
+    recognises=begins(b"\x93NUMPY"),
+    read=read_joint_array,
+)
 
 
 def _loaded(path: Path) -> NDArray[np.float64]:

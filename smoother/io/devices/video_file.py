@@ -11,8 +11,16 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
-from ..media.pose_landmarks import Pose, Progress, check_model, find_poses, mediapipe_module, persons
-from ..media.video import Video, open_video
+from ..media.pose_landmarks import (
+    Pose,
+    Progress,
+    Video,
+    check_model,
+    find_poses,
+    mediapipe_module,
+    open_video,
+    persons,
+)
 from ..tables.joint_columns import BLAZEPOSE, joint_name
 from ..tables.protocol import FileHead, ImagePoints, SkeletonTable, amount
 from ..tables.raw_skeleton import Conventions, RawSkeleton

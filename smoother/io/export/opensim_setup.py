@@ -15,10 +15,9 @@ from ...linalg import runs
 from ...result import Recovery
 from ...runtime.outputs import writing
 from .markers import MarkerTable, marker_table, write_trc
-from .mot import mot_table, write_mot
 from .osim import GENERIC, arm_measures, osim_text
 from .prepare import level_note
-from .sto import orientation_table, write_sto
+from .storage import mot_table, orientation_table, write_mot, write_sto
 
 #: Files of the folder. The last two are missing without orientations of forearm and upper arm.
 MODEL, GENERIC_MODEL, SCALED_MODEL = "arm.osim", "generic.osim", "scaled.osim"

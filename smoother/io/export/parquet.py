@@ -17,7 +17,7 @@ from ...result.untrusted import usable
 from ...runtime.outputs import writing
 from ...runtime.printable import plain
 from ..mcap.messages import nanoseconds
-from ..result.metadata import recovery_values
+from ..result.write import recovery_values
 from .csv import column_groups
 
 if TYPE_CHECKING:

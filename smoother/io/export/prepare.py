@@ -103,7 +103,7 @@ def prepare_export(
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
     if format_name == "xlsx":
-        from .xlsx import check_xlsx, export_xlsx
+        from .csv import check_xlsx, export_xlsx
 
         check_xlsx(recovery)
         return Export(
@@ -167,7 +167,7 @@ def prepare_rrd(
 
 
 def _mot(recovery: Recovery, rate_hz: float | None) -> Export:
-    from .mot import mot_table, write_mot
+    from .storage import mot_table, write_mot
 
     table = mot_table(recovery, rate_hz)
     return Export(
@@ -195,7 +195,7 @@ def _osim(recovery: Recovery) -> Export:
 
 
 def _sto(recovery: Recovery, level_down: FloatArray | None) -> Export:
-    from .sto import orientation_table, write_sto
+    from .storage import orientation_table, write_sto
 
     table = orientation_table(recovery, level_down)
     notes = (*table.notes, *level_note(recovery))

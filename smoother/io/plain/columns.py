@@ -18,10 +18,17 @@ from ..recording.decode import joint_code
 from ..tables.joint_columns import joint_name
 from ..tables.protocol import HEAD_BYTES, ImuTable, SkeletonTable, decode, shown
 from ..tables.raw_skeleton import BodyRows
-from ..tables.table_layout import SEPARATORS, TableLayout, is_data, layout_of, split_line
+from ..tables.table_layout import (
+    SEPARATORS,
+    TableLayout,
+    is_data,
+    is_workbook,
+    layout_of,
+    split_line,
+    workbook_text,
+)
 from ..tables.text_table import Sheet, read_sheet, sheet_of_text
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, SECONDS
-from ..tables.workbook import is_workbook, workbook_text
 
 Column = str | int
 _LAYOUT_KEYS = {"separator", "skip_rows", "columns", "time_unit", "rate_hz"}

@@ -1,14 +1,18 @@
-"""Parts of a recording's file, by times on the recording's own axis."""
+"""Parts of a recording's file, by times on the recording's own axis; a table of trials that names them."""
 
 from __future__ import annotations
 
+import csv
 import math
 import os
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Unpack
 
 from ...errors import RecordingError
+from ...runtime.inputs import check_input
 from ...runtime.store import Store
 from ..mcap.cut_container import Part, cut_container
 from .read import METADATA, RESULT_PREFIX, open_recording
@@ -77,3 +81,110 @@ def cut_file(
 
 #: A part that begins or ends so little beyond the recording is not said to, s.
 _SPARE_S = 0.5
+
+
+#: Columns of the table; `label` may be missing.
+COLUMNS = ("name", "start_s", "end_s")
+#: What no system has in the name of a file.
+_FORBIDDEN = set('/\\:*?"<>|') | {chr(code) for code in range(32)}
+_LONGEST_NAME = 100
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A row of the table.
+
+    Attributes
+    ----------
+    name : str
+        Of the trial, fit for a file's name; the same as another's is followed by a number.
+    start_s, end_s : float, s
+        On the recording's axis.
+    label : str
+        What it is one of; "" where the table does not say.
+    """
+
+    name: str
+    start_s: float
+    end_s: float
+    label: str = ""
+
+
+def read_trials(path: str | os.PathLike[str], labels: Sequence[str] = ()) -> list[Trial]:
+    """The trials of a CSV table with the columns name, start_s, end_s and, optionally, label.
+
+    Parameters
+    ----------
+    path : path-like
+        Parted by commas or semicolons, UTF-8.
+    labels : sequence of str
+        Only trials whose label or name is one of these; all where empty.
+
+    Returns
+    -------
+    trials : list of Trial
+        In the order of the table.
+
+    Raises
+    ------
+    RecordingError
+        The table cannot be read, or none of its trials is wanted; in one sentence, with the line.
+    """
+    path = Path(path)
+    check_input(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: this is not text in UTF-8; save the table as CSV UTF-8") from error
+    head = text.split("\n", 1)[0]
+    lines = csv.DictReader(text.splitlines(), delimiter=";" if ";" in head else ",", skipinitialspace=True)
+    found = [(name or "").strip() for name in lines.fieldnames or ()]
+    lines.fieldnames = found
+    if missing := [name for name in COLUMNS if name not in found]:
+        raise RecordingError(
+            f"{path}: the column {missing[0]} is missing; trials have name, start_s, end_s and, if you like,"
+            f" label; the table has {', '.join(found) or 'no line'}"
+        )
+    trials = [_trial(path, lines.line_num, row) for row in lines if any(row.values())]
+    chosen = [trial for trial in trials if not labels or {trial.label, trial.name} & set(labels)]
+    if not chosen:
+        there = ", ".join(dict.fromkeys(trial.label or trial.name for trial in trials))
+        wanted = f" with the label {', '.join(labels)}" if labels else ""
+        raise RecordingError(f"{path}: there is no trial{wanted}; the table has {there or 'none'}")
+    return _told_apart(chosen)
+
+
+def _trial(path: Path, line: int, row: dict[str, str]) -> Trial:
+    name = (row["name"] or "").strip()
+    if not name or len(name) > _LONGEST_NAME or _FORBIDDEN & set(name) or name.strip(".") == "":
+        raise RecordingError(
+            f"{path}, line {line}: '{name[:_LONGEST_NAME]}' is not a valid file name; name every trial by"
+            " letters, numbers, spaces and dashes"
+        )
+    times = []
+    for column in COLUMNS[1:]:
+        try:
+            times.append(float((row[column] or "").strip().replace(",", ".")))
+        except ValueError:
+            times.append(math.nan)
+        if not math.isfinite(times[-1]):
+            raise RecordingError(f"{path}, line {line}: {column} of {name} is not a number of seconds")
+    if not times[0] < times[1]:
+        raise RecordingError(f"{path}, line {line}: {name} ends at {times[1]:g} s, before it starts")
+    return Trial(name, times[0], times[1], (row.get("label") or "").strip())
+
+
+def _told_apart(trials: list[Trial]) -> list[Trial]:
+    """The same trials; those with one name are numbered in the order of the table."""
+    count = Counter(trial.name.casefold() for trial in trials)
+    met: Counter[str] = Counter()
+    taken = set(count)
+    named = []
+    for trial in trials:
+        key, name = trial.name.casefold(), trial.name
+        if count[key] > 1:
+            while (name := f"{trial.name}_{(met := met + Counter([key]))[key]}").casefold() in taken:
+                pass
+            taken.add(name.casefold())
+        named.append(Trial(name, trial.start_s, trial.end_s, trial.label))
+    return named

@@ -492,7 +492,7 @@ def _read(
     """Recordings, corrected, each with its calibration; `read` takes the side to prefer."""
     if calibration_file is None:
         return [(remedy.applied(recording, store), None) for recording in read(None)]
-    from calib.cameras.camera_poses import camera_poses, with_camera_poses
+    from calib.camera_poses import camera_poses, with_camera_poses
     from calib.file import read_calibration, sigma_factors_of
     from calib.imu.sensor import corrected
     from calib.world.world_table import with_gravity

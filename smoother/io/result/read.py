@@ -24,9 +24,8 @@ from ...rotation import Rotation
 from ..mcap.container import Container
 from ..mcap.messages import Topic, plain_name, seconds
 from ..recording.read import METADATA, RESULT_PREFIX
-from .metadata import calibration_of, gaps_of
-from .topic_tables import TABLES, CameraTable, DrawsTable, ResidualTable, TopicTable, kind_of
-from .write import RESULT
+from .messages import TABLES, CameraTable, DrawsTable, ResidualTable, TopicTable, kind_of
+from .write import RESULT, calibration_of, gaps_of
 
 Kind = TypeVar("Kind")
 #: What gathers each kind of a result's topics.
@@ -159,7 +158,7 @@ def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], n
     try:
         values: dict[str, Any] = {key: json.loads(text) for key, text in container.metadata[name].items()}
         origin = int(values["origin_ns"])
-        skeleton = _get(tables, "skeleton", suffix).done()
+        skeleton = tables[f"{RESULT_PREFIX}skeleton{suffix}"].done()
         stamp, occluded = skeleton["stamp"], skeleton["occluded"].astype(bool)
         row, motion = _rows(stamp, tables.get(f"{RESULT_PREFIX}forearm{suffix}"))
         arrays = _motion(len(stamp), row, motion)
@@ -317,7 +316,3 @@ def _residuals(table: TopicTable | None, origin: int) -> FrameResiduals:
         values["reason"],
         tuple(Reason.of_sentence(sentence) for sentence in table.reasons),
     )
-
-
-def _get(tables: dict[str, TopicTable], kind: str, suffix: str) -> TopicTable:
-    return tables[f"{RESULT_PREFIX}{kind}{suffix}"]

@@ -20,8 +20,16 @@ from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
 from . import drawing as scene
 from .drawing import arm_point_clouds, world_transform
-from .messages import ResidualMessages, gap_messages, odometry, segment_poses, thorax_poses
-from .topic_tables import SCHEMA, draw_messages, message_rows
+from .messages import (
+    SCHEMA,
+    ResidualMessages,
+    draw_messages,
+    gap_messages,
+    message_rows,
+    odometry,
+    segment_poses,
+    thorax_poses,
+)
 
 #: How many `axes` a recovery has.
 AXES = 5

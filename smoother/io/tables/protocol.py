@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -18,7 +19,7 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input, marked_encoding
-from .workbook import is_workbook, workbook_text
+from .table_layout import is_workbook, workbook_text
 
 
 @dataclass
@@ -151,6 +152,10 @@ class FileHead:
     lines: tuple[str, ...]
 
 
+#: What a file holds: sensors, skeletons, or both.
+Tables = list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]
+
+
 class DeviceFormat(Protocol):
     """An importer of one layout of files."""
 
@@ -170,10 +175,10 @@ class DeviceFormat(Protocol):
     def recognised_by(self) -> str:
         """What in a file gives it away, for `unocclude import formats`."""
 
-    def recognises(self, head: FileHead) -> bool:
+    def recognises(self, head: FileHead, /) -> bool:
         """Whether the file is of this layout; never raises."""
 
-    def read(self, path: Path) -> list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]:
+    def read(self, path: Path, /) -> Tables:
         """Read the whole file.
 
         Parameters
@@ -191,6 +196,23 @@ class DeviceFormat(Protocol):
         RecordingError
             In one sentence: the file, what was expected, and what to export instead.
         """
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """The row of a layout that is no plain table: a `DeviceFormat` whose `read` is a function of its own."""
+
+    key: str
+    title: str
+    kind: str
+    recognised_by: str
+    recognises: Callable[[FileHead], bool]
+    read: Callable[[Path], Tables]
+
+
+def begins(*marks: bytes) -> Callable[[FileHead], bool]:
+    """Recognises files by their first bytes: one of these."""
+    return lambda head: head.raw.startswith(marks)
 
 
 #: So much of a file is read to recognise it, bytes.

@@ -15,8 +15,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from .protocol import HEAD_BYTES, amount, decode, no_table, shown
-from .table_layout import TableLayout, layout_of, split_line
-from .workbook import is_workbook, workbook_text
+from .table_layout import TableLayout, is_workbook, layout_of, split_line, workbook_text
 
 _DATE = re.compile(
     r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)[-/.](\d{4}))[ T_]+"

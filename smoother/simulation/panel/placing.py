@@ -2,47 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.intrinsics import Intrinsics
+
 from ...array_types import FloatArray
 from ...linalg import unit
 from .config import PanelSimulation
 
 
-@dataclass(frozen=True)
-class RenderLens:
-    """Intrinsics of the depth and infrared camera; the centre of the first pixel is (0, 0).
-
-    Attributes
-    ----------
-    width, height : int, pixels
-    fx, fy, cx, cy : float, pixels
-        Focal lengths and principal point.
-    distortion : tuple of float
-        k1, k2, p1, p2, k3.
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float]
+class RenderLens(Intrinsics):
+    """The lens of the depth and infrared camera; its distortion is computed here, without OpenCV."""
 
     def to_toml(self) -> dict[str, Any]:
         """Plain values under the names that `intrinsics.toml` has."""
         return asdict(self) | {"distortion": list(self.distortion)}
-
-    @property
-    def matrix(self) -> FloatArray:
-        """The camera matrix (3, 3)."""
-        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     def project(self, points_K: FloatArray) -> FloatArray:
         """Pixels (N, 2) of points (N, 3) in {K} in front of the camera (Brown 1971, as in OpenCV)."""
@@ -54,7 +33,7 @@ class RenderLens:
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return np.column_stack([self.fx * xd + self.cx, self.fy * yd + self.cy])
 
-    def rays(self) -> FloatArray:
+    def all_rays(self) -> FloatArray:
         """Directions (height, width, 2): x and y of the ray with z = 1 through every pixel's centre."""
         return _rays(self)
 
@@ -123,7 +102,7 @@ def place_panel(
     ValueError
         The panel does not fit into the image anywhere in the configured ranges.
     """
-    corners, rays = panel_corners(config), lens.rays()
+    corners, rays = panel_corners(config), lens.all_rays()
     middle = corners.mean(axis=0)
     for _ in range(_TRIES):
         distance, tilt, roll = (

@@ -15,7 +15,6 @@ from ..config import SensorErrors
 from ..inertial import ideal_imu, measure
 from ..protocol import band_noise, ramp
 from .config import PanelSimulation
-from .images import depth_image, infrared_image, render
 from .placing import (
     RenderLens,
     panel_corners,
@@ -26,7 +25,7 @@ from .placing import (
     place_panel,
     tilt_camera,
 )
-from .scene import PanelScene, add_distractor, build_scene
+from .scene import PanelScene, add_distractor, build_scene, depth_image, infrared_image, render
 
 #: The earth's field in {W}, uT: 60 degrees below the horizon, x to the north.
 FIELD_W = np.array([24.0, 0.0, -41.6])
@@ -285,7 +284,7 @@ def _distract(scene: PanelScene, lens: RenderLens, count: int, rng: np.random.Ge
     import cv2
 
     outline = lens.project(panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P).astype(np.float32)
-    rays = lens.rays()
+    rays = lens.all_rays()
     placed = 0
     for _ in range(1000 * bool(count)):
         row, column = rng.integers(10, lens.height - 10), rng.integers(10, lens.width - 10)

@@ -14,7 +14,7 @@ from smoother.io import open_recording, read_recording
 from smoother.io.tables.joint_columns import BODY_25, COCO_17, joint_name
 from smoother.recording import JointTracks
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from smoother.simulation.rgb import FOCAL_PX
+from smoother.simulation.camera import FOCAL_PX
 
 LENS = np.array([[FOCAL_PX, 0.0, 639.5], [0.0, FOCAL_PX, 359.5], [0.0, 0.0, 1.0]])
 

@@ -13,8 +13,8 @@ from smoother.cameras.rig import RigCamera
 from smoother.errors import CalibrationError
 from smoother.recording import FIRST_CAMERA, CameraPose, Recording
 
-from ..file import CalibrationFile
-from ..protocol import Answer, Verdict
+from .file import CalibrationFile
+from .protocol import Answer, Verdict
 
 #: The top-level table of a calibration file, one table per camera.
 TABLE = "cameras"
