@@ -66,7 +66,7 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         )
         for name in ("linear_system", "solve")
     },
-    "smoother/graph/variables.py": (_ALONE, "tests/graph/test_variables.py"),
+    "smoother/graph/variables.py": (_ALONE, "tests/graph/test_linear_system.py"),
     "smoother/graph/sampling.py": ("tests/graph/test_sampling.py",),
     "smoother/graph/lag_elimination.py": (
         _ALONE,
@@ -103,7 +103,7 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
     "calib/panel/panel_graph.py": (
         _ALONE,
         "tests/calib/test_panel_errors.py",
-        "tests/calib/test_panel_solve.py",
+        "tests/calib/test_panel_errors.py",
     ),
 }
 #: Survivors that no test can or should kill, with why.

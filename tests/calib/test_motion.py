@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import done, refused
 from scipy.spatial.transform import Rotation
 
 from calib import CalibrationFile, read_calibration, sigma_factor, write_calibration
@@ -95,7 +96,7 @@ def test_the_command(arm: SimulatedArm, file: Path, tmp_path: Path, capsys: pyte
     write_calibration(
         cal, CalibrationFile(arms={"left": ArmCalibration("left", upper_arm=Length(0.2, 0.01))})
     )
-    assert command(file, "-o", cal, "--json", tmp_path / "figures.json") == 0
+    done("calibrate", "motion", file, "-o", cal, "--json", tmp_path / "figures.json", "--processes", "1")
     out = capsys.readouterr().out
     assert "Lever arms" in out and "never carried over" in out and "R_F_A: direction to" in out
     held = read_calibration(cal)
@@ -112,9 +113,12 @@ def test_the_command(arm: SimulatedArm, file: Path, tmp_path: Path, capsys: pyte
     assert figures["not_determined"] == []
     assert "clock" not in cal.read_text()
     # a second time it is merged again, and what it found may be given as known
-    assert command(file, "-o", cal, "--known", cal) == 0
-    assert command(file, "-o", cal, "--json", tmp_path / "figures.json") == 1
-    assert "--force" in capsys.readouterr().err
+    done("calibrate", "motion", file, "-o", cal, "--known", cal, "--processes", "1")
+    said = refused(
+        capsys,
+        *("calibrate", "motion", file, "-o", cal, "--json", tmp_path / "figures.json", "--processes", "1"),
+    )
+    assert "--force" in said
 
 
 def test_refusals(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -163,7 +167,7 @@ def test_recordings_of_two_mountings_are_refused_by_name(tmp_path: Path, capsys:
     ):
         write_recording(replace(recording, truth=None), tmp_path / f"{name}.mcap")
     files = [tmp_path / f"{name}.mcap" for name in "abc"]
-    assert command(*files[:2], "-o", tmp_path / "same.toml") == 0
+    done("calibrate", "motion", *files[:2], "-o", tmp_path / "same.toml", "--processes", "1")
     capsys.readouterr()
     assert command(*files, "-o", tmp_path / "mixed.toml") == 1
     said = capsys.readouterr().err

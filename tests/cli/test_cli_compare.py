@@ -1,18 +1,18 @@
-"""`compare` and `gaps`, with `--report` and with `--live`, through the real commands."""
+"""`compare` and `gaps`, with `--report`, `--live` and `--keep-in`, through the real commands."""
 
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from commands import done
 
 from smoother.cli.run import run
 from smoother.evaluation.methods import GRAPH, LIVE_METHODS, METHODS
-
-
-def done(*arguments: object) -> None:
-    assert run([str(argument) for argument in arguments]) == 0
+from smoother.io import read_recovery
 
 
 @pytest.fixture(scope="module")
@@ -145,9 +145,6 @@ def test_what_cannot_be_compared_is_said_in_a_sentence(session: Path, tmp_path: 
         (1, [bare], "has no truth: name one with --truth"),
         (1, [recording, "--truth", tmp_path / "none.c3d"], "there is no such file"),
         (1, [recording, "--truth", tmp_path / "late.csv", "--methods", "graph"], "do not overlap in time"),
-        (2, [recording, "--methods", "graph,magic"], "there is no method 'magic'"),
-        (2, [recording, "--markers", tmp_path / "m.toml"], "are for a truth named with --truth"),
-        (1, [recording, "--report", session / "rec.mcap", "--force"], "is read by this command"),
     ]
     for code, arguments, sentence in cases:
         capsys.readouterr()
@@ -180,22 +177,19 @@ def test_gaps_draws_error_against_length(session: Path, tmp_path: Path):
     assert all(f'"name":"{name}"' in text for name in ("graph", "rts", "hold"))
 
 
-def call(*arguments: object) -> int:
-    return run([str(argument) for argument in arguments])
-
-
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("live") / "rec.mcap"
-    options = ("--protocol", "random", "--duration-s", 20, "--occlusion-lengths-s", 1, "--seed", 2)
-    assert call("simulate", "arm", "--preset", "realistic", *options, "-o", path) == 0
+    done(
+        *("simulate", "arm", "--preset", "realistic", "--protocol", "random", "--duration-s", 20),
+        *("--occlusion-lengths-s", 1, "--seed", 2, "-o", path),
+    )
     return path
 
 
 def test_what_was_shown_beside_the_offline_answer(recording: Path, tmp_path: Path):
     figures = tmp_path / "c.json"
-    options = ("--methods", GRAPH, "--live", "--processes", 1, "--json", figures)
-    assert call("compare", recording, *options) == 0
+    done("compare", recording, "--methods", GRAPH, "--live", "--processes", 1, "--json", figures)
     methods = json.loads(figures.read_text())["methods"]
     assert set(methods) == {GRAPH, *LIVE_METHODS}
     assert all(each["failure"] == "" for each in methods.values())
@@ -210,8 +204,10 @@ def test_by_the_time_since_the_last_frame(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     figures = tmp_path / "g.json"
-    options = ("--lengths", 0.5, "--gaps-per-run", 2, "--live", "--processes", 1, "--json", figures)
-    assert call("gaps", recording, *options) == 0
+    done(
+        *("gaps", recording, "--lengths", 0.5, "--gaps-per-run", 2, "--live", "--processes", 1, "--json"),
+        figures,
+    )
     assert "since the last frame" in capsys.readouterr().out
     rows = json.loads(figures.read_text())["since_last_frame"]
     assert {row["method"] for row in rows} >= {GRAPH, "autoregressive", "constant-velocity"}
@@ -222,12 +218,91 @@ def test_by_the_time_since_the_last_frame(
 
 def test_without_live_nothing_is_added(recording: Path, tmp_path: Path):
     figures = tmp_path / "g.json"
-    options = ("--lengths", 0.5, "--gaps-per-run", 1, "--processes", 1, "--json", figures)
-    assert call("gaps", recording, *options) == 0
+    done("gaps", recording, "--lengths", 0.5, "--gaps-per-run", 1, "--processes", 1, "--json", figures)
     assert "since_last_frame" not in json.loads(figures.read_text())
 
 
-@pytest.mark.parametrize("latency", ["-0.1", "1.5", "soon"])
-def test_a_latency_that_is_none(recording: Path, latency: str, capsys: pytest.CaptureFixture[str]):
-    assert call("gaps", recording, "--live", "--latency", latency) == 2
-    assert "--latency" in capsys.readouterr().err
+def call(*arguments: object) -> int:
+    return run([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("gaps")
+    for seed in (1, 2):
+        done(
+            *("simulate", "arm", "--preset", "azure", "--protocol", "random", "--duration-s", 20),
+            *("--seed", seed, "-o", folder / f"{seed}.mcap"),
+        )
+    return folder
+
+
+def hide(folder: Path, *more: object) -> int:
+    files = (folder / "1.mcap", folder / "2.mcap")
+    return call("gaps", *files, "--lengths", "0.5", "--processes", 1, "--force", *more)
+
+
+def test_keep_and_apply(folder: Path, capsys: pytest.CaptureFixture[str]):
+    kept, figures = folder / "cal.toml", folder / "gaps.json"
+    kept.write_text("[imu.base.gyroscope]\n# kept\noffset = [0.0, 0.0, 0.0]\n", encoding="utf-8")
+    assert hide(folder, "--keep-in", kept, "--json", figures, "--report", folder / "gaps.html") == 0
+    printed = capsys.readouterr().out
+    assert "Sigma correction factor" in printed
+    assert "Gaps were hidden where the camera saw the arm" in printed
+    values = json.loads(figures.read_text())
+    assert {row["recording"] for row in values["rows"]} == {"1.mcap", "2.mcap"}
+    assert values["real_gaps"]["count"] > 0 and values["real_gaps"]["sentence"]
+    assert "Gaps were hidden where" in (folder / "gaps.html").read_text(encoding="utf-8")
+    table = tomllib.loads(kept.read_text())["sigma"]
+    assert "# kept" in kept.read_text() and table["recordings"] == ["1.mcap", "2.mcap"]
+    (row,) = table["gaps"]
+    assert row["count"] == len(values["rows"]) and row["factor"] >= 1.0
+
+    # the same table with a factor that nobody can overlook
+    kept.write_text(kept.read_text().replace(f"factor = {row['factor']}", "factor = 3.0"), encoding="utf-8")
+    recording = folder / "1.mcap"
+    done("smooth", recording, "-o", folder / "plain.mcap", "--processes", 1, "--draws", 0, "--force")
+    assert "was multiplied" not in capsys.readouterr().out
+    done(
+        *("smooth", recording, "-o", folder / "wide.mcap", "--json", folder / "wide.json"),
+        *("--force", "--processes", 1, "--calibration", kept, "--verbose"),
+    )
+    assert "sigma of positions in gaps was multiplied by 3.00" in capsys.readouterr().out
+    (plain,), (wide,) = read_recovery(folder / "plain.mcap"), read_recovery(folder / "wide.mcap")
+    np.testing.assert_allclose(wide.position, plain.position, atol=1e-9)
+    rows = plain.occluded & np.isfinite(plain.worst_sigma_m)
+    np.testing.assert_allclose(wide.worst_sigma_m[rows], 3.0 * plain.worst_sigma_m[rows], rtol=1e-6)
+    seen = ~plain.occluded
+    np.testing.assert_allclose(wide.worst_sigma_m[seen], plain.worst_sigma_m[seen], rtol=1e-6)
+    assert set(wide.estimates.sigma_factors) == {3.0}
+    assert set(json.loads((folder / "wide.json").read_text())["figures"]["sigma_factors"]) == {3.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[sigma]\n", "sigma.gaps"),
+        ("[sigma]\ngaps = [{length_s = 1.0, factor = -1.0, count = 3}]\n", "sigma.gaps.0.factor"),
+        (
+            "[sigma]\ngaps = [{length_s = 1, factor = 2, count = 3},"
+            " {length_s = 1, factor = 3, count = 9}]\n",
+            "twice",
+        ),
+    ],
+)
+def test_what_is_wrong_in_the_file(folder: Path, capsys: pytest.CaptureFixture[str], text: str, words: str):
+    (folder / "bad.toml").write_text(text, encoding="utf-8")
+    assert (
+        call("smooth", folder / "1.mcap", "-o", folder / "x.mcap", "--calibration", folder / "bad.toml") == 1
+    )
+    said = capsys.readouterr()
+    assert words in said.err + said.out and "bad.toml" in said.err + said.out
+    assert not (folder / "x.mcap").exists()
+
+
+def test_what_cannot_be_kept(folder: Path, capsys: pytest.CaptureFixture[str]):
+    assert hide(folder, "--keep-in", folder / "new.toml", "--methods", "linear") == 2
+    assert not (folder / "new.toml").exists()
+    (folder / "broken.toml").write_text("x = [", encoding="utf-8")
+    assert hide(folder, "--keep-in", folder / "broken.toml") == 1
+    assert "broken.toml" in capsys.readouterr().err

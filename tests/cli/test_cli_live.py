@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import done, refused
 from live_engine import CameraEcho
 from made_recordings import make
 
@@ -26,8 +27,6 @@ from smoother.io import read_recording, write_recording
 from smoother.live.answers import Dropped, LiveOutput, LiveState
 from smoother.streams.lsl import lsl_module
 from smoother.streams.session_figures import SessionView, StreamView
-
-DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 
 
 @pytest.fixture(autouse=True)
@@ -43,8 +42,7 @@ def recording(tmp_path) -> Path:
 
 def test_a_recording_is_played_recorded_and_summed_up(recording, tmp_path, capsys):
     session, figures = tmp_path / "session.mcap", tmp_path / "session.json"
-    arguments = ["--replay", str(recording), "--speed", "0", "--record", str(session), "--json", str(figures)]
-    assert run(["live", *arguments]) == 0
+    done("live", "--replay", recording, "--speed", "0", "--record", session, "--json", figures)
     said, errors = capsys.readouterr()
     assert not errors
     assert "right arm of /skeleton (shoulder, elbow, wrist)" in said
@@ -77,7 +75,7 @@ def test_ctrl_c_leaves_a_whole_recording(ctrl_c_is_heard, recording, tmp_path, c
     threading.Thread(target=interrupt).start()
     session = tmp_path / "session.mcap"
     slowly = ["--speed", "0.25"]  # a machine that is busy for some seconds does not reach the recording's end
-    assert run(["live", "--replay", str(recording), *slowly, "--record", str(session)]) == 0
+    done("live", "--replay", recording, *slowly, "--record", session)
     assert signal.getsignal(signal.SIGINT) is before
     recorded = read_recording(session)
     assert 0.05 < recorded.imu.t_s[-1] - recorded.imu.t_s[0] < 4.0
@@ -89,40 +87,17 @@ def test_one_option_smooths_afterwards(recording, tmp_path, monkeypatch):
     begun: list[list[str]] = []
     monkeypatch.setattr(command, "smooth_recording", begun.append)
     session = tmp_path / "session.mcap"
-    arguments = ["live", "--replay", str(recording), "--speed", "0", "--record", str(session)]
-    assert run([*arguments, "--then-smooth"]) == 0
+    done("live", "--replay", recording, "--speed", "0", "--record", session, "--then-smooth")
     assert begun == [["smooth", str(session), "-o", str(tmp_path / "session_recovered.mcap")]]
 
 
-def test_what_a_person_gets_wrong(recording, tmp_path, capsys):
-    def sentence(*arguments: str, code: int) -> str:
-        capsys.readouterr()
-        assert run(["live", *arguments]) == code
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
-        return said
-
-    played = ("--replay", str(recording))
-    assert "give --record as well" in sentence(*played, "--then-smooth", code=2)
-    assert "--speed is of a replay" in sentence("--imu", "a", "--speed", "2", code=2)
-    assert "--latency is of a replay" in sentence("--latency", "0.1", code=2)
-    assert "give it as well" in sentence(*played, "--lsl-network", code=2)
-    assert "--gyro is of a stream" in sentence(*played, "--gyro", "a", code=2)
-    assert "--lag" in sentence(*played, "--lag", "2.5", code=2)
-    assert "--side is left or right" in sentence(*played, "--side", "both", code=2)
-    assert "--foxglove" in sentence(*played, "--foxglove", "kitchen", code=2)
-    assert "no tracked arm fits --side left" in sentence(*played, "--side", "left", code=1)
-    assert "the output is MCAP" in sentence(*played, "--record", str(tmp_path / "a.csv"), code=1)
-    assert "is read by this command" in sentence(*played, "--record", str(recording), "--force", code=1)
-    (tmp_path / "there.mcap").write_bytes(b"precious")
-    assert "exists already" in sentence(*played, "--record", str(tmp_path / "there.mcap"), code=1)
+def test_what_a_killed_session_left_is_kept(recording, tmp_path, capsys):
     growing = tmp_path / "killed.recording.mcap"
     growing.write_bytes(b"precious")
-    said = sentence(*played, "--record", str(tmp_path / "killed.mcap"), "--force", code=1)
+    record = ("--record", tmp_path / "killed.mcap", "--force")
+    said = refused(capsys, "live", "--replay", recording, *record)
     assert f"unocclude repair {growing}" in said
     assert growing.read_bytes() == b"precious"
-    missing = str(tmp_path / "nothing.mcap")
-    assert "does not exist" in sentence("--replay", missing, code=1)
 
 
 def test_streams_that_never_overlap(tmp_path, capsys):
@@ -131,8 +106,7 @@ def test_streams_that_never_overlap(tmp_path, capsys):
 
     late = dataclasses.replace(made.arm, t_s=made.arm.t_s + 100.0)
     write_recording(dataclasses.replace(made, arm=late, truth=None), tmp_path / "apart.mcap")
-    assert run(["live", "--replay", str(tmp_path / "apart.mcap")]) == 1
-    assert "do not overlap in time" in capsys.readouterr().err
+    assert "do not overlap in time" in refused(capsys, "live", "--replay", tmp_path / "apart.mcap")
 
 
 @pytest.mark.parametrize("option, package", [("--imu=a", "pylsl"), ("--foxglove", "foxglove-sdk")])

@@ -1,4 +1,4 @@
-"""`unocclude measures`: tables, files, and what people get wrong."""
+"""`measures` and `progress`: tables, files, and what people get wrong."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import done, refused
+from made_measures import made_measures, study_row, write_study
 from measured_arms import simulated, with_draws
 
 import unocclude
@@ -44,7 +46,7 @@ def sentence(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int
 def test_everything_is_written_and_printed(folder: Path, capsys: pytest.CaptureFixture[str]):
     files = [str(folder / name) for name in ("m.csv", "m.json", "m.html")]
     arguments = ["measures", str(folder / "out.mcap"), "--csv", files[0], "--json", files[1]]
-    assert run([*arguments, "--report", files[2]]) == 0
+    done(*arguments, "--report", files[2])
     said = capsys.readouterr().out
     assert "elbow flexion, range" in said and "Movements of the hand" in said and "--- left arm ---" in said
     assert "not measured: forearm pronation. How the IMU is turned" in said
@@ -80,7 +82,7 @@ def test_settings_are_read_and_checked(folder: Path, capsys: pytest.CaptureFixtu
     settings, out = folder / "s.toml", folder / "s.json"
     settings.write_text("[movements]\nstart_m_s = 50.0\n")
     base = ["measures", str(folder / "out.mcap"), "--side", "left", "--config", str(settings)]
-    assert run([*base, "--json", str(out)]) == 0
+    done(*base, "--json", out)
     assert json.loads(out.read_text())["movements"] == []
     for text, words in (
         ("[movement]\nstart_m_s = 1\n", "there is no setting 'movement'"),
@@ -90,17 +92,6 @@ def test_settings_are_read_and_checked(folder: Path, capsys: pytest.CaptureFixtu
         settings.write_text(text)
         said = sentence(capsys, base, 1)
         assert str(settings) in said and words in said
-
-
-def test_wrong_files_and_options(folder: Path, capsys: pytest.CaptureFixture[str]):
-    out = str(folder / "out.mcap")
-    assert "no recovered arm for --body 7" in sentence(capsys, ["measures", out, "--body", "7"], 1)
-    assert "smooth" in sentence(capsys, ["measures", str(folder / "both.mcap")], 1)  # not recovered yet
-    assert "none.mcap" in sentence(capsys, ["measures", str(folder / "none.mcap")], 1)
-    assert "page" in sentence(capsys, ["measures", out, "--report", str(folder / "m.pdf")], 2)
-    assert "read by this command" in sentence(capsys, ["measures", out, "--csv", out, "--force"], 1)
-    assert read_recovery(out)  # it is still there
-    assert "--side is left or right" in sentence(capsys, ["measures", out, "--side", "up"], 2)
 
 
 def test_what_is_not_to_be_trusted_is_said_first(capsys: pytest.CaptureFixture[str]):
@@ -123,15 +114,15 @@ def test_by_default_every_measure_has_its_interval_the_same_in_all_outputs(
     simulation = ArmSimulation.preset("white", protocol="random", duration_s=8.0, occlusion_lengths_s=(0.8,))
     unocclude.write_recording([simulate_arm(simulation, 3).recording], demo)
     usual = ["--processes", "1"]
-    assert run(["smooth", str(demo), "-o", str(out), *usual]) == 0
-    assert run(["smooth", str(demo), "-o", str(tmp_path / "bare.mcap"), "--draws", "0", *usual]) == 0
+    done("smooth", demo, "-o", out, *usual)
+    done("smooth", demo, "-o", tmp_path / "bare.mcap", "--draws", "0", *usual)
     [recovery], [bare] = read_recovery(out), read_recovery(tmp_path / "bare.mcap")
     assert recovery.draws is not None and len(recovery.draws) == 64 and bare.draws is None
     for name in ("position", "quaternion", "velocity", "pose_covariance"):
         np.testing.assert_array_equal(getattr(recovery, name), getattr(bare, name))
     files = [str(tmp_path / name) for name in ("m.csv", "m.json", "m.html")]
     capsys.readouterr()
-    assert run(["measures", str(out), "--csv", files[0], "--json", files[1], "--report", files[2]]) == 0
+    done("measures", out, "--csv", files[0], "--json", files[1], "--report", files[2])
     said = capsys.readouterr().out.splitlines()
     end = next(number for number, line in enumerate(said) if line.startswith("└"))
     rows = [line for line in said[:end] if line.startswith("│")]
@@ -157,3 +148,137 @@ def test_without_draws_the_tables_have_no_intervals(capsys: pytest.CaptureFixtur
     said = capsys.readouterr().out
     assert "note: There are no intervals: smooth the recording with --draws 64 to have them." in said
     assert " to " not in next(line for line in said.splitlines() if "elbow flexion, range" in line)
+
+
+FLEXION = "elbow_flexion_range_deg"
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two persons with three sessions; the elbow of the first bends more each time."""
+    rng = np.random.default_rng(3)
+    rows = [
+        study_row(
+            f"{person}/s{n}.mcap",
+            [made_measures(rng=rng, movements=0, change={FLEXION: gain * n})],
+            recorded_day=50.0 + 7 * n,
+        )
+        for person, gain in (("p1", 15.0), ("=p2", 0.0))
+        for n in range(3)
+    ]
+    return write_study(tmp_path_factory.mktemp("study") / "out", rows)
+
+
+def command(*arguments: object) -> int:
+    return run(["progress", *map(str, arguments)])
+
+
+def test_what_changed_is_printed_and_written(study: Path, tmp_path: Path, capsys: Capture):
+    done(
+        *("progress", study, "--person", "p1", "--json", tmp_path / "p.json", "--csv", tmp_path / "p.csv"),
+        *("--report", tmp_path / "p.html"),
+    )
+    printed = capsys.readouterr().out
+    assert "clearly more" in printed and "no clear change" in printed
+    assert "would be called so by chance" in printed and "This is not a diagnosis" in printed
+    (person,) = json.loads((tmp_path / "p.json").read_text())["persons"]
+    assert person["days"] == [0, 7, 14] and person["clear"] >= 1
+    flexion = next(each for each in person["measures"] if each["key"] == FLEXION)
+    first, last = flexion["changes"]
+    assert (first["to"], last["to"]) == ("s1", "s2") and last["word"] == "clearly more"
+    assert last["low"] < last["difference"] < last["high"] and last["mdc95"] is None
+    with open(tmp_path / "p.csv", encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["key"] == FLEXION]
+    assert [row["session"] for row in rows] == ["s0", "s1", "s2"]
+    assert rows[0]["change"] == "" and float(rows[2]["change"]) == pytest.approx(last["difference"], rel=1e-5)
+    assert "p1" in (tmp_path / "p.html").read_text(encoding="utf-8")
+
+
+def test_all_persons_and_a_cell_that_is_no_formula(study: Path, tmp_path: Path, capsys: Capture):
+    done("progress", study, "--csv", tmp_path / "p.csv")
+    printed = capsys.readouterr().out
+    assert "--- p1: 3 sessions" in printed and "--- =p2: 3 sessions" in printed
+    with open(tmp_path / "p.csv", encoding="utf-8", newline="") as file:
+        persons = {row["person"] for row in csv.DictReader(file)}
+    assert persons == {"p1", "'=p2"}
+
+
+def test_only_some_measures(study: Path, tmp_path: Path):
+    done(
+        *("progress", study, "--person", "p1", "--measure", FLEXION, "--measure", "sparc", "--json"),
+        tmp_path / "p.json",
+    )
+    (person,) = json.loads((tmp_path / "p.json").read_text())["persons"]
+    assert {each["key"] for each in person["measures"]} == {FLEXION, "sparc"}
+
+
+def test_a_minimal_detectable_change_of_the_user(study: Path, tmp_path: Path, capsys: Capture):
+    (tmp_path / "mdc.toml").write_text(f"[mdc95]\n{FLEXION} = 60\n")
+    done("progress", study, "--person", "p1", "--measure", FLEXION, "--mdc", tmp_path / "mdc.toml")
+    printed = capsys.readouterr().out
+    assert "clearly more" not in printed
+    assert "larger than its interval but not than the minimal detectable change" in " ".join(printed.split())
+
+
+def test_a_study_in_which_nothing_can_be_compared(tmp_path: Path, capsys: Capture):
+    rows = [study_row("p/s1.mcap", [made_measures(trusted=False)]), study_row("p/s2.mcap", [made_measures()])]
+    folder = write_study(tmp_path / "out", rows)
+    done("progress", folder, "--report", tmp_path / "p.html")
+    printed = capsys.readouterr().out
+    assert "One session only" in printed and "not to be trusted" in printed
+
+
+@pytest.fixture(scope="module")
+def repeated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six persons with two sessions of six repetitions; the elbow's curve of all of them changes at 60 %."""
+    rng = np.random.default_rng(4)
+    share = np.linspace(0, 1, 51)
+    rows = []
+    for person in range(6):
+        for session in range(2):
+            noise = rng.normal(size=(6, 4)) @ np.stack([np.cos(k * np.pi * share) for k in range(4)])
+            bump = (12.0 + person) * session * np.exp(-((share - 0.6) ** 2) / 0.01)
+            curves = 60 + 40 * np.sin(np.pi * share) + noise + bump
+            wave = {"side": "right", "angle": "elbow_flexion", "repetitions": 6, "trusted": True}
+            wave |= {"mean": curves.mean(0).tolist(), "sd": curves.std(0).tolist()}
+            wave |= {"curves": curves.tolist(), "errors": [[0.5] * 51]}
+            measures = made_measures(rng=rng, movements=0, change={FLEXION: 3.0 * person})
+            rows.append(
+                study_row(f"p{person}/s{session}.mcap", [measures], waveforms=json.dumps([wave]))
+                | {"recorded_day": 7.0 * session}
+            )
+    return write_study(tmp_path_factory.mktemp("repeated") / "out", rows)
+
+
+def test_curves_reliability_and_plots(repeated: Path, tmp_path: Path, capsys: Capture):
+    done("progress", repeated, "--reliability", "--json", tmp_path / "r.json", "--plots", tmp_path / "plots")
+    printed = capsys.readouterr().out
+    assert "Curve of elbow flexion, right: differs at" in printed and "ICC(3,1)" in printed
+    figures = json.loads((tmp_path / "r.json").read_text())
+    (wave,) = figures["persons"][0]["waveforms"]
+    assert wave["p"] < 0.01 and wave["repetitions"] == [6, 6] and not wave["exact"]
+    (stretch,) = wave["stretches"]
+    assert stretch["start_percent"] < 60 < stretch["end_percent"] and 8 < stretch["difference"] < 16
+    (group,) = figures["group_waveforms"]
+    assert group["persons"] == 6 and group["p"] == pytest.approx(2 / 64) and group["exact"]
+    flexion = next(each for each in figures["reliability"] if each["key"] == FLEXION)
+    assert flexion["persons"] == 6 and flexion["icc_31_low"] < flexion["icc_31"] < flexion["icc_31_high"]
+    done("progress", repeated, "--mdc", tmp_path / "r.json", "--json", tmp_path / "m.json")
+    capsys.readouterr()
+    person = json.loads((tmp_path / "m.json").read_text())["persons"][0]
+    change = next(each for each in person["measures"] if each["key"] == FLEXION)["changes"][0]
+    assert change["mdc95"] == pytest.approx(flexion["sdc"])
+    plot = tmp_path / "plots" / f"agreement_right_{FLEXION}.svg"
+    drawn = plot.read_text(encoding="utf-8")
+    assert "1.96 SD" in drawn and "mean of session 1 and session 2" in drawn and "<dc:date>" not in drawn
+    assert (tmp_path / "plots" / "curve_p0_right_elbow_flexion.svg").exists()
+    said = refused(capsys, "progress", repeated, "--plots", tmp_path / "plots")
+    assert "exists; give another folder, or --force" in said
+    done("progress", repeated, "--reliability", "--plots", tmp_path / "plots", "--force")
+    assert plot.read_text(encoding="utf-8") == drawn  # the same data, the same bytes
+
+
+def test_reliability_of_one_person_is_refused(repeated: Path, capsys: Capture):
+    said = refused(capsys, "progress", repeated, "--reliability", "--person", "p0")
+    assert "--reliability needs 3 persons with two sessions each" in said

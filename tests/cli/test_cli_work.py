@@ -1,4 +1,4 @@
-"""The commands at work: simulate, info, smooth, validate, export, gaps, import, demo."""
+"""The commands at work: simulate, info, smooth, validate, export, gaps, import, demo; files that were cut."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from commands import done, refused
+from scipy.spatial.transform import Rotation
 
 from smoother.cli.run import run
 
 DATA = Path(__file__).parents[2] / "data"
-
-
-def done(arguments: list[object], *more: object) -> None:
-    assert run([str(argument) for argument in (*arguments, *more)]) == 0
 
 
 @pytest.fixture(scope="module")
@@ -24,11 +23,11 @@ def session(tmp_path_factory) -> Path:
     """A folder with a simulated recording, its calibration, and what `smooth` makes of them."""
     folder = tmp_path_factory.mktemp("session")
     done(
-        ["simulate", "arm", "--repetitions", "1", "--seed", "5", "--imu-rate-hz", "100"],
+        *("simulate", "arm", "--repetitions", "1", "--seed", "5", "--imu-rate-hz", "100"),
         *("-o", folder / "rec.mcap", "--calibration-out", folder / "cal.toml", "--json", folder / "sim.json"),
     )
     done(
-        ["smooth", folder / "rec.mcap", "-o", folder / "out.mcap", "--calibration", folder / "cal.toml"],
+        *("smooth", folder / "rec.mcap", "-o", folder / "out.mcap", "--calibration", folder / "cal.toml"),
         *("--report", folder / "out.html", "--json", folder / "smooth.json", "--processes", 1, "--draws", 0),
     )
     return folder
@@ -43,24 +42,14 @@ def test_simulate(session):
 
 def test_same_seed_same_file(session, tmp_path):
     done(
-        [
-            "simulate",
-            "arm",
-            "-o",
-            tmp_path / "again.mcap",
-            "--repetitions",
-            1,
-            "--seed",
-            5,
-            "--imu-rate-hz",
-            100,
-        ]
+        *("simulate", "arm", "-o", tmp_path / "again.mcap", "--repetitions", 1, "--seed", 5),
+        *("--imu-rate-hz", 100),
     )
     assert (tmp_path / "again.mcap").read_bytes() == (session / "rec.mcap").read_bytes()
 
 
 def test_info(session, tmp_path, capsys):
-    done(["info", session / "rec.mcap", "--json", tmp_path / "i.json"])
+    done("info", session / "rec.mcap", "--json", tmp_path / "i.json")
     assert "/skeleton" in capsys.readouterr().out
     figures = json.loads((tmp_path / "i.json").read_text())
     assert figures["imu_rate_hz"] == pytest.approx(100, abs=1)
@@ -69,11 +58,11 @@ def test_info(session, tmp_path, capsys):
 
 
 def test_info_says_first_what_counts(session, capsys):
-    done(["info", session / "rec.mcap"])
+    done("info", session / "rec.mcap")
     said = capsys.readouterr().out.rstrip().splitlines()[-2:]
     assert said[0] == "ready for `unocclude smooth`"
     assert said[1].startswith("not in the file, not needed to recover: magnetometer (")
-    done(["info", session / "out.mcap"])
+    done("info", session / "out.mcap")
     assert "contains a result: use validate or export" in capsys.readouterr().out
 
 
@@ -88,7 +77,7 @@ def test_info_of_what_cannot_be_recovered(tmp_path, capsys):
         )
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    done(["info", tmp_path / "empty.mcap"])
+    done("info", tmp_path / "empty.mcap")
     assert "cannot be recovered: " in capsys.readouterr().out
 
 
@@ -103,16 +92,9 @@ def test_smooth(session):
     assert "Recovered arm motion" in page
 
 
-def test_smooth_again_needs_force(session, capsys):
-    before = (session / "out.mcap").read_bytes()
-    assert run(["smooth", str(session / "rec.mcap"), "-o", str(session / "out.mcap")]) == 1
-    assert "--force" in capsys.readouterr().err
-    assert (session / "out.mcap").read_bytes() == before
-
-
 def test_uncertain_answers_are_marked(session, tmp_path, capsys):
     done(
-        ["smooth", session / "rec.mcap", "-o", tmp_path / "o.mcap", "--calibration", session / "cal.toml"],
+        *("smooth", session / "rec.mcap", "-o", tmp_path / "o.mcap", "--calibration", session / "cal.toml"),
         *("--max-sigma-m", 0.004, "--json", tmp_path / "s.json", "--draws", 0),
     )
     figures = json.loads((tmp_path / "s.json").read_text())
@@ -122,7 +104,7 @@ def test_uncertain_answers_are_marked(session, tmp_path, capsys):
     assert (
         f"{unsure} of {figures['samples']} samples are less certain than 0.004 m" in capsys.readouterr().out
     )
-    done(["export", tmp_path / "o.mcap", "--format", "csv", "-o", tmp_path / "o.csv"])
+    done("export", tmp_path / "o.mcap", "--format", "csv", "-o", tmp_path / "o.csv")
     with open(tmp_path / "o.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert sum(row["usable"] == "0" for row in rows) == unsure
@@ -142,7 +124,7 @@ def test_validate(session, tmp_path, capsys, source):
         rows = zip(known.t_s, known.position, known.quaternion, strict=True)
         lines = [",".join(f"{value:.9f}" for value in (t, *p, *q)) for t, p, q in rows]
         truth.write_text("\n".join(["t_s,x,y,z,qw,qx,qy,qz", *lines]))
-    done(["validate", session / "out.mcap", "--truth", truth, "--json", tmp_path / "v.json"])
+    done("validate", session / "out.mcap", "--truth", truth, "--json", tmp_path / "v.json")
     assert "occluded" in capsys.readouterr().out
     figures = json.loads((tmp_path / "v.json").read_text())
     assert figures["alignment"] == "none"
@@ -163,42 +145,7 @@ def test_validate(session, tmp_path, capsys, source):
 def test_validate_against_another_time(session, tmp_path, capsys):
     truth = tmp_path / "late.csv"
     truth.write_text("t_s,x,y,z\n1000.00,0,0,2\n1000.05,0,0,2\n")
-    assert run(["validate", str(session / "out.mcap"), "--truth", str(truth)]) == 1
-    assert "do not overlap in time" in capsys.readouterr().err
-
-
-def test_export_csv(session, tmp_path):
-    done(
-        [
-            "export",
-            session / "out.mcap",
-            "--format",
-            "csv",
-            "-o",
-            tmp_path / "o.csv",
-            "--json",
-            tmp_path / "e.json",
-        ]
-    )
-    with open(tmp_path / "o.csv", newline="") as file:
-        rows = list(csv.reader(file))
-    assert ",".join(rows[0]).startswith(
-        "t_s,occluded,imu_x,imu_y,imu_z,imu_qw,imu_qx,imu_qy,imu_qz,elbow_x,elbow_y,elbow_z,wrist_x,wrist_y,wrist_z,shoulder_x,shoulder_y,shoulder_z,sigma_x,sigma_y,sigma_z,sigma_deg"
-    )
-    figures = json.loads((tmp_path / "e.json").read_text())
-    assert figures["files"][0]["rows"] == len(rows) - 1
-
-
-def test_gaps(session, tmp_path, capsys):
-    arguments = ["gaps", session / "rec.mcap", "--calibration", session / "cal.toml", "--lengths", "0.5,1"]
-    arguments += ["--seed", 2, "--gaps-per-run", 2, "--json", tmp_path / "g.json"]
-    done(arguments)
-    assert "Error in hidden gaps against the truth" in capsys.readouterr().out
-    figures = json.loads((tmp_path / "g.json").read_text())
-    assert [entry["length_s"] for entry in figures["lengths"]] == [0.5, 1.0]
-    graph = figures["lengths"][0]["methods"]["graph"]
-    assert {"rms_m", "median_m", "p95_m", "max_m", "nees", "gaps", "samples"} <= set(graph)
-    assert 0 < graph["rms_m"] < 0.05
+    assert "do not overlap in time" in refused(capsys, "validate", session / "out.mcap", "--truth", truth)
 
 
 def test_import_csv(tmp_path, capsys):
@@ -212,7 +159,7 @@ def test_import_csv(tmp_path, capsys):
     (folder / "s.csv").write_text("\n".join(["t_s,joint,x,y,z,state", *frames]))
     samples = [f"{k / 50:.4f},0,9.81,0,0,0,0" for k in range(100)]
     (folder / "i.csv").write_text("\n".join(["t_s,ax,ay,az,gx,gy,gz", *samples]))
-    done(["import", "csv", folder, "-o", tmp_path / "r.mcap", "--json", tmp_path / "r.json"])
+    done("import", "csv", folder, "-o", tmp_path / "r.mcap", "--json", tmp_path / "r.json")
     assert "/imu/forearm_right" in capsys.readouterr().out
     assert json.loads((tmp_path / "r.json").read_text())["side"] == "right"
     (folder / "i.csv").write_text("t_s,ax\n0,1\n")
@@ -233,8 +180,153 @@ def test_demo_as_a_user_runs_it(tmp_path, monkeypatch):
     # a second time, over what the first one left; no figure holds a place of this machine
     report.unlink()
     monkeypatch.setattr("smoother.cli.methods.usual_draws", lambda _: 0)
-    done(["demo", "-o", tmp_path / "out/demo", "--json", tmp_path / "again.json"])
+    done("demo", "-o", tmp_path / "out/demo", "--json", tmp_path / "again.json")
     assert report.is_file()
     text = (tmp_path / "again.json").read_text()
     assert json.loads(text)["report"] == "demo_report.html"
     assert str(tmp_path) not in text and str(DATA.parent) not in text
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated protocol with its motion capture, recovered."""
+    where = tmp_path_factory.mktemp("mocap")
+    done(
+        *("simulate", "arm", "-o", where / "a.mcap", "--mocap", "--calibration-out", where / "cal.toml"),
+        *("--repetitions", 1, "--seed", 4, "--json", where / "sim.json"),
+    )
+    done(
+        *("smooth", where / "a.mcap", "-o", where / "out.mcap", "--calibration", where / "cal.toml"),
+        *("--draws", 0),
+    )
+    return where
+
+
+def validated(folder: Path, truth: str, *more: object) -> dict:
+    json_file = folder / "v.json"
+    done("validate", folder / "out.mcap", "--truth", folder / truth, "--json", json_file, "--force", *more)
+    return json.loads(json_file.read_text())
+
+
+@pytest.fixture(scope="module")
+def built_in(folder: Path) -> dict:
+    return validated(folder, "a.mcap")
+
+
+@pytest.mark.parametrize("kind", ["c3d", "trc"])
+def test_files_give_the_errors_of_the_built_in_truth(folder, built_in, capsys, kind):
+    with_files = validated(
+        folder, f"a.{kind}", "--markers", folder / "a_markers.toml", "--calibration", folder / "cal.toml"
+    )
+    assert built_in["alignment"] == "none"
+    assert with_files["alignment"] == "calibration"
+    for part in ("all", "occluded", "visible"):
+        one, other = built_in[part], with_files[part]
+        assert other["position_rms_m"] == pytest.approx(one["position_rms_m"], abs=1e-4)
+        assert other["orientation_rms_deg"] == pytest.approx(one["orientation_rms_deg"], abs=0.02)
+        # single samples carry the markers' own noise (0.2 mm)
+        assert other["position_max_m"] == pytest.approx(one["position_max_m"], abs=4e-4)
+        assert other["orientation_max_deg"] == pytest.approx(one["orientation_max_deg"], abs=0.2)
+    for joint in ("elbow", "wrist"):
+        one, other = built_in["points"][joint]["all"], with_files["points"][joint]["all"]
+        assert other["position_rms_m"] == pytest.approx(one["position_rms_m"], abs=1e-4)
+    assert set(with_files["angles_deg"]["all"]) >= {"elbow_flexion", "pronation", "shoulder_elevation"}
+    assert "frame from the calibration" in " ".join(capsys.readouterr().out.split())
+
+
+def test_without_a_calibration_it_is_aligned_and_said(folder, capsys):
+    found = validated(folder, "a.c3d", "--markers", folder / "a_markers.toml")
+    made = json.loads((folder / "sim.json").read_text())["mocap"]
+    assert found["alignment"] == "solved"
+    assert found["clock"]["offset_s"] == pytest.approx(made["offset_s"], abs=2e-3)
+    assert 0 < found["clock"]["sigma_s"] < 1e-3
+    to_kinect = Rotation.from_matrix(np.diag([-1.0, -1.0, 1.0]))
+    stated = to_kinect * Rotation.from_quat(made["rotation"], scalar_first=True)
+    solved = Rotation.from_quat(found["camera_from_mocap"]["rotation"], scalar_first=True)
+    assert np.degrees((solved * stated.inv()).magnitude()) < 0.5
+    # 5 mm where the arm is: some 2 m before the camera
+    arm = np.array([0.0, 0.0, 2.0])
+    in_mocap = stated.inv().apply(arm - to_kinect.apply(made["translation"]))
+    there = solved.apply(in_mocap) + found["camera_from_mocap"]["translation"]
+    assert np.linalg.norm(there - arm) < 0.005
+    printed = " ".join(capsys.readouterr().out.split())
+    # every table says it
+    aligned = "aligned: frame and clock of the truth solved from this recording"
+    assert printed.count(aligned) >= printed.count("┏") > 1
+
+
+def test_refused_in_a_sentence(folder, tmp_path, capsys):
+    wrong = tmp_path / "map.toml"
+    wrong.write_text('[markers]\nwrist = ["WR_RAD", "STYLOID"]\n')
+    out, truth = folder / "out.mcap", folder / "a.c3d"
+    assert run(["validate", str(out), "--truth", str(truth), "--markers", str(wrong)]) == 1
+    said = capsys.readouterr().err
+    assert "no marker 'STYLOID'" in said
+    assert "WR_ULN" in said
+    assert "--markers MAP.toml" in refused(capsys, "validate", out, "--truth", truth)
+    bare = tmp_path / "cal.toml"
+    bare.write_text('format = "unocclude calibration"\nversion = 1\n')
+    said = refused(
+        capsys,
+        *("validate", out, "--truth", truth, "--markers", folder / "a_markers.toml", "--calibration", bare),
+    )
+    assert "camera_from_mocap" in said
+
+
+WORDS = "the file ends in the middle of the recording"
+
+
+@pytest.fixture(scope="module")
+def cut_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording and its result, and both without their last part."""
+    cut_folder = tmp_path_factory.mktemp("cut")
+    done(
+        *("simulate", "arm", "--protocol", "random", "--duration-s", 20, "--seed", 4, "-o"),
+        cut_folder / "whole.mcap",
+    )
+    done(
+        "smooth",
+        cut_folder / "whole.mcap",
+        "-o",
+        cut_folder / "result.mcap",
+        "--processes",
+        1,
+        "--draws",
+        0,
+    )
+    (cut_folder / "study").mkdir()
+    for name, to in (("whole", "cut"), ("whole", "study/cut"), ("result", "cut_result")):
+        content = (cut_folder / f"{name}.mcap").read_bytes()
+        (cut_folder / f"{to}.mcap").write_bytes(content[: int(0.85 * len(content))])
+    return cut_folder
+
+
+COMMANDS = (
+    ("info", "cut.mcap"),
+    ("smooth", "cut.mcap", "-o", "out.mcap", "--processes", "1", "--draws", "0"),
+    ("gaps", "cut.mcap", "--lengths", "0.5", "--gaps-per-run", "1", "--processes", "1"),
+    ("compare", "cut.mcap", "--methods", "hold", "--processes", "1"),
+    ("calibrate", "motion", "cut.mcap", "-o", "arm.toml", "--processes", "1"),
+    ("export", "cut_result.mcap", "--format", "csv", "-o", "out.csv"),
+    ("validate", "cut_result.mcap", "--truth", "whole.mcap"),
+    ("batch", "study", "-o", "answers", "--processes", "1"),
+)
+
+
+@pytest.mark.parametrize("arguments", COMMANDS, ids=lambda arguments: arguments[0])
+def test_it_is_said(
+    cut_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+):
+    monkeypatch.chdir(cut_folder)
+    done(*arguments, "--json", "figures.json", "--force")
+    assert WORDS in capsys.readouterr().out
+    assert WORDS in json.dumps(json.loads((cut_folder / "figures.json").read_text()))
+
+
+def test_a_whole_file_is_not_called_cut(cut_folder: Path, capsys: pytest.CaptureFixture[str]):
+    done("validate", cut_folder / "result.mcap", "--truth", cut_folder / "whole.mcap")
+    done("info", cut_folder / "whole.mcap")
+    assert WORDS not in capsys.readouterr().out

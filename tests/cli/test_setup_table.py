@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from _pytest.mark.structures import ParameterSet
+from commands import done
 
 from calib.file import CalibrationFile, write_calibration
 from smoother.cli.run import run
@@ -142,7 +143,7 @@ def test_check_says_the_same_and_ends_with_3(tmp_path: Path, capsys: pytest.Capt
     assert found["allows"] is None
     lines = capsys.readouterr().out.splitlines()
     assert found["verdict"] in lines
-    assert run(["check", *arguments, "--swap", "elbow,wrist", "--json", str(figures), "--force"]) == 0
+    done("check", *arguments, "--swap", "elbow,wrist", "--json", figures, "--force")
     found = json.loads(figures.read_text())
     assert found["trusted"] is True and found["cause"] is None
     assert found["allows"]["longest_gap_s"] > 0.5

@@ -1,39 +1,38 @@
-"""The commands on recordings with IMUs on several arms."""
+"""The commands on recordings with several arms or people: which IMU is on which."""
 
 from __future__ import annotations
 
-import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from commands import done
 
 from smoother.cli.run import run
 from smoother.errors import RecordingError
-from smoother.io import open_recording, read_recording, read_recovery, write_recording
+from smoother.io import open_recording, read_recording, read_recovery, select_recording, write_recording
+from smoother.io.recording.select import match_file
+from smoother.io.recording.streams import RecordingFile
+from smoother.io.recording.write import as_file
+from smoother.simulation import ArmSimulation, simulate_arm
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Both arms, recovered, with a report and figures."""
     place = tmp_path_factory.mktemp("both")
-    simulate = ["simulate", "arm", "-o", str(place / "both.mcap"), "--arms", "both", "--protocol", "random"]
-    simulate += ["--duration-s", "10", "--occlusion-lengths-s", "0.8", "--seed", "3"]
-    assert (
-        run([*simulate, "--calibration-out", str(place / "cal.toml"), "--json", str(place / "sim.json")]) == 0
+    done(
+        *("simulate", "arm", "-o", place / "both.mcap", "--arms", "both", "--protocol", "random"),
+        *("--duration-s", "10", "--occlusion-lengths-s", "0.8", "--seed", "3"),
+        *("--calibration-out", place / "cal.toml", "--json", place / "sim.json"),
     )
-    smooth = [
-        "smooth",
-        str(place / "both.mcap"),
-        "-o",
-        str(place / "out.mcap"),
-        "--processes",
-        "1",
-        "--draws",
-        "0",
-    ]
-    assert run([*smooth, "--json", str(place / "s.json"), "--report", str(place / "r.html")]) == 0
+    done(
+        *("smooth", place / "both.mcap", "-o", place / "out.mcap", "--processes", "1", "--draws", "0"),
+        *("--json", place / "s.json", "--report", place / "r.html"),
+    )
     return place
 
 
@@ -69,9 +68,9 @@ def test_one_page_has_both_arms(folder: Path) -> None:
 
 def test_validate_takes_each_arms_own_truth(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     both = ["validate", str(folder / "out.mcap"), "--truth", str(folder / "both.mcap"), "--force"]
-    assert run([*both, "--json", str(folder / "v.json")]) == 0
+    done(*both, "--json", folder / "v.json")
     assert "--- right arm ---" in capsys.readouterr().out
-    assert run([*both, "--side", "right", "--json", str(folder / "right.json")]) == 0
+    done(*both, "--side", "right", "--json", folder / "right.json")
     made, right = figures(folder / "v.json"), figures(folder / "right.json")
     assert [arm["side"] for arm in made["arms"]] == ["left", "right"] and "arms" not in right
     assert made["arms"][1]["occluded"] == right["occluded"]
@@ -82,24 +81,8 @@ def test_validate_takes_each_arms_own_truth(folder: Path, capsys: pytest.Capture
     assert "the truth of one arm" in said and "--side" in said
 
 
-def test_export_writes_a_file_an_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("csv", "trc", "c3d", "mot", "parquet"):
-        arguments = ["export", str(folder / "out.mcap"), "--format", name, "-o", str(folder / f"e.{name}")]
-        assert run(arguments) == 0
-        assert (folder / f"e_left.{name}").exists() and (folder / f"e_right.{name}").exists()
-    left, right = (
-        list(csv.DictReader((folder / f"e_{side}.csv").read_text().splitlines()))
-        for side in ("left", "right")
-    )
-    assert len(left) == len(right) and left[100]["imu_x"] != right[100]["imu_x"]
-    said = sentence(
-        capsys, ["export", str(folder / "out.mcap"), "--format", "csv", "-o", "x.csv", "--body", "4"], 1
-    )
-    assert "--body 4" in said and "left arm, right arm" in said
-
-
 def test_info_and_check_speak_of_each_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["info", str(folder / "both.mcap"), "--json", str(folder / "i.json")]) == 0
+    done("info", folder / "both.mcap", "--json", folder / "i.json")
     said = capsys.readouterr().out
     assert "cannot be recovered" not in said and "ready for `unocclude smooth`" in said
     assert "left arm: taken" in said and "right arm: allows gaps of" in said
@@ -109,12 +92,11 @@ def test_info_and_check_speak_of_each_arm(folder: Path, capsys: pytest.CaptureFi
         ("right", "/imu/forearm_right"),
     ]
     assert about["side"] == "left" and about["ready"] is True and "smooth" not in about["missing"]
-    assert run(["info", str(folder / "both.mcap"), "--side", "right"]) == 0
+    done("info", folder / "both.mcap", "--side", "right")
     assert "right arm: taken" not in (said := capsys.readouterr().out) and "right arm of /skeleton" in said
     with pytest.raises(RecordingError, match=r"one arm is wanted here; choose with --side\.$"):
         read_recording(folder / "both.mcap")
-    check = ["check", str(folder / "both.mcap"), "--json", str(folder / "ch.json"), "--processes", "1"]
-    assert run(check) == 0
+    done("check", folder / "both.mcap", "--json", folder / "ch.json", "--processes", "1")
     said = capsys.readouterr().out
     assert "--- left arm ---" in said and "--- right arm ---" in said
     checked = figures(folder / "ch.json")
@@ -123,9 +105,10 @@ def test_info_and_check_speak_of_each_arm(folder: Path, capsys: pytest.CaptureFi
 
 
 def test_gaps_have_a_table_an_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["gaps", str(folder / "both.mcap"), "--lengths", "0.5", "--gaps-per-run", "1"]
-    arguments += ["--methods", "pchip", "--calibration", str(folder / "cal.toml")]
-    assert run([*arguments, "--json", str(folder / "g.json")]) == 0
+    done(
+        *("gaps", folder / "both.mcap", "--lengths", "0.5", "--gaps-per-run", "1", "--methods", "pchip"),
+        *("--calibration", folder / "cal.toml", "--json", folder / "g.json"),
+    )
     said = capsys.readouterr().out
     assert "(left arm)" in said and "(right arm)" in said and "(all arms together)" in said
     made = figures(folder / "g.json")
@@ -134,8 +117,10 @@ def test_gaps_have_a_table_an_arm(folder: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_compare_takes_every_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["compare", str(folder / "both.mcap"), "--methods", "graph,pchip"]
-    assert run([*arguments, "--json", str(folder / "c.json"), "--report", str(folder / "c.html")]) == 0
+    done(
+        *("compare", folder / "both.mcap", "--methods", "graph,pchip", "--json", folder / "c.json"),
+        *("--report", folder / "c.html"),
+    )
     made = figures(folder / "c.json")
     assert [arm["side"] for arm in made["arms"]] == ["left", "right"]
     page = (folder / "c.html").read_text()
@@ -144,8 +129,10 @@ def test_compare_takes_every_arm(folder: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_calibrate_motion_fills_both_arms(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["calibrate", "motion", str(folder / "both.mcap"), "-o", str(folder / "motion.toml")]
-    assert run([*arguments, "--json", str(folder / "m.json"), "--processes", "1"]) == 0
+    done(
+        *("calibrate", "motion", folder / "both.mcap", "-o", folder / "motion.toml"),
+        *("--json", folder / "m.json", "--processes", "1"),
+    )
     text = (folder / "motion.toml").read_text()
     assert "[arm.left.lever_arm.wrist]" in text and "[arm.right.lever_arm.wrist]" in text
     assert [arm["side"] for arm in figures(folder / "m.json")["arms"]] == ["left", "right"]
@@ -154,8 +141,7 @@ def test_calibrate_motion_fills_both_arms(folder: Path, capsys: pytest.CaptureFi
 def test_a_study_has_a_row_with_both_arms(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "in").mkdir()
     (folder / "in" / "both.mcap").write_bytes((folder / "both.mcap").read_bytes())
-    arguments = ["batch", str(folder / "in"), "-o", str(folder / "study"), "--processes", "1"]
-    assert run([*arguments, "--json", str(folder / "b.json")]) == 0
+    done("batch", folder / "in", "-o", folder / "study", "--processes", "1", "--json", folder / "b.json")
     said = capsys.readouterr().out
     assert "both.mcap (left arm)" in said and "both.mcap (right arm)" in said
     (row,) = figures(folder / "b.json")["rows"]
@@ -173,20 +159,149 @@ def test_a_calibration_of_one_arm_leaves_the_other_to_its_motion(
     right_only = folder / "right.toml"
     text = (folder / "cal.toml").read_text()
     right_only.write_text("".join(re.findall(r"^\[arm\.right.*?(?=^\[arm\.left|\Z)", text, re.M | re.S)))
-    arguments = ["smooth", str(folder / "both.mcap"), "-o", str(folder / "with_cal.mcap")]
-    assert run([*arguments, "--calibration", str(right_only), "--processes", "1", "--draws", "0"]) == 0
+    done(
+        *("smooth", folder / "both.mcap", "-o", folder / "with_cal.mcap", "--calibration", right_only),
+        *("--processes", "1", "--draws", "0"),
+    )
     assert "has no left arm: this one is found from the motion" in capsys.readouterr().out
     assert len(read_recovery(folder / "with_cal.mcap")) == 2
 
 
-def test_what_a_person_gets_wrong(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = open_recording(folder / "both.mcap")
-    file.imus = [imu for imu in file.imus if "right" in imu.topic]
-    write_recording(file, folder / "right.mcap", force=True)
-    out = str(folder / "never.mcap")
-    said = sentence(capsys, ["smooth", str(folder / "right.mcap"), "-o", out, "--side", "left"], 1)
-    assert "no IMU is on an arm" in said and "--side" in said
-    both = ["simulate", "arm", "-o", out, "--arms", "both"]
-    assert "one arm" in sentence(capsys, [*both, "--mocap"], 2)
-    assert "--arms is one or both" in sentence(capsys, [*both[:-1], "three"], 2)
-    assert not (folder / "never.mcap").exists()
+@pytest.fixture(scope="module")
+def people(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, tuple[int | None, str]]]:
+    """A recording of two people with four IMUs, and its truth."""
+    folder = tmp_path_factory.mktemp("people")
+    settings = "--seed 3 --duration-s 12 --imu-rate-hz 50 --in-time 0 --hanging 0"
+    done("simulate", "people", "-o", folder / "p.mcap", "--json", folder / "p.json", *settings.split())
+    figures = json.loads((folder / "p.json").read_text())
+    return folder / "p.mcap", {row["imu"]: (row["body"], row["joint"]) for row in figures["truth"]}
+
+
+def test_every_imu_is_named(people, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, truth = people
+    done("match", recording, "--json", tmp_path / "m.json")
+    rows = json.loads((tmp_path / "m.json").read_text())["matches"]
+    assert {row["imu"]: (row["body"], row["joint"]) for row in rows} == truth
+    assert all(0.95 < row["probability"] <= 1 for row in rows)
+    assert {tuple(row)[:4] for row in rows} == {("imu", "body", "joint", "probability")}
+    printed = capsys.readouterr().out
+    assert all(imu in printed for imu in truth) and "3 of 4 IMUs are matched" in printed
+
+
+def test_every_method_in_one_table(people, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, truth = people
+    done("match", recording, "--method", "all", "--json", tmp_path / "m.json", "--clocks-apart-s", "1")
+    figures = json.loads((tmp_path / "m.json").read_text())
+    assert set(figures["methods"]) >= {"motion", "joint-likelihood", "shakeid", "acceleration-distance"}
+    assert figures["matches"] == figures["methods"]["motion"]
+    assert {row["imu"] for found in figures["methods"].values() for row in found} == set(truth)
+    assert "Every method" in capsys.readouterr().out
+
+
+def without(file: RecordingFile, **changes: object) -> RecordingFile:
+    return replace(file, **changes)
+
+
+def test_files_that_cannot_be_matched(people) -> None:
+    file = open_recording(people[0])
+    with pytest.raises(RecordingError, match="has no IMU to match"):
+        match_file(without(file, imus=[]))
+    with pytest.raises(RecordingError, match="shows no arm"):
+        match_file(without(file, arms=[]))
+    short = [
+        replace(arm, stamp_ns=arm.stamp_ns[:9], position=arm.position[:9], state=arm.state[:9])
+        for arm in file.arms
+    ]
+    with pytest.raises(RecordingError, match=r"p\.mcap: .* too short to match"):
+        match_file(without(file, arms=short))
+
+
+def test_one_broken_sensor_does_not_keep_the_others(people) -> None:
+    file, truth = open_recording(people[0]), people[1]
+    broken = replace(file.imus[0], acc=np.full_like(file.imus[0].acc, np.nan))
+    late = replace(file.imus[1], stamp_ns=file.imus[1].stamp_ns + 3_600_000_000_000)
+    matches, notes = match_file(without(file, imus=[broken, late, *file.imus[2:]]))
+    assert [match.is_sure for match in matches[:2]] == [False, False]
+    assert all(truth[match.imu][1] == match.joint for match in matches[2:])
+    assert any(note.startswith(f"{broken.topic} cannot be matched") for note in notes)
+    assert any(late.topic in note and "no time in common" in note for note in notes)
+
+
+def test_a_name_that_contradicts_the_motion(people) -> None:
+    file, truth = open_recording(people[0]), people[1]
+    imu = next(k for k, one in enumerate(file.imus) if truth[one.topic][1].startswith("wrist"))
+    side = truth[file.imus[imu].topic][1].removeprefix("wrist_")
+    other = "left" if side == "right" else "right"
+    for name, is_wrong in ((f"/imu/forearm_{side}", False), (f"/imu/forearm_{other}", True)):
+        file.imus[imu] = replace(file.imus[imu], topic=name)
+        matches, notes = match_file(file)
+        assert matches[imu].joint == f"wrist_{side}"
+        assert any(note.startswith(name) and "name contradicts" in note for note in notes) == is_wrong
+
+
+def test_a_file_without_axes_is_matched_all_the_same(people) -> None:
+    file, truth = open_recording(people[0]), people[1]
+    matches, _ = match_file(without(file, camera_frame=None))
+    assert all(truth[match.imu][1] == match.joint for match in matches)
+
+
+def test_smooth_takes_the_imu_that_is_on_the_arm(people) -> None:
+    """Names say nothing, two arms move, an upper arm and the table have sensors too."""
+    recording, truth = people
+    file = open_recording(recording)
+    body = next(body for body, joint in truth.values() if joint.startswith("wrist"))
+    for imu, (whose, joint) in truth.items():
+        if whose == body and joint.startswith("wrist"):
+            side = joint.removeprefix("wrist_")
+            taken = select_recording(file, body=body, side=side)
+            assert taken.imu.name == imu and taken.side == side
+            assert any(f"IMU {imu}" in note and "probability" in note for note in taken.notes)
+
+
+def test_an_upper_arms_imu_is_not_taken_for_a_wrists(people) -> None:
+    file, truth = open_recording(people[0]), people[1]
+    upper = [imu for imu in file.imus if truth[imu.topic][1].startswith("upper_arm")]
+    assert upper
+    with pytest.raises(RecordingError, match=r"no IMU moves as a forearm .* as upper_arm_"):
+        select_recording(without(file, imus=upper))
+
+
+def test_the_other_forearms_are_named_too(people) -> None:
+    """Two wrists have an IMU: one is taken or the user is asked, and either way both are named."""
+    file, truth = open_recording(people[0]), people[1]
+    wrists = [imu.topic for imu in file.imus if truth[imu.topic][1].startswith("wrist")]
+    assert len(wrists) == 2
+    try:
+        said = " ".join(select_recording(file).notes)
+    except RecordingError as error:
+        said = str(error)
+    assert all(topic in said for topic in wrists)
+
+
+def test_one_pair_is_left_and_does_not_fit(people) -> None:
+    """Beside a sure upper arm a sensor that lies still: it is not taken for want of another."""
+    file, truth = open_recording(people[0]), people[1]
+    upper = next(imu for imu in file.imus if truth[imu.topic][1].startswith("upper_arm"))
+    table = next(imu for imu in file.imus if truth[imu.topic][1] == "none")
+    body, joint = truth[upper.topic]
+    side = joint.removeprefix("upper_arm_")
+    with pytest.raises(RecordingError, match="choose with --imu"):
+        select_recording(without(file, imus=[upper, table]), body=body, side=side)
+
+
+def test_names_are_still_believed_first() -> None:
+    """A single IMU that is named as this arm's is taken without a look at its motion."""
+    made = simulate_arm(ArmSimulation(protocol="random", duration_s=5.0), 1).recording
+    taken = select_recording(as_file(made))
+    assert taken.notes == made.notes
+
+
+def test_the_same_seed_gives_the_same_people(people, tmp_path: Path) -> None:
+    settings = "--seed 3 --duration-s 12 --imu-rate-hz 50 --in-time 0 --hanging 0"
+    done("simulate", "people", "-o", tmp_path / "again.mcap", *settings.split())
+    first, again = open_recording(people[0]), open_recording(tmp_path / "again.mcap")
+    for one, other in zip(first.imus, again.imus, strict=True):
+        np.testing.assert_array_equal(one.acc, other.acc)
+    for arm, same in zip(first.arms, again.arms, strict=True):
+        np.testing.assert_array_equal(arm.position, same.position)
+    write_recording(again, tmp_path / "third.mcap")  # what was read can be written again

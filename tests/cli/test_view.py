@@ -14,6 +14,7 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
+from commands import done
 from results import made
 
 from smoother.cli import view as viewer
@@ -74,10 +75,8 @@ def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch, capsys):
         shown.append((file, file.stat().st_size))
 
     monkeypatch.setattr(viewer, "show", show)
-    assert run(["view", str(result)]) == 0
-    assert (
-        run(["view", str(result), "--web", "--web-port", str(free_port()), "--port", str(free_port())]) == 0
-    )
+    done("view", result)
+    done("view", result, "--web", "--web-port", free_port(), "--port", free_port())
     assert "open http://127.0.0.1:" in capsys.readouterr().out
     assert len(shown) == 2
     for file, size in shown:

@@ -1,12 +1,30 @@
-"""Angles of the arm, against scipy's Euler angles and against postures that were put in."""
+"""Angles of elbow and shoulder: against scipy's Euler angles, known postures, and drawn errors."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from arms import make_recording, make_recovery
+from made_results import recovery as made_recovery
 from scipy.spatial.transform import Rotation
 
-from smoother.joint_angles import ANGLES, arm_angles, defined, forearm_axes, torso_axes, wrapped_deg
+from smoother.array_types import FloatArray
+from smoother.calibration import ArmCalibration, SegmentMounting
+from smoother.joint_angles import (
+    ANGLES,
+    arm_angles,
+    defined,
+    elbow_flexion_sigma,
+    forearm_axes,
+    torso_axes,
+    wrapped_deg,
+)
+from smoother.linalg import unit
+from smoother.result import Recovery
+from smoother.result.segment_motion import SegmentMotion
+from smoother.shoulder_angles import SHOULDER_ANGLES, shoulder_angles
 
 DOWN = np.array([0.0, -1.0, 0.0])  # a level Kinect: x to the camera's left, y up, z away from it
 RIGHT_OF_PERSON, UP, TO_CAMERA = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
@@ -157,3 +175,174 @@ def test_torso_axes_of_every_camera_frame():
     # a Kinect's x points to the right of a person who faces it, an optical frame's to the left
     assert np.allclose(torso_axes(DOWN)[:, 2], [1, 0, 0])
     assert np.allclose(torso_axes(-DOWN)[:, 2], [-1, 0, 0])
+
+
+def recovery(up: np.ndarray, lateral: np.ndarray, side: str = "right", sigma_rad: float = 0.0) -> Recovery:
+    """Samples whose humerus points up along `up` (N, 3), its lateral epicondyle along `lateral`."""
+    made = make_recovery(make_recording(), error_m=0.0)
+    made = made.rows(slice(0, len(up)))
+    x = np.cross(up, lateral)
+    R_K_U = np.stack([x, up, lateral], axis=2)
+    R_U_B = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+    pose = np.zeros((len(up), 6, 6))
+    pose[:, 3:, 3:] = sigma_rad**2 * np.eye(3)
+    quaternion = Rotation.from_matrix(R_K_U @ R_U_B).as_quat(scalar_first=True)
+    upper = SegmentMotion(np.zeros((len(up), 3)), quaternion, pose, np.zeros(3))
+    calibration = replace(
+        made.calibration or ArmCalibration(), mountings={"upper_arm": SegmentMounting({}, R_bone=R_U_B)}
+    )
+    return replace(
+        made, segments={"upper_arm": upper}, calibration=calibration, gravity_direction=DOWN, side=side
+    )
+
+
+@pytest.mark.parametrize(("side", "lateral_side"), [("right", 1.0), ("left", -1.0)])
+def test_shoulder_postures_with_known_angles(side: str, lateral_side: float) -> None:
+    out = np.array([lateral_side, 0.0, 0.0])  # sideways, away from the trunk
+    ahead = np.array([0.0, 0.0, -1.0])
+    raised_forward = recovery(-np.tile(ahead, (3, 1)), np.tile(out, (3, 1)), side)
+    raised_sideways = recovery(-np.tile(out, (3, 1)), np.tile(-ahead, (3, 1)), side)
+    forward, _ = shoulder_angles(raised_forward)
+    sideways, _ = shoulder_angles(raised_sideways)
+    np.testing.assert_allclose(forward["shoulder_elevation"], 90.0)
+    np.testing.assert_allclose(sideways["shoulder_elevation"], 90.0)
+    np.testing.assert_allclose(np.abs(sideways["shoulder_plane"]), [0.0] * 3, atol=1e-9)
+    np.testing.assert_allclose(forward["shoulder_plane"], 90.0)
+
+
+def test_sigmas_are_the_spread_of_turned_arms() -> None:
+    rng = np.random.default_rng(0)
+    count, sigma = 600, 0.02
+    R = Rotation.from_euler("yxy", [40.0, 70.0, -25.0], degrees=True)
+    noise = Rotation.from_rotvec(sigma * rng.normal(size=(count, 3)))
+    axes = (noise * R).as_matrix()
+    angles, sigmas = shoulder_angles(recovery(axes[:, :, 1], axes[:, :, 2], sigma_rad=sigma))
+    exact, _ = shoulder_angles(recovery(R.as_matrix()[None, :, 1], R.as_matrix()[None, :, 2]))
+    for name in SHOULDER_ANGLES:
+        spread = np.sqrt(np.mean(wrapped_deg(angles[name] - exact[name][0]) ** 2))
+        assert np.median(sigmas[name]) == pytest.approx(spread, rel=0.15)  # 600 samples: 3 % one sigma
+
+
+def test_soft_tissue_widens_them_about_its_own_axis() -> None:
+    R = Rotation.from_euler("yxy", [40.0, 70.0, -25.0], degrees=True).as_matrix()
+    made = recovery(np.tile(R[:, 1], (2, 1)), np.tile(R[:, 2], (2, 1)))
+    assert made.upper is not None
+    about_the_bone = replace(
+        made, segments={"upper_arm": replace(made.upper, mount_sigma_rad=np.array([0.0, 0.1, 0.0]))}
+    )
+    _, sigmas = shoulder_angles(about_the_bone)
+    np.testing.assert_allclose(sigmas["shoulder_rotation"], np.degrees(0.1), rtol=1e-3)
+    np.testing.assert_allclose(sigmas["shoulder_plane"], 0.0, atol=0.01)
+    np.testing.assert_allclose(sigmas["shoulder_elevation"], 0.0, atol=0.01)
+
+
+def test_nothing_is_said_of_what_is_not_known() -> None:
+    made = recovery(np.tile([0.0, 0.0, 1.0], (4, 1)), np.tile([1.0, 0.0, 0.0], (4, 1)))
+    assert made.upper is not None and made.calibration is not None
+    paused = made.upper.quaternion.copy()
+    paused[1] = np.nan
+    angles, _ = shoulder_angles(replace(made, segments={"upper_arm": replace(made.upper, quaternion=paused)}))
+    np.testing.assert_array_equal(np.isnan(angles["shoulder_plane"]), [False, True, False, False])
+    for less in (
+        replace(made, segments={}),
+        replace(made, calibration=replace(made.calibration, mountings={})),
+        replace(made, gravity_direction=np.full(3, np.nan)),
+    ):
+        angles, sigmas = shoulder_angles(less)
+        assert all(np.isnan(values).all() for values in (*angles.values(), *sigmas.values()))
+
+
+COUNT, DRAWS = 60, 8_000
+#: The same errors everywhere but for their directions: small enough that the angle follows them linearly.
+POSITION_M, TURN_RAD, SHOULDER_M = 0.003, 0.008, 0.006
+
+
+def _covariances(rng: np.random.Generator, size: int, sigma: FloatArray) -> FloatArray:
+    """(COUNT, size, size), every element correlated with every other."""
+    root = rng.normal(size=(COUNT, size, size)) / np.sqrt(size)
+    correlated = root @ root.transpose(0, 2, 1) + 0.3 * np.eye(size)
+    return np.asarray(correlated * sigma[:, None] * sigma)
+
+
+def bent_arms(seed: int = 0) -> Recovery:
+    """Arms bent by 20 to 150 degrees, the IMU near the wrist, off the forearm's axis."""
+    rng = np.random.default_rng(seed)
+    made = made_recovery(COUNT, seed)
+    shoulder = rng.normal(size=(COUNT, 3))
+    humerus, other = unit(rng.normal(size=(COUNT, 3))), rng.normal(size=(COUNT, 3))
+    across = unit(other - np.einsum("ni,ni->n", other, humerus)[:, None] * humerus)
+    flexion = np.radians(np.linspace(20.0, 150.0, COUNT))[:, None]
+    forearm = np.cos(flexion) * humerus + np.sin(flexion) * across
+    elbow = shoulder + 0.30 * humerus
+    wrist = elbow + 0.25 * forearm
+    sigma = np.repeat([POSITION_M, TURN_RAD], 3)
+    return replace(
+        made,
+        position=elbow + 0.2 * forearm + 0.03 * rng.normal(size=(COUNT, 3)),
+        joints={"shoulder": shoulder, "elbow": elbow, "wrist": wrist},
+        pose_covariance=_covariances(rng, 6, sigma),
+        joint_covariance={"shoulder": _covariances(rng, 3, np.full(3, SHOULDER_M))},
+    )
+
+
+def drawn_sigma(made: Recovery, sample: int, rng: np.random.Generator) -> float:
+    """Standard deviation of the flexion of a sample over drawn errors of IMU and shoulder, degrees."""
+    joints = {name: position[sample] for name, position in made.joints.items()}
+    pose = rng.multivariate_normal(np.zeros(6), made.pose_covariance[sample], DRAWS)
+    moved = {
+        joint: made.position[sample]
+        + pose[:, :3]
+        + Rotation.from_rotvec(pose[:, 3:]).apply(joints[joint] - made.position[sample])
+        for joint in ("elbow", "wrist")
+    }
+    off = rng.multivariate_normal(np.zeros(3), made.joint_covariance["shoulder"][sample], DRAWS)
+    drawn = arm_angles(moved | {"shoulder": joints["shoulder"] + off}, DRAWS)["elbow_flexion"]
+    true = arm_angles({name: position[None] for name, position in joints.items()}, 1)["elbow_flexion"]
+    return float(np.sqrt(np.mean(wrapped_deg(drawn - true) ** 2)))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_against_drawn_errors(seed: int) -> None:
+    made, rng = bent_arms(seed), np.random.default_rng(seed)
+    drawn = np.array([drawn_sigma(made, sample, rng) for sample in range(COUNT)])
+    stated = elbow_flexion_sigma(made)
+    np.testing.assert_allclose(stated, drawn, rtol=0.1)
+    assert drawn.max() > 1.2 * drawn.min()  # the samples differ: one figure for all would not do
+
+
+def test_either_error_alone() -> None:
+    """A shoulder off by s across the humerus, and a forearm turned by an angle about the elbow's axis."""
+    made = bent_arms()
+    upper = 0.30
+    nothing, shoulder = np.zeros((COUNT, 6, 6)), np.tile(SHOULDER_M**2 * np.eye(3), (COUNT, 1, 1))
+    off = replace(made, pose_covariance=nothing, joint_covariance={"shoulder": shoulder})
+    np.testing.assert_allclose(elbow_flexion_sigma(off), np.degrees(SHOULDER_M / upper), rtol=1e-6)
+    turned = nothing.copy()
+    turned[:, 3:, 3:] = TURN_RAD**2 * np.eye(3)
+    about_the_elbow = replace(
+        made,
+        position=made.joints["elbow"],
+        pose_covariance=turned,
+        joint_covariance={"shoulder": np.zeros((COUNT, 3, 3))},
+    )
+    np.testing.assert_allclose(elbow_flexion_sigma(about_the_elbow), np.degrees(TURN_RAD), rtol=1e-6)
+
+
+@pytest.mark.parametrize("missing", ["shoulder", "elbow", "wrist"])
+def test_without_a_joint_it_is_not_known(missing: str) -> None:
+    made = bent_arms()
+    joints = {name: position for name, position in made.joints.items() if name != missing}
+    assert np.isnan(elbow_flexion_sigma(replace(made, joints=joints))).all()
+
+
+def test_without_a_stated_shoulder_it_is_not_known() -> None:
+    sigma = elbow_flexion_sigma(replace(bent_arms(), joint_covariance={}))
+    assert sigma.shape == (COUNT,) and np.isnan(sigma).all()
+
+
+def test_samples_without_an_answer_have_none() -> None:
+    made = bent_arms()
+    pose = made.pose_covariance.copy()
+    pose[3] = np.nan
+    sigma = elbow_flexion_sigma(replace(made, pose_covariance=pose))
+    assert np.flatnonzero(np.isnan(sigma)).tolist() == [3]

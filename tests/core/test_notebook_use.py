@@ -1,14 +1,20 @@
-"""What a notebook does: a recording from arrays, a recovery that shows itself, a table."""
+"""What a notebook does: a recording from arrays, recordings and recoveries that show themselves, a table."""
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import made_results
 import numpy as np
+import pyarrow as pa
 import pytest
 from scenes import ALONE
 
 import smoother
 from smoother import JointState, Recording, Recovery, UnoccludeError, smooth
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.sketch import MOST_POINTS, Line, lines_svg
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +101,130 @@ def test_public_names_are_there() -> None:
     assert set(smoother.__all__) <= set(dir(smoother))
     for name in smoother.__all__:
         assert getattr(smoother, name) is not None
+
+
+SVG_PARTS = ("polyline", "polygon", "rect", "text")
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=12.0), 4).recording
+
+
+@pytest.fixture(scope="module")
+def shown() -> Recovery:
+    return made_results.recovery()
+
+
+def picture(page: str) -> dict[str, list[ET.Element]]:
+    """The parts of the one picture of a page."""
+    assert page.count("<svg") == 1
+    root = ET.fromstring(page[page.index("<svg") : page.index("</svg>") + len("</svg>")])
+    return {name: root.findall(name) for name in SVG_PARTS}
+
+
+def test_a_recording_in_some_lines(recording: Recording) -> None:
+    lines = repr(recording).splitlines()
+    assert 3 <= len(lines) <= 5 and max(map(len, lines)) <= 110
+    assert (
+        "12.0 s" in lines[0] and "80.0 Hz" in lines[1] and "360 frames" in lines[2] and "truth" in lines[-1]
+    )
+
+
+def test_a_recovery_in_some_lines(shown: Recovery) -> None:
+    lines = repr(shown).splitlines()
+    assert 3 <= len(lines) <= 5 and max(map(len, lines)) <= 230
+    assert shown.name in lines[0] and f"{len(recovery)} samples" in lines[0]
+    assert f"{len(recovery.gaps)} gap" in lines[1] and "at worst within" in lines[1]
+    worst = max(np.nanmax(shown.error_95_m[_inside(shown, gap)]) for gap in shown.gaps)
+    assert f"at worst within {100 * worst:.1f} cm in 95 of 100 cases" in lines[1]
+
+
+def _inside(shown: Recovery, gap) -> np.ndarray:
+    return (shown.t_s >= gap.start_s) & (shown.t_s < gap.end_s)
+
+
+def test_the_page_has_a_row_and_a_shade_a_gap(shown: Recovery) -> None:
+    page = shown._repr_html_()
+    assert page.count("<tr>") == 1 + len(shown.gaps) and len(page) < 60_000
+    parts = picture(page)
+    assert len(parts["rect"]) == len(shown.gaps) and len(parts["polyline"]) >= 3
+    assert len(parts["polygon"]) == len(parts["polyline"])
+
+
+def test_the_picture_of_a_recording_breaks_where_nothing_was_tracked(recording: Recording) -> None:
+    parts = picture(recording._repr_html_())
+    hidden = ~(recording.arm.state[:, 1:] == JointState.TRACKED).any(axis=1)
+    gaps = int((np.diff(hidden.astype(int)) == 1).sum() + hidden[0])
+    assert len(parts["rect"]) == gaps > 0
+    assert len(parts["polyline"]) >= 3 * (gaps + 1 - hidden[0] - hidden[-1])
+
+
+def test_names_are_no_markup(recording: Recording, shown: Recovery) -> None:
+    for page in (
+        replace(recording, name="<b>&x")._repr_html_(),
+        replace(shown, name="<b>&x")._repr_html_(),
+    ):
+        assert "&lt;b&gt;&amp;x" in page and page.count("<b>") == 1
+
+
+def test_nothing_answered_and_nothing_recorded_still_show(recording: Recording, shown: Recovery) -> None:
+    empty = replace(shown.rows(slice(0, 0)), gaps=())
+    assert "0 samples" in repr(empty) and "no gaps" in repr(empty) and "<svg" not in empty._repr_html_()
+    nowhere = np.full_like(shown.position, np.nan)
+    spread = np.full_like(shown.pose_covariance, np.nan)
+    silent = replace(shown, position=nowhere, pose_covariance=spread, joints={}, joint_covariance={})
+    assert (
+        "no answer" in repr(silent)
+        and "no answer" in silent._repr_html_()
+        and "<svg" not in silent._repr_html_()
+    )
+    nobody = replace(recording, imu=recording.imu.select(slice(0, 0)), arm=recording.arm.select(slice(0, 0)))
+    assert "0 frames" in repr(nobody) and "joints none" in nobody._repr_html_()
+
+
+def test_a_long_recording_makes_no_long_picture() -> None:
+    t = np.arange(100_000.0)
+    from smoother.sketch import even_rows
+
+    rows = even_rows(len(t))
+    assert len(t[rows]) <= MOST_POINTS
+    svg = lines_svg(t[rows], [Line("x", np.sin(t[rows]))], [(5.0, 9.0)], "a < b")
+    assert len(svg) < 10_000 and "a &lt; b" in svg
+    points = [
+        float(p.split(",")[1]) for p in ET.fromstring(svg).findall("polyline")[0].get("points", "").split()
+    ]
+    # upwards is less in SVG: the largest value is the topmost point
+    assert int(np.argmin(points)) == int(np.argmax(np.sin(t[rows])))
+
+
+def test_the_table_has_the_columns_of_the_arrays_with_units(shown: Recovery) -> None:
+    table = shown.to_table()
+    assert isinstance(table, pa.Table) and table.num_rows == len(shown)
+    expected = [
+        "t_s",
+        "occluded",
+        "imu_x",
+        "imu_qw",
+        "velocity_z",
+        "sigma_x",
+        "sigma_deg",
+        "wrist_x",
+        "wrist_sigma_z",
+    ]
+    assert set(expected) <= set(table.column_names)
+    units = {name: table.schema.field(name).metadata[b"unit"].decode() for name in table.column_names}
+    assert units["t_s"] == "s" and units["velocity_z"] == "m/s" and units["sigma_deg"] == "deg"
+    assert units["wrist_x"] == units["sigma_x"] == "m" and units["imu_qw"] == units["occluded"] == ""
+    np.testing.assert_array_equal(
+        table["wrist_y"].to_numpy(zero_copy_only=False), shown.joints["wrist"][:, 1]
+    )
+    assert table["occluded"].type == pa.bool_()
+
+
+def test_no_answer_is_null_in_the_table(shown: Recovery) -> None:
+    position = shown.position.copy()
+    position[3:5] = np.nan
+    column = replace(shown, position=position).to_table()["imu_x"]
+    assert column.null_count == 2 + int(np.isnan(shown.position[:, 0]).sum())
+    assert column[3].as_py() is None

@@ -1,4 +1,4 @@
-"""Stated uncertainty against actual error: shares, bins, and the camera's residuals, written out by hand."""
+"""Stated uncertainty against actual error: shares, bins, residuals, and the factor sigma must grow by."""
 
 from __future__ import annotations
 
@@ -10,6 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from calib.sigma_factor import (
+    ENOUGH_GAPS,
+    factor_sentences,
+    hierarchical_quantile,
+    length_factors,
+    needed_factors,
+)
 from smoother.array_types import FloatArray
 from smoother.evaluation import coverage
 from smoother.evaluation.coverage import LEVELS, StatedAndActual, _evenly, camera_residuals, stated_and_actual
@@ -174,3 +181,99 @@ def test_missing_covariances_and_biases() -> None:
     answer.estimates.joint_bias_m = {}
     expected = by_hand(answer, "wrist", answer.joint_covariance["wrist"], 0.008, finite)
     np.testing.assert_allclose(found["wrist"].squared, expected.squared)
+
+
+def spread(rng: np.random.Generator, count: int) -> FloatArray:
+    """Covariances (count, 3, 3) with axes of their own, m^2."""
+    root = 0.02 * rng.normal(size=(count, 3, 3)) + 0.01 * np.eye(3)
+    return root @ np.swapaxes(root, 1, 2)
+
+
+def test_the_factor_puts_the_error_on_the_regions_border():
+    rng = np.random.default_rng(1)
+    stated, noise = spread(rng, 200), np.diag([4e-6, 9e-6, 1e-6])
+    error = 0.05 * rng.normal(size=(200, 3))
+    factors = needed_factors(error, stated, noise)
+    for column, level in enumerate((0.5, 0.95)):
+        for row in np.flatnonzero(factors[:, column] > 1e-6):
+            total = factors[row, column] ** 2 * stated[row] + noise
+            squared = error[row] @ np.linalg.solve(total, error[row])
+            assert squared == pytest.approx(chi2.ppf(level, 3), rel=1e-6)
+    assert (factors > 1e-6).any()
+
+
+def test_errors_that_the_references_noise_explains_need_nothing():
+    factors = needed_factors(np.full((1, 3), 1e-4), 1e-6 * np.eye(3)[None], 1e-2 * np.eye(3))
+    assert (factors < 1e-3).all()
+
+
+def test_samples_without_an_answer_need_no_factor():
+    stated = np.tile(1e-4 * np.eye(3), (3, 1, 1))
+    stated[1] = np.nan
+    stated[2, 0, 0] = -1.0
+    error = np.array([[np.nan, 0.0, 0.0], [0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    assert np.isnan(needed_factors(error, stated, np.zeros((3, 3)))).all()
+
+
+def test_too_few_gaps_have_no_quantile():
+    values = [np.array([float(k)]) for k in range(18)]
+    assert hierarchical_quantile(values, 0.95) == np.inf
+    assert hierarchical_quantile([*values, np.array([18.0])], 0.95) == 18.0
+
+
+def gaps_like(rng: np.random.Generator, count: int, scale: float) -> list[FloatArray]:
+    """Squared sigmas over the limit in gaps whose samples share their error: heavy tails from gap to gap."""
+    errors = []
+    for _ in range(count):
+        own, samples = scale * rng.standard_t(4, size=3), int(rng.integers(5, 60))
+        errors.append(own + 0.2 * scale * rng.normal(size=(samples, 3)))
+    ends = np.cumsum([len(error) for error in errors])
+    factors = needed_factors(np.concatenate(errors), np.tile(np.eye(3), (ends[-1], 1, 1)), np.zeros((3, 3)))
+    return np.split(factors, ends[:-1])
+
+
+@pytest.mark.parametrize("count", [ENOUGH_GAPS, 40])
+def test_coverage_of_the_next_gap_on_exchangeable_gaps(count: int):
+    """Over 120 studies a sample of the next gap lies inside in 95 of 100 (standard error 2)."""
+    rng = np.random.default_rng(count)
+    inside, wrong = [], []
+    for _ in range(120):
+        groups = gaps_like(rng, count + 1, 1.7)
+        row = length_factors([(1.0, group) for group in groups[:-1]])[0]
+        inside.append(np.mean(groups[-1][:, 1] <= row.factor_95))
+        samples = np.concatenate([group[:, 1] for group in groups[:-1]])
+        wrong.append(np.mean(groups[-1][:, 1] <= np.quantile(samples, 0.95)))
+    assert 0.925 <= np.mean(inside) <= 0.99
+    assert np.mean(wrong) < np.mean(inside)  # samples treated as if each stood for itself
+
+
+def test_lengths_with_few_gaps_are_taken_together():
+    rng = np.random.default_rng(2)
+    gaps = [(0.5, group) for group in gaps_like(rng, 25, 1.0)]
+    gaps += [(3.0, group) for group in gaps_like(rng, 4, 3.0)]
+    short, long = length_factors(gaps)
+    assert (short.count, short.pooled, long.count, long.pooled) == (25, False, 29, True)
+    assert long.factor_95 > short.factor_95
+
+
+def test_few_gaps_take_the_largest_and_say_what_it_holds():
+    (row,) = length_factors([(1.0, group) for group in gaps_like(np.random.default_rng(3), 4, 2.0)])
+    assert row.level == pytest.approx(0.8)
+    assert np.isfinite(row.factor)
+    assert any("4 gaps are too few" in sentence for sentence in factor_sentences([row]))
+
+
+def test_below_one_only_on_firm_evidence():
+    rng = np.random.default_rng(4)
+    few = length_factors([(1.0, group) for group in gaps_like(rng, 30, 0.2)])[0]
+    many = length_factors([(1.0, group) for group in gaps_like(rng, 200, 0.2)])[0]
+    assert few.factor_95 < 1.0 and few.factor == 1.0
+    assert many.factor_95 <= many.factor < 1.0
+
+
+def test_gaps_without_an_answer_count_for_nothing():
+    nothing = np.full((4, 2), np.nan)
+    assert length_factors([(1.0, nothing)]) == ()
+    assert factor_sentences(()) == []
+    (row,) = length_factors([(1.0, nothing), *((1.0, g) for g in gaps_like(np.random.default_rng(5), 3, 1))])
+    assert row.count == 3

@@ -202,17 +202,6 @@ def occluded_recovery():
     return make_recovery(replace(recording, arm=recording.arm.hide((t > 5) & (t < 7))), sigma_m=0.02)
 
 
-def test_gap_summary():
-    recovery = occluded_recovery()
-    position = recovery.position.copy()
-    position[(recovery.t_s > 6.0)] = np.nan
-    (found,) = gap_summaries(replace(recovery, position=position))
-    assert found.gap.length_s == pytest.approx(2.0, abs=0.1)
-    assert found.sigma_max_m == pytest.approx(0.02)
-    assert found.sigma_max_deg == pytest.approx(np.degrees(0.01 * np.sqrt(3)))
-    assert found.answered == pytest.approx(0.5, abs=0.05)
-
-
 def test_figures_without_a_covariance():
     recovery = occluded_recovery()
     blank = replace(

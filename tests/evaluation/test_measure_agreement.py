@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
+from commands import done
 
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
@@ -191,10 +192,10 @@ class TestCommand:
     def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         """A simulated arm, recovered with a few draws."""
         where = tmp_path_factory.mktemp("validated")
-        simulate = ["simulate", "arm", "--protocol", "random", "--duration-s", 8, "--seed", 4]
-        assert run([*map(str, simulate), "-o", str(where / "a.mcap")]) == 0
-        smooth = ["smooth", where / "a.mcap", "-o", where / "out.mcap", "--draws", 20, "--processes", 1]
-        assert run([*map(str, smooth)]) == 0
+        done(
+            "simulate", "arm", "--protocol", "random", "--duration-s", 8, "--seed", 4, "-o", where / "a.mcap"
+        )
+        done("smooth", where / "a.mcap", "-o", where / "out.mcap", "--draws", 20, "--processes", 1)
         return where
 
     def command(self, folder: Path, *more: object) -> int:

@@ -1,4 +1,4 @@
-"""Validation against a truth; the metrics against slow, independent implementations."""
+"""Validation against a truth from a recording or a CSV; metrics against slow implementations."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import make_recording, make_recovery, make_truth
+from arms import make_recording, make_recovery, make_truth, path, turn
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError
 from smoother.evaluation import metrics
+from smoother.evaluation.compare import compare
+from smoother.evaluation.mocap.motion import _exchanged
+from smoother.evaluation.truth import read_truth, truth_notes
 from smoother.evaluation.validate import validate
 from smoother.recording import Truth
 from smoother.result import Recovery
@@ -198,3 +201,168 @@ def test_summaries_leave_nan_out_and_say_none_for_nothing():
         assert summary(nothing) is None
     assert metrics.percentile(nothing, 95) is None
     assert metrics.summarise(nothing, nothing, nothing).samples == 0
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return make_recovery(make_recording(6.0))
+
+
+def write(path, truth, header="t_s,x,y,z,qw,qx,qy,qz", shift=0.0, orientation=True):
+    lines = [header]
+    for t, p, q in zip(truth.t_s, truth.position, truth.quaternion, strict=True):
+        cells = [t + shift, *p, *q] if orientation else [t + shift, *p]
+        lines.append(",".join(f"{cell:.9f}" for cell in cells))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_round_trip(tmp_path, exact):
+    truth = make_truth(np.arange(0, 6, 0.01))
+    read = read_truth(write(tmp_path / "truth.csv", truth), exact)
+    np.testing.assert_allclose(read.position, truth.position, atol=1e-8)
+    np.testing.assert_allclose(read.quaternion, truth.quaternion, atol=1e-8)
+    assert validate(exact, read).all.position_rms_m < 1e-5
+
+
+@pytest.mark.parametrize("header", ["t_s,x,y,z", "t_s, x, y, z, qw, qx, qy, qz"])
+def test_orientation_missing_or_empty(tmp_path, exact, header):
+    truth = make_truth(np.arange(0, 6, 0.01))
+    path = write(tmp_path / "truth.csv", truth, header, orientation=False)
+    if "qw" in header:
+        text = path.read_text().splitlines()
+        path.write_text("\ufeff" + "\r\n".join([text[0]] + [line + ",,,," for line in text[1:]]))
+    found = validate(exact, read_truth(path, exact))
+    assert found.all.orientation_rms_deg is None
+    assert found.all.position_rms_m < 1e-5
+
+
+def test_unix_times_and_relative_times(tmp_path, exact):
+    truth = make_truth(np.arange(0, 6, 0.01))
+    unix = replace(exact, origin_ns=1_700_000_000_000_000_000)
+    path = write(tmp_path / "unix.csv", truth, shift=1.7e9)
+    assert validate(unix, read_truth(path, unix)).all.position_rms_m < 1e-4
+    path = write(tmp_path / "relative.csv", truth)
+    assert validate(unix, read_truth(path, unix)).all.position_rms_m < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "sentence"),
+    [
+        ("a.csv", "", "column t_s, x, y, z is missing; the file has nothing"),
+        ("a.csv", "time,x,y,z\n0,1,2,3\n", "column t_s is missing; the file has time, x, y, z"),
+        ("a.csv", "t_s,x,y,z\n0,1,2,3\n0.1,1,two,3\n", "line 3: 'two' in column y is not a number"),
+        ("a.csv", "t_s,x,y,z\n", "no row has a time"),
+        ("a.txt", "", "a truth is read from .c3d or .trc"),
+        ("a.csv", None, "there is no such file"),
+    ],
+)
+def test_bad_files_are_one_sentence(tmp_path, exact, name, text, sentence):
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(RecordingError) as caught:
+        read_truth(path, exact)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_binary_is_refused(tmp_path, exact):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"\x89\x00\xff\xfe" * 10)
+    with pytest.raises(RecordingError, match="not a CSV file"):
+        read_truth(path, exact)
+
+
+T = np.arange(0, 60.0, 0.01)
+
+
+def warped(t: np.ndarray) -> np.ndarray:
+    """Movements that each begin up to a second earlier or later, so that no two have one rhythm."""
+    return t + 1.0 * np.sin(1.7 * t)
+
+
+def truth_of(t: np.ndarray, at: np.ndarray) -> Truth:
+    quaternion = turn(at).as_quat(scalar_first=True)
+    return Truth(t, path(at), quaternion, np.ones(len(t), dtype=bool))
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    return truth_of(T, warped(T))
+
+
+@pytest.fixture(scope="module")
+def answer(truth):
+    answer = make_recovery(make_recording(60.0, truth=False))
+    at = warped(answer.t_s)
+    noise = np.random.default_rng(0).normal(size=(len(at), 3)) * 0.004
+    return replace(answer, position=path(at) + noise, quaternion=turn(at).as_quat(scalar_first=True))
+
+
+def test_a_right_truth_needs_no_word(answer, truth):
+    assert truth_notes(answer, truth) == []
+    late = replace(truth, t_s=truth.t_s + 0.2)  # a lag that is stated as one
+    assert truth_notes(answer, late) == []
+    rest, level = np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    still = replace(answer, position=0 * answer.position + rest, quaternion=0 * answer.quaternion + level)
+    assert truth_notes(still, replace(truth, position=0 * truth.position + rest)) == []
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres")])
+def test_another_unit(answer, truth, factor, unit):
+    wrong = replace(truth, position=factor * truth.position)
+    for aligned in (False, True):
+        (note,) = truth_notes(answer, wrong, aligned)
+        assert f"they look like {unit}; metres are needed" in note
+
+
+def test_another_recording_or_clock(answer, truth):
+    for wrong in (truth_of(T, T * 1.3), replace(truth, t_s=truth.t_s + 1.5)):
+        (note,) = truth_notes(answer, wrong)
+        assert "of another recording, or its clock differs; try --align" in note
+        without = replace(wrong, quaternion=np.full_like(wrong.quaternion, np.nan))
+        assert "another recording" in truth_notes(answer, without)[0]
+    assert truth_notes(answer, truth_of(T, T * 1.3), aligned=True) == []
+
+
+def test_another_order_of_the_quaternion(answer, truth):
+    tilted = Rotation.from_euler("xyz", [0.4, 1.9, 0.8])
+    mine = Rotation.from_quat(answer.quaternion, scalar_first=True) * tilted
+    other = Rotation.from_quat(truth.quaternion, scalar_first=True) * tilted
+    answer = replace(answer, quaternion=mine.as_quat(scalar_first=True))
+    assert truth_notes(answer, replace(truth, quaternion=other.as_quat(scalar_first=True))) == []
+    (note,) = truth_notes(answer, replace(truth, quaternion=other.as_quat(scalar_first=False)))
+    assert "fits as qx, qy, qz, qw" in note
+
+
+def test_other_axes(answer, truth):
+    turned = Rotation.from_quat(truth.quaternion, scalar_first=True) * Rotation.from_euler("z", 90, True)
+    (note,) = truth_notes(answer, replace(truth, quaternion=turned.as_quat(scalar_first=True)))
+    assert "90 degrees (median) off by a constant turn: is the order qw, qx, qy, qz" in note
+    (note,) = truth_notes(answer, replace(truth, position=truth.position + np.array([1.0, 0, 0])))
+    assert "lies 1.00 m (median) from it" in note and "--align" in note
+
+
+def test_the_notes_stand_among_those_of_validate_and_compare(answer, truth):
+    wrong = replace(truth, position=1000 * truth.position)
+    assert any("millimetres" in note for note in validate(answer, wrong).to_dict()["notes"])
+    recording = make_recording(60.0, truth=False)
+    comparison = compare(recording, answer, wrong, {"graph": lambda _: answer})
+    assert sum("millimetres" in note for note in comparison.to_dict()["notes"]) == 1
+
+
+def test_markers_of_elbow_and_wrist_exchanged():
+    """An elbow that bends between a still shoulder and a forearm of 25 cm."""
+    bend = 1.0 + 0.8 * np.sin(T)
+    elbow = np.tile([0.0, -0.3, 2.0], (len(T), 1))
+    along = np.column_stack([np.sin(bend), -np.cos(bend), 0 * T])
+    joints = {"shoulder": elbow + np.array([0, 0.3, 0]), "elbow": elbow, "wrist": elbow + 0.25 * along}
+    swapped = {**joints, "elbow": joints["wrist"], "wrist": joints["elbow"]}
+    hand = {"hand": elbow + 0.33 * along}
+    assert _exchanged(joints) == _exchanged(joints | hand) == []
+    (note,) = _exchanged(swapped)
+    assert "exchanged" in note and "the upper arm's length changes by" in note
+    (note,) = _exchanged({**swapped, **hand})
+    assert "the hand is 8 cm from the elbow and 33 cm from the wrist" in note
+    assert _exchanged({"wrist": joints["elbow"]}) == []

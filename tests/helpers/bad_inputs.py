@@ -1,12 +1,18 @@
-"""A folder of files that commands must refuse, and a sound recording beside them."""
+"""A folder of files that commands must refuse; a sound recording, a result and a study beside them."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
-from smoother.io import open_recording, write_recording
+from made_measures import made_measures, study_row, write_study
+from results import made
+
+from smoother.io import open_recording, write_recording, write_recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 
+_FLEXION = "elbow_flexion_range_deg"
+_FEW = {"agreement": {"session": {_FLEXION: {"mdc95": None, "pairs": 1}}}, "pairs": []}
 _TEXTS = {
     "text.mcap": "this is not a recording\n" * 10,
     "broken.toml": "[camera\n",
@@ -22,12 +28,19 @@ _TEXTS = {
     "mdc.toml": "[mdc95]\nelbow_flexion_range_deg = 'much'\n",
     "plain/recording.toml": "[camera]\nframe = 'sideways'\nskeleton = 'skeleton.csv'\n",
     "half/recording.toml": "[camera]\nframe = 'kinect'\nskeleton = 'joints.csv'\n[imu.a]\nfile = 'a.csv'\n",
+    "zero.toml": f"[mdc95]\n{_FLEXION} = 0\n",
+    "broken.json": "{",
+    "other.json": '{"all": {}}',
+    "few.json": json.dumps({"measures": _FEW}),
     "panel.toml": "[panel]\nmarkers = [[0, 0], [1, 0], [2, 0], [3, 0]]\nextent = [[-1, -1], [4, 1]]\n",
 }
 
 
 def bad_inputs(folder: Path) -> None:
-    """Write them; `good.mcap` is sound, `no_imu.mcap`, `no_joints.mcap` and `cut.mcap` are parts of it."""
+    """Write them; `good.mcap` is sound, `no_imu.mcap`, `no_joints.mcap` and `cut.mcap` are parts of it.
+
+    `result.mcap` is a right arm recovered; in `study` are two persons with three sessions.
+    """
     for name, text in _TEXTS.items():
         path = folder / name
         path.parent.mkdir(exist_ok=True)
@@ -42,4 +55,13 @@ def bad_inputs(folder: Path) -> None:
     write_recording(file, folder / "no_imu.mcap")
     file.imus, file.arms = imus, []
     write_recording(file, folder / "no_joints.mcap")
+    write_recovery(made(), folder / "result.mcap")
+    sessions = [(person, n) for person in ("p1", "=p2") for n in range(3)]
+    write_study(
+        folder / "study",
+        [
+            study_row(f"{p}/s{n}.mcap", [made_measures(movements=0)], recorded_day=50.0 + n)
+            for p, n in sessions
+        ],
+    )
     (folder / "cut.mcap").write_bytes(good.read_bytes()[:2000])

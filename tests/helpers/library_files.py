@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import skeleton_files as made
+from importers import turning
 from imu_files import motion
-from other_recordings import turning
 
 from smoother.io.tables.joint_columns import AZURE
 

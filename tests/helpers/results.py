@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 from arms import make_recording, make_recovery
 
+from smoother.io import prepare_export
 from smoother.measurements.visibility import accepted_samples, find_gaps, occluded_at, visible_frames
 from smoother.recording import JOINTS, JointState, JointTracks
 from smoother.result import Recovery
@@ -113,3 +118,14 @@ def read_mot(path) -> tuple[dict[str, str], list[str], np.ndarray]:
         lines[end + 1].split("\t"),
         np.array([line.split("\t") for line in lines[end + 2 :]], float),
     )
+
+
+def export(recovery: Recovery, path: Path, **options) -> Path:
+    """Write a recovery in the format of the file's ending."""
+    prepare_export(recovery, path.suffix[1:], **options).write(path, False)
+    return path
+
+
+def opensim_python() -> str | None:
+    """An interpreter that has OpenSim: this one, or the one that UNOCCLUDE_OPENSIM_PYTHON names."""
+    return sys.executable if find_spec("opensim") else os.environ.get("UNOCCLUDE_OPENSIM_PYTHON")

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
+from commands import done
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from smoother.cli.run import run
 from smoother.io.mcap.messages import Topic
 from smoother.io.recording.json_messages import may_copy
 
@@ -61,8 +61,10 @@ def test_motion_is_carried(name: str, schema: str, encoding: str):
 
 def test_from_file_to_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Through the command: no byte of what is private, and a sentence that says what was left out."""
-    simulate = ["simulate", "arm", "--protocol", "random", "--duration-s", "10", "--seed", "3"]
-    assert run([*simulate, "-o", str(tmp_path / "plain.mcap")]) == 0
+    done(
+        *("simulate", "arm", "--protocol", "random", "--duration-s", "10", "--seed", "3", "-o"),
+        tmp_path / "plain.mcap",
+    )
     with open(tmp_path / "rec.mcap", "wb") as file, open(tmp_path / "plain.mcap", "rb") as plain:
         writer = Writer(file)
         writer.start()
@@ -87,8 +89,10 @@ def test_from_file_to_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
             )
         writer.finish()
     out = tmp_path / "out.mcap"
-    smooth = ["smooth", str(tmp_path / "rec.mcap"), "-o", str(out), "--processes", "1", "--draws", "0"]
-    assert run([*smooth, "--json", str(tmp_path / "out.json")]) == 0
+    done(
+        *("smooth", tmp_path / "rec.mcap", "-o", out, "--processes", "1", "--draws", "0", "--json"),
+        tmp_path / "out.json",
+    )
     said = " ".join(capsys.readouterr().out.split())
     assert "Not carried over" in said and "--passthrough-images" in said and "/body_index_map" in said
     (sentence,) = json.loads((tmp_path / "out.json").read_text())["not_carried_over"]
@@ -97,14 +101,18 @@ def test_from_file_to_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         data = {channel.topic: message.data for _, channel, message in make_reader(file).iter_messages()}
     assert set(channels) <= set(data)
     assert not any(b"PATIENT" in each for each in data.values())
-    study = ["batch", str(tmp_path / "rec.mcap"), "-o", str(tmp_path / "study"), "--processes", "1"]
-    assert run([*study, "--json", str(tmp_path / "study.json")]) == 0
+    done(
+        *("batch", tmp_path / "rec.mcap", "-o", tmp_path / "study", "--processes", "1", "--json"),
+        tmp_path / "study.json",
+    )
     assert sentence in " ".join(capsys.readouterr().out.split())
     (row,) = json.loads((tmp_path / "study.json").read_text())["rows"]
     assert sentence in row["note_texts"] and row["notes"] == len(row["note_texts"])
     again = tmp_path / "all.mcap"
-    arguments = ["smooth", str(tmp_path / "rec.mcap"), "-o", str(again), "--processes", "1", "--draws", "0"]
-    assert run([*arguments, "--passthrough-images"]) == 0
+    done(
+        *("smooth", tmp_path / "rec.mcap", "-o", again, "--processes", "1", "--draws", "0"),
+        "--passthrough-images",
+    )
     with open(again, "rb") as file:
         topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
     assert {name for name, *_ in PRIVATE[:12]} <= topics

@@ -128,6 +128,11 @@ class TestTrc:
         assert np.isnan(found.position[0, 1]).all()
         assert np.isfinite(found.position[1, 1]).all()
 
+    def test_a_file_that_was_cut_off_lacks_its_last_line(self, tmp_path):
+        rows = "".join(f"{k + 1}\t{k / 100}\t1\t2\t3\t4\t5\t6\n" for k in range(20))
+        found = read_markers(write(tmp_path, rows, change=lambda text: text[:-24]))
+        assert len(found) == 18 and "counts 20 frames and the file contains 18" in found.notes[0]
+
     def test_times_that_were_rounded_are_those_of_the_rate(self, tmp_path):
         rows = "".join(f"{k + 1}\t{k / 120:.3f}\t1\t2\t3\t4\t5\t{k + 1}\n" for k in range(60))
         found = read_markers(write(tmp_path, rows, change=lambda text: text.replace("\n100\t", "\n120\t")))

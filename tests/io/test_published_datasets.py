@@ -1,4 +1,4 @@
-"""Recordings that others made."""
+"""Recordings that others made: BROAD, UTD-MHAD, and four people of it who do the same at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from smoother.errors import RecordingError
-from smoother.io import import_broad, import_utd_mhad, read_recording, write_recording
+from smoother.io import import_broad, import_utd_mhad, open_recording, read_recording, write_recording
+from smoother.io.recording.select import match_file
 from smoother.recording import CameraFrame, JointState
 
 pytestmark = pytest.mark.real
@@ -67,3 +68,22 @@ def test_other_files_are_refused(datasets: Path, tmp_path: Path) -> None:
     (tmp_path / "x.mat").write_text("nothing")
     with pytest.raises(RecordingError, match="cannot be read as a Matlab file"):
         import_broad(tmp_path / "x.mat")
+
+
+@pytest.mark.parametrize("action", [2, 8, 13, 20])
+def test_four_at_once(datasets: Path, tmp_path: Path, action: int) -> None:
+    folder = datasets / "utd_mhad"
+    group = [
+        import_utd_mhad(
+            folder / "Inertial" / f"a{action}_s{subject}_t3_inertial.mat",
+            folder / "Skeleton" / f"a{action}_s{subject}_t3_skeleton.mat",
+        )
+        for subject in range(1, 5)
+    ]
+    write_recording(group, tmp_path / "four.mcap")
+    matches, _ = match_file(open_recording(tmp_path / "four.mcap"))
+    assert [match.imu for match in matches] == [
+        "/imu/forearm_right" + suffix for suffix in ("", "_2", "_3", "_4")
+    ]
+    # Found by motion alone, though the names say `forearm_right` of all four.
+    assert [(m.limb and m.limb.body, m.joint) for m in matches] == [(b, "wrist_right") for b in range(4)]

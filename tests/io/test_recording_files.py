@@ -221,18 +221,14 @@ def test_streams_that_are_not_there(recording: Recording, tmp_path: Path) -> Non
     assert "no skeleton" in describe(tmp_path / "b.mcap").missing["smooth"]
 
 
-def test_files_that_are_no_recording(tmp_path: Path) -> None:
-    (tmp_path / "empty.mcap").touch()
-    (tmp_path / "text.mcap").write_text("t_s,ax\n")
-    for name, said in [
-        ("empty", r"empty \(0 bytes\)"),
-        ("text", "is not an MCAP"),
-        ("none", "does not exist"),
-    ]:
-        with pytest.raises(RecordingError, match=said):
-            open_recording(tmp_path / f"{name}.mcap")
-    with pytest.raises(RecordingError, match="is a folder"):
-        open_recording(tmp_path)
+def test_a_damaged_metadata_record_is_one_sentence(recording: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_recording(recording, path)
+    path.write_bytes(path.read_bytes().replace(b'["A note."', b'{"A note."'))
+    with pytest.raises(
+        RecordingError, match=r"a\.mcap: its metadata record .* cannot be read .*write it again"
+    ):
+        open_recording(path)
 
 
 def test_isolated_bad_samples_are_dropped_and_counted(recording: Recording, tmp_path: Path) -> None:

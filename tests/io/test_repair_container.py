@@ -8,6 +8,7 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
+from commands import done
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Message
@@ -77,7 +78,7 @@ def test_the_command_lists_what_was_lost(tmp_path: Path, capsys: pytest.CaptureF
     chunk = places(whole, Opcode.CHUNK)[5]
     path, output, figures = (tmp_path / name for name in ("a.mcap", "b.mcap", "c.json"))
     path.write_bytes(put(whole, chunk, bytes(1000)))
-    assert run(["repair", str(path), "-o", str(output), "--json", str(figures)]) == 0
+    done("repair", path, "-o", output, "--json", figures)
     lost = json.loads(figures.read_text())
     assert lost["missing"] and lost["losses"] and lost["notes"]
     assert sum(lost["messages"].values()) + sum(lost["missing"].values()) == COUNT
@@ -86,7 +87,7 @@ def test_the_command_lists_what_was_lost(tmp_path: Path, capsys: pytest.CaptureF
     # whoever reads the whole file learns of it
     assert any(note.startswith("The file was repaired") for note in open_recording(output).notes)
     again = tmp_path / "again.mcap"
-    assert run(["repair", str(output), "-o", str(again)]) == 0
+    done("repair", output, "-o", again)
     assert any(note.startswith("The file was repaired") for note in open_recording(again).notes)
 
 

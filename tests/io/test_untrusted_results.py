@@ -10,12 +10,11 @@ import ezc3d
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from mcap.reader import make_reader
+from mcap_messages import decoded
 from results import made, read_mot
 
 from smoother.io import export_csv, prepare_export, read_recovery, write_recovery
 from smoother.io.result.drawing import RECOVERED, UNTRUSTED, VISIBLE
-from smoother.io.wire.schemas import message_class
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
 from smoother.result.untrusted import standing, untrusted_gaps, untrusted_sentences, usable
 
@@ -127,21 +126,10 @@ def test_c3d_and_mot(tmp_path: Path, kind: str) -> None:
         assert "gap 2" in about["UNTRUSTED"]["value"][0] and "another person's joints" in head
 
 
-def messages(path: Path) -> dict[str, list]:
-    decoded: dict[str, list] = {}
-    with open(path, "rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages():
-            assert schema is not None
-            each = message_class(schema.name)()
-            each.ParseFromString(message.data)
-            decoded.setdefault(channel.topic, []).append(each)
-    return decoded
-
-
 @pytest.mark.parametrize("kind", ESTIMATES)
 def test_gaps_as_events(tmp_path: Path, kind: str) -> None:
     write_recovery(result(kind), tmp_path / "a.mcap")
-    found = messages(tmp_path / "a.mcap")
+    found = decoded(tmp_path / "a.mcap")
     about = [{each.key: each.value for each in event.metadata} for event in found["/unocclude/gaps"]]
     words = {"sound": ["true"] * 2, "partly": ["true", "false"], "wrong": ["false"] * 2}
     assert [each.get("trusted") for each in about] == words.get(kind, [None] * 2)
@@ -157,7 +145,7 @@ def test_gaps_as_events(tmp_path: Path, kind: str) -> None:
 def test_the_drawn_arm_is_dark_red_where_it_is_not_trusted(tmp_path: Path, kind: str) -> None:
     recovery = result(kind)
     write_recovery(recovery, tmp_path / "a.mcap")
-    found = messages(tmp_path / "a.mcap")
+    found = decoded(tmp_path / "a.mcap")
     colours = {VISIBLE: 0, RECOVERED: 1, UNTRUSTED: 2}
     drawn = []
     for update in found["/unocclude/arm"]:

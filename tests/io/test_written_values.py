@@ -1,4 +1,4 @@
-"""What is written reads back equal: results, exports, messages, described tables, of any values."""
+"""What is written reads back equal: recordings, results, exports, messages, of any values."""
 
 from __future__ import annotations
 
@@ -14,27 +14,118 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
+from calib.file import CalibrationFile, read_calibration, write_calibration
+from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.cli.config import read_config, to_toml
 from smoother.config import Config
 from smoother.io import export_csv, read_recovery, write_recovery
 from smoother.io.devices.describe_table import Guess, toml_of
 from smoother.io.export.csv import csv_columns
-from smoother.io.export.markers import C3dContent, write_c3d
+from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
 from smoother.io.export.storage import MotTable, write_mot
-from smoother.io.markers import read_c3d
-from smoother.io.mcap.merge import Output, OutputStream
+from smoother.io.markers import read_c3d, read_trc
+from smoother.io.mcap.merge import Output, OutputStream, repair_container
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.media.images import raw_image, read_images
+from smoother.io.recording.read import open_recording
+from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
+from smoother.io.recording.write import write_recording
 from smoother.io.wire import protobuf_encode as wire
 from smoother.io.wire.schemas import parsed
 from smoother.result import Recovery
 from smoother.runtime.outputs import writing
 
-quick = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+START = 1_700_000_000 * 10**9
+numbers = st.floats(-1e3, 1e3, allow_subnormal=True)
+places = st.floats(-10, 10).map(lambda value: round(value, 6))
+
+
+@st.composite
+def files(draw: st.DrawFn) -> RecordingFile:
+    """Streams of any values and rising stamps less than twelve hours apart."""
+    count, frames = draw(st.integers(1, 12)), draw(st.integers(1, 8))
+
+    def stamps(size: int) -> np.ndarray:
+        steps = draw(st.lists(st.integers(1, 10**13), min_size=size, max_size=size))
+        return START + np.cumsum(np.array(steps, np.int64))
+
+    acc, gyro = (draw(arrays.arrays(np.float64, (count, 3), elements=numbers)) for _ in range(2))
+    state = draw(arrays.arrays(np.int8, (frames, 5), elements=st.integers(0, 2)))
+    state[:, 1] = 2  # an arm that is never there is not written
+    position = draw(arrays.arrays(np.float64, (frames, 5, 3), elements=numbers))
+    position[state == 0] = np.nan
+    return RecordingFile(
+        Path("drawn"),
+        imus=[ImuSamples("/imu/forearm_right", "forearm_right", stamps(count), acc, gyro)],
+        arms=[
+            ArmFrames(
+                "/skeleton", "camera", draw(st.integers(0, 9)), "right", stamps(frames), position, state
+            )
+        ],
+    )
+
+
+@quick
+@given(files())
+def test_recordings(tmp_path: Path, file: RecordingFile):
+    write_recording(file, tmp_path / "a.mcap", force=True)
+    repair_container(tmp_path / "a.mcap", tmp_path / "b.mcap", force=True)
+    for path in (tmp_path / "a.mcap", tmp_path / "b.mcap"):
+        back = open_recording(path)
+        (imu,), (arm,) = back.imus, back.arms
+        assert not back.notes
+        for name in ("stamp_ns", "acc", "gyro"):
+            np.testing.assert_array_equal(getattr(imu, name), getattr(file.imus[0], name))
+        for name in ("stamp_ns", "position", "state", "body", "side"):
+            np.testing.assert_array_equal(getattr(arm, name), getattr(file.arms[0], name))
+
+
+vectors = st.lists(st.floats(-1.9, 1.9), min_size=3, max_size=3).map(np.array)
+sigmas = st.lists(st.floats(1e-9, 1.9), min_size=3, max_size=3).map(np.array)
+
+
+@quick
+@given(
+    st.dictionaries(st.sampled_from(["elbow", "wrist", "hand"]), st.builds(LeverArm, vectors, sigmas)),
+    st.none() | st.builds(Length, st.floats(1e-3, 1.9), st.floats(1e-6, 1.9)),
+    st.none() | vectors,
+)
+def test_calibrations(
+    tmp_path: Path, levers: dict[str, LeverArm], upper_arm: Length | None, bias: np.ndarray | None
+):
+    path = tmp_path / "cal.toml"
+    path.unlink(missing_ok=True)
+    arm = ArmCalibration(side="right", lever_arms=levers, upper_arm=upper_arm, accelerometer_bias=bias)
+    write_calibration(path, CalibrationFile({"right": arm}))
+    back = read_calibration(path).arm("right")
+    assert set(back.lever_arms) == set(levers) and back.upper_arm == upper_arm
+    for joint, lever in levers.items():
+        np.testing.assert_array_equal(back.lever_arms[joint].position_m, lever.position_m)
+        np.testing.assert_array_equal(back.lever_arms[joint].sigma_m, lever.sigma_m)
+    assert (back.accelerometer_bias is None) == (bias is None)
+    if bias is not None:
+        np.testing.assert_array_equal(back.accelerometer_bias, bias)
+
+
+@quick
+@given(
+    arrays.arrays(np.float64, st.tuples(st.integers(2, 6), st.integers(1, 4), st.just(3)), elements=places)
+)
+def test_markers(tmp_path: Path, position: np.ndarray):
+    position[abs(position).max(axis=2) < 1e-6] = 0.5  # the origin stands for a hidden marker
+    names = [f"M{i}" for i in range(position.shape[1])]
+    write_trc(tmp_path / "a.trc", names, np.arange(len(position)) * 0.01, position, 100.0, True)
+    back = read_trc(tmp_path / "a.trc")
+    assert list(back.names) == names
+    np.testing.assert_allclose(back.position, position, atol=1e-6)  # six decimals of a mm or so
+
+
+few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 #: What may be in a name: no surrogates, which are not text.
 words = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
-numbers = st.floats(-1e6, 1e6)
+large = st.floats(-1e6, 1e6)
 any_number = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -58,11 +149,11 @@ def recoveries(draw: st.DrawFn) -> Recovery:
         velocity_covariance=speed,
         name=draw(words),
         notes=tuple(draw(st.lists(words, max_size=3))),
-        clock_offset_s=draw(numbers),
+        clock_offset_s=draw(large),
     )
 
 
-@quick
+@few
 @given(recoveries())
 def test_results(tmp_path: Path, made: Recovery):
     write_recovery(made, tmp_path / "a.mcap", force=True)
@@ -70,7 +161,7 @@ def test_results(tmp_path: Path, made: Recovery):
     assert_same(made, back)
 
 
-@quick
+@few
 @given(recoveries())
 def test_tables_of_results(tmp_path: Path, made: Recovery):
     from pyarrow import parquet
@@ -91,9 +182,13 @@ def test_tables_of_results(tmp_path: Path, made: Recovery):
     assert json.loads(table.schema.metadata[METADATA_KEY])["name"] == made.name
 
 
-@quick
+@few
 @given(
-    arrays.arrays(np.float64, st.tuples(st.integers(1, 6), st.integers(1, 4), st.just(3)), elements=numbers),
+    arrays.arrays(
+        np.float64,
+        st.tuples(st.integers(1, 6), st.integers(1, 4), st.just(3)),
+        elements=large,
+    ),
     st.data(),
 )
 def test_c3d(tmp_path: Path, position: np.ndarray, data: st.DataObject):
@@ -108,10 +203,10 @@ def test_c3d(tmp_path: Path, position: np.ndarray, data: st.DataObject):
     np.testing.assert_allclose(back.position, position, rtol=2e-7, atol=1e-30)  # four bytes a number
 
 
-@quick
+@few
 @given(st.integers(1, 8), words, st.data())
 def test_motion_files(tmp_path: Path, count: int, name: str, data: st.DataObject):
-    columns = arrays.arrays(np.float64, count, elements=numbers)
+    columns = arrays.arrays(np.float64, count, elements=large)
     angles = {key: data.draw(columns) for key in ("elbow_flexion", "pro_sup")}
     flags = [data.draw(arrays.arrays(np.bool_, count)) for _ in range(2)]
     table = MotTable(np.arange(count) / 100, 100.0, angles, *flags, notes=())
@@ -125,7 +220,7 @@ def test_motion_files(tmp_path: Path, count: int, name: str, data: st.DataObject
     np.testing.assert_allclose(np.array(rows, float), wanted, atol=0.5e-9, rtol=1e-15)
 
 
-@quick
+@few
 @given(words, st.dictionaries(st.sampled_from(["ax", "ay", "t_s"]), words | st.integers(1, 99)), words)
 @example("\x7f.csv", {"ax": "a\x7f\x85"}, "\n[imu]")
 def test_described_tables(file: str, columns: dict[str, object], unit: str):
@@ -136,7 +231,7 @@ def test_described_tables(file: str, columns: dict[str, object], unit: str):
     assert section == {"file": file, "accelerometer_unit": unit, "columns": columns}
 
 
-@quick
+@few
 @given(st.floats(1e-4, 1.0), st.booleans(), st.integers(1, 64))
 def test_settings(tmp_path: Path, sigma: float, shared: bool, processes: int):
     config = Config.model_validate({"camera": {"joint_sigma_m": sigma}, "windows": {"processes": processes}})
@@ -144,7 +239,7 @@ def test_settings(tmp_path: Path, sigma: float, shared: bool, processes: int):
     assert read_config(tmp_path / "a.toml") == config
 
 
-@quick
+@few
 @given(
     arrays.arrays(np.float64, st.tuples(st.integers(1, 5), st.just(3)), elements=any_number),
     st.lists(st.integers(-(2**62), 2**62), min_size=5, max_size=5),
@@ -169,7 +264,7 @@ def test_messages_that_are_encoded_together(acc: np.ndarray, stamps: list[int], 
     assert parsed("unocclude.Skeleton", skeleton[0, wire.HEAD_BYTES :].tobytes()).body == body
 
 
-@quick
+@few
 @given(
     arrays.arrays(np.uint16, st.tuples(st.integers(1, 5), st.integers(1, 5))),
     st.integers(1, 2**62),

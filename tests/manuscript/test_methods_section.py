@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import done, refused
 from results import made
 
 from smoother import __version__
@@ -272,7 +273,7 @@ def test_the_three_markups_say_the_same(result: Path):
 
 
 def test_the_command(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert run(["methods", str(result)]) == 0
+    done("methods", result)
     printed = capsys.readouterr().out
     assert (
         printed.startswith("METHODS: ")
@@ -280,9 +281,7 @@ def test_the_command(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     )
     for ending, begins in ((".tex", r"% \input"), (".md", "## Methods: "), (".txt", "METHODS: ")):
         path = tmp_path / f"m{ending}"
-        assert (
-            run(["methods", str(result), "-o", str(path), "--json", str(tmp_path / f"m{ending}.json")]) == 0
-        )
+        done("methods", result, "-o", path, "--json", tmp_path / f"m{ending}.json")
         assert path.read_text().startswith(begins)
     figures = json.loads((tmp_path / "m.tex.json").read_text())
     [recovery] = read_recovery(result)
@@ -294,11 +293,11 @@ def test_the_command(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_both_arms_have_a_section_each(tmp_path: Path):
     write_recovery([made("left"), made("right")], tmp_path / "out.mcap")
-    assert run(["methods", str(tmp_path / "out.mcap"), "-o", str(tmp_path / "m.md")]) == 0
+    done("methods", tmp_path / "out.mcap", "-o", tmp_path / "m.md")
     text = (tmp_path / "m.md").read_text()
     assert text.count("## Methods: ") == 2 and text.count("### References") == 1
     assert ", left arm" in text and ", right arm" in text
-    assert run(["methods", str(tmp_path / "out.mcap"), "--side", "left", "-o", str(tmp_path / "l.md")]) == 0
+    done("methods", tmp_path / "out.mcap", "--side", "left", "-o", tmp_path / "l.md")
     assert ", right arm" not in (tmp_path / "l.md").read_text()
 
 
@@ -319,5 +318,4 @@ def test_wrong_use(
 
 
 def test_a_recording_is_no_result(result: Path, capsys: pytest.CaptureFixture[str]):
-    assert run(["methods", str(result.with_name("rec.mcap"))]) == 1
-    assert "has no result" in capsys.readouterr().err
+    assert "has no result" in refused(capsys, "methods", result.with_name("rec.mcap"))

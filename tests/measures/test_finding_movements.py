@@ -1,16 +1,20 @@
-"""Movements, their thresholds and the repetitions of an exercise, on motions that are known."""
+"""Movements and repetitions, their smoothness, and the flexion without what noise adds."""
 
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
-from measured_arms import minimum_jerk, recovery_of, simulated
+from measured_arms import minimum_jerk, recovery_of, simulated, with_draws
 
+from smoother.joint_angles import elbow_bend, recovery_angles
 from smoother.measures import MeasureSettings, measure
+from smoother.measures.definitions import MeasureDefinition, interval
+from smoother.measures.hand import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
 from smoother.measures.measure import MatchingRepetitions, SegmentingMovements
-from smoother.measures.motion import grid_of, motion_of
+from smoother.measures.motion import ElbowBend, grid_of, lessened, motion_of
 from smoother.measures.movements import find_movements, find_repetitions, match_cost
 from smoother.result import Recovery
 
@@ -140,3 +144,189 @@ def test_the_simulated_protocol_is_done_twice():
     first, second = measures.repetitions
     assert 9.0 < first.length_s < 15.0 and 9.0 < second.length_s < 15.0
     assert second.start_s >= first.end_s - 2.0
+
+
+#: The worked example that the authors publish with their own program: a Gaussian speed profile at 100 Hz.
+BELL = np.exp(-5.0 * np.arange(-1.0, 1.0, 0.01) ** 2)
+
+
+def slow_sparc(speed: np.ndarray, rate_hz: float) -> float:
+    """Sums and loops instead of a Fourier transform: equation 9 of Balasubramanian et al. 2015."""
+    n = len(speed)
+    size = 2 ** (math.ceil(math.log2(n)) + 4)
+    lines = []
+    for k in range(size // 2 + 1):
+        if k * rate_hz / size > 10.0:
+            break
+        turn = 2 * np.pi * k * np.arange(n) / size
+        lines.append(math.hypot(float(speed @ np.cos(turn)), float(speed @ np.sin(turn))))
+    lines = [line / lines[0] for line in lines]  # a speed is never negative: its mean is the largest line
+    last = max(k for k, line in enumerate(lines) if line >= 0.05)
+    return -sum(math.hypot(1.0 / last, lines[k + 1] - lines[k]) for k in range(last))
+
+
+def minimum_jerk_speed(seconds: float, rate_hz: float, peak: float = 1.0) -> np.ndarray:
+    u = np.arange(0.0, 1.0 + 1e-9, 1.0 / (seconds * rate_hz))
+    return peak * 16.0 * (u**2 - 2 * u**3 + u**4)
+
+
+def test_the_published_examples():
+    assert spectral_arc_length(BELL, 100.0) == pytest.approx(-1.41403, abs=5e-6)
+    assert log_dimensionless_jerk(BELL, 100.0) == pytest.approx(-5.81636, abs=5e-6)
+
+
+def test_minimum_jerk_has_its_analytic_jerk():
+    # T^3 / v^2 * integral of jerk^2 = 720 / 1.875^2 = 204.8; differences of 1000 samples are within 1 %
+    assert log_dimensionless_jerk(minimum_jerk_speed(1.0, 1000.0), 1000.0) == pytest.approx(
+        -math.log(204.8), abs=0.01
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sparc_is_what_its_definition_says(seed: int):
+    rng = np.random.default_rng(seed)
+    speed = minimum_jerk_speed(1.5, 80.0) + 0.3 * np.abs(
+        np.convolve(rng.normal(size=121), np.ones(9) / 9, "same")
+    )
+    assert spectral_arc_length(speed, 80.0) == pytest.approx(slow_sparc(speed, 80.0), abs=1e-9)
+
+
+def test_neither_size_nor_duration_nor_rate_matter():
+    usual = spectral_arc_length(minimum_jerk_speed(1.0, 100.0), 100.0)
+    assert spectral_arc_length(minimum_jerk_speed(1.0, 100.0, peak=3.0), 100.0) == pytest.approx(
+        usual, abs=1e-9
+    )
+    # the padded spectrum's step changes with the number of samples: 0.01 of 1.4
+    assert spectral_arc_length(minimum_jerk_speed(2.5, 100.0), 100.0) == pytest.approx(usual, abs=0.01)
+    assert spectral_arc_length(minimum_jerk_speed(1.0, 60.0), 60.0) == pytest.approx(usual, abs=0.01)
+    jerk = log_dimensionless_jerk(minimum_jerk_speed(1.0, 100.0), 100.0)
+    assert log_dimensionless_jerk(minimum_jerk_speed(2.5, 100.0), 100.0) == pytest.approx(jerk, abs=0.1)
+
+
+def test_a_stop_between_makes_a_movement_less_smooth():
+    one = minimum_jerk_speed(1.0, 100.0)
+    two = np.concatenate([one, np.zeros(20), one])
+    assert spectral_arc_length(two, 100.0) < spectral_arc_length(one, 100.0) - 0.5
+    assert log_dimensionless_jerk(two, 100.0) < log_dimensionless_jerk(one, 100.0) - 1.0
+    assert len(velocity_peaks(one, 100.0, 0.02, 0.15)) == 1
+    assert velocity_peaks(two, 100.0, 0.02, 0.15).tolist() == [50, 171]
+
+
+def test_peaks_that_do_not_stand_out_do_not_count():
+    t = np.arange(0.0, 1.0, 0.01)
+    bell = np.sin(np.pi * t)
+    assert len(velocity_peaks(bell + 0.005 * np.sin(2 * np.pi * 9 * t), 100.0, 0.02, 0.15)) == 1
+    assert len(velocity_peaks(bell + 0.2 * np.sin(2 * np.pi * 3 * t), 100.0, 0.02, 0.15)) > 1
+
+
+@pytest.mark.parametrize("speed", [np.zeros(100), np.ones(5), np.full(50, np.nan)])
+def test_what_has_no_smoothness_is_nan(speed: np.ndarray):
+    assert math.isnan(spectral_arc_length(speed, 100.0))
+    assert math.isnan(log_dimensionless_jerk(speed, 100.0))
+
+
+BEND_T = np.arange(0.0, 20.0, 0.1)
+WHATS = {"max": np.max, "min": np.min, "median": np.median, "range": np.ptp}
+
+
+def swinging(flexion_rad: np.ndarray, t_s: np.ndarray) -> dict[str, np.ndarray]:
+    """An upper arm that swings, and a forearm that bends from it in the swing's plane."""
+    swing = 0.7 * np.sin(0.9 * t_s)
+
+    def along(angle: np.ndarray) -> np.ndarray:
+        return np.stack([np.sin(angle), np.cos(angle), np.zeros(len(angle))], axis=1)
+
+    elbow = 0.3 * along(swing)
+    return {
+        "shoulder": np.zeros_like(elbow),
+        "elbow": elbow,
+        "wrist": elbow + 0.25 * along(swing + flexion_rad),
+    }
+
+
+def test_the_bend_is_as_long_as_the_flexion_and_passes_straight_smoothly():
+    signed = 0.3 * np.sin(1.3 * BEND_T)
+    recovery = recovery_of(BEND_T, swinging(signed, BEND_T))
+    bend = elbow_bend(recovery)
+    assert bend is not None
+    flexion = recovery_angles(recovery)["elbow_flexion"]
+    np.testing.assert_allclose(np.degrees(np.linalg.norm(bend, axis=1)), flexion, atol=1e-9)
+    np.testing.assert_allclose(bend[:, 2], -signed, atol=1e-9)  # from y towards x is about -z
+    assert elbow_bend(recovery_of(BEND_T, {"wrist": np.zeros((len(BEND_T), 3))})) is None
+
+
+def slow_errors(rng: np.random.Generator, count: int, sigma: float) -> np.ndarray:
+    """Errors (count, n, 2) of the bend with a memory of a second, and that standard deviation an axis."""
+    waves = np.stack([f(np.outer(np.arange(12), 0.4 * BEND_T)) for f in (np.cos, np.sin)])
+    return sigma / np.sqrt(12) * np.einsum("nabk,abt->ntk", rng.normal(size=(count, 2, 12, 2)), waves)
+
+
+@pytest.mark.parametrize("stated", [0.8, 1.0, 1.25])
+def test_a_straight_elbow_is_held_by_its_intervals(stated: float):
+    """100 answers that are a bend of 0 to 7 degrees and an error of 3 degrees, stated well or not so well."""
+    rng = np.random.default_rng(3)
+    truth = np.radians(3.5 * (1.0 + np.sin(0.8 * BEND_T)))
+    error = np.radians(3.0)
+    held, held_before = dict.fromkeys(WHATS, 0), dict.fromkeys(WHATS, 0)
+    off: dict[str, list[float]] = {what: [] for what in WHATS}
+    off_before: dict[str, list[float]] = {what: [] for what in WHATS}
+    for _ in range(100):
+        answer = np.stack([truth, 0.0 * BEND_T], axis=1) + slow_errors(rng, 1, error)[0]
+        errors = slow_errors(rng, 40, stated * error)
+        flexion, drawn = (np.degrees(np.linalg.norm(each, axis=-1)) for each in (answer, answer + errors))
+        square = float(np.mean(np.sin(np.radians(flexion)) ** 2))
+        bend = ElbowBend(square, 0.5 * float(np.mean((errors**2).sum(axis=2))))
+        parts = [bend.left(float(u)) * bend.of_draws for u in rng.uniform(size=40)]
+        for what, of in WHATS.items():
+            exact = float(of(np.degrees(truth)))
+            definition = MeasureDefinition(what, "deg", 0.0, 180.0)
+            value = float(of(lessened(flexion, bend.left(0.5))))
+            draws = np.array([of(lessened(each, part)) for each, part in zip(drawn, parts, strict=True)])
+            low, high, _ = interval(value, draws, definition)
+            low = low if what == "range" else bend.lower(low)
+            held[what] += low - 1e-9 <= exact <= high + 1e-9
+            off[what].append(value - exact)
+            value_before = float(of(flexion))
+            low, high, _ = interval(value_before, np.array([of(each) for each in drawn]), definition)
+            held_before[what] += low <= exact <= high
+            off_before[what].append(value_before - exact)
+    assert min(held[what] for what in ("max", "min", "range")) >= 85, held
+    assert held["median"] >= 75, held
+    assert max(held_before["max"], held_before["range"]) <= 60  # what the correction is for
+    for what in ("max", "range"):
+        assert abs(np.mean(off[what])) < 0.6 * np.mean(off_before[what]), what
+
+
+def test_a_bent_elbow_stays_as_it_is():
+    """Errors of 3 degrees take at most half a degree from an elbow that bends from 20 to 130."""
+    flexion = np.linspace(20.0, 130.0, 500)
+    bend = ElbowBend(float(np.mean(np.sin(np.radians(flexion)) ** 2)), np.radians(3.0) ** 2)
+    less = lessened(flexion, bend.left(0.5))
+    assert (less <= flexion + 1e-9).all() and (less > flexion - 0.5).all() and (np.diff(less) > 0.0).all()
+    np.testing.assert_allclose(less[flexion >= 90.0], flexion[flexion >= 90.0], atol=1e-9)
+
+
+def test_more_is_left_where_the_error_is_smaller():
+    lefts = [ElbowBend(0.01, variance).left(0.5) for variance in (0.0, 1e-9, 1e-4, 1e-3, 1e-2, 1.0)]
+    assert lefts[0] == 1.0 and lefts[1] == pytest.approx(1.0, abs=1e-5)
+    assert (np.diff(lefts) <= 0.0).all() and lefts[-1] < 0.5
+    spread = [ElbowBend(0.01, 0.003).left(quantile) for quantile in (0.0, 0.025, 0.5, 0.975, 1.0)]
+    assert (np.diff(spread) > 0.0).all() and spread[0] >= 0.0 and spread[-1] <= 1.0
+    # the stated error explains all of the answer: anything from straight up may be true
+    assert spread[1] < 0.3
+
+
+def test_an_interval_reaches_down_by_the_error_across_the_bend():
+    bend = ElbowBend(0.01, np.radians(3.0) ** 2)
+    assert bend.lower(2.0) == 0.0 and bend.lower(-1.0) == -1.0
+    assert bend.lower(5.0) == pytest.approx(4.0, abs=0.02)  # 3, 4, 5: on a small sphere nearly so
+    assert bend.lower(100.0) == 100.0  # beyond a right angle an error across lessens the angle
+
+
+def test_draws_that_agree_leave_the_measures_as_they_are():
+    recovery = recovery_of(BEND_T, swinging(1.0 + 0.5 * np.sin(BEND_T), BEND_T))
+    bare, sure = measure(recovery).by_key, measure(with_draws(recovery, sigma_m=0.0)).by_key
+    for what in ("range", "min", "max", "p50"):
+        key = f"elbow_flexion_{what}_deg"
+        assert sure[key].value == pytest.approx(bare[key].value, abs=1e-9)
+        assert (sure[key].low, sure[key].high) == pytest.approx((bare[key].value,) * 2, abs=1e-9)

@@ -1,21 +1,28 @@
-"""The page: self-contained, whole, and there for odd results too."""
+"""The page: self-contained, whole, there for odd results, compared, drawn and exported."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import make_recording, make_recovery, make_truth
+from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
+from commands import done
+from measured_arms import simulated, with_draws
 
 from smoother.errors import UnoccludeError
+from smoother.evaluation.reference import ReferenceAlignment
 from smoother.evaluation.validate import validate
+from smoother.io import read_recovery, write_recovery
 from smoother.measurements.visibility import Gap
+from smoother.measures import measure
 from smoother.recording import CameraFrame, Recording
 from smoother.report import write_report
 from smoother.report.summary import summary
+from smoother.report.truth_comparison import angle_curves, bland_altman, compared, error_over_time
 from smoother.result import Estimates, Recovery
 
 
@@ -221,3 +228,119 @@ def test_existing_page_needs_force(tmp_path):
     write_report(recovery, path, force=True)
     assert path.stat().st_size > 1e6
     assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """A recovery with a gap and R_F_A, and a truth with joints."""
+    recording = make_recording()
+    hidden = (recording.arm.t_s > 8) & (recording.arm.t_s < 9.5)
+    recovery = make_recovery(replace(recording, arm=recording.arm.hide(hidden)), error_m=0.004)
+    recovery = replace(recovery, calibration=replace(recovery.calibration, R_F_A=np.eye(3)))
+    t = np.arange(0, 20, 0.01)
+    joints = {name: path(t) + turn(t).apply(lever) for name, lever in LEVERS.items()}
+    joints["shoulder"] = np.tile([0.0, 0.3, 2.1], (len(t), 1))
+    return recovery, replace(make_truth(t), joints=joints)
+
+
+def test_sections_say_where_the_truth_was_aligned(pair, tmp_path):
+    recovery, truth = pair
+    found = validate(recovery, truth, ReferenceAlignment("solved"))
+    titles = [title for title, *_ in compared(recovery, truth, found)]
+    assert len(titles) == 4
+    assert all("aligned: frame and clock" in title for title in titles)
+    write_report(recovery, tmp_path / "r.html", validation=found, truth=truth)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    # the four, and the table of errors; in no heading for a truth that came as it is
+    assert text.count("aligned: frame and clock of the truth solved") >= 5
+    write_report(recovery, tmp_path / "s.html", validation=validate(recovery, truth), truth=truth)
+    assert "aligned: frame" not in (tmp_path / "s.html").read_text(encoding="utf-8")
+
+
+def test_what_is_drawn_are_the_errors(pair):
+    recovery, truth = pair
+    figure = error_over_time(recovery, truth)
+    drawn = {trace.name: np.asarray(trace.y, float) for trace in figure.data if trace.yaxis == "y"}
+    error = 100 * np.linalg.norm(recovery.position - path(recovery.t_s), axis=1)
+    seen = ~recovery.occluded
+    inner = seen & np.roll(seen, 1) & np.roll(seen, -1)
+    np.testing.assert_allclose(drawn["sensor, seen"][inner], error[inner], atol=0.01)
+    assert np.isnan(drawn["sensor, recovered"][inner]).all()
+    np.testing.assert_allclose(drawn["sensor, recovered"][~seen], error[~seen], atol=0.01)
+    assert len(figure.layout.shapes) == 1
+
+
+def test_angles_and_their_limits_are_drawn(pair):
+    recovery, truth = pair
+    found = validate(recovery, truth)
+    curves = angle_curves(recovery, found.angles)
+    assert sum(trace.name == "reference" for trace in curves.data) == len(found.angles.compared)
+    dots = bland_altman(recovery, found.angles, found.angle_figures["all"])
+    lines = sorted(shape.y0 for shape in dots.layout.shapes if shape.yref == "y")
+    each = found.angle_figures["all"][found.angles.compared[0]]
+    np.testing.assert_allclose(lines, [each.limits_low, each.bias, each.limits_high])
+
+
+def test_table_one_stands_in_the_report(pair, tmp_path):
+    recovery, truth = pair
+    found = validate(recovery, truth)
+    write_report(recovery, tmp_path / "r.html", validation=found, truth=truth)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    row = next(row for row in found.table.rows if row.errors.startswith("Position"))
+    assert f"<td>{row.answer:.5f}</td>" in text
+    assert "Error reduction" in text
+
+
+@pytest.fixture(scope="module")
+def recovery() -> Recovery:
+    return simulated(0, protocol="random", duration_s=8.0, occlusion_lengths_s=(0.8,))
+
+
+def test_a_figure_has_curves_bands_and_shaded_gaps(recovery: Recovery, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    figure = recovery.plot(["elbow_flexion", "wrist"], width_cm=8.5)
+    flexion, wrist = figure.axes
+    assert figure.get_size_inches()[0] == pytest.approx(8.5 / 2.54)
+    assert flexion.get_ylabel() == "elbow flexion, deg" and len(wrist.lines) == 3
+    drawn = flexion.lines[0].get_ydata()
+    np.testing.assert_allclose(drawn, recovery.angles().values["elbow_flexion"], atol=1e-9)
+    starts = np.flatnonzero(np.diff(recovery.occluded.astype(int), prepend=0) == 1)
+    assert len(flexion.patches) == len(starts) > 0
+    figure.savefig(tmp_path / "figure.pdf")
+    assert (tmp_path / "figure.pdf").stat().st_size > 5000
+    part = recovery.plot(["wrist"], from_s=2.0, to_s=4.0)
+    assert part.axes[0].get_xlim() == pytest.approx((2.0, 4.0), abs=0.02)
+
+
+def test_what_cannot_be_drawn_says_why(recovery: Recovery) -> None:
+    pytest.importorskip("matplotlib")
+    with pytest.raises(UnoccludeError, match="nose cannot be drawn: the recovery has elbow_flexion"):
+        recovery.plot(["nose"])
+    with pytest.raises(UnoccludeError, match="no sample to draw between 100"):
+        recovery.plot(from_s=100.0)
+
+
+@pytest.mark.parametrize("ending", ["csv", "trc", "mot"])
+def test_an_export_is_that_of_the_command(recovery: Recovery, tmp_path: Path, ending: str) -> None:
+    write_recovery(recovery, tmp_path / "a.mcap")
+    [read] = read_recovery(tmp_path / "a.mcap")
+    done("export", tmp_path / "a.mcap", "--format", ending, "-o", tmp_path / f"b.{ending}")
+    read.export(tmp_path / f"c.{ending}")
+    ours, theirs = ((tmp_path / f"{name}.{ending}").read_text() for name in "cb")
+    assert ours.replace(f"c.{ending}", "") == theirs.replace(f"b.{ending}", "")
+    with pytest.raises(UnoccludeError, match="exists"):
+        read.export(tmp_path / f"c.{ending}")
+
+
+def test_an_ending_that_is_no_format_lists_those_that_are(recovery: Recovery, tmp_path: Path) -> None:
+    with pytest.raises(UnoccludeError, match=r"its ending names no format; endings: \.mcap, \.csv"):
+        recovery.export(tmp_path / "a.docx")
+
+
+def test_measures_as_a_dataframe(recovery: Recovery) -> None:
+    pandas = pytest.importorskip("pandas")
+    found = measure(with_draws(recovery, count=20))
+    frame = found.to_dataframe()
+    assert isinstance(frame, pandas.DataFrame) and list(frame.columns) == found.to_table().column_names
+    row = frame[(frame["key"] == "elbow_flexion_range_deg") & (frame["scope"] == "session")].iloc[0]
+    assert row["value"] == found.by_key["elbow_flexion_range_deg"].value

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from commands import done, refused
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
@@ -215,8 +216,10 @@ def test_mounting_is_as_far_off_as_asked(clean: SimulatedPanel):
 
 def test_folder_and_recording_hold_the_session(tmp_path: Path):
     folder, mcap = tmp_path / "session", tmp_path / "session.mcap"
-    options = ["--poses", "2", "--seed", "3", *SMALL, "--magnetometer"]
-    assert run(["simulate", "panel", "-o", str(folder), "--mcap", str(mcap), *options]) == 0
+    done(
+        *("simulate", "panel", "-o", folder, "--mcap", mcap, "--poses", "2", "--seed", "3", *SMALL),
+        "--magnetometer",
+    )
     truth = tomllib.loads((folder / "truth.toml").read_text())
     lens = tomllib.loads((folder / "intrinsics.toml").read_text())
     defined = np.array(tomllib.loads((folder / "panel.toml").read_text())["panel"]["markers"])
@@ -261,14 +264,14 @@ def test_folder_and_recording_hold_the_session(tmp_path: Path):
 
 def test_folder_is_whole_or_not_there(tmp_path: Path, capsys: pytest.CaptureFixture):
     folder = tmp_path / "session"
-    assert run(["simulate", "panel", "-o", str(folder), *SMALL, "--distance-m", "0.35,0.36"]) == 1
-    assert "does not fit" in capsys.readouterr().err
+    said = refused(capsys, "simulate", "panel", "-o", folder, *SMALL, "--distance-m", "0.35,0.36")
+    assert "does not fit" in said
     assert list(tmp_path.iterdir()) == []
     arguments = ["simulate", "panel", "-o", str(folder), *SMALL]
-    assert run(arguments) == 0
+    done(*arguments)
     assert run(arguments) == 1 and "--force" in capsys.readouterr().err
     before = (folder / "pose_01_depth.png").read_bytes()
-    assert run([*arguments, "--force"]) == 0
+    done(*arguments, "--force")
     assert (folder / "pose_01_depth.png").read_bytes() == before  # same seed, same bytes
     (folder / "truth.toml").unlink()
     assert run([*arguments, "--force"]) == 1 and "other things" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`unocclude batch` on this machine: outputs, rows, what is computed again and what is not."""
+"""`unocclude batch`: which recordings, outputs, rows, a begun folder, the same bytes."""
 
 from __future__ import annotations
 
@@ -6,16 +6,24 @@ import json
 import os
 import shutil
 import socket
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Barrier
 
 import duckdb
 import pytest
+from commands import done
 from studies import BROKEN, NAMES, batch, query, state
 
 from calib.file import CalibrationFile, write_calibration
 from smoother import __version__
 from smoother.calibration import ArmCalibration, Length
-from smoother.cli.run import run
-from smoother.study.inputs import file_hash
+from smoother.errors import UnoccludeError
+from smoother.io import write_recording
+from smoother.runtime import pool
+from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.study.folder import StudyFolder
+from smoother.study.inputs import file_hash, find_entries, left_out_note
 
 
 def test_a_study_and_what_is_done_again(recordings, tmp_path, capsys):
@@ -37,8 +45,7 @@ def test_a_study_and_what_is_done_again(recordings, tmp_path, capsys):
 
     # the command `smooth` gives the same bytes, but for the motions that it draws
     one = tmp_path / "one.mcap"
-    smooth = ["smooth", str(recordings / NAMES[0]), "-o", str(one), "--processes", "1", "--draws", "0"]
-    assert run(smooth) == 0
+    done("smooth", recordings / NAMES[0], "-o", one, "--processes", "1", "--draws", "0")
     assert one.read_bytes() == first[NAMES[0]][1]
 
     # nothing is computed twice, the failure included
@@ -178,3 +185,188 @@ def test_what_is_no_file_stops_no_other(in_here, recordings, tmp_path, capsys):
     }
     assert set(rows) == set(said)
     assert all(words in rows[name]["error"] for name, words in said.items())
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> StudyFolder:
+    return StudyFolder(tmp_path / "new")
+
+
+@pytest.mark.parametrize("made", range(4))
+def test_what_a_killed_command_began_is_taken_up(folder: StudyFolder, made: int):
+    for path in (folder.results, folder.stage, folder.rows)[:made]:
+        path.mkdir(parents=True)
+    word = folder.open()
+    assert folder.is_the_one(word) and folder.open() == word
+
+
+def test_files_of_no_study_are_refused(folder: StudyFolder):
+    for name in ("thesis.txt", "results/rows.parquet"):
+        folder.results.mkdir(parents=True)
+        (folder.path / name).touch()
+        with pytest.raises(UnoccludeError, match="not of a study; name a new folder, or --force"):
+            folder.open()
+        assert not folder.mark.parent.exists(), "nothing is put among them"
+        (folder.path / name).unlink()
+        folder.results.rmdir()
+    folder.results.touch()
+    with pytest.raises(UnoccludeError, match="not of a study"):
+        folder.open()
+
+
+def test_another_command_is_beginning(folder: StudyFolder):
+    folder.stage.mkdir(parents=True)
+    with folder.alone(), pytest.raises(UnoccludeError, match="another command works on"):
+        folder.open()
+
+
+def test_another_command_begins_and_writes_meanwhile(folder: StudyFolder, monkeypatch: pytest.MonkeyPatch):
+    """Its first outputs are not taken for files of somebody else."""
+    words = []
+
+    def holds_others(self: StudyFolder) -> bool:
+        monkeypatch.undo()
+        words.append(self.open())
+        (self.path / "a.mcap").touch()
+        return self._holds_others()
+
+    monkeypatch.setattr(StudyFolder, "_holds_others", holds_others)
+    assert [folder.open()] == words
+
+
+def test_many_begin_at_once(folder: StudyFolder):
+    """Each gets the study's word, or hears that another one works there; nobody replaces the word."""
+    at_once = Barrier(8)
+
+    def begin(_: int) -> str:
+        at_once.wait()
+        try:
+            return folder.open()
+        except UnoccludeError as error:
+            assert "another command works on" in str(error)
+            return ""
+
+    with ThreadPoolExecutor(8) as threads:
+        words = set(threads.map(begin, range(8)))
+    assert words - {""} == {folder.open()}
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    for name in ("p1/a.mcap", "p1/b.mcap", "p2/a.mcap", "p2/.hidden.mcap", ".trash/x.mcap", "p2/notes.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def names(source: object, output: Path) -> list[str]:
+    return [entry.name for entry in find_entries(str(source), output)]
+
+
+def test_a_folder_with_all_below_it(tree):
+    assert names(tree, tree / "out") == ["p1/a.mcap", "p1/b.mcap", "p2/a.mcap"]
+    assert names(tree / "p1" / "b.mcap", tree / "out") == ["b.mcap"]
+
+
+def test_a_pattern_names_from_its_first_wildcard(tree, monkeypatch):
+    assert names(tree / "p*" / "a.mcap", tree / "out") == ["p1/a.mcap", "p2/a.mcap"]
+    assert names(tree / "p1" / "*", tree / "out") == ["a.mcap", "b.mcap"]
+    monkeypatch.chdir(tree)
+    assert names("**/a.mcap", tree / "out") == ["p1/a.mcap", "p2/a.mcap"]
+    assert Path(find_entries("p2/*.mcap", tree / "out")[0].path) == tree / "p2" / "a.mcap"
+
+
+@pytest.mark.skipif(os.sep != "/", reason="two slashes begin a server's name on Windows")
+def test_a_list_with_two_slashes_at_the_begin(tree):
+    """POSIX lets them stand: as if they were another root, no name counts from."""
+    rows = tree / "list.txt"
+    rows.write_text(f"/{tree / 'p1' / 'a.mcap'}\n{tree / 'p2' / 'a.mcap'}\n", encoding="utf-8")
+    assert names(rows, tree / "out") == ["p1/a.mcap", "p2/a.mcap"]
+    rows.write_text("//.mcap\n/.m.mcap\n", encoding="utf-8")
+    assert names(rows, tree / "out") == [".m.mcap", ".mcap"]
+    assert names(f"/{tree}", tree / "out") == ["p1/a.mcap", "p1/b.mcap", "p2/a.mcap"]
+    assert Path(find_entries(str(rows), tree / "out")[1].path) == Path("/.mcap")
+
+
+def test_outputs_are_no_recordings(tree):
+    for study in ("p1/out", "p1/older"):
+        (tree / study / ".unocclude").mkdir(parents=True)
+        (tree / study / ".unocclude" / "study").touch()
+        (tree / study / "a.mcap").touch()
+    assert names(tree / "p1", tree / "p1" / "out") == ["a.mcap", "b.mcap"]
+    with pytest.raises(UnoccludeError, match="where results go"):
+        find_entries(str(tree / "p1"), tree / "p1")
+
+
+def test_a_list_and_calibrations_of_its_own(tree):
+    lines = ["# the study", "", "p2/a.mcap\tp2/arm.toml", "p1/a.mcap", "p1/a.mcap"]
+    (tree / "study.txt").write_text("\n".join(lines))
+    first, second = find_entries(str(tree / "study.txt"), tree / "out")
+    assert (first.name, first.calibration) == ("p1/a.mcap", "")
+    assert (second.name, Path(second.calibration)) == ("p2/a.mcap", tree / "p2" / "arm.toml")
+    # recordings elsewhere are named from the folder that they share
+    (tree / "p1" / "study.txt").write_text("a.mcap\n../p2/a.mcap\n")
+    assert names(tree / "p1" / "study.txt", tree / "out") == ["p1/a.mcap", "p2/a.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a.csv\n", "line 1"),
+        ("p1/a.mcap\nb.mcap\tx\ty\n", "line 2"),
+        ("# nothing\n", "no recording"),
+        (b"\xff\xfe\x00", "not a list"),
+    ],
+)
+def test_lists_that_cannot_be_used(tree, text, said):
+    path = tree / "list.txt"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(UnoccludeError, match=said):
+        find_entries(str(path), tree / "out")
+
+
+@pytest.mark.parametrize("source", ["nowhere", "empty", "nothing*.mcap"])
+def test_nothing_there(tree, source):
+    (tree / "empty").mkdir()
+    with pytest.raises(UnoccludeError, match=source.replace("*", r"\*")):
+        find_entries(str(tree / source), tree / "out")
+
+
+def test_hidden_recordings_are_left_out_with_a_word(tree, monkeypatch):
+    """They were left out without one."""
+    assert left_out_note(str(tree)) == (
+        f"1 recording whose name begins with a dot is left out ({tree / 'p2' / '.hidden.mcap'}); rename it to"
+        " include it"
+    )
+    monkeypatch.chdir(tree)
+    (tree / "p1" / ".a.mcap").touch()
+    assert left_out_note("p*/*.mcap").startswith(
+        "2 recordings whose names begin with a dot are left out (p1/.a"
+    )
+    assert left_out_note("p*/a.mcap") == left_out_note("p1/a.mcap") == ""
+    # what a Mac writes beside every file on a foreign disk, and an output of ours that is being written
+    (tree / "p1" / ".a.mcap").unlink()
+    for name in ("._a.mcap", f".a.mcap.{24 * '0'}.unocclude.tmp.mcap"):
+        (tree / "p1" / name).touch()
+    assert left_out_note("p1") == ""
+    (tree / "only").mkdir()
+    (tree / "only" / ".x.mcap").touch()
+    with pytest.raises(
+        UnoccludeError, match=r"no recording .* here; 1 recording whose name begins with a dot"
+    ):
+        find_entries("only", tree / "out")
+
+
+def test_any_number_of_processes_any_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(pool, "WORTH_FRAMES", 0)  # also a short recording goes to processes
+    settings = ArmSimulation.preset(
+        "white", protocol="random", duration_s=25.0, occlusion_lengths_s=(1.0,), occlusion_every_s=6.0
+    )
+    source = tmp_path / "rec.mcap"
+    write_recording(simulate_arm(settings, 3).recording, source)
+    for name, processes in (("one", 1), ("again", 1), ("two", 2)):
+        out = tmp_path / f"{name}.mcap"
+        done("smooth", source, "-o", out, "--processes", processes)
+    one = (tmp_path / "one.mcap").read_bytes()
+    assert one == (tmp_path / "again.mcap").read_bytes()
+    assert one == (tmp_path / "two.mcap").read_bytes()

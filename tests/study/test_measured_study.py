@@ -8,9 +8,9 @@ from pathlib import Path
 
 import duckdb
 import pytest
+from commands import done
 from studies import NAMES, batch, query, state
 
-from smoother.cli.run import run
 from smoother.study.folder import MEASURE_FIELDS, Row, StudyFolder
 from smoother.study.inputs import hashed_name, relative_day
 from smoother.study.job import Job, run_job
@@ -53,7 +53,7 @@ def test_rows_hold_the_measures_of_each_session(study: Path):
 
 def test_the_result_is_the_one_without_measures(study: Path, made: Path, tmp_path: Path):
     one = tmp_path / "one.mcap"
-    assert run(["smooth", str(made / NAMES[0]), "-o", str(one), "--processes", "1", "--draws", "0"]) == 0
+    done("smooth", made / NAMES[0], "-o", one, "--processes", "1", "--draws", "0")
     assert one.read_bytes() == state(study)["a.mcap"][1]
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import device_files as made
 import numpy as np
 import pytest
+from commands import done
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from imu_files import rows
@@ -31,8 +33,7 @@ def files(tmp_path: Path) -> Path:
 def test_a_line_a_file_and_the_recording(files: Path, capsys: pytest.CaptureFixture[str]):
     out, figures = files / "rec.mcap", files / "rec.json"
     named = f"forearm_right={files / 'dot.csv'}"
-    assert run(["import", "files", "--skeleton", str(files / "body.csv"), "--imu", named, "-o", str(out),
-                "--json", str(figures)]) == 0  # fmt: skip
+    done("import", "files", "--skeleton", files / "body.csv", "--imu", named, "-o", out, "--json", figures)
     printed = capsys.readouterr().out
     assert "dot.csv: Xsens DOT export, 100.0 Hz, 80 samples, m/s^2, deg/s" in printed
     assert "body.csv: Azure Kinect" in printed and "12 frames, 1 body, mm" in printed
@@ -55,8 +56,10 @@ def test_two_files_of_one_sensor_and_one_of_several(files: Path):
     assert [imu.topic for imu in file.imus] == ["/imu/wrist_left", "/imu/base"] and len(reports) == 3
     assert np.allclose(file.imus[0].acc, made.ACC, atol=1e-4)
     out = files / "rec.mcap"
-    assert run(["import", "files", "--imu", f"wrist_left={files / 'a.csv'},{files / 'g.csv'}", "--imu",
-                f"base={files / 'opal.csv'}#Sternum", "-o", str(out)]) == 0  # fmt: skip
+    done(
+        *("import", "files", "--imu", f"wrist_left={files / 'a.csv'},{files / 'g.csv'}"),
+        *("--imu", f"base={files / 'opal.csv'}#Sternum", "-o", out),
+    )
     assert [imu.topic for imu in open_recording(out).imus] == ["/imu/base", "/imu/wrist_left"]
 
 
@@ -65,7 +68,7 @@ def test_a_folder(files: Path, capsys: pytest.CaptureFixture[str]):
     made.bare_kinect(files / "empty.csv")
     (files / "empty.csv").write_text("")
     out = files / "rec.mcap"
-    assert run(["import", "files", str(files), "-o", str(out)]) == 0
+    done("import", "files", files, "-o", out)
     printed = capsys.readouterr().out
     assert "notes.md has an unknown format and was skipped" in printed
     # a.csv and g.csv are the two files of one sensor
@@ -135,8 +138,7 @@ def test_truth(files: Path, capsys: pytest.CaptureFixture[str]):
     made.trc(files / "mocap.trc")
     for number, name in enumerate(("truth.csv", "mocap.trc")):
         out = files / f"{number}.mcap"
-        assert run(["import", "files", "--imu", str(files / "dot.csv"), "--truth", str(files / name), "-o",
-                    str(out)]) == 0  # fmt: skip
+        done("import", "files", "--imu", files / "dot.csv", "--truth", files / name, "-o", out)
     printed = capsys.readouterr().out
     assert "poses of the truth, 2 rows" in printed and "unocclude validate RESULT.mcap --truth" in printed
     assert len(open_recording(files / "0.mcap").poses) == 1
@@ -180,22 +182,20 @@ def test_any_order_separator_decimal_mark_and_line_of_units(
 
 
 def test_formats_are_listed(capsys: pytest.CaptureFixture[str]):
-    assert run(["import", "formats"]) == 0
+    done("import", "formats")
     printed = capsys.readouterr().out
     assert "xsens-dot" in printed and "recognised by" in printed
 
 
 def test_fifty_thousand_rows(tmp_path: Path):
-    import time
-
     path = tmp_path / "long.csv"
     repeated = np.resize(np.arange(made.COUNT), 50_000)
     stamps = 10_000 * np.arange(50_000)
     body = rows(stamps, made.DEG[repeated], made.ACC[repeated] / made.GRAVITY)
     path.write_text("\n".join([",".join(COLUMNS), *body, ""]))
-    start = time.perf_counter()
+    start = time.process_time()  # of this process alone: others may keep the machine busy
     import_files([], [ImuFiles((path,))])
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
 
 
 @pytest.mark.real

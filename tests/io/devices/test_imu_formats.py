@@ -1,14 +1,13 @@
-"""Importers of tables of inertial sensors: small files in each layout, values to the printed digits."""
+"""Importers of tables of sensors and phones: small files in each layout, values to the printed digits."""
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from imu_files import GRAVITY, printed, rows
-from imu_tables import ACC, COUNT, DEG, EPOCH, GYRO, MICROS, TIME, check, read, written, xyz
+from importers import ACC, COUNT, DEG, EPOCH, GYRO, MICROS, NANOS, TIME, check, tables, written, xyz
+from imu_files import GRAVITY, motion, printed, rows
 
 from smoother.errors import RecordingError
 from smoother.io.devices.registry import format_named, formats
@@ -31,7 +30,7 @@ PREAMBLE = (
 def test_dot(tmp_path: Path, preamble: tuple[str, ...]):
     header = ",".join(["PacketCounter", "SampleTimeFine", *xyz("Acc"), *xyz("Gyr"), *xyz("Mag"), "Status"])
     body = rows(np.arange(1, COUNT + 1), MICROS, ACC, DEG, ACC, np.zeros(COUNT, int))
-    (table,) = read(written(tmp_path, *preamble, header, *body, newline="\r\n"), "xsens-dot")
+    (table,) = tables(written(tmp_path, *preamble, header, *body, newline="\r\n"), "xsens-dot")
     check(table, printed(ACC), np.radians(printed(DEG)), MICROS * 1e-6)
     assert table.name == ("left wrist" if preamble else "")
     assert table.rate_hz == (100.0 if preamble else None)
@@ -44,7 +43,7 @@ def test_dot_with_dates_and_columns_in_another_order(tmp_path: Path):
     stamps = [f"1970-01-01 00:00:{4 + k * 0.01:09.6f}" for k in range(COUNT)]
     left, right = rows(DEG), rows(ACC[:, ::-1])
     body = [f"{a},{stamp},{b}" for a, stamp, b in zip(left, stamps, right, strict=True)]
-    (table,) = read(written(tmp_path, header, *body), "xsens-dot")
+    (table,) = tables(written(tmp_path, header, *body), "xsens-dot")
     check(table, printed(ACC), np.radians(printed(DEG)), 4 + TIME)
 
 
@@ -55,7 +54,7 @@ def test_dot_increments_become_rates(tmp_path: Path):
     turns[::2] *= -1  # the same turns
     header = "PacketCounter,SampleTimeFine,dQ_W,dQ_X,dQ_Y,dQ_Z,dV[1],dV[2],dV[3],Quat_W,Quat_X"
     body = rows(np.arange(COUNT), MICROS, turns, ACC / 100, np.ones((COUNT, 2)), form="{:.9f}")
-    (table,) = read(written(tmp_path, header, *body), "xsens-dot")
+    (table,) = tables(written(tmp_path, header, *body), "xsens-dot")
     np.testing.assert_allclose(table.acc, ACC, atol=1e-6)
     np.testing.assert_allclose(table.gyro, GYRO, atol=1e-6)
     assert "increments" in " ".join(table.notes)
@@ -67,7 +66,7 @@ def test_dot_of_fusion_says_what_to_record(tmp_path: Path):
     with pytest.raises(
         RecordingError, match="quaternions and free acceleration only; record 'Custom mode 5'"
     ):
-        read(path, "xsens-dot")
+        tables(path, "xsens-dot")
 
 
 # ---------------------------------------------------------------------------------------- Xsens MT
@@ -79,7 +78,7 @@ def test_mtw(tmp_path: Path, rate: str):
     )
     body = rows(counter, ACC, GYRO, ACC, np.ones((COUNT, 4)), separator="\t", end="\t")
     lines = ("// Start Time: 0", rate, "// Firmware Version: 2.5.1", header, *(f" {row}" for row in body))
-    (table,) = read(written(tmp_path, *lines), "xsens-mt")
+    (table,) = tables(written(tmp_path, *lines), "xsens-mt")
     check(table, printed(ACC), printed(GYRO))
     assert table.t_s is None and table.rate_hz == 100.0 and table.counter_wraps == 65_536
     assert np.array_equal(table.counter, counter)
@@ -91,10 +90,10 @@ def test_mtw_with_empty_columns_and_as_csv_of_dot_like_names(tmp_path: Path):
         f"{k:05d}\t\t\t{row}" for k, row in enumerate(rows(ACC, GYRO, np.ones((COUNT, 2)), separator="\t"))
     ]
     lines = ("// Update Rate: 100.0Hz", "\t".join(names), *body)
-    check(read(written(tmp_path, *lines), "xsens-mt")[0], printed(ACC), printed(GYRO))
+    check(tables(written(tmp_path, *lines), "xsens-mt")[0], printed(ACC), printed(GYRO))
     names = ["PacketCounter", "SampleTimeFine", *xyz("Acc"), *xyz("Gyr"), "Quat_q0"]
     body = [f"{k},{10_000 + 100 * k},{row}" for k, row in enumerate(rows(ACC, GYRO, np.ones(COUNT)))]
-    (table,) = read(written(tmp_path, ",".join(names), *body), "xsens-mt")
+    (table,) = tables(written(tmp_path, ",".join(names), *body), "xsens-mt")
     check(table, printed(ACC), printed(GYRO), 1 + TIME)
 
 
@@ -102,11 +101,11 @@ def test_mt_manager_without_rate_or_raw_data(tmp_path: Path):
     header = "\t".join(["PacketCounter", "SampleTimeFine", *xyz("Acc"), *xyz("Gyr"), "Roll"])
     body = [f"{k}\tNaN\t{row}" for k, row in enumerate(rows(ACC, GYRO, np.ones(COUNT), separator="\t"))]
     with pytest.raises(RecordingError, match="neither a rate nor times"):
-        read(written(tmp_path, "// General information:", header, *body), "xsens-mt")
+        tables(written(tmp_path, "// General information:", header, *body), "xsens-mt")
     header = "\t".join(["PacketCounter", "SampleTimeFine", "Mat[1][1]", "Mat[2][1]"])
     body = rows(np.arange(COUNT), MICROS, np.ones((COUNT, 2)), separator="\t")
     with pytest.raises(RecordingError, match="calibrated data"):
-        read(written(tmp_path, "// Update Rate: 100.0Hz", header, *body), "xsens-mt")
+        tables(written(tmp_path, "// Update Rate: 100.0Hz", header, *body), "xsens-mt")
 
 
 # ---------------------------------------------------------------------------------------- Shimmer
@@ -130,25 +129,32 @@ def shimmer(
 
 @pytest.mark.parametrize("separator", [",", "\t", ";"])
 def test_shimmer(tmp_path: Path, separator: str):
-    (table,) = read(shimmer(tmp_path, separator=separator), "shimmer")
+    (table,) = tables(shimmer(tmp_path, separator=separator), "shimmer")
     check(table, printed(ACC), np.radians(printed(DEG)), 1.6294033377807312e9 + TIME)
     assert table.name == "Shimmer_952D" and table.units == "m/(s^2), deg/s"
     assert "wide-range" in " ".join(table.notes)
 
 
 def test_shimmer_of_low_noise_and_of_two_sensors(tmp_path: Path):
-    (table,) = read(shimmer(tmp_path, "Accel_WR"), "shimmer")
+    (table,) = tables(shimmer(tmp_path, "Accel_WR"), "shimmer")
     check(table, printed(ACC / 2), np.radians(printed(DEG)))
     assert "clips at 2 g" in " ".join(table.notes)
-    tables = read(shimmer(tmp_path, "two"), "shimmer")
-    assert [table.name for table in tables] == ["Shimmer_952D", "RWrist"]
+    both = tables(shimmer(tmp_path, "two"), "shimmer")
+    assert [table.name for table in both] == ["Shimmer_952D", "RWrist"]
+
+
+def test_shimmer_with_the_ticks_of_its_clock_alone(tmp_path: Path):
+    path = shimmer(tmp_path)
+    path.write_text(path.read_text().replace("Timestamp_Unix_CAL", "Timestamp_RAW"))
+    (table,) = tables(path, "shimmer")
+    np.testing.assert_allclose(table.t_s, (1.6294033377807312e12 + 1000 * TIME) / 32768, rtol=1e-12)
 
 
 def test_shimmer_uncalibrated_or_without_gyroscope(tmp_path: Path):
     with pytest.raises(RecordingError, match=r"uncalibrated values only.*_CAL"):
-        read(shimmer(tmp_path, kind="RAW", unit="no_units"), "shimmer")
+        tables(shimmer(tmp_path, kind="RAW", unit="no_units"), "shimmer")
     with pytest.raises(RecordingError, match="no gyroscope"):
-        read(shimmer(tmp_path, "Gyro"), "shimmer")
+        tables(shimmer(tmp_path, "Gyro"), "shimmer")
 
 
 # ---------------------------------------------------------------------------------------- APDM
@@ -163,7 +169,7 @@ def test_apdm_each_sensor_one_imu(tmp_path: Path, units: bool):
     filler = "," * (len(names) - 3)
     preamble = ("Test Name:,7" + filler + ",", "Sample Rate:,100,Hz" + filler)
     lines = (*preamble, ",".join(names), *([",".join(said)] if units else []), *rows(*columns))
-    first, second = read(written(tmp_path, *lines), "apdm")
+    first, second = tables(written(tmp_path, *lines), "apdm")
     check(first, printed(ACC), printed(GYRO), TIME)
     check(second, printed(np.roll(ACC, 1, axis=0)), printed(np.roll(GYRO, 1, axis=0)), TIME)
     assert (first.name, second.name, first.rate_hz) == ("Right Wrist", "Sternum", 100.0)
@@ -178,24 +184,24 @@ def test_ximu(tmp_path: Path, time_name: str, unit: float):
         *(f"Gyroscope {a} (deg/s)" for a in "XYZ"),
         *(f"Accelerometer {a} (g)" for a in "XYZ"),
     ]
-    (table,) = read(written(tmp_path, ",".join(header), *rows(t, DEG, ACC / GRAVITY)), "x-imu")
+    (table,) = tables(written(tmp_path, ",".join(header), *rows(t, DEG, ACC / GRAVITY)), "x-imu")
     check(table, printed(ACC / GRAVITY) * GRAVITY, np.radians(printed(DEG)), MICROS * 1e-6)
     assert table.units == "g, deg/s"
 
 
 def test_nilspod(tmp_path: Path):
     header = "t,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z,baro,analog_0"
-    (table,) = read(written(tmp_path, header, *rows(TIME, DEG, ACC, np.ones((COUNT, 2)))), "nilspod")
+    (table,) = tables(written(tmp_path, header, *rows(TIME, DEG, ACC, np.ones((COUNT, 2)))), "nilspod")
     check(table, printed(ACC), np.radians(printed(DEG)), TIME)
     assert not table.notes
     with pytest.raises(RecordingError, match="uncalibrated"):
-        read(
+        tables(
             written(tmp_path, header, *rows(TIME, 16 * DEG, 2048 * ACC / 9.81, np.ones((COUNT, 2)))),
             "nilspod",
         )
     samples = header.replace("t,", "n_samples,", 1)
     with pytest.raises(RecordingError, match="states no rate"):
-        read(written(tmp_path, samples, *rows(np.arange(COUNT), DEG, ACC, np.ones((COUNT, 2)))), "nilspod")
+        tables(written(tmp_path, samples, *rows(np.arange(COUNT), DEG, ACC, np.ones((COUNT, 2)))), "nilspod")
 
 
 # ---------------------------------------------------------------------------------------- MetaMotion
@@ -213,12 +219,12 @@ def metamotion(values: np.ndarray, header: str) -> list[str]:
 def test_metamotion(tmp_path: Path, header: str):
     acc_lines = metamotion(ACC / GRAVITY, header.format(u="g"))
     acc_lines[40] = ",".join([*acc_lines[40].split(",")[:5], "-124.874.1"])
-    (acc,) = read(written(tmp_path, *acc_lines), "metamotion")
+    (acc,) = tables(written(tmp_path, *acc_lines), "metamotion")
     expected = printed(ACC / GRAVITY) * GRAVITY
     expected[39 if header else 40, 2] = np.nan
     check(acc, expected, None, EPOCH * 1e-3)
     assert "'-124.874.1' in line 41" in " ".join(acc.notes)
-    (gyro,) = read(written(tmp_path, *metamotion(DEG, header.format(u="deg/s"))), "metamotion")
+    (gyro,) = tables(written(tmp_path, *metamotion(DEG, header.format(u="deg/s"))), "metamotion")
     check(gyro, None, np.radians(printed(DEG)), EPOCH * 1e-3)
     assert gyro.units == "deg/s" and (bool(header) or "by the size" in " ".join(gyro.notes))
 
@@ -226,24 +232,24 @@ def test_metamotion(tmp_path: Path, header: str):
 def test_metamotion_of_fusion_says_what_to_record(tmp_path: Path):
     header = "epoch (ms),time (-13:00),elapsed (s),x-axis (g),y-axis (g),z-axis (g)"
     with pytest.raises(RecordingError, match="without gravity; record the accelerometer"):
-        read(written(tmp_path, *metamotion(GYRO / 30, header)), "metamotion")
+        tables(written(tmp_path, *metamotion(GYRO / 30, header)), "metamotion")
 
 
 # ---------------------------------------------------------------------------------------- all
 def test_a_wrong_unit_is_said(tmp_path: Path):
     header = "t,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z"
-    (table,) = read(written(tmp_path, header, *rows(TIME, GYRO, ACC)), "nilspod")
+    (table,) = tables(written(tmp_path, header, *rows(TIME, GYRO, ACC)), "nilspod")
     assert "only if that is in rad/s" in " ".join(table.notes)
     np.testing.assert_allclose(table.gyro, printed(GYRO), rtol=1e-12)
     dot = ",".join(["SampleTimeFine", *xyz("Acc"), *xyz("Gyr")])
-    (table,) = read(written(tmp_path, dot, *rows(MICROS, ACC, GYRO)), "xsens-dot")
+    (table,) = tables(written(tmp_path, dot, *rows(MICROS, ACC, GYRO)), "xsens-dot")
     assert "probably rad/s" in " ".join(table.notes)
     header = "\t".join(["Counter", *xyz("Acc"), *xyz("Gyr")])
     body = rows(np.arange(COUNT), ACC, DEG, separator="\t")
-    (table,) = read(written(tmp_path, "// Update Rate: 100.0Hz", header, *body), "xsens-mt")
+    (table,) = tables(written(tmp_path, "// Update Rate: 100.0Hz", header, *body), "xsens-mt")
     assert "probably deg/s" in " ".join(table.notes)
     dot = ",".join(["SampleTimeFine", *xyz("Acc"), *xyz("Gyr")])
-    (table,) = read(written(tmp_path, dot, *rows(MICROS, ACC / GRAVITY, DEG)), "xsens-dot")
+    (table,) = tables(written(tmp_path, dot, *rows(MICROS, ACC / GRAVITY, DEG)), "xsens-dot")
     assert "probably in g" in " ".join(table.notes)
 
 
@@ -257,10 +263,169 @@ def test_a_named_format_that_does_not_fit_says_so(tmp_path: Path):
             assert str(path) in str(error.value) and len(str(error.value)) < 500 + len(str(path))
 
 
-def test_fifty_thousand_rows_in_under_a_second(tmp_path: Path):
-    header = ",".join(["PacketCounter", "SampleTimeFine", *xyz("Acc"), *xyz("Gyr"), *xyz("Mag")])
-    body = rows(np.arange(COUNT), MICROS, ACC, DEG, ACC)
-    path = written(tmp_path, *PREAMBLE, header, *(body * (50_000 // COUNT)))
-    start = time.process_time()  # of this process alone: others may keep the machine busy
-    (table,) = read(path, "xsens-dot")
-    assert time.process_time() - start < 1.0 and len(table.acc) == 50_000
+@pytest.mark.parametrize("units", [True, False])
+@pytest.mark.parametrize("source", ["raw", "motion", "both"])
+def test_sensorlog_turns_gravity_to_specific_force(tmp_path: Path, units: bool, source: str):
+    up = np.array([0.0, 0.0, 1.0])
+    columns, names = [], []
+    for name, unit, values, kind in (
+        ("accelerometerAcceleration", "G", -ACC / GRAVITY, "raw"),
+        ("gyroRotation", "rad/s", GYRO, "raw"),
+        ("motionUserAcceleration", "G", up - ACC / GRAVITY, "motion"),
+        ("motionGravity", "G", np.tile(-up, (COUNT, 1)), "motion"),
+        ("motionRotationRate", "rad/s", GYRO + 0.25, "motion"),
+    ):
+        names += [f"{name}{a}({unit})" if units else f"{name}{a}" for a in "XYZ"]
+        off = source not in (kind, "both")
+        columns.append([",,"] * COUNT if off else rows(values))
+    stamps = [f"2020-01-10 14:23:{5 + t:06.3f} +0100" for t in TIME]
+    header = [
+        "loggingTime(txt)",
+        "accelerometerTimestamp_sinceReboot(s)",
+        "motionTimestamp_sinceReboot(s)",
+        *names,
+    ]
+    body = [
+        ",".join((stamp, f"{7 + t:.6f}", f"{9 + t:.6f}", *cells))
+        for stamp, t, *cells in zip(stamps, TIME, *columns, strict=True)
+    ]
+    (table,) = tables(written(tmp_path, ",".join(header), *body), "sensorlog")
+    assert np.allclose(table.acc, ACC, atol=3e-5)  # two numbers of six decimals in g
+    np.testing.assert_allclose(table.gyro, printed(GYRO + 0.25 * (source == "motion")), atol=1e-12)
+    assert table.t_s[0] == (9 if source == "motion" else 7)
+    assert "gravity, which points down" in " ".join(table.notes)
+
+
+def test_sensorlog_without_gyroscope(tmp_path: Path):
+    header = ",".join(["loggingTime(txt)", *(f"accelerometerAcceleration{a}(G)" for a in "XYZ")])
+    body = [f"2020-01-10 14:23:05.{k:03d} +0100,{row}" for k, row in enumerate(rows(ACC / GRAVITY))]
+    with pytest.raises(RecordingError, match="Device Motion"):
+        tables(written(tmp_path, header, *body), "sensorlog")
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_phyphox(tmp_path: Path, separator: str):
+    names = [
+        "Time (s)",
+        *(f"Acceleration {a} (m/s^2)" for a in "xyz"),
+        *(f"Gyroscope {a} (rad/s)" for a in "xyz"),
+    ]
+    header = separator.join(f'"{name}"' for name in [*names, "Absolute (rad/s)"])
+    body = rows(TIME, ACC, GYRO, np.ones(COUNT), separator=separator, form="{:.9E}")
+    if separator != ",":
+        body = [row.replace(".", ",") for row in body]
+    (table,) = tables(written(tmp_path, header, *body), "phyphox")
+    check(table, ACC, GYRO, TIME)
+
+
+def test_phyphox_in_two_files(tmp_path: Path):
+    header = '"Time (s)","X (m/s^2)","Y (m/s^2)","Z (m/s^2)"'
+    check(tables(written(tmp_path, header, *rows(TIME, ACC)), "phyphox")[0], printed(ACC), None)
+    turning = header.replace("m/s^2", "rad/s")
+    check(tables(written(tmp_path, turning, *rows(TIME, GYRO)), "phyphox")[0], None, printed(GYRO))
+    linear = header.replace('"X', '"Linear Acceleration x').replace('"Y', '"Linear Acceleration y')
+    for without in (header, linear.replace('"Z', '"Linear Acceleration z')):
+        with pytest.raises(RecordingError, match="Acceleration with g"):
+            tables(written(tmp_path, without, *rows(TIME, np.full((COUNT, 3), 0.3))), "phyphox")
+
+
+@pytest.mark.parametrize(
+    "header, t, scale",
+    [
+        ("timestamp,x,y,z", NANOS, 1e-9),
+        ("", NANOS, 1e-9),
+        ("time_ms,X,Y,Z,accuracy", NANOS // 1_000_000, 1e-3),
+        ("seconds_elapsed,acc_x,acc_y,acc_z", TIME, 1.0),
+        ("Timestamp [us],Accel X,Accel Y,Accel Z", NANOS // 1000, 1e-6),
+    ],
+)
+def test_android_accelerometer(tmp_path: Path, header: str, t: np.ndarray, scale: float):
+    extra = [np.full(COUNT, 3)] if "accuracy" in header else []
+    (table,) = tables(written(tmp_path, *([header] if header else []), *rows(t, ACC, *extra)), "android")
+    check(table, printed(ACC), None, t * scale)
+
+
+def test_android_with_dates_and_without_samples(tmp_path: Path):
+    dates = [f"2026-03-12 09:30:{t:09.6f}" for t in TIME]
+    body = [f"{date},{row}" for date, row in zip(dates, rows(ACC), strict=True)]
+    (table,) = tables(written(tmp_path, "timestamp,x,y,z", *body), "android")
+    check(table, printed(ACC), None, 1_773_307_800 + TIME)
+    nothing = rows(NANOS, np.full((COUNT, 3), np.nan))
+    with pytest.raises(RecordingError, match="has no samples; export it again"):
+        tables(written(tmp_path, "timestamp,x,y,z", *nothing), "android")
+
+
+def test_android_gyroscope_and_order_of_axes(tmp_path: Path):
+    (table,) = tables(
+        written(tmp_path, "time,seconds_elapsed,z,y,x", *rows(NANOS, TIME, GYRO[:, ::-1])), "android"
+    )
+    check(table, None, printed(GYRO), NANOS * 1e-9)
+    assert "a gyroscope in rad/s" in " ".join(table.notes)
+
+
+@pytest.mark.parametrize("unit, factor", [("rad/s", 1.0), ("deg/s", 180 / np.pi)])
+def test_both_sensors_without_units_are_settled_by_gravity(tmp_path: Path, unit: str, factor: float):
+    slow = GYRO * factor  # 90 deg/s at most: too slow for its size to settle the unit of one in deg/s
+    header = "timestamp,ax,ay,az,gx,gy,gz"
+    (table,) = tables(written(tmp_path, header, *rows(NANOS, ACC / GRAVITY, slow)), "android")
+    check(table, printed(ACC / GRAVITY) * GRAVITY, printed(slow) / factor)
+    assert table.units == f"g, {unit}"
+
+
+def test_android_log_with_names_of_sensors(tmp_path: Path):
+    body = [
+        row
+        for k in range(COUNT)
+        for row in (
+            f"{EPOCH[k]},{10 * k},accel_g,{rows(ACC[k : k + 1] / GRAVITY)[0]}",
+            f"{EPOCH[k]},{10 * k},gyro_dps,{rows(DEG[k : k + 1])[0]}",
+        )
+    ]
+    acc, gyro = tables(written(tmp_path, "epoch_ms,elapsed_ms,sensor,x,y,z", *body), "android")
+    check(acc, printed(ACC / GRAVITY) * GRAVITY, None, EPOCH * 1e-3)
+    check(gyro, None, np.radians(printed(DEG)), EPOCH * 1e-3)
+
+
+@pytest.mark.parametrize(
+    "header, units",
+    [
+        ("Time,Accel-X (g),Accel-Y (g),Accel-Z (g),Gyro-X (d/s),Gyro-Y (d/s),Gyro-Z (d/s)", "g, d/s"),
+        ("time_ns,acc_x_g,acc_y_g,acc_z_g,gyro_x_dps,gyro_y_dps,gyro_z_dps", "g, dps"),
+        ("Timestamp;accX;accY;accZ;gyrX;gyrY;gyrZ", "g, deg/s"),
+        ("timestamp,gyroscope_x,gyroscope_y,gyroscope_z,accelerometer_x,accelerometer_y,accelerometer_z", ""),
+    ],
+)
+def test_other_plain_tables(tmp_path: Path, header: str, units: str):
+    separator = ";" if ";" in header else ","
+    first, second = (ACC / GRAVITY, DEG) if units else (GYRO, ACC)
+    (table,) = tables(written(tmp_path, header, *rows(NANOS, first, second, separator=separator)), "android")
+    if units:
+        check(table, printed(ACC / GRAVITY) * GRAVITY, np.radians(printed(DEG)), NANOS * 1e-9)
+        assert table.units == units
+    else:
+        check(table, printed(ACC), printed(GYRO), NANOS * 1e-9)
+
+
+def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
+    from smoother.io.tables.imu_checks import paired
+
+    slow = DEG / 4  # 21 deg/s at most: by its size it could be rad/s
+    (gyro,) = tables(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, slow)), "android")
+    assert gyro.gyro_unit_assumed and gyro.units == "rad/s"
+    acc, _ = motion(seed=1, slower=4)
+    (acc_table,) = tables(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, acc)), "android")
+    table = paired([acc_table, gyro], "two files")
+    np.testing.assert_allclose(table.gyro, np.radians(printed(slow)), atol=1e-12)
+    assert "only if that is in deg/s" in " ".join(table.notes) and table.units == "m/s^2, deg/s"
+
+
+@pytest.mark.parametrize(
+    "values, said",
+    [
+        (45 * ACC / np.linalg.norm(ACC, axis=1, keepdims=True) + 0.3 * GYRO, "looks like a magnetometer"),
+        (9.80665 * ACC / np.linalg.norm(ACC, axis=1, keepdims=True), "gravity as the system estimates it"),
+    ],
+)
+def test_other_vectors_of_a_phone_are_no_imu(tmp_path: Path, values: np.ndarray, said: str):
+    with pytest.raises(RecordingError, match=said):
+        tables(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, values)), "android")

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from importers import tables
 from imu_files import GRAVITY, motion
 
 from smoother.errors import RecordingError
+from smoother.io.devices.describe_table import guess_sensor
 from smoother.io.devices.files import ImuFiles, import_files
 from smoother.io.devices.registry import FileReader, recognise
 from smoother.io.tables.joint_columns import joint_name
 from smoother.io.tables.protocol import ImuTable, SkeletonTable, read_head
+from smoother.io.tables.text_table import read_sheet
 
 COUNT = 400
 ACC, GYRO = motion(COUNT)
@@ -132,3 +135,26 @@ def test_what_is_not_known_is_not_made_up(tmp_path: Path):
     assert recognise(read_head(path)) is None, "it has no times"
     still = written(tmp_path / "b.csv", ["t_s", *heads], [T_S, *(0.01 * ACC).T, *GYRO.T], ".")
     assert recognise(read_head(still)) is None, "it shows no gravity"
+
+
+GERMAN = ("Gyroskop", "Drehrate", "Drehgeschwindigkeit", "Winkelgeschwindigkeit")
+
+
+@pytest.mark.parametrize("units", [True, False])
+@pytest.mark.parametrize("turning", GERMAN)
+def test_german_headers(tmp_path: Path, turning: str, units: bool) -> None:
+    """With units it is phyphox's table; without, a plain log. A description of it keeps its times."""
+    rng = np.random.default_rng(3)
+    gyro = rng.normal(0, 1, (300, 3))
+    acc = np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.1, (300, 3))
+    second, force, rate = (" (s)", " (m/s^2)", " (rad/s)") if units else ("", "", "")
+    header = [f"Zeit{second}", *(f"Beschleunigung {a}{force}" for a in "xyz")]
+    header += [f"{turning} {a}{rate}" for a in "xyz"]
+    rows = [";".join(f"{v:.6f}" for v in (k / 100, *acc[k], *gyro[k])).replace(".", ",") for k in range(300)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([";".join(header), *rows, ""]), encoding="utf-8")
+    (table,) = tables(path, "phyphox" if units else "android")
+    assert np.allclose(table.t_s, np.arange(300) / 100) and np.allclose(table.gyro, gyro, atol=1e-6)
+    guess = guess_sensor(read_sheet(path))
+    assert guess.columns["t"] == f"Zeit{second}" and guess.keys["time_unit"] == "s"
+    assert guess.columns["gx"] == f"{turning} x{rate}"

@@ -1,17 +1,23 @@
-"""Delimited text in every dress that devices and spreadsheets give it."""
+"""Delimited text in every dress that devices and spreadsheets give it, and Excel workbooks."""
 
 from __future__ import annotations
 
-import time
+import sys
+from datetime import datetime, timedelta
 from pathlib import Path
 
+import device_files as made
 import numpy as np
+import openpyxl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
+from smoother.io.devices.registry import FileReader, recognise
+from smoother.io.plain.folder import open_csv
 from smoother.io.plain.table import read_table
+from smoother.io.tables.protocol import ImuTable, read_head
 from smoother.io.tables.text_table import read_sheet, seconds_of_dates, sheet_of_text
 from smoother.io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
 
@@ -161,6 +167,13 @@ def test_dates(cells: list[str], seconds: float):
     assert seconds_of_dates(cells)[0] == pytest.approx(seconds, abs=1e-6)
 
 
+def test_dates_of_which_too_many_are_none():
+    dates = [f"2026-03-12 09:30:{k:02d}" if k % 5 else "soon" for k in range(1, 50)]
+    sheet = read("\n".join(["when,x", *(f"{date},1" for date in dates), ""]))
+    with pytest.raises(RecordingError, match="line 6: 'soon' in column when is not a time"):
+        sheet.times(0)
+
+
 def test_times_of_day_go_on_past_midnight():
     assert np.allclose(seconds_of_dates(["23:59:59.5", "00:00:00.5", "00:00:01.5"]), 86399.5 + np.arange(3))
 
@@ -171,16 +184,6 @@ def test_units():
     assert ACCELERATION[plain_unit("[g]")] == 9.80665
     assert ANGULAR_VELOCITY[plain_unit("°/s")] == pytest.approx(np.pi / 180)
     assert ANGULAR_VELOCITY[plain_unit("(rad/sec)")] == 1
-
-
-def test_fifty_thousand_rows_are_fast():
-    row = ",".join(["1629403337780.7312", *["-1.7896263181"] * 9])
-    text = "\n".join([",".join(f"column {k}" for k in range(10))] + [row] * 50_000)
-    read(text[:5000]).numbers(0)  # Arrow is loaded
-    start = time.process_time()  # of this process alone: others may keep the machine busy
-    sheet = read(text)
-    assert sheet.vectors(range(10)).shape == (50_000, 10)
-    assert time.process_time() - start < 0.5
 
 
 @pytest.mark.parametrize("minus", ["\u2212", "\u2013", "\u2012"])
@@ -217,3 +220,88 @@ def test_more_than_a_twentieth_of_no_numbers_is_refused(tmp_path: Path, wrong: i
             sheet.numbers(1)
     else:
         assert np.isnan(sheet.numbers(1)).sum() == wrong and "#WERT!" in sheet.notes[0]
+
+
+def as_workbook(text: Path, path: Path, separator: str = ",", before: tuple[str, ...] = ()) -> Path:
+    """A table of text as a workbook with numbers in its cells, behind sheets of words."""
+    book = openpyxl.Workbook()
+    book.active.append(["notes of the session"])
+    for name in before:
+        book.create_sheet(name).append(["words"])
+    sheet = book.create_sheet("data")
+    for line in text.read_text("utf-8").splitlines():
+        cells = [cell.strip('"') for cell in line.split(separator)]
+        sheet.append([float(cell) if is_number(cell) else cell or None for cell in cells])
+    book.save(path)
+    return path
+
+
+def is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    ("key", "separator"), [("nilspod", ","), ("x-imu", ","), ("xsens-dot", ","), ("imu-table", ";")]
+)
+def test_a_workbook_reads_as_its_table(tmp_path: Path, key: str, separator: str):
+    made.EXAMPLES[key](tmp_path / "a.csv")
+    path = as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx", separator, ("one", "two"))
+    importer = recognise(read_head(path))
+    assert importer is not None and importer.key == key
+    reader = FileReader()
+    (mine,), (theirs,) = (reader.read(each, importer) for each in (path, tmp_path / "a.csv"))
+    assert isinstance(mine, ImuTable) and isinstance(theirs, ImuTable)
+    assert np.allclose(mine.acc, theirs.acc) and np.allclose(mine.gyro, theirs.gyro)
+    assert np.allclose(mine.t_s, theirs.t_s)
+
+
+def test_dates_in_cells(tmp_path: Path):
+    book = openpyxl.Workbook()
+    book.active.append(["Zeit", "x", "y"])
+    for k in range(20):
+        book.active.append([datetime(2026, 3, 12, 9, 30) + timedelta(milliseconds=10 * k), k, 0.5])
+    book.save(tmp_path / "a.xlsx")
+    times, dates = read_sheet(tmp_path / "a.xlsx").times(0)
+    assert dates and np.allclose(np.diff(times), 0.01, atol=1e-3)
+
+
+def test_a_recording_toml_may_name_a_workbook(tmp_path: Path):
+    made.EXAMPLES["nilspod"](tmp_path / "a.csv")
+    as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx")
+    columns = ["gx", "gy", "gz", "ax", "ay", "az"]
+    lines = [
+        "[imu.forearm_right]",
+        'file = "a.xlsx"',
+        "skip_rows = 0",
+        'gyroscope_unit = "deg/s"',
+        "[imu.forearm_right.columns]",
+        "t = 1",
+    ]
+    lines += [f"{name} = {k}" for k, name in enumerate(columns, 2)]
+    (tmp_path / "recording.toml").write_text("\n".join(lines) + "\n")
+    (imu,) = open_csv(tmp_path).imus
+    assert np.allclose(imu.acc, made.ACC, atol=1e-5)
+
+
+def test_without_openpyxl_the_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    made.EXAMPLES["nilspod"](tmp_path / "a.csv")
+    path = as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx")
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    assert recognise(read_head(path)) is None
+    with pytest.raises(RecordingError, match=r"pip install '\.\[xlsx\]'.*or save it as CSV"):
+        read_sheet(path)
+
+
+def test_a_damaged_workbook_is_one_sentence(tmp_path: Path):
+    made.EXAMPLES["nilspod"](tmp_path / "a.csv")
+    path = as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx")
+    raw = path.read_bytes()
+    for cut in (200, len(raw) // 2, len(raw) - 10):
+        path.write_bytes(raw[:cut])
+        with pytest.raises(RecordingError, match=r"cannot be read|is an archive"):
+            read_sheet(path)
+        assert recognise(read_head(path)) is None

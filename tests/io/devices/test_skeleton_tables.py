@@ -7,25 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import skeleton_files as made
+from importers import tables
 from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
 from smoother.io.devices.registry import recognise
 from smoother.io.devices.repair import repaired_skeleton
 from smoother.io.tables.joint_columns import AZURE, BLAZEPOSE, KINECT_V2
-from smoother.io.tables.protocol import SkeletonTable, read_head
+from smoother.io.tables.protocol import read_head
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 40
 ARM = [f"{joint}_{side}" for joint in ("shoulder", "elbow", "wrist", "hand") for side in ("left", "right")]
-
-
-def read(path: Path, key: str) -> list[SkeletonTable]:
-    """The file's bodies, by the importer that recognises it."""
-    importer = recognise(read_head(path))
-    assert importer is not None
-    assert importer.key == key
-    return importer.read(path)
 
 
 def write(path: Path, rows: list[list[object]], separator: str = ",") -> Path:
@@ -36,7 +29,7 @@ def write(path: Path, rows: list[list[object]], separator: str = ",") -> Path:
 def test_mkv_extractor(tmp_path: Path) -> None:
     path = tmp_path / "any.name"
     made.azure_csv(path, FRAMES)
-    (table,) = read(path, "azure-kinect")
+    (table,) = tables(path, "azure-kinect")
     assert (table.body, table.frame, table.units, table.relative) == (1, CameraFrame.OPTICAL, "mm", False)
     assert_allclose(table.t_s, 0.200219 + 0.033333 * np.arange(FRAMES), atol=1e-9)
     assert set(table.position) == set(ARM)
@@ -57,7 +50,7 @@ def test_confidences_of_single_frames(tmp_path: Path) -> None:
         cells = lines[row + 1].split(";")
         lines[row + 1] = ";".join([*cells[:at], value, *cells[at + 1 :]])
     path.write_text("\n".join(lines))
-    (table,) = read(path, "azure-kinect")
+    (table,) = tables(path, "azure-kinect")
     states = [JointState.TRACKED, JointState.INFERRED, JointState.NOT_TRACKED, JointState.TRACKED]
     assert table.state["wrist_right"][4:8].tolist() == states
 
@@ -68,7 +61,7 @@ def test_two_bodies_and_absent_frames(tmp_path: Path) -> None:
     lines = path.read_text().splitlines()
     gone = [2 + 2 * frame for frame in range(10, 20)]  # the second body's rows of ten frames
     path.write_text("\n".join(line for at, line in enumerate(lines) if at not in gone))
-    first, second = read(path, "azure-kinect")
+    first, second = tables(path, "azure-kinect")
     assert (first.body, second.body) == (1, 4)
     assert_array_equal(first.t_s, second.t_s)
     assert len(second.t_s) == FRAMES
@@ -83,7 +76,7 @@ def test_bodies_one_after_the_other(tmp_path: Path) -> None:
     made.azure_csv(path, FRAMES, body=(1, 2))
     header, *rows = path.read_text().splitlines()
     path.write_text("\n".join([header, *rows[::2], *rows[1::2]]))
-    first, second = read(path, "azure-kinect")
+    first, second = tables(path, "azure-kinect")
     assert len(first.t_s) == len(second.t_s) == FRAMES
     assert np.isfinite(second.position["wrist_left"]).all()
 
@@ -94,7 +87,7 @@ def test_azure_without_header(tmp_path: Path, separator: str) -> None:
         [f"{1000 * value:.4f}" for name in AZURE for value in made.optical(made.part(name, FRAMES))[at]]
         for at in range(FRAMES)
     ]
-    (table,) = read(write(tmp_path / "a.txt", rows, separator), "kinect-numbers")
+    (table,) = tables(write(tmp_path / "a.txt", rows, separator), "kinect-numbers")
     assert (table.t_s, table.rate_hz, table.frame) == (None, 30.0, CameraFrame.OPTICAL)
     for joint in ARM:
         assert_allclose(table.position[joint], made.expected(joint, FRAMES, "optical"), atol=1e-7)
@@ -106,7 +99,7 @@ def test_kinect_v2_without_header(tmp_path: Path, per_joint: int, leading: int) 
     turn = {3: [], 4: [2], 7: [0.0, 0.6, 0.0, 0.8], 8: [0.0, 0.6, 0.0, 0.8, 2]}[per_joint]
     front = [[0.033 * at, 3][:leading] for at in range(FRAMES)]
     rows = [[*front[at], *(v for point in joints[at] for v in (*point, *turn))] for at in range(FRAMES)]
-    (table,) = read(write(tmp_path / "a.txt", rows, " "), "kinect-numbers")
+    (table,) = tables(write(tmp_path / "a.txt", rows, " "), "kinect-numbers")
     assert table.frame is CameraFrame.KINECT
     assert table.body == (3 if leading == 2 else 0)
     if leading:
@@ -121,7 +114,7 @@ def test_without_header_lines_may_end_with_a_separator(tmp_path: Path, end: str)
     rows = [[*made.kinect_v2(FRAMES)[at].ravel()] for at in range(FRAMES)]
     path = write(tmp_path / "a.txt", rows)
     path.write_text(path.read_text().replace("\n", f"{end}\n"))
-    (table,) = read(path, "kinect-numbers")
+    (table,) = tables(path, "kinect-numbers")
     assert_allclose(table.position["wrist_right"], made.kinect_v2(FRAMES)[:, KINECT_V2.index("WristRight")])
 
 
@@ -143,7 +136,7 @@ def test_kinect_v2_by_name(tmp_path: Path, style: str) -> None:
     for at in range(FRAMES):
         cells = [v for point in joints[at] for v in (*np.round(point, 6), words[at % 3])]
         rows.append([f"{333_333 * at}", "72057594037928081", *cells])  # .NET ticks
-    (table,) = read(write(tmp_path / "a.csv", rows), "kinect-v2")
+    (table,) = tables(write(tmp_path / "a.csv", rows), "kinect-v2")
     assert table.frame is CameraFrame.KINECT
     assert_allclose(table.t_s, 0.0333333 * np.arange(FRAMES), atol=1e-9)
     assert_array_equal(table.state["wrist_left"][:6], [2, 1, 0, 2, 1, 0])
@@ -157,7 +150,7 @@ def test_a_row_a_joint(tmp_path: Path) -> None:
     rows: list[list[object]] = [["Timestamp", "JointID", "Position.X", "Position.Y", "Position.Z", "State"]]
     for at in range(FRAMES):
         rows += [[33.3 * at, j, *np.round(joints[at, j], 6), 1 if j == 10 else 2] for j in range(25)]
-    (table,) = read(write(tmp_path / "a.csv", rows), "joint-rows")
+    (table,) = tables(write(tmp_path / "a.csv", rows), "joint-rows")
     assert table.frame is CameraFrame.KINECT
     assert_allclose(table.t_s, 0.0333 * np.arange(FRAMES), atol=1e-9)
     assert_allclose(table.position["hand_left"], joints[:, 7], atol=1e-6)
@@ -172,7 +165,7 @@ def test_a_row_a_joint_of_a_clock_that_was_set_back(tmp_path: Path) -> None:
     for at in range(FRAMES):
         stamp = 33.0 * (at - 10 * (at >= FRAMES // 2))
         rows += [[stamp, j, *np.round(joints[at, j], 6), 2] for j in range(25)]
-    (table,) = read(write(tmp_path / "a.csv", rows), "joint-rows")
+    (table,) = tables(write(tmp_path / "a.csv", rows), "joint-rows")
     assert len(table.t_s) == FRAMES
     assert_allclose(table.position["hand_left"], joints[:, 7], atol=1e-6)
     assert_allclose(repaired_skeleton(table, "a.csv").t_s, 0.033 * np.arange(FRAMES), atol=1e-9)
@@ -194,7 +187,7 @@ def mediapipe_rows(points: np.ndarray, style: str) -> list[list[object]]:
 )
 def test_mediapipe_world_landmarks(tmp_path: Path, style: str) -> None:
     points = made.landmarks(FRAMES)
-    (table,) = read(write(tmp_path / "a.csv", mediapipe_rows(points, style)), "mediapipe")
+    (table,) = tables(write(tmp_path / "a.csv", mediapipe_rows(points, style)), "mediapipe")
     assert table.relative
     assert table.frame is CameraFrame.OPTICAL
     assert any("relative to the hips" in note for note in table.notes)
@@ -210,21 +203,21 @@ def test_world_landmarks_beside_those_in_the_image(tmp_path: Path) -> None:
     rows = mediapipe_rows(0.5 + 0.2 * points, "{name}_{axis}")
     beside = mediapipe_rows(points, "{name}_world_{axis}")
     both = [[*row, *other[2:]] for row, other in zip(rows, beside, strict=True)]
-    (table,) = read(write(tmp_path / "a.csv", both), "mediapipe")
+    (table,) = tables(write(tmp_path / "a.csv", both), "mediapipe")
     assert_allclose(table.position["wrist_right"], points[:, BLAZEPOSE.index("right_wrist")], atol=1e-9)
 
 
 def test_landmarks_in_the_image_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", mediapipe_rows(0.5 + 0.2 * made.landmarks(FRAMES), "{name}_{axis}"))
     with pytest.raises(RecordingError, match=r"a\.csv.*not metres; export pose_world_landmarks"):
-        read(path, "mediapipe")
+        tables(path, "mediapipe")
 
 
 def test_low_visibility_is_inferred(tmp_path: Path) -> None:
     rows = mediapipe_rows(made.landmarks(FRAMES), "{name}_{axis}")
     column = rows[0].index("right_wrist_visibility")
     rows[8][column] = 0.3
-    (table,) = read(write(tmp_path / "a.csv", rows), "mediapipe")
+    (table,) = tables(write(tmp_path / "a.csv", rows), "mediapipe")
     assert table.state["wrist_right"][7] == JointState.INFERRED
     assert (np.delete(table.state["wrist_right"], 7) == JointState.TRACKED).all()
 
@@ -238,7 +231,7 @@ def test_any_table_of_joints(tmp_path: Path, unit: str, scale: float, z_up: bool
     header = [f"body_{name}_{axis}" for name in names for axis in "xyz"]
     rows: list[list[object]] = [["t_s", *header]]
     rows += [[at / 30, *(scale * points[at]).ravel().tolist()] for at in range(FRAMES)]
-    (table,) = read(write(tmp_path / "a.csv", rows), "joint-table")
+    (table,) = tables(write(tmp_path / "a.csv", rows), "joint-table")
     assert table.units == unit
     assert table.frame is (CameraFrame.ZUP if z_up else None)
     assert table.gravity_hint is not None
@@ -246,11 +239,28 @@ def test_any_table_of_joints(tmp_path: Path, unit: str, scale: float, z_up: bool
     assert_allclose(table.position["wrist_right"], points[:, 2], atol=1e-9)
 
 
+def test_hips_that_were_never_seen(tmp_path: Path) -> None:
+    """Nothing shows which way is up: it is read all the same."""
+    names = ["right_shoulder", "right_elbow", "right_wrist"]
+    points = np.stack([made.part(name, FRAMES) for name in names], axis=1).reshape(FRAMES, -1)
+    header = ["t_s", *(f"{name}_{axis}" for name in [*names, "left_hip", "right_hip"] for axis in "xyz")]
+    rows = [[at / 30, *points[at], *[np.nan] * 6] for at in range(FRAMES)]
+    (table,) = tables(write(tmp_path / "a.csv", [header, *rows]), "joint-table")
+    assert_allclose(table.position["wrist_right"], points[:, 6:], atol=1e-9)
+
+
+def test_landmarks_with_one_hip_are_about_the_hips(tmp_path: Path) -> None:
+    rows = mediapipe_rows(made.landmarks(FRAMES), "{name}_{axis}")
+    kept = [at for at, name in enumerate(rows[0]) if not str(name).startswith("left_hip")]
+    (table,) = tables(write(tmp_path / "a.csv", [[row[at] for at in kept] for row in rows]), "mediapipe")
+    assert table.relative and any("relative to the hips" in note for note in table.notes)
+
+
 def test_numbered_frames_keep_their_gaps(tmp_path: Path) -> None:
     rows = mediapipe_rows(made.landmarks(FRAMES), "{name}_{axis}")
     rows = [[row[0], *row[2:]] for row in rows]  # no times
     del rows[11:21]
-    (table,) = read(write(tmp_path / "a.csv", rows), "mediapipe")
+    (table,) = tables(write(tmp_path / "a.csv", rows), "mediapipe")
     assert table.rate_hz == 30.0
     assert np.diff(table.t_s).max() == pytest.approx(11 / 30)
     assert any("30 frames per second" in note for note in table.notes)
@@ -262,7 +272,7 @@ def test_pixels_are_refused(tmp_path: Path) -> None:
     header = [f"{name}_{axis}" for name in names for axis in "xyz"]
     path = write(tmp_path / "a.csv", [header, *points.reshape(FRAMES, -1).tolist()])
     with pytest.raises(RecordingError, match=r"a\.csv: .*neither in m.*export positions in metres"):
-        read(path, "joint-table")
+        tables(path, "joint-table")
 
 
 def test_no_body_in_view(tmp_path: Path) -> None:
@@ -271,7 +281,7 @@ def test_no_body_in_view(tmp_path: Path) -> None:
     header, *rows = path.read_text().splitlines()
     path.write_text("\n".join([header, *(";".join([*row.split(";")[:2], *["0"] * 128]) for row in rows)]))
     with pytest.raises(RecordingError, match=r"a\.csv names joints and has no position"):
-        read(path, "azure-kinect")
+        tables(path, "azure-kinect")
 
 
 @pytest.mark.parametrize(
@@ -292,7 +302,7 @@ def test_spellings(tmp_path: Path, style: str, time: str, step: float) -> None:
     header = [time] + [style.format(name=n, lower=n.lower(), axis=a) for n in AZURE for a in "xyz"]
     points = 1000 * np.stack([made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
     rows: list[list[object]] = [header, *([at * step, *points[at].ravel().tolist()] for at in range(FRAMES))]
-    (table,) = read(write(tmp_path / "a.csv", rows), "azure-kinect")
+    (table,) = tables(write(tmp_path / "a.csv", rows), "azure-kinect")
     assert_allclose(table.t_s, 0.033333 * np.arange(FRAMES), atol=1e-9)
     assert_allclose(table.position["hand_left"], made.expected("hand_left", FRAMES, "optical"), atol=1e-9)
 
@@ -308,55 +318,12 @@ def test_lsl_kinect_with_shares_of_one(tmp_path: Path) -> None:
         )
     path = write(tmp_path / "a.csv", rows)
     path.write_text("Software : LSL_Kinect,Version : 1.0,Stream nominal rate : 15\n" + path.read_text())
-    (table,) = read(path, "kinect-v2")
+    (table,) = tables(path, "kinect-v2")
     assert table.state["wrist_left"][:5].tolist() == [2, 2, 2, 1, 2]
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_damaged_files_are_read_or_refused_in_a_sentence(tmp_path: Path, seed: int) -> None:
-    """A table, damaged in twenty-five ways: no other error, and no arm of another length than an arm's."""
-    rng = np.random.default_rng(seed)
-    path = tmp_path / "a.csv"
-    made.azure_csv(path, 12, body=(1, 2) if seed % 2 else (1,))
-    whole = path.read_bytes()
-    for _ in range(25):
-        data = bytearray(whole)
-        for _ in range(int(rng.integers(1, 5))):
-            at = int(rng.integers(len(data)))
-            end = at + int(rng.choice([1, 5, 80, 2000]))
-            new = [
-                b"",
-                bytes(data[at:end]) * 2,
-                b"nan",
-                b"1e308",
-                b";;",
-                b"\n",
-                b"\0",
-                b"-",
-                b"1,5",
-                b"\xff\xfe",
-            ]
-            data[at:end] = new[int(rng.integers(len(new)))]
-        path.write_bytes(bytes(data) or b" ")
-        importer = recognise(read_head(path))
-        if importer is None:
-            continue
-        try:
-            tables = importer.read(path)
-        except RecordingError as error:
-            assert "\n" not in str(error)
-            assert len(str(error)) < 600
-            continue
-        for table in tables:
-            assert isinstance(table, SkeletonTable)
-            arm = table.position.get("elbow_right"), table.position.get("wrist_right")
-            if arm[0] is not None and arm[1] is not None:
-                length = np.linalg.norm(arm[0] - arm[1], axis=1)
-                assert not np.nanmedian(np.append(length, 0.25)) > 1.0
 
 
 def test_a_column_that_counts_rows_names_no_bodies(tmp_path: Path) -> None:
     rows = mediapipe_rows(made.landmarks(FRAMES), "{name}_{axis}")
     rows = [["id" if at == 0 else at, *row] for at, row in enumerate(rows)]
-    (table,) = read(write(tmp_path / "a.csv", rows), "mediapipe")
+    (table,) = tables(write(tmp_path / "a.csv", rows), "mediapipe")
     assert np.isfinite(table.position["wrist_left"]).all()

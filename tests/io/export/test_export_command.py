@@ -1,34 +1,23 @@
-"""`unocclude export` over formats, sides and axes, and `simulate arm --mocap`, by the command line."""
+"""`unocclude export` over formats, sides and axes, `simulate arm --mocap`, and what docs/exports.md says."""
 
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import done, refused
 from results import made, read_mot, read_trc, without_answer
 
-from smoother.cli.run import run
+from smoother.cli import export
 from smoother.errors import UnoccludeError
-from smoother.io import read_recovery, write_recovery
+from smoother.io import prepare_export, read_recovery, write_recovery
 
 FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet")
-
-
-def done(*arguments: object) -> None:
-    assert run([str(argument) for argument in arguments]) == 0
-
-
-def failed(capsys, code: int, *arguments: object) -> str:
-    capsys.readouterr()
-    assert run([str(argument) for argument in arguments]) == code
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "Traceback" not in said
-    return said
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +70,7 @@ def test_an_output_that_exists(results, tmp_path, capsys, format_name):
     output = tmp_path / f"a.{format_name}"
     output.write_text("mine")
     command = ("export", results / "left.mcap", "--format", format_name, "-o", output)
-    assert "--force" in failed(capsys, 1, *command)
+    assert "--force" in refused(capsys, *command)
     assert output.read_text() == "mine"
     done(*command, "--force")
     assert output.stat().st_size > 10_000
@@ -89,22 +78,18 @@ def test_an_output_that_exists(results, tmp_path, capsys, format_name):
 
 
 @pytest.mark.parametrize("format_name", FORMATS)
-def test_a_strap_alone(results, tmp_path, capsys, format_name):
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("strap", "it has no shoulder, no elbow, no wrist; export to csv, trc"),
+        ("nothing", "joint angles need shoulder, elbow and wrist"),
+    ],
+)
+def test_a_strap_alone_and_no_answer_at_all(results, tmp_path, capsys, format_name, name, sentence):
     output = tmp_path / f"a.{format_name}"
-    command = ("export", results / "strap.mcap", "--format", format_name, "-o", output)
+    command = ("export", results / f"{name}.mcap", "--format", format_name, "-o", output)
     if format_name == "mot":
-        assert "it has no shoulder, no elbow, no wrist; export to csv, trc" in failed(capsys, 1, *command)
-        assert list(tmp_path.iterdir()) == []
-    else:
-        done(*command)
-
-
-@pytest.mark.parametrize("format_name", FORMATS)
-def test_no_answer_at_all(results, tmp_path, capsys, format_name):
-    output = tmp_path / f"a.{format_name}"
-    command = ("export", results / "nothing.mcap", "--format", format_name, "-o", output)
-    if format_name == "mot":
-        assert "joint angles need shoulder, elbow and wrist" in failed(capsys, 1, *command)
+        assert sentence in refused(capsys, *command)
         assert list(tmp_path.iterdir()) == []
     else:
         done(*command)
@@ -112,14 +97,15 @@ def test_no_answer_at_all(results, tmp_path, capsys, format_name):
 
 def test_one_arm_that_cannot_leaves_none(tmp_path, capsys):
     write_recovery([made("left"), made(strap=True)], tmp_path / "mixed.mcap")
-    said = failed(capsys, 1, "export", tmp_path / "mixed.mcap", "--format", "mot", "-o", tmp_path / "a.mot")
+    said = refused(capsys, "export", tmp_path / "mixed.mcap", "--format", "mot", "-o", tmp_path / "a.mot")
     assert "joint angles need" in said
     assert [path.name for path in tmp_path.iterdir()] == ["mixed.mcap"]
 
 
 def test_no_gravity(results, tmp_path, capsys):
     command = ("export", results / "hold.mcap", "-o", tmp_path / "a.trc", "--format", "trc")
-    assert "'hold' found no gravity" in failed(capsys, 1, *command)
+    said = refused(capsys, *command)
+    assert "'hold' found no gravity" in said and "--frame camera" in said
     done(*command, "--frame", "camera")
     done("export", results / "hold.mcap", "-o", tmp_path / "a.c3d", "--format", "c3d")
 
@@ -143,23 +129,6 @@ def test_no_gravity_but_a_camera_that_says_its_axes(tmp_path, capsys):
     # Optical: x right, y down, z forward. OpenSim: x to the camera, y up, z right of who faces it.
     expected = np.stack([-camera[..., 2], -camera[..., 1], -camera[..., 0]], axis=-1)
     np.testing.assert_allclose(level, expected, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (("--format", "csv", "--frame", "camera"), "--frame is for trc and c3d, not for csv"),
-        (("--format", "mot", "--frame", "opensim"), "--frame is for trc and c3d"),
-        (("--format", "trc", "--frame", "lab"), "--frame is camera or opensim, not 'lab'"),
-        (("--format", "parquet", "--rate", "50"), "--rate is for trc, mot, c3d"),
-        (("--format", "trc", "--rate", "0"), "--rate is between 1 and 10000 Hz"),
-        (("--format", "xls"), "'xls' is not available; formats: csv, xlsx, trc, mot, c3d, parquet"),
-    ],
-)
-def test_wrong_use(results, tmp_path, capsys, options, sentence):
-    said = failed(capsys, 2, "export", results / "left.mcap", "-o", tmp_path / "a", *options)
-    assert sentence in said
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("format_name", ["trc", "mot", "c3d"])
@@ -223,20 +192,14 @@ def test_mocap_leaves_the_recording_as_it_is(tmp_path):
 
 
 def test_mocap_goes_into_the_calibration_that_is_named(tmp_path, capsys):
-    options = ("--protocol", "random", "--duration-s", 4, "-o", tmp_path / "a.mcap")
-    done("simulate", "arm", "--mocap", "--calibration-out", tmp_path / "cal.toml", *options)
+    done(
+        *("simulate", "arm", "--mocap", "--calibration-out", tmp_path / "cal.toml", "--protocol", "random"),
+        *("--duration-s", 4, "-o", tmp_path / "a.mcap"),
+    )
     assert "camera_from_mocap" in tomllib.loads((tmp_path / "cal.toml").read_text())
     assert not (tmp_path / "a_calibration.toml").exists()
-    said = failed(capsys, 1, "simulate", "arm", "--mocap", "-o", tmp_path / "a.mcap")
+    said = refused(capsys, "simulate", "arm", "--mocap", "-o", tmp_path / "a.mcap")
     assert "--force" in said
-
-
-def test_settings_of_markers_need_mocap(tmp_path, capsys):
-    said = failed(capsys, 2, "simulate", "arm", "-o", tmp_path / "a.mcap", "--marker-lost", "0.5")
-    assert "need --mocap" in said
-    said = failed(capsys, 2, "simulate", "arm", "-o", tmp_path / "a.mcap", "--mocap", "--marker-lost", "2")
-    assert "marker_lost" in said
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_formats_are_known_by_one_list():
@@ -288,3 +251,32 @@ def test_a_workbook_says_how_far_it_is(tmp_path, monkeypatch):
     )
     assert told[0] == 0.0 and told == sorted(told) and told[-1] > 0.5
     assert len(told) == -(-len(recovery) // 50)
+
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "exports.md"
+
+
+def document() -> str:
+    return DOCUMENT.read_text(encoding="utf-8")
+
+
+def test_every_format_is_described():
+    for name in export.FORMATS:
+        assert f"| `{name}` |" in document()
+
+
+def test_the_columns_are_those_that_are_written(tmp_path):
+    ready = prepare_export(made(), "mot")
+    ready.write(tmp_path / "a.mot", False)
+    columns = (tmp_path / "a.mot").read_text().partition("endheader\n")[2].partition("\n")[0].split("\t")
+    for name in columns[1:]:
+        assert f"| `{name}` |" in document()
+
+
+def test_examples_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    recovery = made()
+    prepare_export(recovery, "parquet").write(Path("out.parquet"), False)
+    (table,) = re.findall(r"^```python\n(.*?)^```", document(), re.DOTALL | re.MULTILINE)
+    exec(compile(table, "exports.md", "exec"), {})
+    assert capsys.readouterr().out.split() == ["b'm'", "graph"]

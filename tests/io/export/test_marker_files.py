@@ -10,24 +10,18 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
-from results import HIDDEN, jittered, made, read_trc, without_answer
+from results import HIDDEN, export, jittered, made, read_trc, without_answer
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
 from smoother.io import prepare_export
 from smoother.io.export.markers import MOST_FRAMES, C3dContent, write_c3d
 from smoother.recording import JOINTS, JointState
-from smoother.result import Recovery
 
 AFTER = ["shoulder", "elbow", "wrist", "hand", "imu"]
 BEFORE = [f"camera_{joint}" for joint in JOINTS[:4]]
 #: Half a unit of the last decimal of a TRC file, m; and of a float of 4 m in mm in a C3D file.
 TRC_M, C3D_M = 0.51e-9, 1.3e-7
-
-
-def export(recovery: Recovery, path: Path, **options) -> Path:
-    prepare_export(recovery, path.suffix[1:], **options).write(path, False)
-    return path
 
 
 def read_c3d(path: Path) -> tuple[dict, list[str], np.ndarray, np.ndarray]:
@@ -100,15 +94,6 @@ def test_opensim_axes_have_y_up(tmp_path, down):
     camera_looks = turn.apply([0.0, 0.0, 1.0] if abs(down[2]) < 0.8 else [-1.0, 0.0, 0.0])
     assert camera_looks[0] < -0.9  # x points from the person to the camera
     assert abs(camera_looks[2]) < 1e-9
-
-
-def test_opensim_axes_need_gravity(tmp_path):
-    recovery = replace(made(), gravity_direction=np.full(3, np.nan), method="hold")
-    with pytest.raises(UnoccludeError, match=r"'hold' found no gravity.*--frame camera"):
-        prepare_export(recovery, "trc")
-    level = prepare_export(recovery, "trc", level_down=np.array([0.0, 1.0, 0.0]))
-    assert "stand level" in level.notes[0]
-    assert prepare_export(recovery, "trc", frame="camera").notes == ()
 
 
 @pytest.mark.parametrize("frame", ["camera", "opensim"])

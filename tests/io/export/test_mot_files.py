@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
-from results import jittered, made, read_mot, without_answer
+from results import export, jittered, made, opensim_python, read_mot, without_answer
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
@@ -28,11 +25,6 @@ ANGLES = ["elv_angle", "shoulder_elv", "shoulder_rot", "elbow_flexion"]
 def with_forearm_axes(recovery: Recovery) -> Recovery:
     """The same with a calibration that knows the forearm's axes: y from elbow to wrist in {A}."""
     return replace(recovery, calibration=replace(recovery.calibration, R_F_A=np.eye(3)))
-
-
-def export(recovery: Recovery, path: Path, **options) -> Path:
-    prepare_export(recovery, path.suffix[1:], **options).write(path, False)
-    return path
 
 
 def about(axis: str, angle_deg: np.ndarray) -> Rotation:
@@ -101,18 +93,6 @@ def test_stretches_without_an_answer(tmp_path, start, end):
         assert len(table) == ready.rows == np.isfinite(recovery.position[:, 0]).sum()
 
 
-def test_strap_alone_has_no_angles():
-    with pytest.raises(
-        UnoccludeError, match="need shoulder, elbow and wrist, and it has no shoulder, no elb"
-    ):
-        prepare_export(made(strap=True), "mot")
-
-
-def test_no_answer_at_all_has_no_angles():
-    with pytest.raises(UnoccludeError, match="joint angles need shoulder, elbow and wrist"):
-        prepare_export(without_answer(made(), -1, 100), "mot")
-
-
 def test_joints_that_are_never_there_together():
     recovery = made()
     one, other = without_answer(recovery, -1, 10), without_answer(recovery, 10 - 1e-9, 100)
@@ -145,11 +125,6 @@ def test_a_posture_that_defines_no_angle_is_said():
     hanging = {**recovery.joints, "elbow": recovery.joints["shoulder"] + [0.0, -0.3, 0.001]}
     notes = prepare_export(replace(recovery, joints=hanging), "mot").notes
     assert any(note.startswith("elv_angle and shoulder_rot: within 15 degrees") for note in notes)
-
-
-def opensim_python() -> str | None:
-    """An interpreter that has OpenSim: this one, or the one that UNOCCLUDE_OPENSIM_PYTHON names."""
-    return sys.executable if find_spec("opensim") else os.environ.get("UNOCCLUDE_OPENSIM_PYTHON")
 
 
 @pytest.mark.skipif(opensim_python() is None, reason="OpenSim is not installed")

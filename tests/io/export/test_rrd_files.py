@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import make_truth
+from commands import done
 from results import made, without_answer
 
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.io import prepare_export, read_recovery, write_recording, write_recovery
 from smoother.io.export.rrd import rerun_module, write_rrd
-
-DEMO = Path(__file__).parents[3] / "data" / "demo.mcap"
 
 
 @pytest.fixture
@@ -102,13 +101,12 @@ def test_without_an_answer(rerun, tmp_path):
 
 def test_several_arms_in_one_file(rerun, tmp_path, capsys):
     write_recovery([made("left"), made("right")], tmp_path / "both.mcap")
-    assert run(["export", str(tmp_path / "both.mcap"), "--format", "rrd", "-o", str(tmp_path / "a.rrd")]) == 0
+    done("export", tmp_path / "both.mcap", "--format", "rrd", "-o", tmp_path / "a.rrd")
     assert "a.rrd" in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.rrd", "both.mcap"]
     tables = columns(tmp_path / "a.rrd")
     assert {"/scene/camera/left/after", "/scene/camera/right/after"} <= set(tables)
-    command = ["export", str(tmp_path / "both.mcap"), "--format", "rrd", "--side", "left"]
-    assert run([*command, "-o", str(tmp_path / "left.rrd")]) == 0
+    done("export", tmp_path / "both.mcap", "--format", "rrd", "--side", "left", "-o", tmp_path / "left.rrd")
     assert not any("right" in path for path in columns(tmp_path / "left.rrd"))
     write_rrd([made("right"), made("right")], tmp_path / "same.rrd")  # two people's right arms
     assert {"/gaps/right_1", "/gaps/right_2"} <= set(columns(tmp_path / "same.rrd"))
@@ -127,10 +125,10 @@ def test_the_truth_in_a_result_is_shown(rerun, tmp_path):
 
     write_recording(make_recording(), tmp_path / "rec.mcap")
     write_recovery(made("right"), tmp_path / "out.mcap", source=tmp_path / "rec.mcap")
-    assert run(["export", str(tmp_path / "out.mcap"), "--format", "rrd", "-o", str(tmp_path / "a.rrd")]) == 0
+    done("export", tmp_path / "out.mcap", "--format", "rrd", "-o", tmp_path / "a.rrd")
     assert "/scene/camera/right/truth/joints" in columns(tmp_path / "a.rrd")
     write_recovery(made("right"), tmp_path / "bare.mcap")
-    assert run(["export", str(tmp_path / "bare.mcap"), "--format", "rrd", "-o", str(tmp_path / "b.rrd")]) == 0
+    done("export", tmp_path / "bare.mcap", "--format", "rrd", "-o", tmp_path / "b.rrd")
     assert "/scene/camera/right/truth/joints" not in columns(tmp_path / "b.rrd")
 
 

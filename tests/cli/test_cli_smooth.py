@@ -1,0 +1,329 @@
+"""`smooth`: what it says of arm, sensor, clock and camera, where columns lie, results not to be trusted."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import make_recording, make_truth
+from commands import done
+from results import made
+
+import smoother.runtime.disk_store
+from calib.file import read_calibration
+from calib.imu.sensor import corrected
+from smoother.cli.run import NOT_TRUSTED, run
+from smoother.io import import_broad, read_recording, read_recovery, write_recording, write_recovery
+from smoother.recording import Recording
+from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
+from smoother.runtime.disk_store import DiskStore
+from smoother.runtime.store import Store
+from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
+
+
+def smoothed(recording: Path, folder: Path, *more: object) -> dict:
+    done(
+        *("smooth", recording, "-o", folder / "out.mcap", "--json", folder / "out.json"),
+        *("--force", "--processes", 1, "--draws", 0, "--verbose", *more),
+    )
+    return json.loads((folder / "out.json").read_text())
+
+
+def written(recording: Recording, path: Path) -> Path:
+    write_recording(recording, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def frozen(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording whose camera freezes in every occlusion and says `tracked`."""
+    settings = ArmSimulation(repetitions=1, frozen_gaps=1.0, joint_bias_m=0.025)
+    return written(simulate_arm(settings, 5).recording, tmp_path_factory.mktemp("frozen") / "rec.mcap")
+
+
+def test_without_a_calibration(frozen, tmp_path, capsys):
+    figures = smoothed(frozen, tmp_path)
+    out = capsys.readouterr().out
+    assert "Lever arms in the IMU's axes, mm" in out and "IMU to forearm axis" in out
+    assert "the IMU's clock is " in out and "noise of the camera's joints, mm per axis: elbow " in out
+    assert "constant errors of the joints against each other, mm: elbow " in out
+    assert "not determined: the camera places joints some " in out
+    assert "Tracked samples that were rejected" in out and "frozen: the value repeats" in out
+    found = figures["found"]
+    assert set(found["lever_arms"]) == {"elbow", "wrist", "hand"} and found["given"] == []
+    assert found["lengths"]["forearm"]["sigma_m"] > 0 and found["clock_offsets"][0]["sigma_s"] < 0.01
+    assert figures["not_determined"] == found["not_determined"] != []
+    rows = [row for row in figures["rejected"] if row["reason"] == "frozen" and row["joint"] == "wrist"]
+    assert rows[0]["count"] > 50 and 0.05 < rows[0]["share"] < 0.5
+    assert any("repeated the one before" in sentence for sentence in figures["advice"])
+
+
+def test_what_is_given_is_not_called_found(frozen, tmp_path, capsys):
+    done("calibrate", "motion", frozen, "-o", tmp_path / "c.toml", "--processes", "1")
+    capsys.readouterr()
+    figures = smoothed(frozen, tmp_path, "--calibration", tmp_path / "c.toml")
+    out = capsys.readouterr().out
+    assert "Lever arms" not in out and "the accuracy of lever arms and lengths" not in out
+    assert {"elbow", "wrist", "hand", "upper_arm"} <= set(figures["found"]["given"])
+    # the file remembers, so that a report made of it later says the same
+    (kept,) = read_recovery(tmp_path / "out.mcap")
+    assert set(kept.estimates.given) == set(figures["found"]["given"])
+
+
+def test_a_strap_that_is_the_imu(tmp_path, capsys):
+    recording = written(simulate_point(PointSimulation(duration_s=20), 1).recording, tmp_path / "rec.mcap")
+    figures = smoothed(recording, tmp_path)
+    assert figures["found"]["lever_arms"] == {} and figures["not_determined"] == []
+    assert "Lever arms" not in capsys.readouterr().out
+    figures = smoothed(recording, tmp_path, "--solve-lever-arms")
+    assert "The tracked strap was found " in capsys.readouterr().out
+    lever = figures["found"]["lever_arms"]["strap"]
+    place, sigma = np.array(lever["position_m"]), np.array(lever["sigma_m"])
+    assert (np.abs(place) < 4 * sigma).all() and (sigma < 0.02).all()
+
+
+def test_a_strap_beside_the_imu(tmp_path):
+    """The camera sees a point 3 cm beside the IMU."""
+    from scipy.spatial.transform import Rotation
+
+    simulated = simulate_point(PointSimulation(duration_s=30), 2)
+    recording, true = simulated.recording, np.array([0.02, -0.02, 0.01])
+    truth, arm = recording.truth, recording.arm
+    nearest = np.clip(np.searchsorted(truth.t_s, arm.t_s), 0, len(truth) - 1)
+    moved = arm.position.copy()
+    moved[:, 4] += Rotation.from_quat(truth.quaternion[nearest], scalar_first=True).apply(true)
+    path = written(replace(recording, arm=replace(arm, position=moved)), tmp_path / "rec.mcap")
+    without, figures = smoothed(path, tmp_path), smoothed(path, tmp_path, "--solve-lever-arms")
+    lever = figures["found"]["lever_arms"]["strap"]
+    error = np.array(lever["position_m"]) - true
+    assert np.linalg.norm(error) < 0.006 and (np.abs(error) < 4 * np.array(lever["sigma_m"])).all()
+    noise = [each["found"]["camera_sigma_m"]["strap"] for each in (without, figures)]
+    assert noise[1] <= noise[0]
+    (kept,) = read_recovery(tmp_path / "out.mcap")
+    error = kept.position - np.stack([np.interp(kept.t_s, truth.t_s, axis) for axis in truth.position.T], 1)
+    assert np.sqrt(np.nanmean(np.sum(error[~kept.occluded] ** 2, axis=1))) < 0.01
+
+
+@pytest.mark.real
+def test_an_optical_point_beside_a_real_imu(tmp_path):
+    folder = os.environ.get("UNOCCLUDE_DATASETS")
+    if not folder:
+        pytest.skip("UNOCCLUDE_DATASETS names no folder with BROAD (broad/*.mat)")
+    whole = import_broad(Path(folder) / "broad" / "07_undisturbed_fast_rotation_B.mat")
+    imu, frames = whole.imu.t_s, whole.arm.t_s
+    part = replace(
+        whole,
+        imu=whole.imu.select((imu >= 30) & (imu < 70)),
+        arm=whole.arm.select((frames >= 30) & (frames < 70)),
+    )
+    path = written(part, tmp_path / "rec.mcap")
+    assert read_recording(path).arm.present == ("strap",)
+    residuals = []
+    for more in ([], ["--solve-lever-arms"]):
+        figures = smoothed(path, tmp_path, *more)
+        (kept,) = read_recovery(tmp_path / "out.mcap")
+        used = kept.residuals.used[:, 4]
+        residuals.append(np.sqrt(np.mean(kept.residuals.residual[used, 4] ** 2)))
+    assert residuals[1] <= residuals[0]
+    assert 0.004 < np.linalg.norm(figures["found"]["lever_arms"]["strap"]["position_m"]) < 0.015
+
+
+def test_marks_of_uncertain_answers():
+    from arms import make_recording, make_recovery
+
+    from smoother.cli.methods import limit_sigma
+    from smoother.result.untrusted import usable
+
+    recovery = make_recovery(make_recording(4.0), sigma_m=0.01)
+    position, covariance = recovery.position.copy(), recovery.pose_covariance.copy()
+    position[:10] = np.nan  # no answer
+    covariance[10:30] *= 9.0
+    covariance[30:35] = np.nan  # an answer that states no sigma
+    recovery = replace(recovery, position=position, pose_covariance=covariance)
+    assert usable(recovery).sum() == len(recovery) - 10
+    assert limit_sigma(recovery, None) is recovery
+    marked = limit_sigma(recovery, 0.02)
+    assert np.array_equal(np.flatnonzero(~usable(marked)), np.arange(35))
+    assert marked.position is recovery.position
+    assert marked.notes[-1].startswith(f"25 of {len(recovery) - 10} samples are less certain than 0.02 m")
+
+
+DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
+
+
+def test_where_the_columns_lie_does_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, limit in (("memory", 1 << 40), ("files", 1)):
+        monkeypatch.setattr(smoother.runtime.disk_store, "_SMALL_BYTES", limit)
+        done(
+            *("smooth", DEMO, "-o", tmp_path / f"{name}.mcap", "--json", tmp_path / f"{name}.json"),
+            *("--report", tmp_path / f"{name}.html", "--processes", 1),
+        )
+    for ending in ("mcap", "json", "html"):
+        memory, files = ((tmp_path / f"{name}.{ending}").read_bytes() for name in ("memory", "files"))
+        assert memory == files
+
+
+def test_no_room_for_temporary_files_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(smoother.runtime.disk_store, "_SMALL_BYTES", 1)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    assert run(["smooth", str(DEMO), "-o", str(tmp_path / "out.mcap"), "--processes", "1"]) != 0
+    said = capsys.readouterr().err
+    assert "TMPDIR" in said and "Traceback" not in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("samples", [1000, 70])
+def test_an_imu_is_corrected_part_by_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, samples: int
+) -> None:
+    recording = read_recording(DEMO)
+    (tmp_path / "cal.toml").write_text(
+        f'[imu."{recording.imu.name.removeprefix("/imu/")}".accelerometer]\n'
+        "offset = [0.1, -0.2, 0.3]\nmatrix = [[1.01, 0.0, 0.0], [0.0, 0.99, 0.0], [0.0, 0.02, 1.0]]\n"
+        f'[imu."{recording.imu.name.removeprefix("/imu/")}".gyroscope]\noffset = [0.01, 0.02, -0.03]\n'
+    )
+    calibration = read_calibration(tmp_path / "cal.toml")
+    monkeypatch.setattr("calib.imu.sensor._SAMPLES", 10**9)
+    whole = corrected(recording, calibration, Store())
+    assert not np.array_equal(whole.imu.acc, recording.imu.acc)
+    monkeypatch.setattr("calib.imu.sensor._SAMPLES", samples)
+    with DiskStore(tmp_path) as store:
+        parts = corrected(recording, calibration, store)
+        for name in ("t_s", "acc", "gyro"):
+            np.testing.assert_allclose(getattr(parts.imu, name), getattr(whole.imu, name), rtol=1e-14)
+
+
+BODY = UntrustedInterval(9.0, 12.0, ("another person's joints",))
+CHECK = SelfCheck(8, 0, 1.7, 0.011, 0.010, 0.96, 1.4)
+SOUND = Estimates(trusted=True, self_check=CHECK, pairing=Pairing(True, 1e-4, 120.0))
+PARTLY = replace(SOUND, cautions=("one gap",), untrusted=(BODY,))
+WRONG = Estimates(
+    trusted=False,
+    reasons=("the skeleton seems mirrored (x): run again with --mirror x", "gravity is 80 degrees off"),
+    cause="the skeleton seems mirrored (x): run again with --mirror x",
+    remedies=("--mirror x",),
+    pairing=Pairing(False, 0.2, 12.0),
+)
+
+
+@pytest.fixture
+def smooth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Runs `smooth` on a made recording whose recoveries have these estimates: code, figures, words."""
+    write_recording(replace(make_recording(), name="rec"), tmp_path / "rec.mcap")
+
+    def smoothed(estimates: Estimates, *options: str) -> tuple[int, dict, str]:
+        def recovered(recordings, *rest: object) -> list[Recovery]:
+            return [
+                replace(made(one.side), arm=one.arm, side=one.side, body=one.body, estimates=estimates)
+                for one in recordings
+            ]
+
+        monkeypatch.setattr("smoother.cli.smooth.recover_arms", recovered)
+        capsys.readouterr()
+        command = [
+            "smooth",
+            tmp_path / "rec.mcap",
+            "-o",
+            tmp_path / "out.mcap",
+            "--json",
+            tmp_path / "j.json",
+        ]
+        code = run([*map(str, command), "--force", *options])
+        return code, json.loads((tmp_path / "j.json").read_text()), capsys.readouterr().out
+
+    return smoothed
+
+
+def test_the_verdict_comes_first_and_untrusted_gaps_are_named(smooth) -> None:
+    code, figures, said = smooth(PARTLY, "--strict")
+    assert code == 0
+    lines = said.splitlines()
+    at = lines.index("Usable with care: one gap.")
+    assert lines[at + 1] == CHECK.sentence
+    assert "not to be trusted: gap 2 (" in said and ": another person's joints" in said
+    assert "trusted" in said
+    assert [gap["trusted"] for gap in figures["gaps"]] == [True, False]
+    assert [gap["reasons"] for gap in figures["gaps"]] == [[], ["another person's joints"]]
+    assert {"start_s", "end_s"} <= set(figures["gaps"][0])
+    assert figures["self_check"]["stretches"] == 8
+    assert figures["self_check"].keys() >= {
+        *("stretches", "length_s", "rms_m", "stated_sigma_m", "inside_95", "sigma_factor")
+    }
+    assert figures["pairing"].items() >= {"proved": True, "chance": 1e-4, "evidence": 120.0}.items()
+    assert figures["usable"] == 1600 - 240  # 3 s of 80 samples per second
+
+
+def test_strict_ends_with_3_and_writes_all_the_same(smooth, tmp_path: Path) -> None:
+    code, figures, said = smooth(WRONG, "--strict", "--report", str(tmp_path / "out.html"))
+    assert code == NOT_TRUSTED == 3
+    assert (tmp_path / "out.mcap").exists() and (tmp_path / "out.html").exists()
+    assert "written: " in said and said.count("sign: gravity is 80 degrees off") == 1
+    assert figures["trusted"] is False and figures["usable"] == 0
+    assert figures["pairing"]["proved"] is False and figures["self_check"] is None
+    assert all(gap["trusted"] is False and gap["reasons"] for gap in figures["gaps"])
+    assert smooth(WRONG)[0] == 0
+    assert smooth(SOUND, "--strict")[0] == 0
+    code, figures, _ = smooth(Estimates(), "--strict")  # nobody judged: nothing says that it is to be trusted
+    assert code == NOT_TRUSTED
+    assert [gap["trusted"] for gap in figures["gaps"]] == [None, None]
+
+
+def results(folder: Path) -> Path:
+    for name, estimates in (("sound", SOUND), ("partly", PARTLY), ("wrong", WRONG)):
+        write_recovery(replace(made(), estimates=estimates), folder / f"{name}.mcap")
+    both = [replace(made("left"), estimates=SOUND), replace(made("right"), estimates=WRONG)]
+    write_recovery(both, folder / "both.mcap")
+    return folder
+
+
+@pytest.mark.parametrize("format_name", ["csv", "trc", "mot", "osim", "parquet"])
+def test_export_warns_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], format_name: str) -> None:
+    results(tmp_path)
+    words = {
+        "sound": None,
+        "partly": "unocclude: warning: Usable with care: one gap. Not to be trusted: gap 2 (",
+        "wrong": "unocclude: warning: Not to be trusted: the skeleton seems mirrored",
+        "both": "unocclude: warning: right arm: Not to be trusted: the skeleton seems mirrored",
+    }
+    for name, begins in words.items():
+        output, figures = tmp_path / f"{name}.{format_name}", tmp_path / f"{name}.json"
+        done("export", tmp_path / f"{name}.mcap", "--format", format_name, "-o", output, "--json", figures)
+        err = capsys.readouterr().err
+        assert err.startswith(begins) and err.count("\n") == 1 if begins else err == ""
+        last = json.loads(figures.read_text())["files"][-1]
+        assert last["trusted"] is (name in ("sound", "partly"))
+        assert bool(last["untrusted"]) is (name == "partly")
+
+
+def test_validate_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+
+    results(tmp_path)
+    truth = replace(make_recording(), truth=make_truth(np.arange(0, 20, 0.0125)))
+    write_recording(truth, tmp_path / "truth.mcap")
+    for name, trusted in (("sound", True), ("wrong", False)):
+        done(
+            *("validate", tmp_path / f"{name}.mcap", "--truth", tmp_path / "truth.mcap", "--json"),
+            tmp_path / f"{name}.json",
+        )
+        assert ("warning: Not to be trusted" in capsys.readouterr().err) is not trusted
+        assert json.loads((tmp_path / f"{name}.json").read_text())["trusted"] is trusted
+
+
+def test_info_says_the_verdict_of_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results(tmp_path)
+    words = {
+        "sound": "Usable.",
+        "partly": "not to be trusted at 1 time; export lists them",
+        "wrong": WRONG.verdict,
+        "both": f"right: {WRONG.verdict}",
+    }
+    for name, word in words.items():
+        done("info", tmp_path / f"{name}.mcap")
+        assert word in capsys.readouterr().out.splitlines()

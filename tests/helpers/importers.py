@@ -1,0 +1,67 @@
+"""Files of devices: written in a layout, read by their importer, compared with the motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from imu_files import motion
+
+from smoother.io.devices.registry import recognise
+from smoother.io.tables.protocol import ImuTable, SkeletonTable, read_head
+
+ACC, GYRO = motion()
+COUNT = len(ACC)
+DEG = np.degrees(GYRO)
+TIME = np.arange(COUNT) * 0.01
+MICROS = (np.arange(COUNT) * 10_000 + 4_000_000).astype(np.int64)
+EPOCH = 1_520_000_000_000 + 10 * np.arange(COUNT)
+NANOS = (np.arange(COUNT) * 10_000_000 + 123_456_789_000).astype(np.int64)
+
+
+def written(tmp_path: Path, *lines: str, newline: str = "\n") -> Path:
+    """A file of these lines, whose name says nothing."""
+    path = tmp_path / "anything.dat"
+    path.write_text(newline.join(lines) + newline, encoding="utf-8")
+    return path
+
+
+def tables(path: Path, key: str) -> list[Any]:
+    """What a file holds, read by its importer, which must be the one of that key."""
+    importer = recognise(read_head(path))
+    assert importer is not None and importer.key == key, importer
+    return list(importer.read(path))
+
+
+def streams(path: Path, key: str) -> tuple[list[SkeletonTable], list[ImuTable]]:
+    """Skeletons and IMUs of a recording."""
+    found = tables(path, key)
+    skeletons = [table for table in found if isinstance(table, SkeletonTable)]
+    return skeletons, [table for table in found if isinstance(table, ImuTable)]
+
+
+def check(
+    table: ImuTable, acc: np.ndarray | None, gyro: np.ndarray | None, t_s: np.ndarray | None = None
+) -> None:
+    """The table's values are these, to rounding."""
+    for values, expected in ((table.acc, acc), (table.gyro, gyro)):
+        if expected is None:
+            assert values is None
+        else:
+            np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
+    if t_s is not None:
+        np.testing.assert_allclose(table.t_s, t_s, rtol=0, atol=1e-6)
+
+
+def xyz(name: str, form: str = "{}_{}") -> list[str]:
+    """Names of three columns."""
+    return [form.format(name, axis) for axis in "XYZ"]
+
+
+def turning(count: int, rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, specific force and angular velocity of a sensor that turns about a level axis."""
+    t = np.arange(count) / rate_hz
+    angle, rate = 0.8 * np.sin(2 * t), 1.6 * np.cos(2 * t)
+    acc = 9.81 * np.stack([np.sin(angle), np.cos(angle), 0 * t], axis=1)
+    return t, acc, np.stack([0 * t, 0 * t, rate], axis=1)

@@ -1,0 +1,298 @@
+"""All formats of devices: their table and pages, sound examples, and files that are damaged."""
+
+from __future__ import annotations
+
+import random
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+import device_files as made
+import numpy as np
+import pytest
+from importers import tables
+from imu_files import rows
+
+from smoother.errors import RecordingError
+from smoother.io.devices.files import import_files
+from smoother.io.devices.folder import sort_files
+from smoother.io.devices.registry import FileReader, format_named, formats, unknown_file
+from smoother.io.recording.streams import RecordingFile
+from smoother.io.tables.imu_columns import ImuFormat
+from smoother.io.tables.protocol import decode, read_head, shown
+from smoother.io.tables.text_table import read_sheet
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_every_importer_has_a_page_and_a_sentence():
+    index = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
+    assert len({importer.key for importer in formats()}) == len(formats())
+    for importer in formats():
+        assert (ROOT / "docs" / "devices" / f"{importer.key}.md").exists(), importer.key
+        assert f"devices/{importer.key}.md" in index
+        assert importer.title and importer.recognised_by and importer.kind in ("imu", "skeleton", "recording")
+        assert format_named(importer.key) is importer
+
+
+@pytest.mark.parametrize("key", sorted(made.IMUS))
+def test_an_example_holds_the_motion(tmp_path: Path, key: str):
+    made.IMUS[key](tmp_path / "file")
+    table = format_named(key).read(tmp_path / "file")[0]
+    coarse = 0.1 if key == "axivity" else 2e-5  # 16 bits, or six decimals of a g or a degree
+    assert table.acc is None or np.allclose(table.acc, made.ACC, atol=coarse)
+    assert table.gyro is None or np.allclose(table.gyro, made.GYRO, atol=coarse)
+    assert table.acc is not None or table.gyro is not None
+    assert table.t_s is None or np.allclose(np.diff(table.t_s), 0.01, atol=1e-4)
+
+
+def test_heads(tmp_path: Path):
+    for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"):
+        assert decode("t,x\n1,2\n".encode(encoding)) == "t,x\n1,2\n"
+    assert decode(bytes(range(256))) == "" and decode("Zeit;Größe\n".encode("cp1252")) == "Zeit;Größe\n"
+    assert len(shown("\x1b[31mred\x00" * 900)) <= 200 and shown("a\x1b\n\tb") == "a b"
+    for name, said in (("none", "does not exist"), ("", "is a folder")):
+        with pytest.raises(RecordingError, match=said):
+            read_head(tmp_path / name)
+
+
+def test_the_example_of_contributing(tmp_path: Path):
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(ImuFormat\(.*?\n\))\n```", text, re.DOTALL)
+    importer = eval(code, {"ImuFormat": ImuFormat})
+    body = rows(np.arange(made.COUNT), made.ACC / made.GRAVITY * 1000, made.DEG)
+    path = tmp_path / "acme.csv"
+    path.write_text("\n".join(["tick,acc_x,acc_y,acc_z,rot_x,rot_y,rot_z", *body, ""]))
+    assert importer.recognises(read_head(path))
+    (table,) = importer.read(path)
+    assert np.allclose(table.acc, made.ACC, atol=1e-6) and np.allclose(table.gyro, made.GYRO, atol=1e-6)
+    assert np.allclose(table.t_s, np.arange(made.COUNT) * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("raw", "said"),
+    [
+        (
+            b"PK\x03\x04\x14\x00\x00\x00\x08\x00[Content_Types].xml",
+            "is an Excel workbook that cannot be read",
+        ),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an Excel workbook of the old kind; save it as .xlsx"),
+        (b"PK\x03\x04\x14\x00\x00\x00\x08\x00mimetype", "is an archive"),
+        (b"SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n", "has no rows; export it again"),
+        (b"Zeit (s);Beschleunigung x (m/s^2)\r\n\r\n", "has no rows; export it again"),
+    ],
+)
+def test_workbooks_archives_and_headers_alone(tmp_path: Path, raw: bytes, said: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(raw)
+    assert said in str(unknown_file(read_head(path)))
+    with pytest.raises(RecordingError, match=said):
+        read_sheet(path)
+
+
+MUTANTS = 600
+
+
+def imported(path: Path) -> RecordingFile:
+    reader = FileReader()
+    skeletons, imus, _ = sort_files([path], reader)
+    return import_files(skeletons, imus, reader=reader)[0]
+
+
+def mutant(raw: bytes, random_: random.Random) -> bytes:
+    """A file with one to three kinds of damage."""
+    for _ in range(random_.choice((1, 1, 1, 2, 3))):
+        raw = random_.choice(DAMAGES)(raw, random_)
+    return raw
+
+
+def _flip(raw: bytes, random_: random.Random) -> bytes:
+    out = bytearray(raw)
+    for _ in range(random_.choice((1, 3, 20))):
+        if out:
+            out[random_.randrange(len(out))] = random_.randrange(256)
+    return bytes(out)
+
+
+def _header(raw: bytes, random_: random.Random) -> bytes:
+    """Damage where the layout is stated."""
+    cut = min(len(raw), 600)
+    return _flip(raw[:cut], random_) + raw[cut:]
+
+
+def _cut(raw: bytes, random_: random.Random) -> bytes:
+    return raw[: random_.randrange(len(raw) + 1)]
+
+
+def _headless(raw: bytes, random_: random.Random) -> bytes:
+    return raw[random_.randrange(min(len(raw), 800) + 1) :]
+
+
+def _lines(raw: bytes, random_: random.Random) -> bytes:
+    """Lines left out, twice, or in another place."""
+    lines = raw.split(b"\n")
+    for _ in range(random_.choice((1, 5))):
+        at = random_.randrange(len(lines))
+        if random_.random() < 0.4:
+            lines[at : at + 1] = []
+        elif random_.random() < 0.5:
+            lines.insert(random_.randrange(len(lines) + 1), lines[at])
+        else:
+            lines[at] = lines[at][: random_.randrange(len(lines[at]) + 1)]
+        lines = lines or [b""]
+    if random_.random() < 0.2:
+        random_.shuffle(lines)
+    return b"\n".join(lines)
+
+
+#: What stands where a number should.
+WEIRD = (
+    *(b"", b"nan", b"inf", b"-", b"0", b"abc", b"1e400", b"1e308", b"-124.874.1", b"9" * 30, b"1,5", b";;"),
+    *(b'"', b'"a\nb"', b"\n", b"\0", b"\x1b[31m", b"\xff\xfe"),
+)
+
+
+def _mark(raw: bytes) -> bytes:
+    """What separates the cells."""
+    return next((mark for mark in (b",", b"\t", b";", b" ") if raw.count(mark) > 20), b",")
+
+
+def _cells(raw: bytes, random_: random.Random) -> bytes:
+    """Cells with something else in them."""
+    parts = raw.split(mark := _mark(raw))
+    for _ in range(random_.choice((1, 10))):
+        parts[random_.randrange(len(parts))] = random_.choice(WEIRD)
+    return mark.join(parts)
+
+
+def _column(raw: bytes, random_: random.Random) -> bytes:
+    """A column left out."""
+    gone, mark = random_.randrange(8), _mark(raw)
+    rows = (line.split(mark) for line in raw.split(b"\n"))
+    return b"\n".join(mark.join(row[:gone] + row[gone + 1 :]) for row in rows)
+
+
+def _span(raw: bytes, random_: random.Random) -> bytes:
+    """A stretch left out, there twice, or something else in its place."""
+    at = random_.randrange(len(raw) + 1)
+    end = at + random_.choice((1, 5, 80, 2000))
+    return raw[:at] + random_.choice((2 * raw[at:end], *WEIRD)) + raw[end:]
+
+
+def _twice(raw: bytes, random_: random.Random) -> bytes:
+    return raw + raw[random_.randrange(len(raw) + 1) :]
+
+
+def _separators(raw: bytes, random_: random.Random) -> bytes:
+    if random_.random() < 0.2:
+        return raw.replace(b",", b";").replace(b".", b",")
+    a, b = random_.sample([b",", b";", b"\t", b" ", b".", b"|"], 2)
+    return raw.replace(a, b)
+
+
+def _encoding(raw: bytes, random_: random.Random) -> bytes:
+    try:
+        return raw.decode("utf-8").encode(random_.choice(("utf-16", "utf-16-le", "utf-8-sig", "utf-16-be")))
+    except UnicodeDecodeError:
+        return raw[::-1]
+
+
+DAMAGES = (_flip, _header, _cut, _headless, _lines, _cells, _column, _span, _twice, _separators, _encoding)
+
+
+def test_every_format_has_an_example():
+    known = {importer.key for importer in formats()}
+    assert known == set(made.EXAMPLES) | made.MADE_ELSEWHERE
+
+
+@pytest.mark.parametrize("key", sorted(made.EXAMPLES))
+def test_the_examples_are_sound(tmp_path: Path, key: str):
+    if key == "xdf":
+        pytest.importorskip("pyxdf")
+    made.EXAMPLES[key](tmp_path / "file")
+    if key == "metamotion":
+        made.metamotion(tmp_path / "gyro", made.DEG, "deg/s")
+    reader = FileReader()
+    skeletons, imus, _ = sort_files([tmp_path], reader)
+    file, reports = import_files(skeletons, imus, reader=reader)
+    assert reports[0].format == key
+    sound_units(file, exactly=key != "axivity")
+
+
+def sound_units(file: RecordingFile, exactly: bool = False) -> None:
+    """Values are those of the motion, in SI units, as far as damage leaves them."""
+    for imu in file.imus:
+        turning = np.median(np.linalg.norm(imu.gyro, axis=1))
+        force = np.median(np.linalg.norm(imu.acc, axis=1))
+        assert 0.4 < turning / np.median(np.linalg.norm(made.GYRO, axis=1)) < 2.5
+        assert 0.7 < force / 9.81 < 1.4
+        if exactly:
+            assert np.allclose(imu.acc[: made.COUNT], made.ACC, atol=1e-4)
+            assert np.allclose(imu.gyro[: made.COUNT], made.GYRO, atol=1e-4)
+    for arm in file.arms:
+        if arm.side and arm.tracked > made.FRAMES // 2:  # a row cut in two may make a body of its own
+            lengths = np.linalg.norm(arm.position[:, 1] - arm.position[:, 0], axis=1)
+            lengths = lengths[np.isfinite(lengths)]
+            assert not len(lengths) or 0.05 <= np.median(lengths) <= 1.0
+
+
+def test_damaged_files(tmp_path: Path):
+    """600 of them over all layouts (`make fuzz`: more): no other exception, wrong unit or long message."""
+    random_ = random.Random(15)
+    originals = {}
+    for key, make in made.EXAMPLES.items():
+        if key == "xdf" and find_spec("pyxdf") is None:
+            continue
+        path = tmp_path / key
+        make(path)
+        originals[key] = path.read_bytes()
+    keys = sorted(originals)
+    recordings, refused = 0, 0
+    for number in range(MUTANTS):
+        key = keys[number % len(keys)]
+        path = tmp_path / "damaged"
+        path.write_bytes(mutant(originals[key], random_))
+        try:
+            file = imported(path)
+        except RecordingError as error:
+            text = str(error)
+            assert len(text) < 2600 and "\n" not in text and text.isprintable(), (key, text)
+            refused += 1
+            continue
+        try:
+            sound_units(file)
+        except AssertionError as error:
+            (tmp_path / "wrong").write_bytes(path.read_bytes())
+            raise AssertionError(f"mutant {number} of {key} has a wrong unit") from error
+        recordings += 1
+    assert recordings > 0.2 * MUTANTS and refused > 0.2 * MUTANTS
+
+
+#: Tables of an IMU whose rows are as wide as their header.
+TABLES = ("xsens-dot", "xsens-mt", "shimmer", "x-imu", "phyphox", "nilspod", "android", "metamotion")
+
+
+@pytest.mark.parametrize("key", TABLES)
+def test_columns_in_any_order_and_any_separator(tmp_path: Path, key: str):
+    rng, path = random.Random(key), tmp_path / "a.csv"
+    made.IMUS[key](path)
+    expected = tables(path, key)[0]
+    own = "\t" if key == "xsens-mt" else ","
+    lines = [line.removesuffix(own).split(own) for line in path.read_text().splitlines()]
+    width = len(lines[-1])
+    for separator, comma in ((",", False), (";", False), (";", True), ("\t", True), ("|", True)):
+        order = rng.sample(range(width), width)
+        rows = []
+        for cells in lines:
+            if len(cells) < 6:  # above the header
+                rows.append(own.join(cells))
+                continue
+            rows.append(separator.join(cells[at].replace(".", ",") if comma else cells[at] for at in order))
+        path.write_text("\n".join(rows) + "\n", encoding="utf-16" if comma else "utf-8")
+        table = tables(path, key)[0]
+        for part in ("acc", "gyro", "t_s"):
+            values = getattr(expected, part)
+            if values is None:
+                assert getattr(table, part) is None
+            else:
+                np.testing.assert_array_equal(getattr(table, part), values)

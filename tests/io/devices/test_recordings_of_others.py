@@ -1,0 +1,379 @@
+"""Recordings of other programs: ROS 1 bags, MCAP with JSON and XCDR2 messages, XDF."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import ros_bags as ros
+import skeleton_files as made
+from importers import streams, turning
+from library_files import ZERO, write_bag
+from made_recordings import swing
+from mcap.writer import Writer
+from numpy.testing import assert_allclose, assert_array_equal
+
+from smoother.errors import RecordingError
+from smoother.io import open_recording
+from smoother.io.recording.json_messages import stamp_ns
+from smoother.io.tables.columns import find_sensors
+from smoother.io.tables.joint_columns import AZURE, KINECT_V2
+from smoother.recording import CameraFrame, JointState
+
+FRAMES = 60
+
+
+def test_ros1_bag(tmp_path: Path) -> None:
+    path = tmp_path / "any"
+    write_bag(path)
+    (body,), (imu,) = streams(path, "rosbag1")
+    t, acc, gyro = turning(200, 100.0)
+    assert imu.name == "wrist/imu"
+    assert_allclose(imu.t_s - ZERO * 1e-9, t, atol=1e-6)  # seconds since 1970 in double precision
+    assert_array_equal(imu.acc, acc)
+    assert_array_equal(imu.gyro, gyro)
+    assert imu.mag is not None
+    assert_allclose(imu.mag[:, 1], np.arange(200), atol=1e-3)
+    assert (body.body, body.frame, len(body.t_s)) == (3, CameraFrame.OPTICAL, FRAMES)
+    there = np.delete(np.arange(FRAMES), np.arange(20, 25))
+    wanted = made.expected("wrist_right", FRAMES, "optical")
+    assert_array_equal(body.position["wrist_right"][there], wanted[there])
+    assert np.isnan(body.position["wrist_right"][20:25]).all()
+    assert any("/joint_states: sensor_msgs/JointState contains angles" in note for note in body.notes)
+
+
+def test_ros1_bag_that_is_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    write_bag(path)
+    path.write_bytes(path.read_bytes()[:5000])
+    with pytest.raises(RecordingError, match=r"a\.bag is damaged.*rosbag reindex"):
+        streams(path, "rosbag1")
+
+
+def json_mcap(path: Path, dates: bool) -> tuple[np.ndarray, np.ndarray]:
+    """An MCAP file with JSON messages of an IMU and a skeleton; acc (n, 3) and wrist (F, 3)."""
+    t = np.arange(0, 4, 0.01)
+    gyro = swing(t)[2]
+    frames = np.arange(0.005, 4, 1 / 30)
+    elbow, wrist, _ = swing(frames)
+    acc = np.tile([0.1, 9.8, 0.2], (len(t), 1))
+
+    def stamp(ns: int) -> Any:
+        day = np.datetime64(ns, "ns").astype(str)
+        return f"{day}Z" if dates else {"sec": ns // 10**9, "nsec": ns % 10**9}
+
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channels = {}
+        for topic, name in (("/imu", "sensor_msgs/Imu"), ("/skeleton", "unocclude.Skeleton")):
+            schema = writer.register_schema(name=name, encoding="jsonschema", data=b'{"type": "object"}')
+            channels[topic] = writer.register_channel(topic=topic, message_encoding="json", schema_id=schema)
+        events = [(int(ZERO + round(x * 1e9)), "/imu", at) for at, x in enumerate(t)]
+        events += [(int(ZERO + round(x * 1e9)), "/skeleton", at) for at, x in enumerate(frames)]
+        for ns, topic, at in sorted(events):
+            xyz = dict(zip("xyz", map(float, acc[at]), strict=True))
+            if topic == "/imu":
+                turn = dict(zip("xyz", map(float, gyro[at]), strict=True))
+                where = {"stamp": stamp(ns), "frame_id": "wrist"}
+                message: dict[str, Any] = {
+                    "header": where,
+                    "linear_acceleration": xyz,
+                    "angular_velocity": turn,
+                }
+            else:
+                joints = [
+                    {
+                        "name": f"{name}_right",
+                        "position": dict(zip("xyz", map(float, rows[at]), strict=True)),
+                        "state": s,
+                    }
+                    for name, rows, s in (("elbow", elbow, 2), ("wrist", wrist, "TRACKED"))
+                ]
+                message = {"timestamp": stamp(ns), "body": 1, "joints": joints}
+            data = json.dumps(message).encode() if at != 7 else b'{"header": 3'  # one message is damaged
+            writer.add_message(channels[topic], log_time=ns + 10**6, data=data, publish_time=ns)
+        writer.finish()
+    return np.delete(acc, 7, axis=0), np.delete(wrist, 7, axis=0)
+
+
+@pytest.mark.parametrize("dates", [True, False])
+def test_mcap_with_json(tmp_path: Path, dates: bool) -> None:
+    path = tmp_path / "a.mcap"
+    acc, wrist = json_mcap(path, dates)
+    file = open_recording(path)
+    assert_array_equal(file.imus[0].acc, acc)
+    assert file.imus[0].stamp_ns[1] - file.imus[0].stamp_ns[0] == 10_000_000
+    assert file.imus[0].log_shift_ns == 10**6
+    assert sum("1 messages are damaged" in note for note in file.notes) == 2
+    (body,), (imu,) = streams(path, "mcap")
+    assert imu.name == "imu"
+    assert_array_equal(body.position["wrist_right"], wrist)
+    assert (body.state["elbow_right"] == JointState.TRACKED).all()
+
+
+@pytest.mark.parametrize(
+    ("message", "wanted"),
+    [
+        ({"header": {"stamp": {"sec": 2, "nanosec": 5}}}, 2_000_000_005),
+        ({"header": {"stamp": {"secs": 2, "nsecs": 5}}}, 2_000_000_005),
+        ({"timestamp": "1970-01-01T00:00:02.5Z"}, 2_500_000_000),
+        ({"timestamp": 2.5}, 2_500_000_000),
+        ({}, 0),
+    ],
+)
+def test_stamps_in_json(message: dict[str, Any], wanted: int) -> None:
+    assert stamp_ns(message) == wanted
+
+
+class Xcdr2:
+    """Packs a message by XCDR2's rules for final types (DDS-XTypes 1.3, 7.4.3.5): 4 bytes align at most."""
+
+    def __init__(self, order: str):
+        self.order, self.data = order, bytearray()
+
+    def number(self, kind: str, *values: float) -> None:
+        size = min(struct.calcsize(kind), 4)
+        self.data += bytes(-len(self.data) % size)
+        self.data += struct.pack(f"{self.order}{len(values)}{kind}", *values)
+
+    def text(self, value: str) -> None:
+        self.number("I", len(value) + 1)
+        self.data += value.encode() + b"\0"
+
+    def header(self, ns: int, frame: str) -> None:
+        self.number("i", ns // 10**9)
+        self.number("I", ns % 10**9)
+        self.text(frame)
+
+    def whole(self) -> bytes:
+        return (b"\0\7\0\0" if self.order == "<" else b"\0\6\0\0") + bytes(self.data)
+
+
+def xcdr2_imu(ns: int, acc: np.ndarray, gyro: np.ndarray, order: str) -> bytes:
+    pack = Xcdr2(order)
+    pack.header(ns, "wrist")
+    pack.number("d", 0, 0, 0, 1, *[0] * 9)
+    pack.number("d", *gyro, *[0] * 9)
+    pack.number("d", *acc, *[0] * 9)
+    return pack.whole()
+
+
+def xcdr2_markers(ns: int, points: np.ndarray, order: str) -> bytes:
+    pack = Xcdr2(order)
+    inner = Xcdr2(order)
+    inner.data += bytes(4)  # as if behind the size, so that alignment is the message's
+    inner.number("I", len(points))
+    for joint, xyz in enumerate(points):
+        inner.header(ns, "depth")
+        inner.text("")
+        inner.number("i", 100 + joint, 2, 0)
+        inner.number("d", *xyz, 0, 0, 0, 1, 1, 1, 1)
+        inner.number("f", 1, 1, 1, 1)
+        inner.number("i", 0)
+        inner.number("I", 0)
+        inner.number("B", 0)
+        for _ in range(2):  # sequences of structures: their size, then how many
+            inner.number("I", 4)
+            inner.number("I", 0)
+        inner.text("")
+        inner.text("")
+        inner.number("B", 0)
+    pack.number("I", len(inner.data) - 4)
+    pack.data += inner.data[4:]
+    return pack.whole()
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_mcap_with_xcdr2(tmp_path: Path, order: str) -> None:
+    t, acc, gyro = turning(200, 100.0)
+    points = np.stack([made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
+    path = tmp_path / "a.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        kinds = {
+            "/imu": ("sensor_msgs/msg/Imu", ros.IMU),
+            "/body": ("visualization_msgs/msg/MarkerArray", ros.marker_array(False)),
+        }
+        channels = {}
+        for topic, (name, text) in kinds.items():
+            schema = writer.register_schema(name=name, encoding="ros2msg", data=text.encode())
+            channels[topic] = writer.register_channel(topic=topic, message_encoding="cdr", schema_id=schema)
+        for at in range(len(t)):
+            ns = ZERO + round(t[at] * 1e9)
+            writer.add_message(channels["/imu"], ns, xcdr2_imu(ns, acc[at], gyro[at], order), ns)
+        for at in range(FRAMES):
+            ns = ZERO + round(at / 30 * 1e9)
+            writer.add_message(channels["/body"], ns, xcdr2_markers(ns, points[at], order), ns)
+        writer.finish()
+    (body,), (imu,) = streams(path, "mcap")
+    assert_array_equal(imu.acc, acc)
+    assert_array_equal(imu.gyro, gyro)
+    assert_array_equal(body.position["wrist_left"], points[:, AZURE.index("WRIST_LEFT")])
+    assert body.body == 1
+
+
+def test_mcap_with_joint_states_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(name="sensor_msgs/msg/JointState", encoding="ros2msg", data=b"")
+        channel = writer.register_channel(topic="/joint_states", message_encoding="cdr", schema_id=schema)
+        writer.add_message(channel, ZERO, b"\0\1\0\0", ZERO)
+        writer.finish()
+    with pytest.raises(
+        RecordingError, match=r"a\.mcap has no IMU and no skeleton.*sensor_msgs/msg/JointState"
+    ):
+        streams(path, "mcap")
+    assert any(
+        "/joint_states: sensor_msgs/JointState contains angles" in note for note in open_recording(path).notes
+    )
+
+
+def imu_stream(unit: tuple[str, str], labels: list[str], **more: Any) -> dict[str, Any]:
+    t, acc, gyro = turning(1000, 100.0)
+    acc = acc / 9.80665 if unit[0] == "g" else acc
+    gyro = np.degrees(gyro) if unit[1] == "deg/s" else gyro
+    channels = list(zip(labels, [unit[0]] * 3 + [unit[1]] * 3, strict=True))
+    stream = {"name": "Wrist", "type": "IMU", "rate": 100, "channels": channels}
+    return {**stream, "t_s": 50 + t, "values": np.hstack([acc, gyro]), **more}
+
+
+def kinect_stream() -> dict[str, Any]:
+    points = made.kinect_v2(FRAMES)
+    values = np.concatenate([points, np.ones((FRAMES, 25, 1))], axis=2).reshape(FRAMES, -1)
+    channels = [
+        (f"{n}_{f}", "meters" if f != "Conf" else "") for n in KINECT_V2 for f in ("X", "Y", "Z", "Conf")
+    ]
+    t_s = 950.0 + np.arange(FRAMES) / 30
+    return {
+        "name": "K",
+        "type": "MoCap",
+        "rate": 30,
+        "channels": channels,
+        "t_s": t_s,
+        "values": values,
+        "offset": -900.0,
+    }
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        ["acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z"],
+        ["AccX", "AccY", "AccZ", "GyroX", "GyroY", "GyroZ"],
+        ["ax", "ay", "az", "gx", "gy", "gz"],
+        [
+            "Accelerometer X",
+            "Accelerometer Y",
+            "Accelerometer Z",
+            "Gyroscope X",
+            "Gyroscope Y",
+            "Gyroscope Z",
+        ],
+    ],
+)
+@pytest.mark.parametrize("unit", [("m/s^2", "rad/s"), ("g", "deg/s")])
+def test_xdf(tmp_path: Path, labels: list[str], unit: tuple[str, str]) -> None:
+    path = tmp_path / "any"
+    made.xdf(path, [kinect_stream(), imu_stream(unit, labels)])
+    (body,), (imu,) = streams(path, "xdf")
+    t, acc, gyro = turning(1000, 100.0)
+    assert_allclose(imu.t_s, 50 + t, atol=1e-9)
+    assert_allclose(imu.acc, acc, atol=1e-9)
+    assert_allclose(imu.gyro, gyro, atol=1e-9)
+    assert imu.units == ", ".join(unit)
+    assert imu.rate_hz == 100
+    assert_allclose(body.t_s, 50 + np.arange(FRAMES) / 30, atol=1e-6)  # the clock offset is in the file
+    assert body.frame is CameraFrame.KINECT
+    assert_allclose(body.position["wrist_left"], made.kinect_v2(FRAMES)[:, 6], atol=1e-12)
+    assert (body.state["wrist_left"] == JointState.TRACKED).all()
+
+
+@pytest.mark.parametrize("unit", [("m/s^2", "rad/s"), ("g", "deg/s")])
+def test_xdf_without_units(tmp_path: Path, unit: tuple[str, str]) -> None:
+    stream = imu_stream(unit, ["ax", "ay", "az", "gx", "gy", "gz"])
+    stream["channels"] = [(label, "") for label, _ in stream["channels"]]
+    path = tmp_path / "a.xdf"
+    made.xdf(path, [stream])
+    _, (imu,) = streams(path, "xdf")
+    assert_allclose(imu.gyro, turning(1000, 100.0)[2], atol=1e-9)
+    assert imu.units == ", ".join(unit)
+    assert any("it then turns as gravity does" in note for note in imu.notes)
+
+
+def test_xdf_in_which_nothing_shows_the_unit(tmp_path: Path) -> None:
+    stream = imu_stream(("m/s^2", "rad/s"), ["ax", "ay", "az", "gx", "gy", "gz"])
+    stream["channels"] = [(label, "") for label, _ in stream["channels"]]
+    stream["values"] = np.tile([0.0, 9.81, 0.0, 0.01, 0.0, 0.0], (1000, 1))
+    path = tmp_path / "a.xdf"
+    made.xdf(path, [stream])
+    with pytest.raises(RecordingError, match=r"a\.xdf.*gyroscope's unit is not stated.*and units"):
+        streams(path, "xdf")
+
+
+def test_xdf_of_a_sensor_in_two_streams(tmp_path: Path) -> None:
+    t, acc, gyro = turning(1000, 100.0)
+    halves = [
+        {
+            "name": f"Phone {name}",
+            "type": name,
+            "rate": 100,
+            "t_s": t,
+            "values": values,
+            "channels": [("X", unit), ("Y", unit), ("Z", unit)],
+        }
+        for name, unit, values in (("Accelerometer", "m/s^2", acc), ("Gyroscope", "rad/s", gyro))
+    ]
+    path = tmp_path / "a.xdf"
+    made.xdf(path, halves)
+    _, (imu,) = streams(path, "xdf")
+    assert imu.acc is not None
+    assert imu.gyro is not None
+    assert_allclose(imu.acc, acc[: len(imu.acc)], atol=1e-9)
+    assert_allclose(imu.gyro, gyro[: len(imu.gyro)], atol=1e-9)
+
+
+def test_xdf_without_motion(tmp_path: Path) -> None:
+    eeg = {"name": "Cap", "type": "EEG", "rate": 250, "t_s": np.arange(50) / 250, "values": np.zeros((50, 4))}
+    path = tmp_path / "a.xdf"
+    made.xdf(path, [{**eeg, "channels": [(name, "uV") for name in ("Fz", "Cz", "Pz", "Oz")]}])
+    with pytest.raises(RecordingError, match=r"a\.xdf has no stream.*Cap \(EEG, 4 channels\)"):
+        streams(path, "xdf")
+    path.write_bytes(b"XDF:" + bytes(range(200)))
+    with pytest.raises(RecordingError, match=r"a\.xdf"):
+        streams(path, "xdf")
+
+
+def test_several_sensors_in_a_stream() -> None:
+    labels = [
+        f"{name}_{kind}_{axis}" for name in ("wrist", "trunk") for kind in ("acc", "gyro") for axis in "xyz"
+    ]
+    labels += ["wrist_quat_w", "wrist_quat_x", "wrist_quat_y", "wrist_quat_z"]
+    first, second = find_sensors(labels, [""] * len(labels), "Movella IMU")
+    assert (first.name, second.name) == ("wrist", "trunk")
+    assert first.axes == {"acc": (0, 1, 2), "gyro": (3, 4, 5)}
+    assert second.axes == {"acc": (6, 7, 8), "gyro": (9, 10, 11)}
+
+
+@pytest.mark.parametrize("library", ["pyxdf", "rosbags.rosbag1"])
+def test_a_library_that_is_absent(tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.startswith(library):
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    path = tmp_path / "a"
+    path.write_bytes(b"XDF:" if library == "pyxdf" else b"#ROSBAG V2.0\n")
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(RecordingError, match="pip install"):
+        streams(path, "xdf" if library == "pyxdf" else "rosbag1")

@@ -1,0 +1,348 @@
+"""Skeletons in JSON, arrays, TRC and C3D: names of joints, what is taken, which way is up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import skeleton_files as made
+from importers import tables
+from numpy.testing import assert_allclose, assert_array_equal
+
+from smoother.errors import RecordingError
+from smoother.io.tables.joint_columns import AZURE, BLAZEPOSE, BODY_25, JointName, joint_name
+from smoother.recording import CameraFrame, JointState
+
+FRAMES = 30
+
+
+def write(path: Path, value: object) -> Path:
+    path.write_text(json.dumps(value))
+    return path
+
+
+def offline_processor(frames: int, **more: object) -> dict[str, object]:
+    points = 1000 * np.stack([made.optical(made.part(name, frames)) for name in AZURE], axis=1)
+    rows = []
+    for at in range(frames):
+        bodies = [] if at in (3, 4) else [{"body_id": 2, "joint_positions": points[at].tolist(), **more}]
+        rows.append({"bodies": bodies, "num_bodies": len(bodies), "timestamp_usec": 500 + 33_333 * at})
+    return {"bone_list": [["NECK", "HEAD"]], "frames": rows, "joint_names": AZURE}
+
+
+def test_offline_processor(tmp_path: Path) -> None:
+    (table,) = tables(write(tmp_path / "a.json", offline_processor(FRAMES)), "azure-kinect-json")
+    assert (table.body, table.frame, table.units) == (2, CameraFrame.OPTICAL, "mm")
+    assert_allclose(table.t_s, (500 + 33_333 * np.arange(FRAMES)) * 1e-6, atol=1e-12)
+    there = np.delete(np.arange(FRAMES), [3, 4])
+    wanted = made.expected("wrist_right", FRAMES, "optical")
+    assert_allclose(table.position["wrist_right"][there], wanted[there], atol=1e-12)
+    assert np.isnan(table.position["wrist_right"][3:5]).all()
+    assert (table.state["wrist_right"][there] == JointState.TRACKED).all()
+
+
+def test_offline_processor_with_confidences_in_metres(tmp_path: Path) -> None:
+    value = offline_processor(FRAMES, confidence_levels=[1] * 8 + [0] * 3 + [2] * 4 + [0] * 3 + [2] * 14)
+    for frame in value["frames"]:  # type: ignore[attr-defined]
+        for body in frame["bodies"]:
+            body["joint_positions"] = (np.array(body["joint_positions"]) / 1000).tolist()
+    (table,) = tables(write(tmp_path / "a.json", value), "azure-kinect-json")
+    assert table.units == "m"
+    assert (table.state["wrist_left"][5:] == JointState.INFERRED).all()
+    assert (table.state["wrist_right"][5:] == JointState.TRACKED).all()
+    assert (table.state["hand_right"][5:] == JointState.INFERRED).all()
+
+
+def world(frames: int) -> list[list[dict[str, float]]]:
+    points = made.landmarks(frames)
+    return [[{"x": x, "y": y, "z": z, "visibility": 0.9} for x, y, z in frame] for frame in points.tolist()]
+
+
+@pytest.mark.parametrize("layout", ["rows", "fps", "nested", "names", "numbered", "lines", "tfjs", "arrays"])
+def test_world_landmarks(tmp_path: Path, layout: str) -> None:
+    rows = world(FRAMES)
+    path = tmp_path / "a.json"
+    named = [dict(zip(BLAZEPOSE, row, strict=True)) for row in rows]
+    values: dict[str, object] = {
+        "rows": [{"timestamp_ms": 40 * at, "pose_world_landmarks": row} for at, row in enumerate(rows)],
+        "fps": {"fps": 25, "frames": [{"frame": at, "landmarks": row} for at, row in enumerate(rows)]},
+        "nested": {"fps": 25.0, "frames": [{"world_landmarks": [row], "landmarks": [row]} for row in rows]},
+        "names": {"fps": 25, "frames": [{"time": 0.04 * at, **row} for at, row in enumerate(named)]},
+        "numbered": {"fps": 25, "positions": {f"{at + 1}.0": row for at, row in enumerate(named)}},
+        "lines": None,
+        "tfjs": [
+            {"timestamp": 40 * at, "keypoints3D": [{**p, "name": n} for n, p in row.items()]}
+            for at, row in enumerate(named)
+        ],
+        "arrays": {"fps": 25, "frames": [[list(p.values()) for p in row] for row in rows]},
+    }
+    if layout == "lines":
+        lines = [json.dumps({"t": 0.04 * at, "pose_world_landmarks": row}) for at, row in enumerate(rows)]
+        path.write_text("\n".join(lines))
+    else:
+        write(path, values[layout])
+    if layout == "arrays":  # no name in it: asked for by --skeleton-format
+        from smoother.io.devices.registry import format_named
+
+        (table,) = format_named("pose-json").read(path)
+    else:
+        (table,) = tables(path, "pose-json")
+    assert table.relative
+    assert table.frame is CameraFrame.OPTICAL
+    wanted = made.landmarks(FRAMES)[:, BLAZEPOSE.index("left_elbow")]
+    assert_allclose(table.position["elbow_left"], wanted, atol=1e-12)
+    start = 0.04 if layout == "numbered" else 0.0
+    assert table.t_s is None or np.allclose(table.t_s, start + 0.04 * np.arange(FRAMES), atol=1e-9)
+    if table.t_s is None:
+        assert table.rate_hz == 25
+
+
+def test_landmarks_in_the_image_are_refused(tmp_path: Path) -> None:
+    frames = {
+        f"{at}.0": dict(zip(BLAZEPOSE, frame, strict=True))
+        for at, frame in enumerate((0.5 + 0.2 * made.landmarks(FRAMES)).tolist())
+    }
+    with pytest.raises(RecordingError, match=r"not metres; export pose_world_landmarks"):
+        tables(write(tmp_path / "a.json", {"positions": frames}), "pose-json")
+
+
+def test_openpose_in_space(tmp_path: Path) -> None:
+    flat = [np.column_stack([frame, np.full(25, 0.8)]).ravel().tolist() for frame in made.body_25(FRAMES)]
+    value = [{"version": 1.3, "people": [{"pose_keypoints_3d": row}]} for row in flat]
+    (table,) = tables(write(tmp_path / "a.json", value), "pose-json")
+    assert not table.relative
+    assert_array_equal(table.gravity_hint, [0, -1, 0])
+    assert_allclose(table.position["wrist_right"], made.expected("wrist_right", FRAMES), atol=1e-12)
+
+
+def test_openpose_in_the_image_is_read_as_pixels(tmp_path: Path) -> None:
+    row = [value for at in range(25) for value in (10.0 * at, 5.0 * at, 0.8)]
+    row[3 * 4 : 3 * 4 + 3] = [0.0, 0.0, 0.0]  # the right wrist was not found
+    value = {"fps": 25, "frames": [{"people": [{"pose_keypoints_2d": row}]}, {"people": []}] * 3}
+    (table,) = tables(write(tmp_path / "a.json", value), "pose-json")
+    assert (table.units, table.frame) == ("pixels", CameraFrame.OPTICAL)
+    assert_allclose(table.t_s, np.arange(6) / 25)
+    assert_allclose(table.position["elbow_right"][0], [30.0, 15.0, 0.8])
+    assert np.isnan(table.position["elbow_right"][1]).all()
+    assert np.isnan(table.position["wrist_right"]).all()
+    assert table.state["elbow_right"].tolist() == [2, 0] * 3
+
+
+def test_coco_takes_the_surest_person_and_its_visibilities(tmp_path: Path) -> None:
+    def person(image: int, at: float, **more: float) -> dict[str, object]:
+        return {"image_id": image, "keypoints": [v for k in range(17) for v in (at + k, at, k % 3)], **more}
+
+    listed = [person(2, 50.0, area=10), person(1, 100.0, area=5), person(1, 200.0, area=9)]
+    value = {"images": [{"id": 1}, {"id": 2}, {"id": 3}], "annotations": listed}
+    (table,) = tables(write(tmp_path / "a.json", value), "pose-json")
+    elbow = table.position["elbow_left"]  # COCO's eighth: 7 % 3 = 1, labelled and hidden
+    assert_allclose(elbow[:2], [[207.0, 200.0, 0.3], [57.0, 50.0, 0.3]])
+    assert np.isnan(elbow[2]).all()
+    assert table.state["elbow_left"].tolist() == [1, 1, 0]
+    assert "30 frames per second" in " ".join(table.notes)
+
+
+def test_a_number_of_keypoints_that_is_no_known_set(tmp_path: Path) -> None:
+    value = [{"people": [{"pose_keypoints_2d": [1.0] * 33}]}] * 5
+    with pytest.raises(RecordingError, match="11 keypoints per person are not a known set"):
+        tables(write(tmp_path / "a.json", value), "pose-json")
+
+
+def test_broken_off(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.json", offline_processor(FRAMES))
+    path.write_text(path.read_text()[:20_000])
+    with pytest.raises(RecordingError, match=r"a\.json should be JSON of body tracking.*breaks off"):
+        tables(path, "azure-kinect-json")
+
+
+@pytest.mark.parametrize("points", [33, 553])
+def test_freemocap_array(tmp_path: Path, points: int) -> None:
+    body = np.stack([made.part(name, FRAMES) for name in BLAZEPOSE], axis=1)[:, :, [0, 2, 1]] * [1, -1, 1]
+    array = np.full((FRAMES, points, 3), np.nan)
+    array[:, :33] = 1000 * body
+    path = tmp_path / "a.npy"
+    np.save(path, array)
+    (table,) = tables(path, "joint-array")
+    assert (table.frame, table.units, table.relative) == (CameraFrame.ZUP, "mm", False)
+    assert_allclose(table.position["wrist_left"], body[:, BLAZEPOSE.index("left_wrist")], atol=1e-12)
+    assert table.rate_hz == 30.0
+
+
+def test_arrays_that_are_no_joints(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.zeros((10, 7, 3)))
+    with pytest.raises(RecordingError, match=r"a\.npy is an array of 10 x 7 x 3"):
+        tables(path, "joint-array")
+    np.save(path, np.array([{"a": 1}]), allow_pickle=True)
+    with pytest.raises(RecordingError, match=r"a\.npy is not an array of numbers"):
+        tables(path, "joint-array")
+
+
+@pytest.mark.parametrize(
+    ("name", "meaning"),
+    [
+        ("RWrist", JointName("wrist", "right")),
+        ("WRIST_RIGHT", JointName("wrist", "right")),
+        ("K4ABT_JOINT_ELBOW_LEFT", JointName("elbow", "left")),
+        ("JointType_HandLeft", JointName("hand", "left")),
+        ("Subject1:RWRA", JointName("wrist", "right", "skin", "a")),
+        ("r_lwrist_study", JointName("wrist", "right", "skin", "a")),
+        ("L_melbow_study", JointName("elbow", "left", "skin", "b")),
+        ("R_elbow_lat", JointName("elbow", "right", "skin", "a")),
+        ("R.Wrist.Med", JointName("wrist", "right", "skin", "b")),
+        ("r_shoulder_study", JointName("shoulder", "right", "skin")),
+        ("LSJC", JointName("shoulder", "left", "centre")),
+        ("RHUO", JointName("elbow", "right", "centre")),
+        ("R_Elbow_Center", JointName("elbow", "right", "centre")),
+        ("lelbow", JointName("elbow", "left")),
+        ("right_hip", JointName("hip", "right")),
+        ("HandTipRight", None),
+        ("HANDTIP_LEFT", None),
+        ("SpineShoulder", None),
+        ("RHandWrist", None),
+        ("R_forearm", None),
+        ("wrist", None),
+        ("RightHandIndex1", None),
+    ],
+)
+def test_names(name: str, meaning: JointName | None) -> None:
+    assert joint_name(name) == meaning
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1000.0)])
+def test_pose2sim(tmp_path: Path, unit: str, scale: float) -> None:
+    points = {name: scale * made.part(name, FRAMES) for name in BODY_25 if name[-3:] not in ("Eye", "Ear")}
+    path = tmp_path / "a.dat"  # the name is not what recognises it
+    made.trc(path, points, unit)
+    (table,) = tables(path, "trc")
+    assert_allclose(table.position["wrist_left"], made.expected("wrist_left", FRAMES), atol=1e-6)
+    assert_allclose(table.t_s, np.arange(FRAMES) / 30, atol=1e-8)
+    assert (table.frame, table.units) == (None, unit)
+    assert_array_equal(table.gravity_hint, [0, -1, 0])
+    assert (table.state["wrist_left"] == JointState.TRACKED).all()
+
+
+def test_joint_centres_before_skin_markers(tmp_path: Path) -> None:
+    shift = np.array([0.03, 0.0, 0.0])
+    wrist, elbow = made.part("RWrist", FRAMES), made.part("RElbow", FRAMES)
+    points = {
+        "r_shoulder_study": made.part("RShoulder", FRAMES) + shift,
+        "RShoulder": made.part("RShoulder", FRAMES),
+        "r_lelbow_study": elbow + shift,
+        "r_melbow_study": elbow - shift,
+        "RWRA": wrist + shift,
+        "RWJC": wrist,
+    }
+    path = tmp_path / "a.trc"
+    made.trc(path, points)
+    (table,) = tables(path, "trc")
+    assert_allclose(table.position["shoulder_right"], made.part("RShoulder", FRAMES), atol=1e-6)
+    assert_allclose(table.position["elbow_right"], elbow, atol=1e-6)
+    assert_allclose(table.position["wrist_right"], wrist, atol=1e-6)
+    words = " ".join(table.notes)
+    assert "shoulder_right is the marker RShoulder" in words
+    assert "elbow_right is the middle of r_lelbow_study and r_melbow_study" in words
+    assert "wrist_right is the joint centre RWJC" in words
+    assert "Skin markers" in words
+
+
+def test_azure_kinect_in_trc(tmp_path: Path) -> None:
+    path = tmp_path / "a.trc"
+    made.trc(path, {f"K4ABT_JOINT_{name}": made.optical(made.part(name, FRAMES)) for name in AZURE})
+    (table,) = tables(path, "trc")
+    assert table.frame is CameraFrame.OPTICAL
+    assert_allclose(table.position["hand_left"], made.expected("hand_left", FRAMES, "optical"), atol=1e-6)
+
+
+def test_z_up(tmp_path: Path) -> None:
+    path = tmp_path / "a.trc"
+    made.trc(path, {name: made.part(name, FRAMES)[:, [0, 2, 1]] * [1, -1, 1] for name in BODY_25[:9]})
+    (table,) = tables(path, "trc")
+    assert table.frame is CameraFrame.ZUP
+    assert any("Assumed axes: z up" in note for note in table.notes)
+
+
+def test_arm_alone_is_y_up_by_the_format(tmp_path: Path) -> None:
+    path = tmp_path / "a.trc"
+    made.trc(path, {name: made.part(name, FRAMES) for name in ("RShoulder", "RElbow", "RWrist")})
+    (table,) = tables(path, "trc")
+    assert_array_equal(table.gravity_hint, [0, -1, 0])
+    assert any("the body does not show them" in note for note in table.notes)
+
+
+def test_lost_markers(tmp_path: Path) -> None:
+    rows = {name: made.part(name, FRAMES) for name in ("RShoulder", "RElbow", "RWrist")}
+    rows["RWrist"][5:9] = 0.0
+    path = tmp_path / "a.trc"
+    made.trc(path, rows)
+    (table,) = tables(path, "trc")
+    assert np.isnan(table.position["wrist_right"][5:9]).all()
+    assert not table.state["wrist_right"][5:9].any()
+    assert table.state["wrist_right"][9] == JointState.TRACKED
+
+
+def test_a_unit_that_is_not_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.trc"
+    points = {name: 1000 * made.part(name, FRAMES) for name in ("RShoulder", "RElbow", "RWrist")}
+    made.trc(path, points, "m")
+    (table,) = tables(path, "trc")
+    assert_allclose(table.position["wrist_right"], made.part("RWrist", FRAMES), atol=1e-6)
+    assert any("The file states m" in note and "multiplied by 0.001" in note for note in table.notes)
+    made.trc(path, {name: 1e6 * rows for name, rows in points.items()}, "mm")
+    with pytest.raises(RecordingError, match=r"a\.trc"):
+        tables(path, "trc")
+
+
+def test_no_arm(tmp_path: Path) -> None:
+    path = tmp_path / "a.trc"
+    made.trc(path, {name: made.part("LHip", FRAMES) for name in ("LASI", "RASI", "LWRIST")})
+    with pytest.raises(RecordingError, match=r"a\.trc: no arm with an elbow and a wrist.*LASI.*export"):
+        tables(path, "trc")
+
+
+@pytest.mark.parametrize("names", [("RSJC", "REJC", "RWJC"), ("Subject:RShoulder", "RElbow", "RWrist")])
+def test_c3d(tmp_path: Path, names: tuple[str, ...]) -> None:
+    import ezc3d
+
+    points = [made.part(name, FRAMES)[:, [0, 2, 1]] for name in ("RShoulder", "RElbow", "RWrist")]
+    points += [made.part(name, FRAMES)[:, [0, 2, 1]] for name in ("LHip", "Head")]
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file["parameters"]["POINT"]["RATE"]["value"] = [30.0]
+    file["parameters"]["POINT"]["LABELS"]["value"] = [*names, "LHip", "Head"]
+    data = np.ones((4, len(points), FRAMES))
+    data[:3] = 1000.0 * np.moveaxis(np.stack(points), 2, 0)
+    file["data"]["points"] = data
+    file.write(str(tmp_path / "a.c3d"))
+    path = (tmp_path / "a.c3d").rename(tmp_path / "any.bin")
+    (table,) = tables(path, "c3d")
+    assert (table.frame, table.units) == (CameraFrame.ZUP, "mm")
+    assert_allclose(table.position["wrist_right"], points[2], atol=1e-6)  # single precision of mm
+    assert table.rate_hz == pytest.approx(30.0)
+
+
+def test_theia_segments_in_c3d(tmp_path: Path) -> None:
+    import ezc3d
+
+    labels = ["r_uarm_4X4", "r_larm_4X4", "r_hand_4X4", "pelvis_4X4", "head_4X4", "r_foot_4X4", "l_larm_4X4"]
+    names = ["RShoulder", "RElbow", "RWrist", "pelvis", "Head", "RAnkle", "LElbow"]
+    origins = np.stack([made.part(name, FRAMES)[:, [0, 2, 1]] * [1, -1, 1] for name in names])
+    poses = np.tile(np.eye(4)[:, :, None, None], (1, 1, len(names), FRAMES))
+    poses[:3, 3] = 1000 * np.moveaxis(origins, 2, 0)
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file["parameters"]["POINT"]["RATE"]["value"] = [60.0]
+    file["parameters"]["POINT"]["LABELS"]["value"] = ["origin"]  # ezc3d writes no file without points
+    file["data"]["points"] = np.ones((4, 1, FRAMES))
+    for name, value in (("USED", [len(names)]), ("RATE", [60.0]), ("RATIO", [1]), ("LABELS", labels)):
+        file.add_parameter("ROTATION", name, value)
+    file["data"]["rotations"] = poses
+    path = tmp_path / "a.c3d"
+    file.write(str(path))
+    (table,) = tables(path, "c3d")
+    assert set(table.position) == {"shoulder_right", "elbow_right", "wrist_right", "elbow_left"}
+    assert_allclose(table.position["wrist_right"], origins[2], atol=1e-6)  # single precision of mm
+    assert (table.frame, table.rate_hz) == (CameraFrame.ZUP, 60.0)
+    assert any("origins of the segments r_uarm_4X4" in note for note in table.notes)

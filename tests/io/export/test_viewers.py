@@ -1,0 +1,248 @@
+"""What programs find that draw a result: beads, a log of the gaps, the level frame, the layout."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from arms import make_recording
+from mcap.reader import make_reader
+from mcap_messages import decoded
+from results import made, without_answer
+from scipy.spatial.transform import Rotation
+
+from smoother.io import write_recording, write_recovery
+from smoother.io.result.drawing import world_axes
+from smoother.recording import CameraFrame
+
+
+def beads_of(cloud: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Places (B, 3) and colours (B, 4) by the cloud's own description of its fields."""
+    kinds = {7: "<f4", 1: "u1"}
+    layout = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [kinds[field.type] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_stride,
+        }
+    )
+    rows = np.frombuffer(cloud.data, layout)
+    places = np.stack([rows[axis] for axis in "xyz"], axis=1)
+    return places, np.stack([rows[name] for name in ("red", "green", "blue", "alpha")], axis=1)
+
+
+def test_beads_lie_on_the_bones(tmp_path):
+    recovery = made("right")
+    write_recovery(recovery, tmp_path / "out.mcap")
+    clouds = decoded(tmp_path / "out.mcap")["/unocclude/beads"]
+    assert len(clouds) == len(recovery.arm.t_s)
+    for cloud in clouds[:: len(clouds) // 20]:
+        k = int(np.abs(recovery.t_s - cloud.timestamp.ToNanoseconds() * 1e-9).argmin())
+        places, colors = beads_of(cloud)
+        shoulder, elbow, wrist = (recovery.joints[name][k] for name in ("shoulder", "elbow", "wrist"))
+        for joint in (shoulder, elbow, wrist):
+            assert np.abs(places - joint).max(axis=1).min() < 1e-6  # single precision at 2 m
+        for one, other in ((shoulder, elbow), (elbow, wrist)):
+            along = (places - one) @ (other - one) / ((other - one) @ (other - one))
+            off = np.linalg.norm(places - one - along[:, None] * (other - one), axis=1)
+            assert ((off < 1e-6) & (along > 0.01) & (along < 0.99)).sum() >= 5
+        orange = (colors[:, 0] > colors[:, 2]).all()
+        assert orange == recovery.occluded[k]
+        assert orange or (colors[:, 2] > colors[:, 0]).all()
+    assert len({beads_of(cloud)[1].tobytes() for cloud in clouds}) == 2
+
+
+def test_beads_of_little(tmp_path):
+    """A strap alone is one bead; times without an answer have a cloud without any, which clears the last."""
+    write_recovery(made(strap=True), tmp_path / "strap.mcap")
+    clouds = decoded(tmp_path / "strap.mcap")["/unocclude/beads"]
+    assert {len(beads_of(cloud)[0]) for cloud in clouds} == {1}
+    write_recovery(without_answer(made(), 9.5, 10.5), tmp_path / "some.mcap")
+    counts = [len(beads_of(cloud)[0]) for cloud in decoded(tmp_path / "some.mcap")["/unocclude/beads"]]
+    assert 28 <= counts.count(0) <= 32  # a second at 30 Hz
+    assert len(set(counts)) == 2
+
+
+def test_a_line_of_the_log_for_each_gap(tmp_path):
+    recovery = made("left")
+    write_recovery(recovery, tmp_path / "out.mcap")
+    lines = decoded(tmp_path / "out.mcap")["/unocclude/log"]
+    assert len(lines) == len(recovery.gaps) == 2
+    for line, gap in zip(lines, recovery.gaps, strict=True):
+        assert abs(line.timestamp.ToNanoseconds() * 1e-9 - gap.start_s) < 1e-8
+        assert line.message == f"left forearm occluded for {gap.length_s:.2f} s"
+    write_recovery(made(hidden=()), tmp_path / "none.mcap")
+    assert not decoded(tmp_path / "none.mcap")["/unocclude/log"]
+
+
+def test_a_level_frame_in_every_transform(tmp_path):
+    """Also where there is no pose; for two arms one and the same; without gravity as the file says."""
+    write_recovery([without_answer(made("left"), 9.5, 10.5), made("right")], tmp_path / "both.mcap")
+    messages = decoded(tmp_path / "both.mcap")
+    turns = set()
+    for side in ("left", "right"):
+        for message in messages[f"/unocclude/tf/{side}"]:
+            world = [one for one in message.transforms if one.parent_frame_id == "world"]
+            assert len(world) == 1
+            turns.add(world[0].rotation.SerializeToString())
+    assert len(turns) == 1
+    hold = replace(made(), gravity_direction=np.full(3, np.nan))
+    write_recovery(hold, tmp_path / "hold.mcap")
+    assert all(len(message.transforms) == 1 for message in decoded(tmp_path / "hold.mcap")["/unocclude/tf"])
+    write_recording(replace(make_recording(), camera_frame=CameraFrame.OPTICAL), tmp_path / "rec.mcap")
+    write_recovery(hold, tmp_path / "level.mcap", source=tmp_path / "rec.mcap")
+    names = {
+        one.parent_frame_id for m in decoded(tmp_path / "level.mcap")["/unocclude/tf"] for one in m.transforms
+    }
+    assert "world" in names
+
+
+def test_world_axes():
+    for frame in CameraFrame:
+        turn = world_axes(frame.down)
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(turn) > 0.99
+        np.testing.assert_allclose(turn @ frame.down, [0, 0, -1], atol=1e-12)
+    # What lies before an optical camera is at negative x, what is to its right at positive y.
+    turn = world_axes(CameraFrame.OPTICAL.down)
+    np.testing.assert_allclose(turn @ [0, 0, 2], [-2, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(turn @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_the_additions_cost_little(tmp_path):
+    write_recovery(made("right"), tmp_path / "one.mcap")
+    sizes: dict[str, int] = defaultdict(int)
+    with open(tmp_path / "one.mcap", "rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            sizes[channel.topic] += len(message.data)
+    added = sizes["/unocclude/beads"] + sizes["/unocclude/log"]
+    assert added < 0.1 * (sum(sizes.values()) - added)
+
+
+LAYOUT = Path(__file__).parents[3] / "docs" / "unocclude.foxglove-layout.json"
+STEP = re.compile(r"([a-z_]+)(?:\[(\d+)\])?")
+
+
+@pytest.fixture(scope="module")
+def layout() -> dict[str, Any]:
+    return json.loads(LAYOUT.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def messages(tmp_path_factory) -> dict[str, list[Any]]:
+    """Decoded messages of a result by topic."""
+    path = tmp_path_factory.mktemp("layout") / "out.mcap"
+    write_recovery(made("right"), path)
+    return decoded(path)
+
+
+def is_number(path: str) -> bool:
+    """Whether a path is a reference line's value."""
+    return re.fullmatch(r"[\d.]+", path) is not None
+
+
+def paths(layout: dict[str, Any]) -> list[str]:
+    """Every message path and topic that a panel shows."""
+    found = []
+    for config in layout["configById"].values():
+        found += [path["value"] for path in config.get("paths", []) if not is_number(path["value"])]
+        found += list(config.get("topics", {}))
+        found += [config["topicPath"]] if "topicPath" in config else []
+    return found
+
+
+def value(message: Any, fields: list[str]) -> Any:
+    """The value behind a message path."""
+    for field in fields:
+        name, index = STEP.fullmatch(field).groups()
+        assert name in [known.name for known in message.DESCRIPTOR.fields], f"{name} is no field"
+        message = getattr(message, name)
+        if index is not None:
+            message = message[int(index)]
+    return message
+
+
+def test_every_path_leads_to_a_value(layout, messages):
+    named = paths(layout)
+    assert len(named) >= 14
+    for path in named:
+        topic, *fields = path.split(".")
+        root = bool(fields) and fields[-1] == "@sqrt"  # what both programs call the square root
+        fields = fields[:-1] if root else fields
+        assert not any("@" in field for field in fields), path
+        assert topic in messages, f"{topic} is not in a result"
+        found = [value(message, fields) for message in messages[topic]]
+        if fields:
+            numbers = np.array(found, float)
+            assert np.isfinite(numbers).any()
+            assert not root or (numbers >= 0).all()
+            assert len(np.unique(numbers[np.isfinite(numbers)])) > 1 or "covariance" in path
+
+
+def test_sigma_is_shown_and_not_variance(layout):
+    shown = [path["value"] for path in layout["configById"]["Plot!sigma"]["paths"]]
+    assert shown == [f"/unocclude/forearm.pose_covariance[{7 * axis}].@sqrt" for axis in range(3)]
+
+
+def test_lines_in_degrees(layout):
+    lines = [path for path in layout["configById"]["Plot!flexion"]["paths"] if is_number(path["value"])]
+    assert len(lines) == 3
+    for line in lines:
+        assert line["label"] == f"{np.degrees(float(line['value'])):.0f} degrees"
+
+
+def test_titles_stand_in_the_keys_of_both_programs(layout):
+    for config in layout["configById"].values():
+        assert config["foxglovePanelTitle"] == config["lichtblickPanelTitle"] != ""
+
+
+def test_the_view_follows_a_level_frame(layout, messages):
+    """`world` has z up: the hand-made gravity, turned into it, points down; the frames named are there."""
+    view = layout["configById"]["3D!arm"]
+    transforms = {
+        one.child_frame_id: one for message in messages["/unocclude/tf"] for one in message.transforms
+    }
+    frames = {"world", *transforms}
+    assert view["followTf"] == view["layers"]["grid"]["frameId"] == "world"
+    assert {name.removeprefix("frame:") for name in view["transforms"]} <= frames
+    camera = transforms["camera"]
+    assert camera.parent_frame_id == "world"
+    turn = camera.rotation
+    down = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply(made("right").gravity_direction)
+    np.testing.assert_allclose(down, [0, 0, -1], atol=1e-9)  # rounding
+    assert transforms["forearm_imu"].parent_frame_id == "camera"
+    # The forearm stays the first, as readers of older files expect it.
+    assert messages["/unocclude/tf"][0].transforms[0].child_frame_id == "forearm_imu"
+
+
+def test_the_topics_that_users_are_to_see_are_there(layout):
+    topics = {path.partition(".")[0].partition("[")[0] for path in paths(layout)}
+    assert topics >= {f"/unocclude/{name}" for name in ("forearm", "arm", "arm_camera", "gaps", "joints")}
+
+
+def test_the_wrist_is_the_wrist(messages):
+    for topic in ("/unocclude/skeleton", "/unocclude/camera"):
+        assert messages[topic][0].joints[2].name == "wrist_right"
+    assert messages["/unocclude/joints"][0].joints[0].name == "elbow_flexion_right"
+
+
+def test_every_panel_has_its_place_and_the_other_way_round(layout):
+    def leaves(node: Any) -> list[str]:
+        if isinstance(node, str):
+            return [node]
+        assert node["direction"] in ("row", "column")
+        assert 0 < node["splitPercentage"] < 100
+        return leaves(node["first"]) + leaves(node["second"])
+
+    placed = leaves(layout["layout"])
+    assert sorted(placed) == sorted(layout["configById"])
+    assert len(set(placed)) == len(placed)
+    kinds = {panel.partition("!")[0] for panel in placed}
+    assert kinds == {"3D", "Plot", "StateTransitions", "RawMessages"}

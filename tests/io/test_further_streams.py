@@ -1,0 +1,385 @@
+"""Further cameras, and IMUs on the upper arm and the trunk: from files to a recording and back."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_recordings import make
+from made_results import recovery as made_recovery
+
+from smoother.calibration import LeverArm, SegmentMounting
+from smoother.cli.imports import skeleton_file
+from smoother.errors import UnoccludeError
+from smoother.io import (
+    describe,
+    export_csv,
+    import_csv,
+    open_recording,
+    read_recording,
+    read_recovery,
+    select_recording,
+    write_recording,
+    write_recovery,
+)
+from smoother.io.recording.assign import choose, role
+from smoother.io.recording.streams import ImuSamples, RecordingFile
+from smoother.measurements.remedy import Remedy
+from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
+from smoother.result import Recovery
+from smoother.result.segment_motion import SegmentMotion, TrunkMotion
+from smoother.simulation import ArmSimulation, simulate_arm
+
+
+def two_cameras() -> Recording:
+    config = ArmSimulation.preset("realistic", protocol="random", duration_s=4.0, cameras=(70.0, -60.0))
+    return simulate_arm(config, 910).recording
+
+
+def test_cameras_of_a_written_recording_are_read_back(tmp_path: Path) -> None:
+    recording = two_cameras()
+    down = np.array([0.0, -1.0, 0.0])
+    first, second = recording.cameras
+    recording = replace(recording, cameras=(replace(first, gravity_hint=down), second))
+    write_recording(recording, tmp_path / "a.mcap")
+    read = read_recording(tmp_path / "a.mcap")
+    assert [camera.name for camera in read.cameras] == ["camera_2", "camera_3"]
+    for camera, written in zip(read.cameras, recording.cameras, strict=True):
+        np.testing.assert_allclose(camera.arm.t_s, written.arm.t_s, atol=1e-9)
+        np.testing.assert_allclose(camera.arm.position, written.arm.position)
+        assert camera.camera_frame == written.camera_frame
+    np.testing.assert_allclose(read.cameras[0].gravity_hint, down)  # type: ignore[arg-type]
+    assert read.arm.name == "/skeleton"
+
+
+def test_a_skeleton_that_is_named_is_taken_alone(tmp_path: Path) -> None:
+    write_recording(two_cameras(), tmp_path / "a.mcap")
+    read = read_recording(tmp_path / "a.mcap", skeleton="/skeleton/camera_3")
+    assert read.arm.name == "/skeleton/camera_3"
+    assert not read.cameras
+
+
+def test_skeletons_of_several_frames_are_several_cameras_in_any_file(tmp_path: Path) -> None:
+    """As a recorder of somebody else writes them: nothing names the cameras but their frames."""
+    recording = two_cameras()
+    write_recording(recording, tmp_path / "a.mcap")
+    file = open_recording(tmp_path / "a.mcap")
+    file.cameras = {}
+    for arm, name in zip(file.arms, ("left", "middle", "right"), strict=True):
+        arm.topic, arm.frame_id = f"/{name}/bodies", f"{name}_depth"
+    file.arms[1].state = np.minimum(file.arms[1].state, JointState.INFERRED)  # hardly ever tracked
+    file.arms[1].state[:5] = JointState.TRACKED
+    write_recording(file, tmp_path / "b.mcap")
+    read = read_recording(tmp_path / "b.mcap")
+    assert read.arm.name in ("/left/bodies", "/right/bodies")
+    assert len(read.cameras) == 2
+    assert {camera.name for camera in read.cameras} < {"left_depth", "middle_depth", "right_depth"}
+
+
+TABLE = "t_s,joint,x,y,z,state\n"
+
+
+def write_skeleton(path: Path, moved_m: float) -> None:
+    rows = [
+        f"{0.1 * k:.2f},{joint},{0.1 * n + moved_m},{0.01 * k},2.0,tracked"
+        for k in range(20)
+        for n, joint in enumerate(("shoulder", "elbow", "wrist"))
+    ]
+    path.write_text(TABLE + "\n".join(rows) + "\n")
+
+
+def write_folder(folder: Path, cameras: str) -> None:
+    write_skeleton(folder / "skeleton.csv", 0.0)
+    write_skeleton(folder / "left.csv", 0.5)
+    imu = [f"{0.02 * k:.2f},0,9.8,0,{0.1 * k % 1},0,0" for k in range(100)]
+    (folder / "imu.csv").write_text("t_s,ax,ay,az,gx,gy,gz\n" + "\n".join(imu) + "\n")
+    (folder / "recording.toml").write_text(cameras + '[imu.forearm]\nfile = "imu.csv"\n')
+
+
+FIRST = '[camera]\nskeleton = "skeleton.csv"\nframe = "kinect"\n'
+LEFT = '[camera.left]\nskeleton = "left.csv"\nframe = "optical"\ngravity = [0, 1, 0]\n'
+
+
+def test_a_recording_toml_may_have_several_cameras(tmp_path: Path) -> None:
+    write_folder(tmp_path, FIRST + LEFT)
+    recording = import_csv(tmp_path)
+    (left,) = recording.cameras
+    assert left.name == "left"
+    assert left.camera_frame == "optical"
+    np.testing.assert_allclose(left.gravity_hint, [0, 1, 0])  # type: ignore[arg-type]
+    apart = left.arm.position - recording.arm.position
+    np.testing.assert_allclose(apart[:, JOINTS.index("wrist"), 0], 0.5)
+
+
+def test_without_a_camera_of_its_own_the_first_named_one_is_it(tmp_path: Path) -> None:
+    write_folder(tmp_path, LEFT)
+    recording = import_csv(tmp_path)
+    assert not recording.cameras
+    assert recording.camera_frame == "optical"
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ('[camera.left]\nframe = "kinect"\n', "names no skeleton"),
+        (LEFT.replace("[0, 1, 0]", "[0, 0, 0]"), r"\[camera.left\] gravity"),
+        (LEFT.replace("skeleton", "skelton"), "is not known here"),
+        (LEFT.replace("left.csv", "../left.csv"), "outside"),
+    ],
+)
+def test_what_is_wrong_with_a_further_camera_is_named(tmp_path: Path, section: str, words: str) -> None:
+    write_folder(tmp_path, FIRST + section)
+    with pytest.raises(UnoccludeError, match=words):
+        import_csv(tmp_path)
+
+
+def test_a_skeleton_option_may_name_its_camera(tmp_path: Path) -> None:
+    file = tmp_path / "left=1.csv"
+    assert skeleton_file(f"left={file}") == ("left", file)
+    file.write_text("")
+    assert skeleton_file(str(file)) == ("", file)
+    with pytest.raises(UnoccludeError, match="NAME=FILE"):
+        skeleton_file("=a.csv")
+
+
+def with_upper(name: str = "/imu/upper_arm_right", side: str = "right") -> Recording:
+    made = make(side=side)
+    imu = made.imu
+    return made.with_imu("upper_arm", ImuStream(name, imu.t_s + 0.25, imu.acc + 0.1, 0.5 * imu.gyro))
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    made = with_upper()
+    write_recording(made, tmp_path / "a.mcap")
+    back = read_recording(tmp_path / "a.mcap")
+    assert back.upper_imu is not None and made.upper_imu is not None
+    assert back.imu.name == "/imu/forearm_right" and back.upper_imu.name == "/imu/upper_arm_right"
+    np.testing.assert_array_equal(np.rint(back.upper_imu.t_s * 1e9), np.rint(made.upper_imu.t_s * 1e9))
+    np.testing.assert_array_equal(back.upper_imu.acc, made.upper_imu.acc)
+    np.testing.assert_array_equal(back.upper_imu.gyro, made.upper_imu.gyro)
+    assert any("upper_arm_right is on the same arm" in note for note in back.notes)
+    assert describe(tmp_path / "a.mcap").upper_imu == "/imu/upper_arm_right"
+
+
+def test_any_name_is_written_as_the_upper_arms(tmp_path: Path) -> None:
+    write_recording(with_upper("Sensor 00B4"), tmp_path / "a.mcap")
+    back = read_recording(tmp_path / "a.mcap")
+    assert back.upper_imu is not None and back.upper_imu.name == "/imu/upper_arm_right"
+
+
+def renamed(file: RecordingFile, **names: str) -> RecordingFile:
+    imus = [
+        replace(imu, topic=names.get(imu.topic.rpartition("/")[2], imu.topic), frame_id="")
+        for imu in file.imus
+    ]
+    return replace(file, imus=imus)
+
+
+@pytest.mark.parametrize(
+    ("name", "is_taken"),
+    [("/imu/upper_arm", True), ("/imu/upperArmRight", True), ("/imu/upper_arm_left", False)],
+)
+def test_which_one_is_meant(tmp_path: Path, name: str, is_taken: bool) -> None:
+    write_recording(with_upper(), tmp_path / "a.mcap")
+    file = renamed(open_recording(tmp_path / "a.mcap"), upper_arm_right=name)
+    assert ("upper_arm" in choose(file).further) == is_taken
+
+
+def test_both_arms_each_take_their_own(tmp_path: Path) -> None:
+    both = [with_upper(), replace(with_upper("/imu/upper_arm_left", "left"))]
+    write_recording(both, tmp_path / "a.mcap")
+    file = open_recording(tmp_path / "a.mcap")
+    for side in ("left", "right"):
+        one = select_recording(file, side=side)
+        assert one.upper_imu is not None
+        assert (one.imu.name, one.upper_imu.name) == (f"/imu/forearm_{side}", f"/imu/upper_arm_{side}")
+
+
+def result() -> Recovery:
+    made = made_recovery()
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(len(made), 6, 6))
+    quaternion = rng.normal(size=(len(made), 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    upper = SegmentMotion(
+        rng.normal(size=(len(made), 3)),
+        quaternion,
+        1e-4 * root @ root.transpose(0, 2, 1),
+        np.array([0.02, 0.05, 0.02]),
+        0.123,
+        "/imu/upper_arm_right",
+    )
+    for values in (upper.position, upper.quaternion, upper.pose_covariance):
+        values[30:35] = np.nan
+    assert made.calibration is not None
+    levers = {joint: LeverArm(rng.normal(size=3), np.full(3, 0.01)) for joint in ("elbow", "shoulder")}
+    calibration = replace(
+        made.calibration,
+        mountings={"upper_arm": SegmentMounting(levers, R_bone=np.diag([1.0, -1.0, -1.0]))},
+    )
+    return replace(
+        made,
+        segments={"upper_arm": upper},
+        calibration=calibration,
+        gravity_direction=np.array([0.0, -1.0, 0.0]),
+    )
+
+
+def test_a_result_keeps_it(tmp_path: Path) -> None:
+    made = result()
+    write_recovery(made, tmp_path / "a.mcap")
+    (back,) = read_recovery(tmp_path / "a.mcap")
+    assert back.upper is not None and made.upper is not None
+    assert back.calibration is not None and made.calibration is not None
+    np.testing.assert_array_equal(back.upper.position, made.upper.position)
+    np.testing.assert_allclose(back.upper.quaternion, made.upper.quaternion, atol=1e-12)
+    np.testing.assert_array_equal(back.upper.pose_covariance, made.upper.pose_covariance)
+    np.testing.assert_array_equal(back.upper.mount_sigma_rad, made.upper.mount_sigma_rad)
+    assert (back.upper.clock_offset_s, back.upper.name) == (0.123, "/imu/upper_arm_right")
+    for joint, lever in made.calibration.upper_imu.items():
+        np.testing.assert_array_equal(back.calibration.upper_imu[joint].position_m, lever.position_m)
+    np.testing.assert_array_equal(back.calibration.R_U_B, made.calibration.R_U_B)
+
+
+def test_columns(tmp_path: Path) -> None:
+    made = result()
+    export_csv(made, tmp_path / "a.csv")
+    with open(tmp_path / "a.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert made.upper is not None
+    assert [float(rows[10][f"upper_imu_{axis}"]) for axis in "xyz"] == pytest.approx(made.upper.position[10])
+    assert float(rows[10]["upper_imu_qw"]) == pytest.approx(made.upper.quaternion[10, 0], abs=1e-8)
+    assert float(rows[10]["upper_sigma_deg"]) == pytest.approx(made.upper.sigma_deg[10], abs=1e-8)
+    for name in ("plane", "elevation", "rotation"):
+        assert np.isfinite(float(rows[10][f"shoulder_{name}_deg"]))
+        assert float(rows[10][f"shoulder_{name}_sigma_deg"]) > 0.0
+    assert rows[31]["upper_imu_x"] == ""  # it pauses there, and the skeleton alone has the shoulder's angles
+    by_joints = replace(made, segments={}).angles()
+    for name in ("plane", "elevation", "rotation"):
+        assert float(rows[31][f"shoulder_{name}_deg"]) == pytest.approx(
+            by_joints.values[f"shoulder_{name}"][31]
+        )
+    assert list(rows[0])[-1] == "usable"
+
+
+def test_without_one_the_columns_are_as_before(tmp_path: Path) -> None:
+    export_csv(made_recovery(), tmp_path / "a.csv")
+    assert "upper" not in (tmp_path / "a.csv").read_text().splitlines()[0]
+
+
+def with_trunk(side: str = "right") -> Recording:
+    made = make(side=side)
+    imu, arm = made.imu, made.arm
+    other = replace(arm, position=arm.position + np.array([0.36, 0.0, 0.0]))
+    other = other.hide(np.ones(len(other), bool), FOREARM_JOINTS)  # as the simulation has it
+    return replace(
+        made, trunk=TrunkSensors(ImuStream("/imu/trunk", imu.t_s, 0.5 * imu.acc, 0.1 * imu.gyro), other)
+    )
+
+
+@pytest.mark.parametrize("name", ["/imu/trunk", "/sternum/imu", "/chest_sensor", "/Torso/data", "imu_thorax"])
+def test_names_of_the_trunk(name: str) -> None:
+    none = np.zeros((0, 3))
+    assert role(ImuSamples(name, "", np.zeros(0, np.int64), none, none)) == "trunk"
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_round_trip_with_the_trunk(tmp_path: Path, side: str) -> None:
+    made = with_trunk(side)
+    write_recording(made, tmp_path / "a.mcap")
+    back = read_recording(tmp_path / "a.mcap")
+    assert back.trunk is not None and made.trunk is not None
+    assert back.side == side and back.imu.name == f"/imu/forearm_{side}"
+    np.testing.assert_array_equal(back.trunk.imu.acc, made.trunk.imu.acc)
+    np.testing.assert_array_equal(back.trunk.imu.gyro, made.trunk.imu.gyro)
+    assert back.trunk.other_arm is not None and made.trunk.other_arm is not None
+    tracked = made.trunk.other_arm.tracked("shoulder")
+    assert tracked.any()
+    np.testing.assert_array_equal(back.trunk.other_arm.tracked("shoulder"), tracked)
+    np.testing.assert_array_equal(
+        back.trunk.other_arm.joint("shoulder")[tracked], made.trunk.other_arm.joint("shoulder")[tracked]
+    )
+    assert any("is on the trunk by its name" in note for note in back.notes)
+    assert describe(tmp_path / "a.mcap").trunk_imu == "/imu/trunk"
+
+
+def test_both_arms_share_the_trunk(tmp_path: Path) -> None:
+    """Each arm's other arm is the one with the other IMU, whole."""
+    write_recording([with_trunk("right"), with_trunk("left")], tmp_path / "a.mcap")
+    file = open_recording(tmp_path / "a.mcap")
+    assert sum(imu.topic == "/imu/trunk" for imu in file.imus) == 1
+    for side in ("left", "right"):
+        one = select_recording(file, side=side)
+        assert one.side == side and one.trunk is not None and one.trunk.other_arm is not None
+        assert "wrist" in one.trunk.other_arm.present
+
+
+def test_an_arm_alone_and_two_trunks(tmp_path: Path) -> None:
+    made = with_trunk()
+    assert made.trunk is not None
+    write_recording(replace(made, trunk=TrunkSensors(made.trunk.imu)), tmp_path / "a.mcap")
+    alone = read_recording(tmp_path / "a.mcap")
+    assert alone.trunk is not None and alone.trunk.other_arm is None
+    file = open_recording(tmp_path / "a.mcap")
+    (trunk,) = (imu for imu in file.imus if imu.topic == "/imu/trunk")
+    file.imus.append(replace(trunk, topic="/imu/chest"))
+    both = select_recording(file)
+    assert both.trunk is None
+    assert any("/imu/trunk, /imu/chest none was taken" in note for note in both.notes)
+
+
+def test_a_mirrored_skeleton_is_mirrored_whole() -> None:
+    made = with_trunk()
+    turned = Remedy(mirror="x").applied(made)
+    assert turned.trunk is not None and made.trunk is not None
+    assert turned.trunk.other_arm is not None and made.trunk.other_arm is not None
+    np.testing.assert_array_equal(
+        turned.trunk.other_arm.position, made.trunk.other_arm.position * [-1.0, 1.0, 1.0]
+    )
+
+
+def trunk_of(count: int) -> TrunkMotion:
+    rng = np.random.default_rng(4)
+    quaternion = rng.normal(size=(count, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    root = rng.normal(size=(count, 3, 3))
+    motion = TrunkMotion(
+        quaternion, 1e-3 * root @ root.transpose(0, 2, 1), np.eye(3), np.full(3, 0.02), 0.05, "/imu/trunk"
+    )
+    for values in (motion.quaternion, motion.covariance):
+        values[40:44] = np.nan
+    return motion
+
+
+def test_a_result_keeps_the_trunk(tmp_path: Path) -> None:
+    made = made_recovery()
+    made = replace(made, trunk=trunk_of(len(made)))
+    write_recovery(made, tmp_path / "a.mcap")
+    (back,) = read_recovery(tmp_path / "a.mcap")
+    assert back.trunk is not None and made.trunk is not None
+    np.testing.assert_allclose(back.trunk.quaternion, made.trunk.quaternion, atol=1e-12)
+    np.testing.assert_array_equal(back.trunk.covariance, made.trunk.covariance)
+    np.testing.assert_array_equal(back.trunk.R_T_D, made.trunk.R_T_D)
+    np.testing.assert_array_equal(back.trunk.mount_sigma_rad, made.trunk.mount_sigma_rad)
+    assert (back.trunk.clock_offset_s, back.trunk.name) == (0.05, "/imu/trunk")
+    export_csv(back, tmp_path / "a.csv")
+    with open(tmp_path / "a.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[10]["trunk_qw"]) == pytest.approx(made.trunk.quaternion[10, 0], abs=1e-8)
+    assert float(rows[10]["trunk_sigma_deg"]) == pytest.approx(made.trunk.sigma_deg[10], abs=1e-8)
+    assert rows[41]["trunk_qw"] == "" and list(rows[0])[-1] == "usable"
+    # no IMU on the upper arm: the shoulder's angles against the trunk are the skeleton's
+    assert (
+        np.isfinite(float(rows[10]["shoulder_plane_trunk_deg"]))
+        and rows[41]["shoulder_plane_trunk_deg"] == ""
+    )
+
+
+def test_a_notebook_finds_it() -> None:
+    made = made_recovery()
+    arrays = replace(made, trunk=trunk_of(len(made))).rows(slice(0, 20)).to_arrays()
+    assert arrays["trunk_quaternion"].shape == (20, 4) and arrays["trunk_sigma_deg"].shape == (20,)
+    assert "trunk_quaternion" not in made.to_arrays()
