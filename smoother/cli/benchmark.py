@@ -136,14 +136,14 @@ def _chosen(option: str, text: str, known: tuple[str, ...]) -> list[str]:
 
 def _write(run: BenchmarkRun, output: Path, figures: dict[str, object], force: bool, about: str) -> None:
     from ..benchmark.summary import gap_lines, markdown
-    from ..report.benchmark import write_benchmark
+    from ..report.benchmark import benchmark_page
     from ..runtime.outputs import writing
 
     write_json(output / "benchmark.json", figures, force)
     for name, text in (("benchmark.md", markdown(run)), ("gaps.csv", "\n".join(gap_lines(run)) + "\n")):
         with writing(output / name, force) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
-    write_benchmark(run, output / "benchmark.html", subtitle=about, force=force)
+    benchmark_page(run, about).write(output / "benchmark.html", force)
 
 
 def _show(run: BenchmarkRun) -> None:

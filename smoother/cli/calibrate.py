@@ -95,9 +95,9 @@ def write_answer(
     from calib.file import write_calibration
 
     if to.report is not None:
-        from ..report.calibration_page import write_calibration_page
+        from ..report.calibration_page import calibration_page
 
-        write_calibration_page(to.report, calibration, *inputs, force=to.force)
+        calibration_page(calibration, *inputs).write(to.report, to.force)
     write_json(to.json_file, {**answer.figures, "notes": list(dict.fromkeys(notes))}, to.force)
     if output is not None:
         write_calibration(output, answer.table)

@@ -220,14 +220,14 @@ def compare(
 
 def write_page(compared: Sequence[tuple[Recording, Comparison]], path: Path, force: bool) -> None:
     """The comparison of an arm, or of several on one page."""
-    from ..report.method_comparison import write_comparison
-    from ..report.page import write_arms_comparison
+    from ..report.method_comparison import comparison_page
+    from ..report.page import arms_comparison_page
 
     if len(compared) > 1:
-        write_arms_comparison(compared, path, force=force)
+        arms_comparison_page(compared).write(path, force)
     else:
         ((recording, comparison),) = compared
-        write_comparison(comparison, recording, path, force=force)
+        comparison_page(comparison, recording).write(path, force)
 
 
 def _check_truth(

@@ -262,10 +262,10 @@ def gaps(
     notes = [*notes, *(note for recording in recordings for note in recording.notes), *table.notes]
     sentences = [*factor_sentences(factors), real.sentence]
     if report is not None:
-        from ..report.method_comparison import write_gap_curves
+        from ..report.method_comparison import gap_curves_page
 
         name = ", ".join(recording.name for recording in recordings)
-        write_gap_curves(table, name, report, notes=(*sentences, *notes), force=force)
+        gap_curves_page(table, name, (*sentences, *notes)).write(report, force)
     figures = gap_figures(table, real) | {"notes": list(dict.fromkeys(notes))}
     since = since_last_frame(table, names) if live else []
     if live:

@@ -475,9 +475,9 @@ def strap(
         to.force,
     )
     if to.report is not None:
-        from ..report.strap import write_strap_report
+        from ..report.strap import strap_page
 
-        write_strap_report(to.report, recording.name, found, force=to.force)
+        strap_page(recording.name, found).write(to.report, to.force)
     total = len(found.reasons)
     rows = [
         (what, count, f"{100 * count / max(total, 1):.0f}") for what, count in sorted(found.counts.items())

@@ -167,9 +167,9 @@ def measures(
     recoveries = load_recoveries(result, one_side(side), body)
     rows, pairs = measured(recoveries, settings, processes or 0)
     if to.report is not None:
-        from ..report.measures import write_measures_page
+        from ..report.measures import measures_page
 
-        write_measures_page(to.report, rows, pairs, force=to.force)
+        measures_page(rows, pairs).write(to.report, to.force)
     if csv_file is not None:
         write_csv(csv_file, rows, pairs, to.force)
     figures = arms_figures(recoveries, [one.as_dict() for one in rows])

@@ -138,12 +138,12 @@ def _narrowed(progress: PersonProgress, keys: Sequence[str] | None) -> PersonPro
 
 
 def _write_page(persons: Sequence[PersonProgress], report: Path, force: bool) -> None:
-    from ..report.progress import write_progress_page
+    from ..report.progress import progress_page
 
     if len(persons) > 1:
         names = ", ".join(each.person for each in persons[:20])
         raise UnoccludeError(f"a page is of one person; choose one with --person: {names}")
-    write_progress_page(persons[0], report, force=force)
+    progress_page(persons[0]).write(report, force)
 
 
 def _print(progress: PersonProgress) -> None:

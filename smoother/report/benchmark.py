@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 
 from ..benchmark.datasets import DATASETS
@@ -10,32 +9,19 @@ from ..benchmark.run import BenchmarkRun
 from ..benchmark.summary import all_notes, cells_of, columns_of, heading, method_rows
 from ..evaluation.gap_table import GapTable, spread_by_length
 from .method_comparison import curves
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import Page, figure, listing, tabulated
 
 
-def write_benchmark(
-    run: BenchmarkRun, path: str | os.PathLike[str], *, subtitle: str, force: bool = False
-) -> None:
-    """Write the benchmark as one HTML page that needs no network and no other file.
+def benchmark_page(run: BenchmarkRun, subtitle: str) -> Page:
+    """The benchmark on one page.
 
     Parameters
     ----------
     run : BenchmarkRun
-    path : path-like
-        The page to write.
     subtitle : str
         The line under its heading.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
     """
-    write_sheet(
-        path, "Benchmark of occluded arms", subtitle, list(_verdict(run)), _sections(run), force=force
-    )
+    return Page("Benchmark of occluded arms", subtitle, list(_verdict(run)), _sections(run))
 
 
 def _verdict(run: BenchmarkRun) -> Iterator[str]:

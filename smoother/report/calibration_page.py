@@ -1,8 +1,7 @@
-"""`write_calibration_page`: any calibration's page, its verdict first; the pages of clocks and sensors."""
+"""`calibration_page`: any calibration's page, its verdict first; the pages of clocks and sensors."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -26,7 +25,7 @@ from ..linalg import unit
 from ..recording import ImuStream
 from .forearm import forearm_page
 from .panel import panel_page, world_page
-from .sheet import Page, figure, label, listing, tabulated, write_sheet
+from .sheet import Page, figure, label, listing, tabulated
 from .space import cloud, shaded_cloud, space, view_of
 from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve, dots, dress, shade_times
 
@@ -370,26 +369,14 @@ PAGES: dict[type, Callable[..., Page]] = {
 }
 
 
-def write_calibration_page(
-    path: str | os.PathLike[str], calibration: Any, *inputs: Any, force: bool = False
-) -> None:
-    """Write the page of a calibration.
+def calibration_page(calibration: Any, *inputs: Any) -> Page:
+    """The page of a calibration.
 
     Parameters
     ----------
-    path : path-like
-        The page to write.
     calibration : ClockCalibration, ForearmCalibration, ImuCalibration, ..
         One of `PAGES`.
     *inputs
         What it was made of, as its function in `PAGES` takes it.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
     """
-    page = PAGES[type(calibration)](calibration, *inputs)
-    write_sheet(path, page.title, page.subtitle, page.verdict, page.sections, force=force)
+    return PAGES[type(calibration)](calibration, *inputs)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from html import escape
 
@@ -22,13 +21,13 @@ from .chart import Mark, Strip, badge, bars, charted, sessions, strips
 from .sheet import (
     NO_DIAGNOSIS,
     Html,
+    Page,
     bullets,
     capitalised,
     explained,
     headed,
     tabulated,
     terms_of,
-    write_sheet,
 )
 
 
@@ -132,43 +131,26 @@ MOST_MOVEMENTS = 24
 MOSTLY_RECOVERED = 0.5
 
 
-def write_measures_page(
-    path: str | os.PathLike[str],
-    measures_by_arm: Sequence[Measures],
-    pairs: Sequence[BothArms] = (),
-    *,
-    force: bool = False,
-) -> None:
-    """Write the page of a recording's measures; printed, it takes two pages.
+def measures_page(measures_by_arm: Sequence[Measures], pairs: Sequence[BothArms] = ()) -> Page:
+    """The page of a recording's measures; printed, it takes two pages.
 
     Parameters
     ----------
-    path : path-like
-        The page to write.
     measures_by_arm : sequence of Measures
         Of each arm of a recording.
     pairs : sequence of BothArms
         Of each person of whom both arms were measured: gives the symmetry indices of the main measures.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
     """
     arms = list(measures_by_arm)
     names = ", ".join(dict.fromkeys(arm.name for arm in arms))
     length_s = max((arm.end_s - arm.start_s for arm in arms), default=math.nan)
     labels = " and ".join(arm.arm_label for arm in arms) or "no arm"
-    write_sheet(
-        path,
+    return Page(
         f"Measures of {names or 'a recording'}",
         f"{capitalised(labels)}, {length_s:.0f} s" if math.isfinite(length_s) else labels,
         _verdict(arms),
         list(_sections(arms, pairs)),
         two_pages=True,
-        force=force,
     )
 
 

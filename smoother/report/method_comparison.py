@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -14,7 +13,7 @@ from ..evaluation.compare import Comparison, MethodResult
 from ..evaluation.gap_table import GapSpread, GapTable, spread_by_length
 from ..measurements.visibility import Gap
 from ..recording import Recording
-from .sheet import figure, in_cm, label, listing, tabulated, write_sheet
+from .sheet import Page, figure, in_cm, label, listing, tabulated
 from .style import CAMERA, SHADE, TRUTH, axis_names, dots, dress
 
 #: Colour and plotly dash of each method; strong methods in strong colours.
@@ -52,24 +51,14 @@ MOST_GAPS = 6
 AROUND_S = 0.6
 
 
-def write_comparison(
-    comparison: Comparison, recording: Recording, path: str | os.PathLike[str], *, force: bool = False
-) -> None:
-    """Write a comparison as one HTML page that needs no network and no other file.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
-    """
-    write_sheet(
-        path,
+def comparison_page(comparison: Comparison, recording: Recording) -> Page:
+    """A comparison on one page."""
+    return Page(
         comparison.title(f"Methods compared: {recording.name}"),
         f"{len(comparison.rows)} methods, {len(comparison.gaps)} gaps, the {_point(comparison)} compared"
         " with the truth.",
         verdict(comparison),
         sections(comparison, recording),
-        force=force,
     )
 
 
@@ -270,15 +259,8 @@ _CURVES = (
 Spreads = dict[float, dict[str, GapSpread]]
 
 
-def write_gap_curves(
-    table: GapTable,
-    name: str,
-    path: str | os.PathLike[str],
-    *,
-    notes: tuple[str, ...] = (),
-    force: bool = False,
-) -> None:
-    """Write the errors in hidden gaps as one HTML page that needs no network and no other file.
+def gap_curves_page(table: GapTable, name: str, notes: Sequence[str] = ()) -> Page:
+    """The errors in hidden gaps on one page.
 
     Parameters
     ----------
@@ -286,17 +268,8 @@ def write_gap_curves(
         As `evaluate_gaps` gives it.
     name : str
         Of the recording.
-    path : path-like
-        The page to write.
-    notes : tuple of str
+    notes : sequence of str
         Of the recording.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
     """
     spreads = spread_by_length(table.rows)
     gaps = sum(next(iter(methods.values())).gaps for methods in spreads.values())
@@ -304,13 +277,11 @@ def write_gap_curves(
     reference = (
         "the truth" if against == "truth" else f"what the camera saw of the {against}, its noise included"
     )
-    write_sheet(
-        path,
+    return Page(
         f"Error against gap length: {name}",
         f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
         gap_verdict(spreads),
         _sections(spreads, (*notes, *table.notes)),
-        force=force,
     )
 
 

@@ -33,6 +33,7 @@ from .player import flat_views, player, points
 from .sheet import (
     CONTENTS,
     Html,
+    Page,
     bullets,
     capitalised,
     figure,
@@ -41,7 +42,6 @@ from .sheet import (
     listing,
     qualified,
     table,
-    write_sheet,
 )
 from .style import MOST_POINTS, decimate
 from .summary import summary, tone
@@ -93,15 +93,13 @@ def write_report(
     UnoccludeError
         The page exists and `force` is not given, or it cannot be written.
     """
-    write_sheet(
-        path,
+    Page(
         f"Recovered arm motion: {recovery.name}",
         origin(recovery),
         summary(recovery, validation),
         sections(recovery, recording, validation, truth, camera_frame, film),
         tone=tone([recovery]),
-        force=force,
-    )
+    ).write(path, force)
 
 
 def origin(recovery: Recovery) -> str:
@@ -399,15 +397,13 @@ def write_arms_report(
     paragraphs = []
     for arm in sorted(arms, key=lambda arm: arm[1].estimates.trusted is not False):  # the worst first
         paragraphs += [f"{_name(arm[1])}: {text}" for text in summary(arm[1], _of(arm)[0])]
-    write_sheet(
-        path,
+    Page(
         f"Recovered arm motion: {recoveries[0].name}",
         origin(recoveries[0]),
         paragraphs,
         _sections(arms, marks, camera_frame, film),
         tone=tone(recoveries),
-        force=force,
-    )
+    ).write(path, force)
 
 
 def _sections(
@@ -460,23 +456,14 @@ def _name(recovery: Recovery) -> str:
     return capitalised(recovery.arm_label)
 
 
-def write_arms_comparison(
-    compared: Sequence[tuple[Recording, Comparison]], path: str | os.PathLike[str], *, force: bool = False
-) -> None:
-    """Write the comparisons of several arms as one HTML page, arm by arm.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
-    """
+def arms_comparison_page(compared: Sequence[tuple[Recording, Comparison]]) -> Page:
+    """The comparisons of several arms on one page, arm by arm."""
     arms = [
         (capitalised(recording.arm_label), verdict(comparison), of_comparison(comparison, recording))
         for recording, comparison in compared
     ]
     recording, comparison = compared[0]
-    write_sheet(
-        path,
+    return Page(
         comparison.title(f"Methods compared: {recording.name}"),
         f"{len(comparison.rows)} methods, {len(compared)} arms, each compared with its own truth.",
         [f"{name}: {text}" for name, texts, _ in arms for text in texts],
@@ -485,7 +472,6 @@ def write_arms_comparison(
             for name, _, parts in arms
             for part in (f"<h1>{escape(name)}</h1>", *(qualified(one, _mark(name)) for one in parts))
         ),
-        force=force,
     )
 
 

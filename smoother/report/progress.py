@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from html import escape
 
@@ -24,40 +23,27 @@ from ..evaluation.progress import (
     worded,
 )
 from .chart import Mark, badge, sessions
-from .sheet import NO_DIAGNOSIS, Html, bullets, explained, headed, tabulated, terms_of, write_sheet
+from .sheet import NO_DIAGNOSIS, Html, Page, bullets, explained, headed, tabulated, terms_of
 
 #: Figures of a page, rows of its table, and sentences of its limits.
 MOST_FIGURES, MOST_ROWS, MOST_LIMITS = 5, 16, 6
 
 
-def write_progress_page(
-    progress: PersonProgress, path: str | os.PathLike[str], *, force: bool = False
-) -> None:
-    """Write the page of a person's sessions; printed, it takes two pages.
+def progress_page(progress: PersonProgress) -> Page:
+    """The page of a person's sessions; printed, it takes two pages.
 
     Parameters
     ----------
     progress : PersonProgress
         The person's measures.
-    path : path-like
-        The page to write.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
     """
     count = len(progress.sessions)
-    write_sheet(
-        path,
+    return Page(
         f"Progress of {progress.person}",
         f"{_arms(progress)}{count} session{'s' if count != 1 else ''}: {_named(progress)}",
         _verdict(progress),
         list(_sections(progress)),
         two_pages=True,
-        force=force,
     )
 
 

@@ -39,41 +39,10 @@ class Html(str):
 
 @dataclass(frozen=True)
 class Page:
-    """What a calibration shows of itself.
+    """An HTML page that needs no network and no other file.
 
     Attributes
     ----------
-    title, subtitle : str
-        Heading, and the line under it.
-    verdict : sequence of str
-        Sentences at the top.
-    sections : iterable of str
-        HTML, as `write_sheet` takes it.
-    """
-
-    title: str
-    subtitle: str
-    verdict: Sequence[str]
-    sections: Iterable[str]
-
-
-def write_sheet(
-    path: str | os.PathLike[str],
-    title: str,
-    subtitle: str,
-    verdict: Iterable[str],
-    sections: Iterable[str],
-    *,
-    two_pages: bool = False,
-    tone: str = "",
-    force: bool = False,
-) -> None:
-    """Write one HTML page that needs no network and no other file.
-
-    Parameters
-    ----------
-    path : path-like
-        The page to write.
     title, subtitle : str
         Heading, and the line under it.
     verdict : iterable of str
@@ -84,38 +53,55 @@ def write_sheet(
         Print it in small type: what is short fits on two pages.
     tone : str
         `ALARM` or `CARE`: the first sentences are in red or amber.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
     """
-    from .. import __version__
 
-    paragraphs = "".join(f"<p>{escape(_sentence(text))}</p>" for text in verdict)
-    with (
-        writing(path, force) as temporary,
-        open(temporary, "w", encoding="utf-8", errors="backslashreplace") as file,
-    ):
-        body, contents = _with_anchors(list(sections))
-        page = Template(_web("page.html")).substitute(
-            title=escape(title),
-            made=escape(subtitle),
-            style=_web("style.css"),
-            scripts=_programs(body),
-            content=_HERE,
-            kind=' class="two-pages"' if two_pages else "",
-            version=escape(__version__),
-        )
-        before, after = page.split(_HERE)
-        file.write(f'{before}<div class="summary{f" {tone}" if tone else ""}">{paragraphs}</div>')
-        if not any(CONTENTS in section for section in body):
-            file.write(contents)
-        for section in body:
-            file.write(f"\n{section.replace(CONTENTS, contents)}")
-        file.write(after)
+    title: str
+    subtitle: str
+    verdict: Iterable[str]
+    sections: Iterable[str]
+    two_pages: bool = False
+    tone: str = ""
+
+    def write(self, path: str | os.PathLike[str], force: bool = False) -> None:
+        """Write it to a file.
+
+        Parameters
+        ----------
+        path : path-like
+        force : bool
+            Overwrite a page that exists.
+
+        Raises
+        ------
+        UnoccludeError
+            The page exists and `force` is not given, or it cannot be written.
+        """
+        from .. import __version__
+
+        paragraphs = "".join(f"<p>{escape(_sentence(text))}</p>" for text in self.verdict)
+        with (
+            writing(path, force) as temporary,
+            open(temporary, "w", encoding="utf-8", errors="backslashreplace") as file,
+        ):
+            body, contents = _with_anchors(list(self.sections))
+            page = Template(_web("page.html")).substitute(
+                title=escape(self.title),
+                made=escape(self.subtitle),
+                style=_web("style.css"),
+                scripts=_programs(body),
+                content=_HERE,
+                kind=' class="two-pages"' if self.two_pages else "",
+                version=escape(__version__),
+            )
+            before, after = page.split(_HERE)
+            file.write(
+                f'{before}<div class="summary{f" {self.tone}" if self.tone else ""}">{paragraphs}</div>'
+            )
+            if not any(CONTENTS in section for section in body):
+                file.write(contents)
+            for section in body:
+                file.write(f"\n{section.replace(CONTENTS, contents)}")
+            file.write(after)
 
 
 def _web(name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from base64 import b64encode
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from calib.strap import SEARCH
 
 from ..array_types import FloatArray
 from ..linalg import robust_sigma
-from .sheet import figure, listing, picture, tabulated, write_sheet
+from .sheet import Page, figure, listing, picture, tabulated
 from .style import JOINT_COLOURS, OCCLUDED, dots, dress
 
 if TYPE_CHECKING:
@@ -76,16 +75,12 @@ APART_STEPS = 2.5
 MOST_COLUMNS = 1600
 
 
-def write_strap_report(
-    path: str | os.PathLike[str], name: str, search: StrapFound, *, force: bool = False
-) -> None:
-    """Write the page of a search for the strap."""
+def strap_page(name: str, search: StrapFound) -> Page:
+    """The page of a search for the strap."""
     subtitle = (
         f"Colour {search.topics[0]}, depth {search.topics[1]}. Times are relative to the first colour image."
     )
-    write_sheet(
-        path, f"The strap in the images: {name}", subtitle, verdict(search), _sections(search), force=force
-    )
+    return Page(f"The strap in the images: {name}", subtitle, verdict(search), _sections(search))
 
 
 def _sections(search: StrapFound) -> Iterator[str]:

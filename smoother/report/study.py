@@ -31,6 +31,7 @@ from .sheet import (
     ALARM,
     CONTENTS,
     Html,
+    Page,
     figure,
     folded,
     headed,
@@ -38,7 +39,6 @@ from .sheet import (
     listing,
     table,
     tabulated,
-    write_sheet,
 )
 from .style import BAND, CAMERA, OCCLUDED, VISIBLE, band, curve, dress
 
@@ -118,15 +118,13 @@ def write_study(
             ],
             below=CONTENTS,
         )
-    write_sheet(
-        path,
+    Page(
         "Study",
         f"{len(rows)} recordings",
         _verdict(rows, recovered, failed, columns),
         sections,
         tone=ALARM if not sound.all() else "",
-        force=force,
-    )
+    ).write(path, force)
 
 
 def _without(distrusted: int) -> str:

@@ -16,8 +16,8 @@ from smoother.errors import UnoccludeError
 from smoother.evaluation.progress import PersonProgress
 from smoother.measures import BothArms, Measure, Measures
 from smoother.measures.symmetry import COMPARED
-from smoother.report.measures import write_measures_page
-from smoother.report.progress import write_progress_page
+from smoother.report.measures import measures_page
+from smoother.report.progress import progress_page
 from smoother.study.inputs import SessionEntry
 from smoother.study.progress import progress_of
 
@@ -89,13 +89,13 @@ def pages(browser: Browser, page: Path) -> int:
 
 
 def test_every_page_takes_two_sheets_and_fits_a_phone(browser: Browser, tmp_path: Path):
-    write_measures_page(tmp_path / "one.html", [made_measures()])
+    measures_page([made_measures()]).write(tmp_path / "one.html")
     arms = [fullest("left"), fullest("right")]
-    write_measures_page(tmp_path / "both.html", arms, [BothArms(*arms, indices(*arms))])
-    write_progress_page(person(), tmp_path / "few.html")
+    measures_page(arms, [BothArms(*arms, indices(*arms))]).write(tmp_path / "both.html")
+    progress_page(person()).write(tmp_path / "few.html")
     many = person(40, ("left", "right"), "a person whose name is long")
     noted = tuple(f"A sentence that takes a whole line of the page to say, number {n}" for n in range(9))
-    write_progress_page(replace(many, notes=noted), tmp_path / "many.html")
+    progress_page(replace(many, notes=noted)).write(tmp_path / "many.html")
     for page in sorted(tmp_path.glob("*.html")):
         assert pages(browser, page) <= 2, page.name
         assert browser.complaints() == [] and browser.loaded() == []
@@ -113,13 +113,12 @@ def test_hostile_names_are_shown_and_not_obeyed(browser: Browser, tmp_path: Path
         made_measures(EVIL, name=EVIL, verdict=EVIL, notes=(EVIL,)),
         rows=tuple(replace(row, name=EVIL, note=EVIL) for row in made_measures().rows),
     )
-    write_measures_page(tmp_path / "measures.html", [arm])
+    measures_page([arm]).write(tmp_path / "measures.html")
     progress = person(2)
     series = tuple(replace(each, name=EVIL, side=EVIL, task=EVIL) for each in progress.series)
-    write_progress_page(
-        replace(progress, person=EVIL, sessions=(EVIL, "b"), series=series, left_out=(EVIL,), notes=(EVIL,)),
-        tmp_path / "progress.html",
-    )
+    progress_page(
+        replace(progress, person=EVIL, sessions=(EVIL, "b"), series=series, left_out=(EVIL,), notes=(EVIL,))
+    ).write(tmp_path / "progress.html")
     for page in tmp_path.glob("*.html"):
         browser.open(page)
         assert browser.run("typeof hacked") == "undefined" and browser.complaints() == []
@@ -132,48 +131,48 @@ def words_of(page: Path) -> list[str]:
 
 
 def test_words_of_progress_need_an_interval(tmp_path: Path):
-    write_progress_page(person(), tmp_path / "a.html")
+    progress_page(person()).write(tmp_path / "a.html")
     words = words_of(tmp_path / "a.html")
     assert words[0] == "clearly more" and words.count("no clear change") > 5
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "not a diagnosis" in text and "day 14" in text
     assert "would be called clear by chance alone; elbow flexion, range stands" in text
-    write_progress_page(person(draws=False), tmp_path / "b.html")
+    progress_page(person(draws=False)).write(tmp_path / "b.html")
     assert set(words_of(tmp_path / "b.html")) == {"cannot be assessed"}
     assert "without drawn motions" in (tmp_path / "b.html").read_text(encoding="utf-8")
 
 
 def test_one_session_and_none(tmp_path: Path):
-    write_progress_page(person(1), tmp_path / "one.html")
+    progress_page(person(1)).write(tmp_path / "one.html")
     text = (tmp_path / "one.html").read_text(encoding="utf-8")
     assert words_of(tmp_path / "one.html") == [] and "one session only" in text
     nothing = PersonProgress("p", (), (), (), ("session 1: the result is not to be trusted",))
-    write_progress_page(nothing, tmp_path / "none.html")
+    progress_page(nothing).write(tmp_path / "none.html")
     text = (tmp_path / "none.html").read_text(encoding="utf-8")
     assert "No session can be used" in text and "not to be trusted" in text
 
 
 def test_arms_are_compared_only_where_both_are_to_be_trusted(tmp_path: Path):
     left, right = made_measures("left", change={"elbow_flexion_range_deg": -20.0}), made_measures("right")
-    write_measures_page(tmp_path / "both.html", [left, right])
+    measures_page([left, right]).write(tmp_path / "both.html")
     words = words_of(tmp_path / "both.html")
     assert words.count("clearly more") == 1 and "no clear difference" in words
     assert "in percent" not in (tmp_path / "both.html").read_text(encoding="utf-8")
     both = BothArms(left, right, (made_measure("elbow_flexion_range_deg_symmetry_percent", 22.7, 3.0),))
-    write_measures_page(tmp_path / "indices.html", [left, right], [both])
+    measures_page([left, right], [both]).write(tmp_path / "indices.html")
     text = (tmp_path / "indices.html").read_text(encoding="utf-8")
     assert text.count("+23\u00a0% (17 to 29)") == 1 and "right against left, in percent" in text
     bad = replace(left, trusted=False, verdict="A strap slipped.")
-    write_measures_page(tmp_path / "bad.html", [bad, right], [replace(both, left=bad)])
+    measures_page([bad, right], [replace(both, left=bad)]).write(tmp_path / "bad.html")
     text = (tmp_path / "bad.html").read_text(encoding="utf-8")
     assert set(words_of(tmp_path / "bad.html")) <= {"reached", "not reached"}
     assert "A strap slipped. Do not use these numbers." in text and "+23" not in text
 
 
 def test_what_was_reached_needs_draws_that_agree(tmp_path: Path):
-    write_measures_page(tmp_path / "a.html", [made_measures()])
+    measures_page([made_measures()]).write(tmp_path / "a.html")
     assert words_of(tmp_path / "a.html") == ["reached", "not reached", "not reached"]
-    write_measures_page(tmp_path / "b.html", [made_measures(draws=False)])
+    measures_page([made_measures(draws=False)]).write(tmp_path / "b.html")
     assert words_of(tmp_path / "b.html") == ["cannot be assessed"] * 3
     assert "smooth --draws 64" in (tmp_path / "b.html").read_text(encoding="utf-8")
     unsure = made_measures()
@@ -181,7 +180,7 @@ def test_what_was_reached_needs_draws_that_agree(tmp_path: Path):
         replace(row, low=0.0, high=1.0, sigma=0.4) if row.key == "hand_to_mouth_reached" else row
         for row in unsure.rows
     ]
-    write_measures_page(tmp_path / "c.html", [replace(unsure, rows=tuple(rows))])
+    measures_page([replace(unsure, rows=tuple(rows))]).write(tmp_path / "c.html")
     assert words_of(tmp_path / "c.html")[0] == "cannot be assessed"
 
 
@@ -191,16 +190,16 @@ def test_nothing_known_is_said(tmp_path: Path):
         replace(row, value=np.nan, low=np.nan, high=np.nan, note="The hand is not known.")
         for row in nothing.rows
     ]
-    write_measures_page(tmp_path / "a.html", [replace(nothing, rows=tuple(rows))])
+    measures_page([replace(nothing, rows=tuple(rows))]).write(tmp_path / "a.html")
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "Nothing could be measured" in text and "The hand is not known." in text
-    write_measures_page(tmp_path / "b.html", [])
+    measures_page([]).write(tmp_path / "b.html")
     with pytest.raises(UnoccludeError, match="--force"):
-        write_measures_page(tmp_path / "b.html", [])
+        measures_page([]).write(tmp_path / "b.html")
 
 
 def test_as_many_figures_as_promised(tmp_path: Path):
-    write_progress_page(person(5, ("left", "right")), tmp_path / "p.html")
+    progress_page(person(5, ("left", "right"))).write(tmp_path / "p.html")
     assert (tmp_path / "p.html").read_text(encoding="utf-8").count("<svg") == 5
     assert len(ARM) > 16  # the table is cut, and says so
     assert "measures more are in the tables" in (tmp_path / "p.html").read_text(encoding="utf-8")

@@ -244,7 +244,7 @@ def test_a_workbook_says_how_far_it_is(tmp_path, monkeypatch):
     from smoother.io.export import prepare as exports
 
     told = []
-    monkeypatch.setattr("smoother.io.export.csv._ROWS", 50)
+    monkeypatch.setattr("smoother.io.export.csv._SHEET_ROWS", 50)
     recovery = made()
     exports.prepare_export(recovery, "xlsx", progress=lambda share, text: told.append(share)).write(
         tmp_path / "a.xlsx", False
