@@ -341,7 +341,7 @@ def test_other_axes(answer, truth):
     (note,) = truth_notes(answer, replace(truth, quaternion=turned.as_quat(scalar_first=True)))
     assert "90 degrees (median) off by a constant turn: is the order qw, qx, qy, qz" in note
     (note,) = truth_notes(answer, replace(truth, position=truth.position + np.array([1.0, 0, 0])))
-    assert "lies 1.00 m (median) from it" in note and "--align" in note
+    assert "is 1.00 m (median) from it" in note and "--align" in note
 
 
 def test_the_notes_stand_among_those_of_validate_and_compare(answer, truth):

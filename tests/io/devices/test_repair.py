@@ -189,7 +189,7 @@ def test_clocks_with_nothing_in_common_start_at_zero():
     wrist, arm = (Timed(name, 300 + at + T, True) for name, at in (("wrist", 0.0), ("arm", 0.5)))
     shift, (sentence,) = shifts([camera, wrist, arm])
     assert shift == [-1.7e9, -300.0, -300.0]  # the two IMUs share a clock
-    assert "nothing in common" in sentence and "2023-11-14" in sentence
+    assert "is unrelated to" in sentence and "2023-11-14" in sentence
     near = Timed("wrist", 1.7e9 + 4.8 + T, True)
     assert shifts([camera, near]) == ([0.0, 0.0], [])
     shift, _ = shifts([camera, wrist], imu_starts_at_s=-2.5)

@@ -153,7 +153,7 @@ def test_a_number_of_keypoints_that_is_no_known_set(tmp_path: Path) -> None:
 def test_broken_off(tmp_path: Path) -> None:
     path = write(tmp_path / "a.json", offline_processor(FRAMES))
     path.write_text(path.read_text()[:20_000])
-    with pytest.raises(RecordingError, match=r"a\.json should be JSON of body tracking.*breaks off"):
+    with pytest.raises(RecordingError, match=r"a\.json should be JSON of body tracking.*is cut off"):
         tables(path, "azure-kinect-json")
 
 
