@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -339,30 +340,31 @@ def _checked(
     recording, rig = join_cameras(recording)  # before it is cut: each camera's clock is its own
     excerpt = informative_recording(recording, Timeline.of(recording))
 
-    def recover(some: Recording) -> Recovery:
-        return smooth(some, calibration, config, clock=clock)
-
-    allowed = None
+    # lengths of gaps are tried side by side, each in one process
+    recover = partial(smooth, calibration=calibration, config=config, processes=1, clock=clock)
+    processes, allowed = config.windows.processes, None
     progress(0.0, "calibrating")
     try:
-        recovery = with_cameras(recover(excerpt), rig)
+        recovery = with_cameras(smooth(excerpt, calibration, config, clock=clock), rig)
         figures = _figures(recovery)
         if recovery.estimates.trusted:
-            allowed = _tried(excerpt, recovery, recover, lambda part, text: progress(0.3 + 0.7 * part, text))
+            allowed = _tried(
+                excerpt, recovery, recover, lambda part, text: progress(0.3 + 0.7 * part, text), processes
+            )
     except (SolveError, CalibrationError) as error:  # what cannot be recovered is the finding
         figures = _refused(str(error))
     figures["allows"] = None if allowed is None else allowed.to_dict()
     return {"recording": recording.name, "side": recording.side, **figures}, allowed
 
 
-def _tried(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any) -> TriedGaps:
+def _tried(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any, processes: int) -> TriedGaps:
     from calib.motion.motion_calibration import found_in
 
     from ..evaluation.gaps import try_gaps
 
     found = found_in(recovery, excerpt)
     left_open = () if found is None else found.not_determined
-    return try_gaps(replace(excerpt, truth=None), recover, left_open, progress)
+    return try_gaps(replace(excerpt, truth=None), recover, left_open, progress, processes)
 
 
 def _figures(recovery: Recovery) -> dict[str, Any]:

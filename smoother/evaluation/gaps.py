@@ -290,6 +290,7 @@ def try_gaps(
     recover: Callable[[Recording], Recovery],
     not_determined: Sequence[str] = (),
     progress: Progress | None = None,
+    processes: int = 1,
 ) -> TriedGaps:
     """Hide visible seconds and see how uncertain they become.
 
@@ -303,9 +304,14 @@ def try_gaps(
         What its motion left open.
     progress : callable, optional
         Called with (part done, what is being done).
+    processes : int
+        As `evaluate_gaps` has it.
     """
+    methods = {"graph": recover}
     try:
-        table = evaluate_gaps(recording, LENGTHS_S, {"graph": recover}, gaps_per_run=GAPS, progress=progress)
+        table = evaluate_gaps(
+            recording, LENGTHS_S, methods, gaps_per_run=GAPS, progress=progress, processes=processes
+        )
     except RecordingError:  # never visible for long enough
         return TriedGaps((), (), tuple(not_determined))
     rows = [(length_s, _sigma_m(table, length_s)) for length_s in table.lengths]
