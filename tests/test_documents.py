@@ -305,7 +305,7 @@ def test_examples_of_files(tmp_path):
     assert arm.upper_arm is not None and arm.R_F_A is not None and "elbow" in arm.lever_arms
 
 
-def test_topics_and_columns(tmp_path, monkeypatch):
+def test_topics_and_columns(tmp_path):
     from mcap.reader import make_reader
 
     from smoother import read_recording, smooth

@@ -129,9 +129,7 @@ def test_a_removed_recording_is_moved(page: Page, session_files: dict[str, Path]
     assert page.ask("GET", "/api/state")["recordings"] == []
 
 
-def test_a_full_disk_is_said_before_anything_is_written(
-    page: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-):
+def test_a_full_disk_is_said_before_anything_is_written(page: Page, monkeypatch: pytest.MonkeyPatch):
     name = page.ask("POST", "/api/recordings", json={"name": "x"})["id"]
     monkeypatch.setattr(server.shutil, "disk_usage", lambda _: SimpleNamespace(free=10))
     answer = page.ask("PUT", f"/api/recordings/{name}/files/a.csv", 507, content=b"x" * 100)

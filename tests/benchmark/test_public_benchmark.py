@@ -6,7 +6,6 @@ import csv
 import gzip
 import json
 import os
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -177,7 +176,7 @@ def test_sevivi_is_read_packed_or_not(tmp_path: Path):
     assert recording.side == "right" and len(recording.arm) == 60 and len(recording.imu) > 5
 
 
-def test_a_task_hides_what_is_scored_and_can_be_imported(data: Path, tasks: Path):
+def test_a_task_hides_what_is_scored_and_can_be_imported(tasks: Path):
     folders = sorted(path.parent for path in tasks.rglob("task.json"))
     assert [path.name for path in folders] == ["03_slow"]
     for folder in folders:
@@ -214,25 +213,6 @@ def test_points_are_scored_as_plain_arithmetic_has_it():
     assert errors.reference == "wrist" and len(off) > 20
     np.testing.assert_allclose(errors.distance_m, np.sqrt((off**2).sum(axis=1)), atol=1e-12)
     np.testing.assert_allclose(errors.squared_sigmas, ((off / sigma) ** 2).sum(axis=1), rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--answers", "pchip=."), "there is a method 'pchip' already"),
-        (("--answers", "mine"), "NAME=FOLDER"),
-        (("--answers", "mine=/no/such"), "/no/such is not a folder"),
-        (("--datasets", "kitti"), "--datasets takes broad, utd_mhad, smartfallmm, sevivi"),
-        (("--method", "magic"), "there is no method 'magic'"),
-        (("--data", "/no/such"), "is not a folder"),
-    ],
-)
-def test_what_cannot_be_run_is_said(data: Path, tmp_path: Path, capsys, arguments, said):
-    given = () if "--data" in arguments else ("--data", str(data))
-    code = run(["benchmark", *given, *arguments, "-o", str(tmp_path / "out")])
-    text = re.sub(r"\s+", " ", capsys.readouterr().err)
-    assert code in (1, 2) and said in text and "Traceback" not in text
-    assert not (tmp_path / "out").exists()
 
 
 def test_answers_that_cannot_be_read_are_named(data: Path, tmp_path: Path, capsys):

@@ -223,7 +223,7 @@ def test_merging_into_every_way_to_write_tables(tmp_path: Path, text: str):
     assert back.tables["imu"]["left"]["gyroscope"] == {**held, "noise_density": 0.1}
 
 
-def test_sides(tmp_path: Path):
+def test_sides():
     right, left, both = (ArmCalibration(side) for side in ("right", "left", ""))
     one = CalibrationFile().with_arm(right)
     assert one.arm("right").side == "right"

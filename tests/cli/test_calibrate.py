@@ -88,7 +88,7 @@ def test_sound_and_broadcast_chain(folder: Path, tmp_path: Path, capsys: pytest.
     )
 
 
-def test_sound_in_a_recording(folder: Path, tmp_path: Path):
+def test_sound_in_a_recording(tmp_path: Path):
     """Foxglove's RawAudio in blocks stamped late by a jitter of some milliseconds."""
     from foxglove_schemas_protobuf.RawAudio_pb2 import RawAudio
     from mcap.writer import Writer

@@ -174,7 +174,7 @@ def test_three_spots(session: Path, tmp_path: Path, capsys):
     refused(options, tmp_path, capsys, "three bright spots", picture=True)
 
 
-def test_five_spots_that_make_two_panels(session: Path, tmp_path: Path, capsys):
+def test_five_spots_that_make_two_panels(tmp_path: Path, capsys):
     """Markers 1 to 3 alike about the middle one, and a fifth that makes the panel turned by 180 degrees."""
     config = tmp_path / "p.toml"
     config.write_text(

@@ -170,7 +170,7 @@ def test_config_is_toml_that_reads_back(capsys, tmp_path):
     assert tomllib.loads(capsys.readouterr().out)["windows"]["margin_s"] == 2.5
 
 
-def test_doctor(capsys, tmp_path):
+def test_doctor(tmp_path):
     done("doctor", "--json", tmp_path / "d.json")
     found = json.loads((tmp_path / "d.json").read_text())
     assert found["solver"]["ok"]
@@ -191,7 +191,7 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"unocclude {__version__}\n"
 
 
-def test_reader_that_goes_away_is_no_error(tmp_path):
+def test_reader_that_goes_away_is_no_error():
     command = f"{sys.executable} -c 'from smoother.cli import main; main()' config | head -n 1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60)
     assert "Traceback" not in done.stderr

@@ -116,7 +116,7 @@ def test_gaps_have_a_table_an_arm(folder: Path, capsys: pytest.CaptureFixture[st
     assert len(made["rows"]) == sum(len(arm["rows"]) for arm in made["arms"])
 
 
-def test_compare_takes_every_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_compare_takes_every_arm(folder: Path) -> None:
     done(
         *("compare", folder / "both.mcap", "--methods", "graph,pchip", "--json", folder / "c.json"),
         *("--report", folder / "c.html"),
@@ -128,7 +128,7 @@ def test_compare_takes_every_arm(folder: Path, capsys: pytest.CaptureFixture[str
     assert ids and len(ids) == len(set(ids)) and "<h1>Left arm</h1>" in page
 
 
-def test_calibrate_motion_fills_both_arms(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_calibrate_motion_fills_both_arms(folder: Path) -> None:
     done(
         *("calibrate", "motion", folder / "both.mcap", "-o", folder / "motion.toml"),
         *("--json", folder / "m.json", "--processes", "1"),

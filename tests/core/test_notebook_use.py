@@ -134,8 +134,8 @@ def test_a_recording_in_some_lines(recording: Recording) -> None:
 def test_a_recovery_in_some_lines(shown: Recovery) -> None:
     lines = repr(shown).splitlines()
     assert 3 <= len(lines) <= 5 and max(map(len, lines)) <= 230
-    assert shown.name in lines[0] and f"{len(recovery)} samples" in lines[0]
-    assert f"{len(recovery.gaps)} gap" in lines[1] and "at worst within" in lines[1]
+    assert shown.name in lines[0] and f"{len(shown)} samples" in lines[0]
+    assert f"{len(shown.gaps)} gap" in lines[1] and "at worst within" in lines[1]
     worst = max(np.nanmax(shown.error_95_m[_inside(shown, gap)]) for gap in shown.gaps)
     assert f"at worst within {100 * worst:.1f} cm in 95 of 100 cases" in lines[1]
 

@@ -154,7 +154,7 @@ def test_millimetres_degrees_and_no_states(dataset: Path, tmp_path: Path):
     np.testing.assert_allclose(other.position[seen], ours.position[seen], atol=1e-6)
 
 
-def test_what_is_refused(dataset: Path, result: Path, tmp_path: Path, capsys):
+def test_what_is_refused(dataset: Path, result: Path, tmp_path: Path):
     with pytest.raises(RecordingError, match="choose one with --subject: p1, p2"):
         open_bids(dataset)
     with pytest.raises(RecordingError, match="there is no ses-9; there are 1, 2"):

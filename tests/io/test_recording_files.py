@@ -99,7 +99,7 @@ def test_two_arms_share_a_file(tmp_path: Path) -> None:
     assert read_recording(tmp_path / "both.mcap", prefer_side="left").side == "left"
 
 
-def test_motion_tells_whose_an_unnamed_imu_is(tmp_path: Path) -> None:
+def test_motion_tells_whose_an_unnamed_imu_is() -> None:
     right, left = make(20, side="right"), make(20, side="left", rate=1.6)
     file = as_file([right, left])
     file.imus = [replace(file.imus[-1], topic="/imu/a", frame_id="")]

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import done, refused
+from commands import done
 from results import made
 
 from smoother import __version__
 from smoother.baselines.registry import BASELINES, ORIENTATIONS
 from smoother.calibration import ArmCalibration
-from smoother.cli.run import run
 from smoother.config import Config
 from smoother.error_radius import error_radius
 from smoother.io import read_recovery, write_recording, write_recovery
@@ -299,23 +298,3 @@ def test_both_arms_have_a_section_each(tmp_path: Path):
     assert ", left arm" in text and ", right arm" in text
     done("methods", tmp_path / "out.mcap", "--side", "left", "-o", tmp_path / "l.md")
     assert ", right arm" not in (tmp_path / "l.md").read_text()
-
-
-@pytest.mark.parametrize(
-    ("options", "code", "words"),
-    [
-        (["--format", "word"], 2, "--format is one of text, markdown, latex, not 'word'"),
-        (["-o", "OUT"], 1, "is read by this command"),
-        (["--side", "left"], 1, "there is no recovered arm for --side left"),
-    ],
-)
-def test_wrong_use(
-    result: Path, options: list[str], code: int, words: str, capsys: pytest.CaptureFixture[str]
-):
-    arguments = [str(result) if option == "OUT" else option for option in options]
-    assert run(["methods", str(result), *arguments]) == code
-    assert words in capsys.readouterr().err
-
-
-def test_a_recording_is_no_result(result: Path, capsys: pytest.CaptureFixture[str]):
-    assert "has no result" in refused(capsys, "methods", result.with_name("rec.mcap"))

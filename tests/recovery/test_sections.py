@@ -40,9 +40,7 @@ def sections_of(made: SimulatedArm) -> list[Section]:
 
 
 def test_every_sample_and_frame_is_in_one_section(three_minutes: SimulatedArm) -> None:
-    sections = Sections(
-        three_minutes.recording, Timeline.of(three_minutes.recording), constant_clock(0.0)
-    ).all
+    sections = sections_of(three_minutes)
     assert len(sections) == 3
     assert sections[0].start_s == -np.inf and sections[-1].end_s == np.inf
     for a, b in pairwise(sections):
@@ -52,12 +50,7 @@ def test_every_sample_and_frame_is_in_one_section(three_minutes: SimulatedArm) -
 
 
 def test_borders_lie_in_visible_time(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
-    borders = [
-        section.start_s
-        for section in Sections(
-            three_minutes.recording, Timeline.of(three_minutes.recording), constant_clock(0.0)
-        ).all[1:]
-    ]
+    borders = [section.start_s for section in sections_of(three_minutes)[1:]]
     for border in borders:
         assert all(not gap.start_s - 1.0 < border < gap.end_s + 1.0 for gap in sectioned.gaps)
 
@@ -98,9 +91,7 @@ def test_no_seam_at_the_section_borders(three_minutes: SimulatedArm, sectioned: 
     jump = np.linalg.norm(np.diff(sectioned.position, n=2, axis=0), axis=1)
     t = sectioned.t_s[1:-1]
     near = np.zeros(len(t), dtype=bool)
-    for section in Sections(
-        three_minutes.recording, Timeline.of(three_minutes.recording), constant_clock(0.0)
-    ).all[1:]:
+    for section in sections_of(three_minutes)[1:]:
         near |= np.abs(t - section.start_s) < 1.0
     assert near.sum() > 300
     assert jump[near].max() <= jump[~near].max()

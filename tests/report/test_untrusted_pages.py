@@ -117,7 +117,7 @@ def test_curves_are_red_there_and_have_no_band() -> None:
     assert uncertainty(replace(recovery, estimates=WRONG), None) is None
 
 
-def test_the_player_is_told(tmp_path: Path) -> None:
+def test_the_player_is_told() -> None:
     sound, partly, wrong = (
         played_arm(replace(made(), estimates=each), None, MOST_BYTES) for each in (SOUND, PARTLY, WRONG)
     )

@@ -316,7 +316,7 @@ def test_a_folder_that_was_being_written_is_swept(tmp_path: Path):
         assert working.exists() and not left.exists()
 
 
-def test_full_disks_are_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_full_disks_are_one_sentence(tmp_path: Path):
     for error in (errno.ENOSPC, errno.EDQUOT):
         with (
             pytest.raises(UnoccludeError, match=r"out could not be written: no space left on the disk"),

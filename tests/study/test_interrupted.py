@@ -132,7 +132,7 @@ def test_a_worker_that_is_killed_as_it_starts(job, monkeypatch, error, said):
         list(run_local(iter([job]), 1))
 
 
-def test_an_end_sweeps_what_its_workers_left(job, made, monkeypatch):
+def test_an_end_sweeps_what_its_workers_left(job, made):
     """They are ended in the middle of an output, and the next command may never come."""
     folder = study_folder(Path(job.folder))
     dead = subprocess.Popen([sys.executable, "-c", ""])

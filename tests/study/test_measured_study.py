@@ -95,21 +95,6 @@ def test_days_are_relative_to_a_secret_one():
     assert relative_day("word", "p1", 0) is None  # a clock that knows no date
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--draws", 64], "give --measures too"),
-        (["--measures", "--draws", 1], "--draws 1 are too few for the intervals of the measures"),
-        (["--measures", "--draws", 19], "20 are needed, 64 are usual, 0 = no intervals"),
-        (["--hash-names", "--keep-paths"], "give one of them"),
-    ],
-)
-def test_wrong_uses(options: list[object], words: str, made: Path, tmp_path: Path, capsys):
-    assert batch(made, "-o", tmp_path / "out", *options) == 2
-    assert words in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "out").exists()
-
-
 def test_json_of_a_study_has_them(made: Path, tmp_path: Path):
     one = tmp_path / "list.txt"
     one.write_text(f"{made / NAMES[0]}\n")

@@ -91,7 +91,7 @@ def test_the_command_is_listened_to(made, tmp_path):
     assert outside + sum(spent.gtsam.values()) == pytest.approx(spent.cpu_s, rel=0.15)
 
 
-def test_a_limit_stops(tmp_path):
+def test_a_limit_stops():
     began = time.monotonic()
     with pytest.raises(Stopped, match="stopped after 1 s") as why:
         isolated(time.sleep, 60.0, limit_s=1.0)

@@ -247,7 +247,7 @@ def test_scale_is_given_times_without_blanks(tmp_path: Path):
         opensim_files(without_answer(two_imus(), 0.3, 0.9))
 
 
-def test_one_imu_has_no_opensense(tmp_path: Path):
+def test_one_imu_has_no_opensense():
     files, notes = opensim_files(made())
     assert "imu_ik.xml" not in files and "arm.sto" not in files
     assert any("OpenSense needs IMUs on forearm and upper arm" in note for note in notes)
