@@ -232,6 +232,16 @@ class LagWindow:
         """A segment's pose and velocity at a node where it has variables; -1 is the newest node."""
         return state_of(self._values, self._nodes[index], segment)
 
+    def is_due(self, index: int, segment: str, since_s: float) -> bool:
+        """Whether a further segment whose last node is at a time is to have variables at a node.
+
+        Where the shoulder has some, and where the camera saw a joint of it; between, tissue moves too slowly
+        for denser ones to add anything.
+        """
+        node = self._nodes[index]
+        is_seen = any(self._layout.segment_of(joint) == segment for joint, _ in node.waiting)
+        return is_seen or self._values.exists(S(node.number)) or node.t - since_s > KNOT_S
+
     def nodes_of(self, segment: str) -> list[int]:
         """Indices of the nodes at which a segment has variables."""
         return [index for index, node in enumerate(self._nodes) if segment in node.bodies]
@@ -259,7 +269,7 @@ class LagWindow:
         if increments is None:
             node.others += self._factors.first(node.number, state)
         else:
-            self.set_increments(len(self._nodes) - 1, increments)
+            self._tie(node, self._nodes[-2], FOREARM.name, increments)
         if np.isfinite(velocity_change):
             node.others.append(self._factors.constant_velocity(node.number, velocity_change))
         if self._knot is not None and state.t - self._knot_s >= KNOT_S:
@@ -291,7 +301,7 @@ class LagWindow:
         if increments is None:
             body.others += self._factors.first(node.number, state, segment)
         else:
-            self.set_increments(index, increments, segment)
+            self._tie(node, self._nodes[before[-1]], segment, increments)
         step_s = TISSUE_S if increments is None else node.t - self._nodes[before[-1]].t
         body.others += self._factors.shared_joint(node.number, segment, step_s)
         if self._values.exists(S(node.number)):
@@ -338,14 +348,18 @@ class LagWindow:
         Parameters
         ----------
         index : int
-            Of the node, not the segment's first.
+            Of the node; where the segment begins there is nothing to set.
         increments : ImuIncrements
             Of one interval.
         segment : str
             That the IMU is on.
         """
-        node, at = self._nodes[index], self.nodes_of(segment)
-        before = self._nodes[at[at.index(index % len(self._nodes)) - 1]]
+        node = self._nodes[index]
+        before = next((each for each in self._nodes if each.number == node.bodies[segment].before), None)
+        if before is not None:
+            self._tie(node, before, segment, increments)
+
+    def _tie(self, node: LagNode, before: LagNode, segment: str, increments: ImuIncrements) -> None:
         body = node.bodies[segment]
         body.imu, body.before = self._factors.imu(before, node, increments, segment), before.number
 

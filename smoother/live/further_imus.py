@@ -186,10 +186,13 @@ class SegmentFollower:
         if not at:
             return
         signal = self._signal.since(float(t[at[-1]]))
-        for index in range(at[-1] + 1, int(np.searchsorted(t, signal.end_s, side="right"))):
-            start_s, end_s, bias = float(t[index - 1]), float(t[index]), window.bias_of(name)
-            state = propagated(window.state(index - 1, name), end_s, signal, bias, window.gravity)
-            window.attach(index, name, state, increments_between(signal, start_s, end_s, bias))
+        last = at[-1]
+        for index in range(last + 1, int(np.searchsorted(t, signal.end_s, side="right"))):
+            start_s, end_s, bias = float(t[last]), float(t[index]), window.bias_of(name)
+            if window.is_due(index, name, start_s):
+                state = propagated(window.state(last, name), end_s, signal, bias, window.gravity)
+                window.attach(index, name, state, increments_between(signal, start_s, end_s, bias))
+                last = index
 
     def judge(self, window: LagWindow) -> None:
         """Leave it out where a solved window shows that it contradicts the rest of the arm."""
@@ -206,7 +209,7 @@ class SegmentFollower:
         name, t = self.worn.segment.name, window.t
         at = window.nodes_of(name)
         for before, index in pairwise(at):
-            if index == before + 1 and t[index] >= since_s + self._place.shift_s - BEFORE_S:
+            if t[index] >= since_s + self._place.shift_s - BEFORE_S:
                 start_s, end_s = float(t[before]), float(t[index])
                 signal = self._signal.since(float(t[at[0]]))
                 increments = increments_between(signal, start_s, end_s, window.bias_of(name))

@@ -31,15 +31,18 @@ def main() -> int:
     parser.add_argument("--duration-s", type=float, default=32.0)
     parser.add_argument("--at-s", type=float, default=17.0, help="when the fault begins")
     parser.add_argument("--preset", default="realistic", help="the camera")
+    parser.add_argument("--imus", default="wrist", help="where IMUs are worn, as `simulate arm --imus`")
+    parser.add_argument("--on", default="forearm", help="the segment whose IMU is at fault: upper_arm")
     parser.add_argument("--say", action="store_true", help="print what the session said, too")
     options = parser.parse_args()
     bad = set()
     print(f"{'kind':51} seed  wrong s   no answer  worst cm  sigma  end cm  said s  done")
     kinds = [kind for kind in KINDS if any(text in kind for text in options.only)]
     for seed in options.seeds:
-        sound = Sound(simulated(seed, options.duration_s, preset=options.preset), options.at_s)
+        arm = simulated(seed, options.duration_s, preset=options.preset, imus=options.imus)
+        sound = Sound(arm, options.at_s)
         for kind in kinds:
-            v = forked(partial(verdict_of, kind, seed, sound), LONGEST_S)
+            v = forked(partial(verdict_of, kind, seed, sound, options.on), LONGEST_S)
             mark = " <--" if v.wrong_s > MOST_S else ""
             bad |= {v.kind} if mark else set()
             print(

@@ -14,10 +14,12 @@ from typing import cast
 import numpy as np
 
 from smoother.array_types import FloatArray
+from smoother.body import FOREARM
 from smoother.live.answers import LiveOutput, LiveState
 from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
 from smoother.measurements.visibility import Gap
+from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.streams.arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
 from smoother.streams.session import LiveSession
@@ -31,12 +33,21 @@ SIGMAS = 3.0
 
 
 def simulated(
-    seed: int, duration_s: float, gaps_s: tuple[float, ...] = (1.0,), preset: str = "realistic"
+    seed: int,
+    duration_s: float,
+    gaps_s: tuple[float, ...] = (1.0,),
+    preset: str = "realistic",
+    imus: str = "wrist",
 ) -> SimulatedArm:
-    """A realistic arm with a 100 Hz IMU and a 30 Hz camera."""
+    """A realistic arm with 100 Hz IMUs and a 30 Hz camera."""
     return simulate_arm(
         ArmSimulation.preset(
-            preset, protocol="random", duration_s=duration_s, imu_rate_hz=100, occlusion_lengths_s=gaps_s
+            preset,
+            protocol="random",
+            duration_s=duration_s,
+            imu_rate_hz=100,
+            occlusion_lengths_s=gaps_s,
+            imus=imus,  # type: ignore[arg-type]
         ),
         seed,
     )
@@ -44,16 +55,21 @@ def simulated(
 
 def streams_of(simulation: SimulatedArm) -> Streams:
     """A sound session: samples by threes as they are taken, frames after the camera's latency."""
-    imu, arm = simulation.recording.imu, simulation.recording.arm
-    t = np.asarray(imu.t_s, float)
-    last = np.minimum((np.arange(len(t)) // TOGETHER + 1) * TOGETHER - 1, len(t) - 1)
-    frame_t = np.asarray(arm.t_s, float)
+    recording = simulation.recording
+    arm, frame_t = recording.arm, np.asarray(recording.arm.t_s, float)
     return Streams(
-        ImuRows(t, np.array(imu.acc, float), np.array(imu.gyro, float), t[last] + 0.004),
+        _rows(recording.imu),
         FrameRows(
             frame_t, np.array(arm.position, float), np.array(arm.state), frame_t + OFFSET_S + LATENCY_S
         ),
+        {segment: _rows(imu) for segment, imu in recording.further_imus.items()},
     )
+
+
+def _rows(imu: ImuStream) -> ImuRows:
+    t = np.asarray(imu.t_s, float)
+    last = np.minimum((np.arange(len(t)) // TOGETHER + 1) * TOGETHER - 1, len(t) - 1)
+    return ImuRows(t, np.array(imu.acc, float), np.array(imu.gyro, float), t[last] + 0.004)
 
 
 class StreamsSource:
@@ -73,11 +89,22 @@ class StreamsSource:
         recording = simulation.recording
         joints = tuple(recording.arm.joints_seen) if hasattr(recording.arm, "joints_seen") else ()
         self.info = SourceInfo(
-            "imu", "camera", recording.side, joints, 0, recording.camera_frame, recording.gravity_hint
+            "imu",
+            "camera",
+            recording.side,
+            joints,
+            0,
+            recording.camera_frame,
+            recording.gravity_hint,
+            further={segment: segment for segment in streams.further},
         )
         self._now = float(min(self._streams.imu.arrival_s[0], self._streams.frames.arrival_s[0]))
         self._last = float(max(self._streams.imu.arrival_s[-1], self._streams.frames.arrival_s[-1]))
-        self._next = [0, 0]
+        self._next = [0] * len(self._rows)
+
+    @property
+    def _rows(self) -> list[ImuRows | FrameRows]:
+        return [self._streams.imu, self._streams.frames, *self._streams.further.values()]
 
     @property
     def ended(self) -> bool:
@@ -94,15 +121,25 @@ class StreamsSource:
     def arrivals(self) -> Arrivals:
         """What came since the last call."""
         self._now += STEP_S
-        imu, frames = self._streams.imu, self._streams.frames
-        stop = [int(np.searchsorted(rows.arrival_s, self._now, "right")) for rows in (imu, frames)]
-        first, self._next = self._next, stop
-        return Arrivals(imu.select(slice(first[0], stop[0])), frames.select(slice(first[1], stop[1])))
+        stop = [int(np.searchsorted(rows.arrival_s, self._now, "right")) for rows in self._rows]
+        (imu, frames, *further), self._next = (
+            [slice(*each) for each in zip(self._next, stop, strict=True)],
+            stop,
+        )
+        streams = self._streams
+        return Arrivals(
+            streams.imu.select(imu),
+            streams.frames.select(frames),
+            further={
+                segment: rows.select(new)
+                for (segment, rows), new in zip(streams.further.items(), further, strict=True)
+            },
+        )
 
     def go_on_with(self, streams: Streams) -> None:
         """What comes from now on is of other streams, which are the same until now."""
         self._streams = streams.sorted()
-        rows = self._streams.imu, self._streams.frames
+        rows = self._rows
         self._next = [int(np.searchsorted(each.arrival_s, self._now, "right")) for each in rows]
         self._last = float(max(each.arrival_s[-1] for each in rows))
 
@@ -149,7 +186,10 @@ class Sound:
         self.answers = Answers()
         self._source = StreamsSource(self.streams, simulation)
         engine = LiveSmoother(
-            recording.side, camera_frame=recording.camera_frame, calibrator=InlineCalibrator(15)
+            recording.side,
+            camera_frame=recording.camera_frame,
+            calibrator=InlineCalibrator(15),
+            further=list(recording.further_imus),
         )
         self._session = LiveSession(self._source, engine, receivers=[self.answers])
         self._session.run(lambda: self._source.now_s() >= until_s - STEP_S, lambda view: None)
@@ -228,6 +268,7 @@ class Verdict:
 DONE = {
     "the smoother begins anew": "begun anew",
     "the camera is left out": "camera rejected",
+    "arm is left out": "further IMU left out",
     "the camera leads": "IMU rejected",
     "the answer follows it": "clock followed",
     "were moved": "stamps moved",
@@ -258,10 +299,10 @@ def errors_of(answers: Answers, simulation: SimulatedArm) -> FloatArray:
     return np.array(rows)
 
 
-def verdict_of(kind: str, seed: int, sound: Sound) -> Verdict:
-    """One kind of fault on one arm; ends the sound session."""
+def verdict_of(kind: str, seed: int, sound: Sound, segment: str = FOREARM.name) -> Verdict:
+    """One kind of fault on one arm, of the IMU on a segment; ends the sound session."""
     rng, at_s = np.random.default_rng([seed, sum(kind.encode())]), sound.until_s
-    answers = sound.ended_with(KINDS[kind](sound.streams, at_s, rng))
+    answers = sound.ended_with(sound.streams.damaged(KINDS[kind], at_s, rng, segment))
     rows = errors_of(answers, sound.simulation)
     t, error, sigma, shown, visible = rows.T
     with np.errstate(invalid="ignore"):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,15 +23,30 @@ class Streams:
     ----------
     imu : ImuRows
     frames : FrameRows
+    further : mapping of str to ImuRows
+        Of IMUs beyond the forearm, by segment.
     """
 
     imu: ImuRows
     frames: FrameRows
+    further: Mapping[str, ImuRows] = field(default_factory=dict)
 
     def sorted(self) -> Streams:
         """In order of arrival."""
         imu = self.imu.select(np.argsort(self.imu.arrival_s, kind="stable"))
-        return Streams(imu, self.frames.select(np.argsort(self.frames.arrival_s, kind="stable")))
+        frames = self.frames.select(np.argsort(self.frames.arrival_s, kind="stable"))
+        further = {
+            segment: rows.select(np.argsort(rows.arrival_s, kind="stable"))
+            for segment, rows in self.further.items()
+        }
+        return Streams(imu, frames, further)
+
+    def damaged(self, damage: Damage, at_s: float, rng: np.random.Generator, segment: str) -> Streams:
+        """With a fault of the forearm's IMU and the camera, or of the IMU on another segment alone."""
+        if segment not in self.further:
+            return damage(self, at_s, rng)
+        found = damage(Streams(self.further[segment], self.frames), at_s, rng)
+        return replace(self, further={**self.further, segment: found.imu})
 
 
 #: Streams, the time at which it begins (s, arrival), random numbers.
