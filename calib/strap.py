@@ -19,7 +19,7 @@ from smoother.linalg import unit
 from smoother.result import Recovery
 
 from .file import CalibrationFile
-from .forearm.forearm_summary import forearm_frame
+from .forearm.forearm_frame import forearm_frame
 from .intrinsics import PlacedCamera
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from smoother.measurements.clock import Clock
 from smoother.recording import Recording
 
 from ..file import CalibrationFile
-from .beeps import Beep, find_beeps
+
+if TYPE_CHECKING:
+    from .beeps import Beep
 
 #: Crystals differ by some hundred ppm.
 SKEW_SIGMA = 5e-4
@@ -234,6 +236,8 @@ def beeps_of_tracks(
     CalibrationError
         No track contains a beep; the reason is that of the last one.
     """
+    from .beeps import find_beeps
+
     beeps: list[Beep] = []
     reason: CalibrationError | None = None
     for track in tracks:

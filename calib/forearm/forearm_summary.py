@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from smoother.array_types import FloatArray
-from smoother.calibration import ArmCalibration, Length, LeverArm
+from smoother.calibration import ArmCalibration, Length
 
 from ..file import CalibrationFile
 from ..protocol import Answer, Verdict
+from .forearm_frame import forearm_frame
 from .held_pose import PLACED_SIGMA_RAD, ForearmCalibration
 
 #: Farther apart than this many sigmas is treated as disagreement.
@@ -254,105 +254,3 @@ def next_time(calibration: ForearmCalibration, rows: list[Compared]) -> list[str
 def _lengths(name: str, pose: Length, motion: Length) -> Compared:
     in_mm = (1e3 * value for value in (pose.value_m, pose.sigma_m, motion.value_m, motion.sigma_m))
     return Compared(name, "mm", *in_mm)
-
-
-#: Nearer to the elbow-wrist line than this the IMU does not show which way the back of the hand is, m.
-NEAREST_M = 0.015
-#: Axes that are known no better than this are not written down, rad: roll, and the forearm's direction.
-WORST_ROLL_RAD = np.radians(15.0)
-WORST_DIRECTION_RAD = np.radians(6.0)
-
-
-@dataclass(frozen=True)
-class ForearmFrame:
-    """The forearm's axes as far as the lever arms give them.
-
-    Of a lever arm only the sigma per axis is known, not how the errors of two go together. What they have in
-    common moves the line (for the distance and the roll they are taken to be in common) and cancels in its
-    length and direction (for these they are taken as independent), so that the sigmas are rather too large.
-
-    Attributes
-    ----------
-    direction : ndarray, shape (3,)
-        Unit vector elbow to wrist in {A}.
-    direction_sigma_rad : float, rad
-        Its standard deviation.
-    length_m, length_sigma_m : float, m
-        Elbow to wrist.
-    distance_m, distance_sigma_m : float, m
-        Of the IMU from the elbow-wrist line.
-    roll_sigma_rad : float, rad
-        Of the angle about the forearm's axis; inf where the IMU is too near to the line.
-    R_F_A : ndarray, shape (3, 3), optional
-        None where the roll or the direction is not known well enough.
-    """
-
-    direction: FloatArray
-    direction_sigma_rad: float
-    length_m: float
-    length_sigma_m: float
-    distance_m: float
-    distance_sigma_m: float
-    roll_sigma_rad: float
-    R_F_A: FloatArray | None
-
-
-def forearm_frame(calibration: ArmCalibration) -> ForearmFrame | None:
-    """The forearm's axes from the lever arms of elbow and wrist; None without both.
-
-    Parameters
-    ----------
-    calibration : ArmCalibration
-        Lever arms with sigmas; `R_F_A` in it is not looked at.
-
-    Returns
-    -------
-    ForearmFrame or None
-    """
-    along = calibration.forearm_direction
-    if along is None:
-        return None
-    elbow, wrist = calibration.lever_arms["elbow"], calibration.lever_arms["wrist"]
-    length = float(np.linalg.norm(wrist.position_m - elbow.position_m))
-    # the point of the line that is nearest to the IMU, the origin of {A}
-    part = float(-elbow.position_m @ along) / length
-    foot = elbow.position_m + part * length * along
-    distance = float(np.linalg.norm(foot))
-    sideways = np.linalg.norm([_sigma_across(lever, along) for lever in (elbow, wrist)])
-    ends = np.linalg.norm([_sigma_along(lever, along) for lever in (elbow, wrist)])
-    tilt = float(sideways) / length
-    roll, R_F_A = np.inf, None
-    away = -foot / max(distance, 1e-12)
-    if distance > NEAREST_M:
-        across = np.cross(away, along)
-        roll = _sigma_at(elbow, wrist, part, across) / distance
-        if roll < WORST_ROLL_RAD and tilt < WORST_DIRECTION_RAD:
-            R_F_A = np.stack([away, along, across])
-    return ForearmFrame(
-        direction=along,
-        direction_sigma_rad=tilt,
-        length_m=length,
-        length_sigma_m=float(ends),
-        distance_m=distance,
-        distance_sigma_m=_sigma_at(elbow, wrist, part, away),
-        roll_sigma_rad=float(roll),
-        R_F_A=R_F_A,
-    )
-
-
-def _sigma_along(lever: LeverArm, direction: FloatArray) -> float:
-    """Standard deviation of a lever arm along a direction, m."""
-    return float(np.linalg.norm(lever.sigma_m * direction))
-
-
-def _sigma_across(lever: LeverArm, direction: FloatArray) -> float:
-    """Standard deviation of a lever arm in the worst direction across the given one, m."""
-    across = np.linalg.svd(direction[None])[2][1:]
-    spread = across * lever.sigma_m
-    return float(np.sqrt(np.linalg.eigvalsh(spread @ spread.T)[-1]))
-
-
-def _sigma_at(elbow: LeverArm, wrist: LeverArm, part: float, direction: FloatArray) -> float:
-    """Of a point of the elbow-wrist line, along a direction, m: both ends' errors go together."""
-    ends = abs(1.0 - part) * _sigma_along(elbow, direction), abs(part) * _sigma_along(wrist, direction)
-    return float(sum(ends))

@@ -24,7 +24,7 @@ from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.window.priors import with_measured_noise
 
 from ..file import CalibrationFile, with_sigma_table
-from ..forearm.forearm_summary import ForearmFrame, forearm_frame
+from ..forearm.forearm_frame import ForearmFrame, forearm_frame
 from ..protocol import Answer
 from .motion_summary import (
     ClockOffset,

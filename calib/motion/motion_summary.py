@@ -13,7 +13,7 @@ from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS
 from smoother.result import Recovery
 
-from ..forearm.forearm_summary import ForearmFrame
+from ..forearm.forearm_frame import ForearmFrame
 from ..protocol import Verdict
 
 #: Turning about the forearm's axis is measured within this much time: the gyro's sum drifts, s.

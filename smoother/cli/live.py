@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..body import SEGMENTS
 from .app import GroupedCommand
 from .live_arms import check_arms, further_streams, receivers_of, sides_of, streams_of_arms, together
 from .live_dashboard import Aside, Dashboard, Lines, Table
@@ -181,6 +180,8 @@ def run_sessions(sessions: Sequence[LiveSession], stop_request: StopRequest) -> 
 
 def print_source(source: Source, calibration: SessionCalibration) -> None:
     """Say what is used."""
+    from ..body import SEGMENTS
+
     info = source.info
     arm = f"{info.side} arm" if info.side else "arm"
     say(f"IMU {info.imu}, {arm} of {info.skeleton} ({', '.join(info.joints)})")
@@ -191,6 +192,8 @@ def print_source(source: Source, calibration: SessionCalibration) -> None:
 
 def print_session(figures: dict[str, Any], arm: str = "") -> None:
     """Print what the session was like, of an arm."""
+    from ..body import SEGMENTS
+
     state = figures["state_s"]
     say(
         f"{arm}{figures['seconds']:.1f} s: visible {state['visible']:.1f} s, {figures['gaps']} gaps of"

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..body import FURTHER
 from ..errors import UnoccludeError
 from .output import say
 
@@ -58,6 +57,8 @@ def further_streams(given: Sequence[str], sides: Sequence[str | None]) -> dict[s
     typer.BadParameter
         A segment is none of the arm's, or given twice.
     """
+    from ..body import FURTHER
+
     streams: dict[str | None, dict[str, str]] = {side: {} for side in sides}
     known = {
         f"{side}-{word}" if len(sides) > 1 else word: (side, segment.name)

@@ -9,11 +9,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from calib.forearm.forearm_frame import forearm_frame
 from calib.forearm.forearm_summary import (
     AGREE,
     Compared,
     compare,
-    forearm_frame,
     next_time,
     open_questions,
     verdict,

@@ -79,7 +79,7 @@ def test_no_arguments_show_help(capsys):
 
 @pytest.mark.parametrize("option", ["-o", "--report", "--json"])
 def test_existing_output_is_refused_before_the_work(capsys, tmp_path, good, monkeypatch, option):
-    import smoother.cli.smooth as command
+    import smoother.cli.load as command
 
     monkeypatch.setattr(command, "load_arms", lambda *_, **__: pytest.fail("the work began"))
     there = tmp_path / "there"

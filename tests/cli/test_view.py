@@ -17,9 +17,9 @@ import pytest
 from commands import done
 from results import made
 
-from smoother.cli import view as viewer
+from smoother.cli import viewer
 from smoother.cli.run import run
-from smoother.cli.view import LOOPBACK, WebPage, free_port, policy
+from smoother.cli.viewer import LOOPBACK, WebPage, free_port, policy
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arms import make_recording, make_recovery, turn
 
-from calib.forearm.forearm_summary import ForearmFrame, forearm_frame
+from calib.forearm.forearm_frame import ForearmFrame, forearm_frame
 from calib.motion.motion_calibration import ArmEstimates, JointError, found_in
 from calib.motion.motion_summary import ClockOffset, Evidence, gather_from
 from smoother.calibration import ArmCalibration, Length, LeverArm

@@ -103,7 +103,7 @@ def test_scores_say_what_is_tracked(tmp_path: Path) -> None:
 def test_a_lens_as_plain_values() -> None:
     lens = Intrinsics(1280, 720, 900.0, 905.0, 640.0, 350.0, (-0.1, 0.02, 0.0, 0.0, 0.0))
     assert lens_from_plain(lens_plain(lens)) == lens
-    with pytest.raises(ValueError, match="no key"):
+    with pytest.raises(ValueError, match="not a key"):
         lens_from_plain({**lens_plain(lens), "focus": 1.0})
     with pytest.raises(ValueError, match="above zero"):
         lens_from_plain({**lens_plain(replace(lens, fx=-1.0))})
