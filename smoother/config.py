@@ -56,6 +56,12 @@ class ArmPrior(_Section):
     upper_arm_m: float = Field(default=0.30, gt=0, description="shoulder to elbow where nothing is known, m")
     upper_arm_sigma_m: float = Field(default=0.05, gt=0, description="m")
     upper_arm_flex_m: float = Field(default=0.005, gt=0, description="how far from constant the length is, m")
+    height_m: float | None = Field(
+        default=None,
+        gt=0.4,
+        lt=2.5,
+        description="body height, m: how long the limbs are, where one camera without depth sees them",
+    )
     anatomy: Anatomy = Field(default=Anatomy.ADULT, description="adult, child, or any (phantoms, robots)")
     shoulder_walk: float = Field(default=0.10, gt=0, description="how the shoulder wanders, m/sqrt(s)")
 

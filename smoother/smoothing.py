@@ -34,7 +34,7 @@ from .selfcal.further_imu import calibrate_further_imus, joined, without_joints_
 from .selfcal.mounting import contradictions
 from .selfcal.pairing import pair
 from .selfcal.rounds import self_calibrate
-from .window.priors import with_measured_noise, with_measured_shoulder
+from .window.priors import limb_lengths, with_measured_noise, with_measured_shoulder
 
 Answer = TypeVar("Answer")
 
@@ -102,7 +102,7 @@ def smooth(
         raise SolveError(f"{recording.name}: the camera never tracked the forearm")
 
     # 0. Several cameras: where each stands, its clock, and all frames as one stream in the first one's frame.
-    recording, rig = join_cameras(recording, store)
+    recording, rig = join_cameras(recording, store, float(limb_lengths(config.arm).mean[0]))
     # 1. Clocks: whether the streams are a pair, and the camera's stamps where the fine search finds the rest.
     report(0.0, "calibrating")
     as_recorded = recording

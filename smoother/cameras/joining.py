@@ -10,6 +10,7 @@ from ..array_types import FloatArray
 from ..errors import SolveError
 from ..recording import FIRST_CAMERA, JOINTS, Camera, CameraPose, JointTracks, Recording
 from ..runtime.store import Store, batches
+from .alone import lift_alone
 from .clocks import candidate_offsets
 from .faults import LEAST_S, fault_of, moved_from
 from .keypoint_places import clock_of_known_place, placed_keypoints
@@ -23,9 +24,13 @@ SURE_SHARE = 0.25
 #: Rays of cameras whose places are known pass each other by no more than this, m (root mean square), if both
 #: see one arm: those of seven that did by 11 to 19 mm, of nine wrong cameras by 48 to 183.
 RAYS_M = 0.04
+#: An adult's forearm, m.
+FOREARM_M = 0.25
 
 
-def join_cameras(recording: Recording, store: Store | None = None) -> tuple[Recording, CameraRig | None]:
+def join_cameras(
+    recording: Recording, store: Store | None = None, forearm_m: float = FOREARM_M
+) -> tuple[Recording, CameraRig | None]:
     """A recording whose `arm` contains the frames of all cameras that agree.
 
     Constant errors of the joints differ between cameras; each camera's joints are moved to the mean of all.
@@ -36,6 +41,8 @@ def join_cameras(recording: Recording, store: Store | None = None) -> tuple[Reco
         With or without further cameras.
     store : Store, optional
         Where the joined frames are to lie; in memory where None.
+    forearm_m : float, m
+        Elbow to wrist, about, where one camera without depth is all there is.
 
     Returns
     -------
@@ -44,6 +51,8 @@ def join_cameras(recording: Recording, store: Store | None = None) -> tuple[Reco
     rig : CameraRig or None
         Where they stand and which were left out; None where there is one camera.
     """
+    if recording.arm.pixel_rad is not None and not recording.cameras:
+        return lift_alone(recording, forearm_m, store or Store()), None
     if recording.arm.pixel_rad is not None:
         return _of_pixels(recording, store or Store())
     if not recording.cameras:
@@ -189,11 +198,11 @@ def _of_pixels(recording: Recording, store: Store) -> tuple[Recording, CameraRig
 
 
 def _alone(name: str, rows: list[RigCamera]) -> str:
-    """Why keypoints of one camera are not solved."""
+    """Why nothing is solved where every further camera without depth was left out."""
     left_out = "".join(f"; {row.name} was left out: {row.reason}" for row in rows)
     return (
-        f"{name}: keypoints of one camera without depth are read but not solved yet, as nothing shows how far"
-        f" away the arm is; add a camera with depth, or a second one whose place is known{left_out}"
+        f"{name}: its cameras without depth do not agree on how far away the arm is; add a camera with depth,"
+        f" name places that are known, or take one of them alone with --skeleton{left_out}"
     )
 
 

@@ -20,6 +20,7 @@ _SHARED = {
     "Pictures in the report": ("with-images", "video", "video-offset"),
     ADVANCED: (
         *("config", "orientation", "boundary-s", "solve-lever-arms", "processes", "draws", "seed", "anatomy"),
+        "body-height",
         *("passthrough-images", "live", "latency", "gaps-per-run", "scheduler", "retry-failed", "time-limit"),
         *("memory-limit", "hash-names", "keep-paths", "outside", "skeleton-format", "imu-format", "wait"),
         *("one-session", "port", "web-port", "lsl-out", "gravity", "mocap-sigma-mm", "panel-topic"),

@@ -15,7 +15,12 @@ from ..runtime.inputs import check_input, read_toml
 Settings = TypeVar("Settings", bound=BaseModel)
 
 
-def read_config(path: Path | None, processes: int | None = None, anatomy: str | None = None) -> Config:
+def read_config(
+    path: Path | None,
+    processes: int | None = None,
+    anatomy: str | None = None,
+    height_m: float | None = None,
+) -> Config:
     """Read a configuration; what neither it nor the options name keeps its default.
 
     Raises
@@ -24,7 +29,8 @@ def read_config(path: Path | None, processes: int | None = None, anatomy: str | 
         The file is not TOML, or a setting is unknown or out of range; the text names it.
     """
     config = with_processes(read_settings(path, Config), processes)
-    return config if anatomy is None else with_anatomy(config, anatomy)
+    config = config if anatomy is None else with_anatomy(config, anatomy)
+    return config if height_m is None else with_height(config, height_m)
 
 
 def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
@@ -123,3 +129,23 @@ def with_anatomy(config: Config, name: str) -> Config:
     if name not in tuple(Anatomy):
         raise typer.BadParameter(f"--anatomy is one of {', '.join(Anatomy)}, not {name}")
     return config.model_copy(update={"arm": config.arm.model_copy(update={"anatomy": Anatomy(name)})})
+
+
+def with_height(config: Config, height_m: float) -> Config:
+    """The configuration for a person of this height, m.
+
+    Raises
+    ------
+    typer.BadParameter
+        Nobody is that tall; with 175 it is likely to be in cm.
+    """
+    import typer
+    from pydantic import ValidationError
+
+    from ..config import ArmPrior
+
+    try:
+        ArmPrior(height_m=height_m)
+    except ValidationError as error:
+        raise typer.BadParameter(f"--body-height is in m, as 1.75; not {height_m:g}") from error
+    return config.model_copy(update={"arm": config.arm.model_copy(update={"height_m": height_m})})

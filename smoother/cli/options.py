@@ -161,6 +161,14 @@ Anatomy = Annotated[
     str | None,
     typer.Option("--anatomy", metavar="adult|child|any", help="Range of limb lengths that is plausible."),
 ]
+BodyHeight = Annotated[
+    float | None,
+    typer.Option(
+        "--body-height",
+        metavar="M",
+        help="Of the person: how long the limbs are, where one camera without depth films them.",
+    ),
+]
 Result = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="What `smooth` wrote.", show_default=False)]
 Align = Annotated[
     bool, typer.Option("--align", help="Also align poses given as truth (different frame or clock).")

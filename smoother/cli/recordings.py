@@ -17,6 +17,7 @@ from .options import (
     ANY_ARM,
     Anatomy,
     ArmSelection,
+    BodyHeight,
     ConfigFile,
     Force,
     Json,
@@ -285,6 +286,7 @@ def check(
     source: ArmInput = EVERY_ARM,
     config_file: ConfigFile = None,
     anatomy: Anatomy = None,
+    body_height: BodyHeight = None,
     processes: Processes = None,
     json_file: Json = None,
     force: Force = False,
@@ -298,7 +300,7 @@ def check(
 
     source.check()
     check_outputs(force, [json_file], [recording_file, source.calibration_file, config_file])
-    config = read_config(config_file, processes, anatomy)
+    config = read_config(config_file, processes, anatomy, body_height)
     arms = source.load(recording_file, truth=False)
     recordings = [recording for recording, _ in arms]
     clocks = [source.clock(recording) for recording in recordings]
@@ -336,8 +338,11 @@ def _checked(
     from ..recovery.cameras import with_cameras
     from ..selfcal.excerpts import informative_recording
     from ..smoothing import smooth
+    from ..window.priors import limb_lengths
 
-    recording, rig = join_cameras(recording)  # before it is cut: each camera's clock is its own
+    forearm_m = float(limb_lengths(config.arm).mean[0])
+    # before it is cut: each camera's clock is its own
+    recording, rig = join_cameras(recording, forearm_m=forearm_m)
     excerpt = informative_recording(recording, Timeline.of(recording))
 
     # lengths of gaps are tried side by side, each in one process

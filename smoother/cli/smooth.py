@@ -33,6 +33,7 @@ from .methods import (
 from .options import (
     NO_PICTURES,
     Anatomy,
+    BodyHeight,
     BoundaryS,
     ConfigFile,
     Draws,
@@ -93,6 +94,7 @@ def smooth(
     ] = None,
     solve_lever_arms: SolveLeverArms = False,
     anatomy: Anatomy = None,
+    body_height: BodyHeight = None,
     processes: Processes = None,
     draws: Draws = None,
     seed: DrawSeed = None,
@@ -128,7 +130,7 @@ def smooth(
     source.check()
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, source.calibration_file, config_file])
-    config = read_config(config_file, processes, anatomy)
+    config = read_config(config_file, processes, anatomy, body_height)
     with DiskStore() as store:  # memory stays flat however long the recording is
         arms = source.load(recording_file, store=store, truth=False)
         recordings = [recording for recording, _ in arms]

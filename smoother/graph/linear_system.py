@@ -272,13 +272,19 @@ class LinearSystem:
             blocks[g] += gain @ blocks[g + 1] @ gain.T
         return np.asarray(blocks)
 
-    def covariances(self, keys: Sequence[int]) -> FloatArray:
-        """Covariances (k, d, d) of variables in time, all of one dimension; extra quantities held fixed."""
+    def covariances(self, keys: Sequence[int], held: Sequence[int] = ()) -> FloatArray:
+        """Covariances (k, d, d) of variables in time, all of one dimension; extra quantities held fixed.
+
+        So are the border's variables `held`.
+        """
         group, rows = self._rows(keys)
         scale = self._scale[group, rows]
         own = self._diagonal[group[:, :, None], rows[:, :, None], rows[:, None, :]]
-        follows = self._solved[group, rows, : len(self._border)]
-        across = follows @ self._shared_covariance @ np.swapaxes(follows, 1, 2)
+        follows, shared = self._solved[group, rows, : len(self._border)], self._shared_covariance
+        if held:
+            free = np.setdiff1d(np.arange(len(self._border)), self.border_rows(held))
+            follows, shared = follows[:, :, free], _inverse(self.information[np.ix_(free, free)])
+        across = follows @ shared @ np.swapaxes(follows, 1, 2)
         return np.asarray(own * scale[:, :, None] * scale[:, None, :] + across)
 
     def sensitivities(self, keys: Sequence[int], shared: FloatArray) -> FloatArray:

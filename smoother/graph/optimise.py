@@ -75,6 +75,7 @@ def optimise(
     groups: Sequence[FactorGroup],
     window: Window,
     tolerance: float,
+    start: gtsam.Values | None = None,
 ) -> Optimum:
     """Optimise a window's graph (`LevenbergMarquardtOptimizer`), in stages where there is a long gap.
 
@@ -82,20 +83,22 @@ def optimise(
     ----------
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
-        Where to start.
+        That the graph was built with.
     groups : sequence of FactorGroup
         Of the graph.
     window : Window
         What the graph was built from.
     tolerance : float
         The optimiser stops when an iteration lowers the error by less than this share of it.
+    start : gtsam.Values, optional
+        Where to start, if elsewhere.
 
     Returns
     -------
     optimum : Optimum
     """
     order = elimination_order(window, values)
-    optimum = _in_stages(graph, values, groups, window, tolerance, order)
+    optimum = _in_stages(graph, start or values, groups, window, tolerance, order)
     return _in_axes_of_gravity(optimum, gravity_axes(values), tolerance, order)
 
 

@@ -14,8 +14,9 @@ from ..array_types import BoolArray, FloatArray, IntArray
 from ..body import FOREARM
 from ..errors import SolveError
 from ..linalg import interpolate
+from ..measurements.rays import AT_M, NEAREST_M
 from ..window.draw_plan import DrawPlan
-from ..window.problem import States, Window
+from ..window.problem import JointMeasurements, States, Window, joints_at_start
 from ..window.shared import STRAP_PLACE, Gaussian
 from ..window.solution import BlockShift, Message, SegmentSolution, Solution
 from .block_shifts import CameraBlocks
@@ -31,6 +32,7 @@ from .error_columns import (
 from .linear_system import ExtraColumns, LinearSystem
 from .optimise import Optimum, optimise
 from .sampling import sample_window
+from .scale import coordinates_by_pixels, with_scale_term
 from .shared_prior import bias_keys, shared_jacobian, shared_keys
 from .variables import keys_of
 
@@ -39,6 +41,8 @@ RELATIVE_TOLERANCE = 1e-4
 #: Sigmas of the attitude prior that are tried one after the other, as shares of it: the solver calls a
 #: direction free once its square-root information is 4096 times weaker than its neighbour's.
 TIGHTEN = (1.0, 0.3, 0.1, 0.03)
+#: What cameras without depth saw is linearised at most so often; no more once joints moved by less, m rms.
+MOST_LINEARISATIONS, SETTLED_M = 8, 0.004
 #: Spacing of the covariances that are computed rather than interpolated, s.
 COVARIANCE_S = 0.5
 COVARIANCE_NEAR_S = 0.1
@@ -55,6 +59,9 @@ class WindowOptimum:
     Attributes
     ----------
     window : Window
+        With what cameras without depth saw linearised there.
+    given : Window
+        As it was given.
     optimum : Optimum
     groups : sequence of FactorGroup
         Of its graph.
@@ -65,6 +72,7 @@ class WindowOptimum:
     """
 
     window: Window
+    given: Window
     optimum: Optimum
     groups: Sequence[FactorGroup]
     tighten: int
@@ -150,26 +158,69 @@ def solution_of(
                 optimised, with_covariance, with_offset, with_message, with_evidence, plan, with_blocks
             )
         except np.linalg.LinAlgError:
-            optimised = _optimised(optimised.window, optimised.tolerance, optimised.tighten + 1)
+            optimised = _optimised(optimised.given, optimised.tolerance, optimised.tighten + 1)
 
 
 def _optimised(window: Window, tolerance: float, first: int) -> WindowOptimum:
     """A direction that is free but for the attitude prior can be too weak for the solver's precision."""
     for number in range(first, len(TIGHTEN)):
         try:
-            built = build(_tightened(window, TIGHTEN[number]))
-            optimum = optimise(*built, window, tolerance)
+            return _descended(window, tolerance, number)
         except np.linalg.LinAlgError:
             continue
         except RuntimeError as error:
             if "ndetermin" not in str(error):
                 raise
             continue
-        return WindowOptimum(window, optimum, built.groups, number, tolerance)
     raise SolveError(
         f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
         " the camera saw there"
     )
+
+
+def _descended(given: Window, tolerance: float, number: int) -> WindowOptimum:
+    """The optimum at a tightening; keypoints are linearised anew until the joints stay where they are."""
+    window, joints, values, coordinates = given, joints_at_start(given), None, 0.0
+    for _ in range(MOST_LINEARISATIONS):
+        window = given.linearised(joints)
+        if coordinates:
+            window = replace(window, priors=with_scale_term(window.priors, coordinates))
+        built = build(_tightened(window, TIGHTEN[number]))
+        optimum = optimise(*built, window, tolerance, values)
+        if not given.has_rays:
+            break
+        before, joints, values = joints, _joints(optimum.values, given), optimum.values
+        if given.lone_rays and not coordinates:
+            coordinates = coordinates_by_pixels(optimum.graph, values, window, built.groups)
+        elif all(_stay(before[key], place) for key, place in joints.items()):
+            break
+    return WindowOptimum(window, given, optimum, built.groups, number, tolerance)
+
+
+def _joints(values: gtsam.Values, window: Window) -> dict[str, FloatArray]:
+    """Where the joints are: at the samples' nodes by `JointMeasurements.key`, the shoulder at its knots."""
+    states = {body.segment: body.states for body in _bodies(values, window, bias_of_intervals(window))}
+    joints = {
+        measured.key: _joint_at_nodes(values, measured, window, states)
+        for measured in window.joint_measurements
+    }
+    if window.shoulder is not None:
+        joints["shoulder"] = np.array([values.atPoint3(S(k)) for k in range(len(window.shoulder.node))])
+    return joints
+
+
+def _stay(before: FloatArray, after: FloatArray) -> bool:
+    """Whether places (n, 3) of a joint changed by next to nothing."""
+    return not len(before) or float(np.sqrt(np.mean(np.sum((after - before) ** 2, axis=1)))) < SETTLED_M
+
+
+def _joint_at_nodes(
+    values: gtsam.Values, measured: JointMeasurements, window: Window, states: Mapping[str, States]
+) -> FloatArray:
+    known, keys = window.priors.layout.levers(measured.segment), keys_of(measured.segment)
+    lever = values.atPoint3(keys.lever_of(measured.joint)) if measured.joint in known else np.zeros(3)
+    own = states[measured.segment]
+    return np.asarray(own.p[measured.node] + own.R[measured.node] @ lever)
 
 
 def _read(
@@ -232,7 +283,7 @@ def _read(
         offset_information=offset,
         accepted=optimum.accepted,
         evidence=(
-            evidence(following.system, values, message.shared.mean, window, biases)
+            evidence(following.system, values, message.shared.mean, optimised.given, biases)
             if following is not None and with_evidence
             else None
         ),
@@ -432,14 +483,14 @@ def _message(values: gtsam.Values, following: _Following | None, window: Window,
 
 
 def _residuals(values: gtsam.Values, window: Window, states: Mapping[str, States]) -> dict[str, FloatArray]:
+    """Camera minus answer by `JointMeasurements.key`; of cameras without depth across rays, at `AT_M`."""
     residuals = {}
     for measured in window.joint_measurements:
-        known, keys = window.priors.layout.levers(measured.segment), keys_of(measured.segment)
-        lever = values.atPoint3(keys.lever_of(measured.joint)) if measured.joint in known else np.zeros(3)
-        own = states[measured.segment]
-        answer = own.p[measured.node] + own.R[measured.node] @ lever
+        answer = _joint_at_nodes(values, measured, window, states)
         residual, rays = measured.position - measured.shift - answer, measured.rays
-        if rays is not None:
+        if rays is not None and measured.origin_m is not None:
             residual = residual - np.sum(residual * rays, axis=1, keepdims=True) * rays
+            distance = np.linalg.norm(answer + measured.shift - measured.origin_m, axis=1)
+            residual *= AT_M / np.maximum(distance, NEAREST_M)[:, None]
         residuals[measured.key] = residual
     return residuals

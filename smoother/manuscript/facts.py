@@ -341,7 +341,7 @@ def _largest(values: Iterator[float | None]) -> float | None:
 
 def _settings(config: Mapping[str, Any]) -> Iterator[Setting]:
     """The settings of a result that are not today's defaults, in the order of its file."""
-    usual = Config().model_dump(mode="json")
+    usual = Config().model_dump(mode="json", exclude_none=True)
     for section, settings in config.items():
         if not isinstance(settings, Mapping):
             continue

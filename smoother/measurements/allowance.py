@@ -38,6 +38,8 @@ NOTHING = "nothing determines"
 IN_VIEW_S, FIRST_AXIS, SECOND_AXIS = 5.0, 0.2, 0.1
 #: Rays of a camera without depth are points a metre away; arms are about so far, m.
 USUAL_DISTANCE_M = 2.0
+#: What one of them alone leaves open of the distance at ordinary speed, m.
+ALONE_M = 0.03
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,8 @@ def allowance(recording: Recording) -> Allowance:
         position = USUAL_DISTANCE_M * position
     noise_m, speed = _noise_and_speed(arm.t_s[arm.tracked(joint)], position)
     floor_m = float(np.hypot(noise_m, speed * (SYNTHETIC_S if synthetic_stamps(arm.t_s) else DATED_S)))
+    if _is_alone(recording):
+        floor_m = float(np.hypot(floor_m, ALONE_M))
     growth = GROWTH_WITH_SHOULDER if {"shoulder", "elbow"} <= set(arm.present) else GROWTH_ALONE
     growth *= max(FULL_RATE_HZ / imu.rate_hz, 1.0)
     undetermined = tuple(_undetermined(recording))
@@ -122,11 +126,13 @@ def _obstacles(recording: Recording) -> Iterator[str]:
         yield f"the camera has {arm.rate_hz:.2g} frames per second, where 15 are needed"
     if not any(joint in arm.present for joint in JOINTS if joint != "shoulder"):
         yield "the forearm is never tracked"
-    if arm.pixel_rad is not None and all(camera.pose is None for camera in recording.cameras):
+    if arm.pixel_rad is not None and recording.cameras and all(c.pose is None for c in recording.cameras):
         yield (
-            "keypoints of one camera without depth do not show how far away the arm is; a camera with depth"
-            " or a second one whose place is known does"
+            "keypoints of cameras whose places are unknown do not show how far away the arm is; a camera with"
+            " depth, a place that is known or --skeleton with one of them alone does"
         )
+    if _is_alone(recording) and not {"elbow", "wrist"} <= set(arm.present):
+        yield ("one camera without depth needs elbow and wrist: nothing else shows how far away the arm is")
     start_s, end_s = max(arm.t_s[0], imu.t_s[0]), min(arm.t_s[-1], imu.t_s[-1])
     if end_s - start_s < 2.0:
         yield (
@@ -135,8 +141,18 @@ def _obstacles(recording: Recording) -> Iterator[str]:
         )
 
 
+def _is_alone(recording: Recording) -> bool:
+    """One camera without depth is all there is."""
+    return recording.arm.pixel_rad is not None and not recording.cameras
+
+
 def _undetermined(recording: Recording) -> Iterator[str]:
     arm, imu = recording.arm, recording.imu
+    if _is_alone(recording):
+        yield (
+            "one camera without depth: how far away the arm is shows by fast movement in view, and to some"
+            " 9 % by the arm's length (--body-height: 7 %)"
+        )
     if imu.rate_hz < SLOW_HZ:
         yield f"the IMU is slow ({imu.rate_hz:.0f} Hz)"
     if arm.present == ("strap",):

@@ -1,9 +1,12 @@
 """Joints of cameras without depth: points on rays, of which only what is across the ray was measured.
 
-A pixel with its lens is a direction. At depth z the reprojection error of a joint, in radians, is its
-distance from the ray over z: linear in the joint for a fixed z. So a keypoint is a point on its ray whose
-errors are pixels times depth across the ray and `ALONG_M` along it; which point it is does not matter, and an
-error of z changes the weight alone, by its own share.
+A pixel with its lens is a direction. The reprojection error of a joint at p, linearised there as Gauss
+and Newton do, is linear in the joint: with d = p / |p| its derivative is (I - d d') / |p|, across the ray
+through the joint, not across the measured one, and its value that of the measured ray's point at the
+joint's distance. So a keypoint is a point whose errors are angles times distance across d, and `along_m`
+along it. It is made anew where the joint has moved (`linearised`) until nothing moves: then the gradient
+is the reprojection error's own. Weights that are kept from another distance are not: smaller arms seem to
+fit better.
 """
 
 from __future__ import annotations
@@ -14,9 +17,14 @@ from ..array_types import BoolArray, CameraNumbers, FloatArray
 from ..linalg import unit
 
 #: What a keypoint says along its ray, m: nothing, and no direction is free to the solver.
-ALONG_M = 20.0
+ALONG_M = 100.0
+#: The noise of cameras without depth is stated in m at this distance, m: it is an angle.
+AT_M = 2.0
+#: No joint is nearer to the camera than this, m, and no ray farther from it than the angle of this cosine.
+NEAREST_M, LEAST_COSINE = 0.2, 0.5
 #: The shoulder's, which no IMU constrains: the elbow's distance alone leaves a second place near the camera.
-SHOULDER_ALONG_M = 0.3
+#: With one camera alone it must not determine the scale.
+SHOULDER_ALONG_M, LONE_SHOULDER_ALONG_M = 0.3, 20.0
 #: Residuals across a ray have two directions of three: their mean square over three axes is this much less.
 OF_THREE = 1.5
 
@@ -29,6 +37,11 @@ def origins_of(
         return None
     numbers = np.zeros(count, int) if camera is None else np.asarray(camera).astype(int)
     return np.asarray(ray_origin_m[numbers])
+
+
+def is_alone(ray_origin_m: FloatArray | None) -> bool:
+    """Whether all rays are of one camera: nothing but the arm's size and the IMU shows how far it is away."""
+    return ray_origin_m is not None and len(ray_origin_m) == 1 and bool(np.isfinite(ray_origin_m).all())
 
 
 def of_rays(origin_m: FloatArray | None, count: int) -> BoolArray:
@@ -64,3 +77,35 @@ def squashed(ray: FloatArray, sigma_m: FloatArray, along_m: float = ALONG_M) -> 
     return np.asarray(
         np.eye(3) / sigma_m[:, None, None] - along[:, None, None] * ray[:, :, None] * ray[:, None, :]
     )
+
+
+def linearised(
+    position: FloatArray, sigma_m: FloatArray, origin_m: FloatArray, predicted: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Keypoints as points at the distance of where their joints are now.
+
+    Parameters
+    ----------
+    position : ndarray, shape (k, 3), m
+        Any points of the measured rays.
+    sigma_m : ndarray, shape (k,), m
+        Noise per axis at the distance `AT_M`.
+    origin_m : ndarray, shape (3,) or (k, 3), m
+        Where the rays begin.
+    predicted : ndarray, shape (k, 3), m
+        The joints.
+
+    Returns
+    -------
+    position : ndarray, shape (k, 3), m
+        Where the measured rays cross the planes through the joints that face the camera.
+    sigma_m : ndarray, shape (k,), m
+        Noise per axis there.
+    ray : ndarray, shape (k, 3)
+        Unit vectors to the joints.
+    """
+    ray = directions(predicted, origin_m)
+    distance = np.maximum(np.linalg.norm(predicted - origin_m, axis=1), NEAREST_M)
+    measured = directions(position, origin_m)
+    cosine = np.maximum(np.sum(measured * ray, axis=1), LEAST_COSINE)
+    return origin_m + (distance / cosine)[:, None] * measured, sigma_m * distance / AT_M, ray

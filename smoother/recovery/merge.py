@@ -84,7 +84,7 @@ def merge(
         name=recording.name,
         notes=notes_on(recording, timeline, model, clock, residuals, gaps, unexplained),
         # the answer is the same on any number of processes
-        config=task.config.model_dump(exclude={"windows": {"processes"}}),
+        config=task.config.model_dump(exclude={"windows": {"processes"}}, exclude_none=True),
         estimates=_estimates(model, np.mean(columns.bias, axis=0)),
         segments=further.motions(recording, model, coarse_clock),
         body=recording.body,

@@ -39,6 +39,7 @@ from .imu_signs import (
     wrong_scale,
     zeros,
 )
+from .lone_camera import distance_doubtful, distance_unknown
 
 #: A bone's length varies less than this, m, and less than this part of what is not a bone: upper arms vary by
 #: 0.01 to 0.03, shoulder to wrist by 0.06 to 0.12 as the elbow bends.
@@ -220,6 +221,7 @@ def with_verdict(
         *_measured_clock(recovery, measured),
         *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
         *_gravity(recovery, recording),
+        *distance_unknown(recovery),
         *_clock(recovery, moved),
         *_camera(recovery, FAR_M),
         *_self_check(recovery.estimates.self_check),
@@ -228,6 +230,7 @@ def with_verdict(
         *recovery.estimates.cautions,
         *doubtful(recovery.estimates.pairing),
         *open_questions,
+        *distance_doubtful(recovery),
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
         *_camera(recovery, NEAR_M),
         *rate(recording.imu, SLOW_HZ),

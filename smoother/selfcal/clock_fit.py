@@ -15,6 +15,7 @@ import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..measurements.clock import LARGEST_OFFSET_S, OFFSET_SIGMA_S, Clock
+from ..measurements.rays import AT_M
 from ..window.problem import Window
 from ..window.solution import Solution
 
@@ -179,8 +180,9 @@ def _joint_scores(window: Window, solution: Solution) -> Iterator[tuple[FloatArr
     for measured in window.joint_measurements:
         velocity = solution.of(measured.segment).states.v[measured.node] + measured.velocity
         residual, rays = solution.residuals[measured.key], measured.rays
-        if rays is not None:
+        if rays is not None and (distance_m := measured.distance_m) is not None:
             velocity = velocity - np.sum(velocity * rays, axis=1, keepdims=True) * rays
+            velocity *= (AT_M / distance_m)[:, None]  # as residuals and their noise are
         size = np.linalg.norm(residual, axis=1) / measured.sigma_m
         weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / measured.sigma_m**2
         slope = weight * np.einsum("ni,ni->n", residual, velocity)

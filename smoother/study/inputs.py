@@ -59,7 +59,9 @@ def file_hash(path: str | os.PathLike[str]) -> str:
 
 def config_hash(config: Config, choice: InputSelection) -> str:
     """SHA-256 of all settings that a result depends on; the number of processes is none of them."""
-    settings: dict[str, Any] = config.model_dump(mode="json", exclude={"windows": {"processes"}})
+    settings: dict[str, Any] = config.model_dump(
+        mode="json", exclude={"windows": {"processes"}}, exclude_none=True
+    )
     return text_hash(json.dumps([settings, asdict(choice)], sort_keys=True))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..array_types import FloatArray, IntArray
 from ..linalg import interpolate
 from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
-from ..measurements.rays import SHOULDER_ALONG_M, directions, of_rays, origins_of, squashed
+from ..measurements.rays import LONE_SHOULDER_ALONG_M, SHOULDER_ALONG_M, is_alone, origins_of
 from ..measurements.visibility import MISSING_S, Gap, enough_joints, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
 from .nodes import propagate
@@ -18,6 +18,7 @@ from .prepare import PreparedRun, PreparedSegment
 from .problem import (
     ImuIncrements,
     JointMeasurements,
+    KnotSamples,
     NoiseModel,
     Priors,
     SegmentRun,
@@ -135,6 +136,7 @@ def cut(
             priors=prior,
             noise=noise,
             gravity_magnitude=gravity_magnitude,
+            alone=is_alone(prepared.ray_origin_m),
         )
 
 
@@ -306,21 +308,13 @@ def _shoulder_on_rays(
     prepared: PreparedSegment, node: IntArray, frames: IntArray, owner: IntArray, start: FloatArray
 ) -> ShoulderMeasurements:
     """The same where a camera sees no depth: every frame adds what it knows, across its ray or in all."""
-    column, count = JOINTS.index("shoulder"), len(node)
-    position, sigma = prepared.position[frames, column], prepared.sigma_m[frames, column]
+    column = JOINTS.index("shoulder")
     camera = None if prepared.camera is None else prepared.camera[frames]
     origin = origins_of(prepared.ray_origin_m, camera, len(frames))
     assert origin is not None
-    flat = of_rays(origin, len(frames))
-    root = np.eye(3) / sigma[:, None, None]
-    root[flat] = squashed(directions(position[flat], origin[flat]), sigma[flat], SHOULDER_ALONG_M)
-    each = root @ root
-    information, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    np.add.at(information, owner, each)
-    np.add.at(vector, owner, np.einsum("nij,nj->ni", each, position))
-    seen = np.bincount(owner, minlength=count) > 0
-    mean, roots, sigmas = np.full((count, 3), np.nan), np.zeros((count, 3, 3)), np.full(count, np.nan)
-    mean[seen] = np.linalg.solve(information[seen], vector[seen][..., None])[..., 0]
-    roots[seen] = np.swapaxes(np.linalg.cholesky(information[seen]), 1, 2)
-    sigmas[seen] = np.sqrt(3.0 / np.trace(information[seen], axis1=1, axis2=2))
-    return ShoulderMeasurements(node, mean, sigmas, np.where(seen[:, None], mean, start), roots)
+    position, sigma = prepared.position[frames, column], prepared.sigma_m[frames, column]
+    along_m = LONE_SHOULDER_ALONG_M if is_alone(prepared.ray_origin_m) else SHOULDER_ALONG_M
+    samples = KnotSamples(owner, position, sigma, origin, along_m)
+    mean, sigmas, roots = samples.of_knots(start)
+    start = np.where(np.isfinite(mean), mean, start)
+    return ShoulderMeasurements(node, mean, sigmas, start, roots, samples)

@@ -8,9 +8,10 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..calibration import ArmCalibration, Length, LeverArm
-from ..config import Config
-from ..linalg import robust_sigma
+from ..config import Anatomy, ArmPrior, Config
+from ..linalg import robust_sigma, unit
 from ..measurements.alignment import Alignment
+from ..measurements.rays import is_alone
 from ..measurements.segment import Segment
 from ..recording import JOINTS, ImuStream, JointTracks
 from .prepare import PreparedSegment, further_segments
@@ -21,6 +22,16 @@ from .shared import Gaussian, SharedLayout, axes_across
 GRAVITY_SIGMA_RAD = 0.2
 #: Sensor noise that was measured counts for no less than this share of the configured one.
 LEAST_DENSITY_SHARE = 0.3
+#: Forearm and upper arm, joint to joint, as parts of the height (Drillis and Contini, Body Segment
+#: Parameters, 1966), how far a person's are from that as a part of themselves, and how far joints are from
+#: where networks see them, along the limb, m.
+FOREARM_PART, UPPER_ARM_PART = 0.146, 0.186
+LIMB_SCATTER, LIMB_JOINTS_M = 0.05, 0.012
+#: Height and its standard deviation, m: stated, and where it is not.
+HEIGHT_SIGMA_M = 0.01
+USUAL_HEIGHT_M = {Anatomy.ADULT: (1.70, 0.10), Anatomy.CHILD: (1.30, 0.20), Anatomy.ANY: (1.60, 0.40)}
+#: A length of which nothing is known yet, m.
+UNKNOWN_M = 1.0
 #: The upper arm's length varies by no more than this, m.
 LARGEST_UPPER_ARM_SIGMA_M = 0.04
 #: How the shoulder moves is read off means over this time, s, this many of them apart; of the largest moves
@@ -45,6 +56,8 @@ class InitialValues:
         The camera saw the shoulder.
     biases : dict of str to ndarray, shape (6,), m/s^2 and rad/s
         Of IMUs on further segments, by the segment's name; zero where there is none.
+    lone_rays : bool
+        All that was seen is of one camera without depth: the limbs' lengths are part of the scale.
     """
 
     down: FloatArray
@@ -52,6 +65,7 @@ class InitialValues:
     gyroscope_bias: FloatArray
     has_shoulder: bool
     biases: dict[str, FloatArray] = field(default_factory=dict)
+    lone_rays: bool = False
 
 
 def initial_values(
@@ -83,6 +97,7 @@ def initial_values(
         has_shoulder=any(
             prepared.accepted[:, JOINTS.index("shoulder")].any() for prepared in prepared_segments
         ),
+        lone_rays=all(is_alone(prepared.ray_origin_m) for prepared in prepared_segments),
     )
 
 
@@ -128,7 +143,55 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
         mean[layout.bias_of(segment)] = initial.biases.get(segment, 0.0)
         variance[layout.bias_of(segment)] = variance[layout.bias]
     walk = np.repeat([config.imu.accelerometer_bias_walk, config.imu.gyroscope_bias_walk], 3)
-    return Priors(layout, Gaussian(mean, np.diag(variance)), walk)
+    shared = Gaussian(mean, np.diag(variance))
+    if initial.lone_rays and {"elbow", "wrist"} <= set(layout.joints):
+        shared = with_limb_lengths(shared, layout, limb_lengths(config.arm))
+    return Priors(layout, shared, walk)
+
+
+def limb_lengths(arm: ArmPrior) -> Gaussian:
+    """How long forearm and upper arm (2,) m are of a person of some height, or of anybody.
+
+    They are off together by the height's error; see `FOREARM_PART`.
+    """
+    known = arm.height_m is not None
+    height_m, sigma_m = (arm.height_m or 0.0, HEIGHT_SIGMA_M) if known else USUAL_HEIGHT_M[arm.anatomy]
+    parts = np.array([FOREARM_PART, UPPER_ARM_PART])
+    own = np.diag((LIMB_SCATTER * height_m * parts) ** 2 + LIMB_JOINTS_M**2)
+    return Gaussian(height_m * parts, own + sigma_m**2 * np.outer(parts, parts))
+
+
+def with_limb_lengths(shared: Gaussian, layout: SharedLayout, lengths: Gaussian) -> Gaussian:
+    """A Gaussian on the shared vector that knows how long the limbs of a person are.
+
+    Lengths of forearm and upper arm are off together, by the person's height: one camera without depth sees
+    every arm that is larger and farther away alike.
+
+    Parameters
+    ----------
+    shared : Gaussian
+        With lever arms of elbow and wrist.
+    layout : SharedLayout
+    lengths : Gaussian
+        Of forearm and upper arm, m; replaces what was known of the upper arm.
+    """
+    mean, covariance = shared.mean.copy(), shared.covariance.copy()
+    elbow, wrist = layout.lever("elbow"), layout.lever("wrist")
+    along = unit(mean[wrist] - mean[elbow])
+    rows = np.zeros((1 + int(layout.has_upper_arm), layout.size))
+    rows[0, wrist], rows[0, elbow] = along, -along
+    if layout.has_upper_arm:
+        rows[1, layout.upper_arm] = 1.0
+        mean[layout.upper_arm] = lengths.mean[1]
+        covariance[layout.upper_arm] = covariance[:, layout.upper_arm] = 0.0
+        covariance[layout.upper_arm, layout.upper_arm] = UNKNOWN_M**2
+    count = len(rows)
+    gain = np.linalg.solve(
+        rows @ covariance @ rows.T + lengths.covariance[:count, :count], rows @ covariance
+    ).T
+    mean = mean + gain @ (lengths.mean[:count] - rows @ mean)
+    covariance = covariance - gain @ rows @ covariance
+    return Gaussian(mean, 0.5 * (covariance + covariance.T))
 
 
 def upper_arm_seen(segments: list[Segment], config: Config) -> Length:

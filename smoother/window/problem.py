@@ -5,15 +5,15 @@ It travels between processes, so it holds arrays and numbers only.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
 from ..measurements.outliers import noise_key
-from ..measurements.rays import directions
+from ..measurements.rays import SHOULDER_ALONG_M, directions, linearised, of_rays, squashed
 from .shared import Considered, Gaussian, SharedLayout
 
 
@@ -94,6 +94,8 @@ class JointMeasurements:
         Number of the camera that saw it.
     origin_m : ndarray, shape (3,), m, or None
         Where that camera's rays begin, if it sees no depth (`measurements.rays`).
+    ray : ndarray, shape (k, 3), or None
+        Unit vectors to where the joint is, once they were linearised there.
     """
 
     joint: str
@@ -106,11 +108,27 @@ class JointMeasurements:
     segment: str = FOREARM.name
     camera: int = 0
     origin_m: FloatArray | None = None
+    ray: FloatArray | None = None
 
     @property
     def rays(self) -> FloatArray | None:
         """Unit vectors (k, 3) along the samples' rays; None of a camera with depth."""
+        if self.ray is not None:
+            return self.ray
         return None if self.origin_m is None else directions(self.position, self.origin_m)
+
+    @property
+    def distance_m(self) -> FloatArray | None:
+        """How far the camera is from the samples (k,), m; None of a camera with depth."""
+        return None if self.origin_m is None else np.linalg.norm(self.position - self.origin_m, axis=1)
+
+    def linearised(self, at_node: FloatArray) -> JointMeasurements:
+        """The same about where the joint is at the samples' nodes (k, 3), m; as it is of one with depth."""
+        if self.origin_m is None:
+            return self
+        predicted = at_node + self.shift
+        position, sigma_m, ray = linearised(self.position, self.sigma_m, self.origin_m, predicted)
+        return replace(self, position=position, sigma_m=sigma_m, ray=ray)
 
     @property
     def key(self) -> str:
@@ -150,6 +168,8 @@ class ShoulderMeasurements:
         Initial value in {K}.
     root_information : ndarray, shape (k, 3, 3), 1/m, optional
         Square root of each knot's information where a camera sees no depth; `sigma_m` is enough where None.
+    samples : KnotSamples, optional
+        What these were made of, where a camera sees no depth.
     """
 
     node: IntArray
@@ -157,6 +177,57 @@ class ShoulderMeasurements:
     sigma_m: FloatArray
     start: FloatArray
     root_information: FloatArray | None = None
+    samples: KnotSamples | None = None
+
+    def linearised(self, knots: FloatArray) -> ShoulderMeasurements:
+        """The same about where the knots (k, 3) m are now; as it is where all cameras see depth."""
+        if self.samples is None:
+            return self
+        position, sigma_m, roots = self.samples.of_knots(knots)
+        return replace(self, position=position, sigma_m=sigma_m, root_information=roots)
+
+
+@dataclass(frozen=True)
+class KnotSamples:
+    """Samples of the shoulder by knot, some of them of cameras without depth.
+
+    Attributes
+    ----------
+    knot : ndarray of int, shape (f,)
+        That each belongs to.
+    position : ndarray, shape (f, 3), m
+    sigma_m : ndarray, shape (f,), m
+        Noise per axis; on rays at the distance `rays.AT_M`.
+    origin_m : ndarray, shape (f, 3), m
+        Where rays begin; nan of cameras with depth.
+    along_m : float, m
+        What a sample says along its ray.
+    """
+
+    knot: IntArray
+    position: FloatArray
+    sigma_m: FloatArray
+    origin_m: FloatArray
+    along_m: float = SHOULDER_ALONG_M
+
+    def of_knots(self, knots: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mean (k, 3) m, sigma (k,) m and square root of information (k, 3, 3) 1/m, the knots being there."""
+        count, flat = len(knots), of_rays(self.origin_m, len(self.knot))
+        position, root = self.position.copy(), np.eye(3) / self.sigma_m[:, None, None]
+        position[flat], sigma, ray = linearised(
+            self.position[flat], self.sigma_m[flat], self.origin_m[flat], knots[self.knot[flat]]
+        )
+        root[flat] = squashed(ray, sigma, self.along_m)
+        each = root @ root
+        information, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
+        np.add.at(information, self.knot, each)
+        np.add.at(vector, self.knot, np.einsum("nij,nj->ni", each, position))
+        seen = np.bincount(self.knot, minlength=count) > 0
+        mean, roots, sigmas = np.full((count, 3), np.nan), np.zeros((count, 3, 3)), np.full(count, np.nan)
+        mean[seen] = np.linalg.solve(information[seen], vector[seen][..., None])[..., 0]
+        roots[seen] = np.swapaxes(np.linalg.cholesky(information[seen]), 1, 2)
+        sigmas[seen] = np.sqrt(3.0 / np.trace(information[seen], axis1=1, axis2=2))
+        return mean, sigmas, roots
 
 
 @dataclass(frozen=True)
@@ -299,6 +370,8 @@ class Window:
         A magnetometer's directions where there is a calibrated one.
     considered : Considered or None
         Constant errors that widen the covariance.
+    alone : bool
+        There is one camera, and it has no depth.
     """
 
     index: int
@@ -314,6 +387,7 @@ class Window:
     gravity_magnitude: float
     field: FieldMeasurements | None = None
     considered: Considered | None = None
+    alone: bool = False
 
     @property
     def forearm(self) -> SegmentRun:
@@ -333,3 +407,51 @@ class Window:
     def runs(self, segment: str) -> tuple[SegmentRun, ...]:
         """What there is of the IMU on a segment."""
         return tuple(run for run in self.bodies if run.segment == segment)
+
+    @property
+    def has_rays(self) -> bool:
+        """A camera without depth saw something."""
+        flat = any(each.origin_m is not None for each in self.joint_measurements)
+        return flat or (self.shoulder is not None and self.shoulder.samples is not None)
+
+    @property
+    def lone_rays(self) -> bool:
+        """One camera without depth saw all: only motion and the limbs' lengths show how far away it is."""
+        joints, layout = self.joint_measurements, self.priors.layout
+        return (
+            self.alone
+            and {"elbow", "wrist"} <= set(layout.joints)
+            and bool(joints)
+            and all(each.origin_m is not None for each in joints)
+        )
+
+    def linearised(self, joints: Mapping[str, FloatArray]) -> Window:
+        """The same with what cameras without depth saw linearised about the joints (`joints_at_start`)."""
+        if not self.has_rays:
+            return self
+        return replace(
+            self,
+            joint_measurements=tuple(each.linearised(joints[each.key]) for each in self.joint_measurements),
+            shoulder=None if self.shoulder is None else self.shoulder.linearised(joints["shoulder"]),
+        )
+
+
+def joints_at_start(window: Window) -> dict[str, FloatArray]:
+    """Where start values have the joints, m: at the samples' nodes by key, the shoulder at its knots.
+
+    Empty where all cameras see depth: nobody asks.
+    """
+    joints: dict[str, FloatArray] = {}
+    if not window.has_rays:
+        return joints
+    layout, mean = window.priors.layout, window.priors.shared.mean
+    for measured in window.joint_measurements:
+        rows = layout.lever_of_sample(measured.joint, measured.segment)
+        lever = np.zeros(3) if rows is None else mean[rows]
+        place = np.full((len(window.t), 3), np.nan)
+        for run in window.runs(measured.segment):
+            place[run.nodes] = run.start.p + run.start.R @ lever
+        joints[measured.key] = place[measured.node]
+    if window.shoulder is not None:
+        joints["shoulder"] = window.shoulder.start
+    return joints

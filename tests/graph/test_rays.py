@@ -13,7 +13,7 @@ from smoother.graph.build import bias_of_intervals, build
 from smoother.graph.error_columns import camera_rows
 from smoother.graph.factors import robust_across
 from smoother.graph.linear_system import Jacobian
-from smoother.measurements.rays import ALONG_M, across, directions, squashed
+from smoother.measurements.rays import ALONG_M, AT_M, across, directions, linearised, squashed
 from smoother.window.problem import Window
 
 ORIGIN = np.array([0.4, -0.2, -1.7])
@@ -100,3 +100,37 @@ def test_residuals_across_rays_leave_cameras_with_depth_alone() -> None:
             ray = position[row, joint] - origin[row]
             assert seen[row, joint] @ ray == pytest.approx(0.0, abs=1e-12)
             np.testing.assert_allclose(np.cross(seen[row, joint], ray), np.cross(residual[row, joint], ray))
+
+
+def facing(point: np.ndarray) -> gtsam.Pose3:
+    """A camera in the origin that looks at a point."""
+    z = point / np.linalg.norm(point)
+    x = np.cross([0.0, 1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return gtsam.Pose3(gtsam.Rot3(np.stack([x, np.cross(z, x), z], axis=1)), np.zeros(3))
+
+
+def test_linearised_keypoints_have_the_gradient_of_gtsams_reprojection_factor() -> None:
+    """Anywhere in the image, the measured ray elsewhere than the joint: residual and derivative are exact."""
+    focal, sigma_px = 900.0, 3.0
+    lens = gtsam.Cal3_S2(focal, focal, 0.0, 0.0, 0.0)
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        point = np.array([*rng.uniform(-1.0, 1.0, 2), rng.uniform(1.0, 4.0)])
+        camera, pixel = facing(point), rng.normal(scale=40.0, size=2)
+        values = gtsam.Values()
+        values.insert(0, camera)
+        values.insert(1, point)
+        reprojection = gtsam.GenericProjectionFactorCal3_S2(
+            pixel, gtsam.noiseModel.Isotropic.Sigma(2, sigma_px), 0, 1, lens
+        )
+        A, b = reprojection.linearize(values).jacobian()
+        ray = camera.rotation().matrix() @ np.append(pixel / focal, 1.0)
+        on_ray = rng.uniform(0.3, 5.0) * ray[None]  # any point of it
+        at_2_m = np.array([AT_M * sigma_px / focal])
+        position, sigma_m, to_joint = linearised(on_ray, at_2_m, np.zeros(3), point[None])
+        own = gtsam.PriorFactorPoint3(1, position[0], robust_across(squashed(to_joint, sigma_m)[0], 1e6))
+        ours, rhs = own.linearize(values).jacobian()
+        weak = 2.0 * 4.2 / ALONG_M**2  # of the sample's own along its ray
+        np.testing.assert_allclose(ours.T @ ours, A[:, -3:].T @ A[:, -3:], rtol=1e-9, atol=weak)
+        np.testing.assert_allclose(ours.T @ rhs, A[:, -3:].T @ b, rtol=1e-6, atol=weak)

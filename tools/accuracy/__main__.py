@@ -12,6 +12,7 @@ import sys
 from tools.accuracy import (
     angles,
     calibrations,
+    cameras,
     live,
     measures,
     more_imus,
@@ -21,7 +22,7 @@ from tools.accuracy import (
     uncertainty,
 )
 
-MODULES = (recordings, more_imus, angles, uncertainty, measures, live, calibrations, panel, pairing)
+MODULES = (recordings, more_imus, cameras, angles, uncertainty, measures, live, calibrations, panel, pairing)
 #: Every check by name.
 CHECKS = {check.name: check for module in MODULES for check in module.CHECKS}
 

@@ -1,7 +1,6 @@
-"""More sensors than one camera and the IMU on the wrist, on the same simulated arms with them and without.
+"""More IMUs than the one on the wrist, on the same simulated arms with them and without.
 
 On the upper arm: `short` and `arm --imus 2`. On the trunk, for shoulder angles relative to it: `trunk`.
-Several depth cameras: `cameras`.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from smoother.evaluation.validate import sample_errors
 from smoother.joint_angles import wrapped_deg
 from smoother.measurements.visibility import Gap
 from smoother.recording import Recording
-from smoother.result import CameraEstimate, Recovery
+from smoother.result import Recovery
 from smoother.result.segment_motion import SegmentMotion, TrunkMotion
 from smoother.shoulder_angles import SHOULDER_ANGLES, TRUNK_ANGLES, shoulder_angles, trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
@@ -315,95 +314,6 @@ def _angles(recovery: Recovery, made: SimulatedArm) -> dict[str, np.ndarray]:
     return out
 
 
-@dataclass(frozen=True)
-class WristErrors:
-    """Errors of a recovery's wrist at some samples: distances (n,) m and squared sigmas / 3 (n,)."""
-
-    distance_m: np.ndarray
-    nees: np.ndarray
-
-    @classmethod
-    def of(cls, recovery: Recovery, simulated: SimulatedArm, mask: np.ndarray) -> WristErrors:
-        """Against the truth, where there is an answer."""
-        truth = simulated.recording.truth
-        assert truth is not None
-        error = (recovery.joints["wrist"] - truth.joints["wrist"])[mask]
-        covariance = recovery.joint_covariance["wrist"][mask]
-        known = np.isfinite(error).all(axis=1)
-        error, covariance = error[known], covariance[known]
-        squared = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
-        return cls(np.linalg.norm(error, axis=1), squared / 3.0)
-
-
-def placing_error(found: CameraEstimate, simulated: SimulatedArm) -> tuple[float, float, float]:
-    """Degrees, cm where the arm is, ms of the clock."""
-    true = simulated.parameters["cameras"][found.name]
-    R = np.array(found.R_K_C)
-    turned = np.linalg.norm(Rotation.from_matrix(R @ true["R_K_C"].T).as_rotvec())
-    truth = simulated.recording.truth
-    assert truth is not None
-    arm = np.median(truth.position, axis=0)
-    there = R @ true["R_K_C"].T @ (arm - true["p_K_C_m"]) + np.array(found.p_K_C_m)
-    late = (found.offset_s or 0.0) - true["offset_s"]
-    return float(np.degrees(turned)), 100 * float(np.linalg.norm(there - arm)), 1000 * late
-
-
-def compare_cameras(options: argparse.Namespace) -> Iterator[str]:
-    """The wrist's error in the first camera's gaps, with it alone and with further ones; nothing calibrated.
-
-    `blind`: no camera sees the forearm; `helped`: a further one does. Then how well they were placed.
-    """
-    settings = {
-        "protocol": "random",
-        "duration_s": 60.0,
-        "cameras": tuple(options.angles),
-        "camera_clock_s": 0.35,
-    } | changes(options)
-    kinds = ("gaps", "helped", "blind", "visible")
-    found: dict[tuple[str, int], list[WristErrors]] = {}
-    placed: list[tuple[float, float, float]] = []
-    spent = [0.0, 0.0]
-    for seed in options.seeds:
-        simulated = simulate_arm(ArmSimulation.preset(options.preset, **settings), seed=seed)
-        whole = replace(simulated.recording, truth=None)
-        answers = []
-        for number, recording in enumerate((replace(whole, cameras=()), whole)):
-            began = time.monotonic()
-            answers.append(smooth(recording, processes=1))
-            spent[number] += time.monotonic() - began
-        one, several = answers
-        masks = {
-            "gaps": one.occluded,
-            "helped": one.occluded & ~several.occluded,
-            "blind": one.occluded & several.occluded,
-            "visible": ~one.occluded,
-        }
-        for kind in kinds:
-            for number, recovery in enumerate(answers):
-                found.setdefault((kind, number), []).append(WristErrors.of(recovery, simulated, masks[kind]))
-        used = [camera for camera in several.estimates.cameras[1:] if camera.takes_part]
-        placed += [placing_error(camera, simulated) for camera in used]
-        if len(used) < len(options.angles):
-            yield f"  seed {seed}: {'; '.join(several.estimates.cautions)}"
-    yield (
-        f"preset {options.preset}, further cameras at {', '.join(f'{a:g}' for a in options.angles)} degrees,"
-        f" {changes(options)}, seeds {options.seeds.start} to {options.seeds.stop - 1}"
-    )
-    yield "  where     one, cm   several, cm   ratio   NEES one   NEES several"
-    for kind in kinds:
-        cm = [100 * rms(np.concatenate([each.distance_m for each in found[kind, n]])) for n in (0, 1)]
-        nees = [float(np.mean(np.concatenate([each.nees for each in found[kind, n]]))) for n in (0, 1)]
-        yield (f"  {kind:8} {cm[0]:8.2f} {cm[1]:13.2f} {cm[1] / cm[0]:7.2f} {nees[0]:10.2f} {nees[1]:14.2f}")
-    if placed:
-        worst = np.abs(np.array(placed))
-        words = [
-            f"{name} {np.median(worst[:, k]):.2f} ({worst[:, k].max():.2f})"
-            for k, name in enumerate(("degrees", "cm", "ms"))
-        ]
-        yield f"  placed to, median (largest): {', '.join(words)}"
-    yield f"  time {spent[1] / spent[0]:.2f} of one camera's"
-
-
 CHECKS = (
     Check(
         "short",
@@ -417,14 +327,4 @@ CHECKS = (
         ),
     ),
     Check("trunk", compare_trunk, (preset_option("realistic"), CHANGES, seeds_option("3"))),
-    Check(
-        "cameras",
-        compare_cameras,
-        (
-            preset_option("realistic"),
-            option("--angles", type=float, nargs="+", default=[75.0], help="of the further cameras, degrees"),
-            seeds_option("5000:5008"),
-            CHANGES,
-        ),
-    ),
 )

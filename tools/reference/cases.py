@@ -70,6 +70,7 @@ _SIMULATED = {
     "upper-arm IMU": "--preset realistic --protocol random --duration-s 20 --seed 9 --imus wrist,upper-arm",
     "trunk IMU": "--preset realistic --protocol random --duration-s 20 --seed 10"
     " --imus wrist,upper-arm,trunk",
+    "one camera without depth": "--preset realistic --protocol random --duration-s 30 --seed 20 --rgb all",
     "both arms": "--preset realistic --protocol random --duration-s 16 --seed 11 --arms both",
 }
 _EACH = """
