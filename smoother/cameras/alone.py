@@ -309,9 +309,8 @@ def _refined(block: RayBlock, one: Hypothesis, down: FloatArray, with_mounting: 
         scale = max(float(np.median(np.abs(r[:frames]))) * 1.48, 1.0)
         weight[:frames] = 1.0 / (1.0 + (r[:frames] / (2.0 * scale)) ** 2) / scale**2
         normal = J.T @ (weight[:, None] * J)
-        x: FloatArray = -np.linalg.solve(
-            normal + damping * np.diag(np.diag(normal)) + 1e-9 * np.eye(size), J.T @ (weight * r)
-        )
+        damped = normal + damping * np.diag(np.diag(normal)) + 1e-9 * np.eye(size)
+        x = np.asarray(-np.linalg.solve(damped, J.T @ (weight * r)), float)
         x[:3] *= min(1.0, 0.4 / max(float(np.linalg.norm(x[:3])), 1e-12))
         if with_mounting:
             x[3:5] *= min(1.0, 0.4 / max(float(np.linalg.norm(x[3:5])), 1e-12))

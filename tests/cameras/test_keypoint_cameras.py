@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from smoother.cameras import join_cameras
 from smoother.cameras.keypoint_places import clock_of_known_place, placed_keypoints
 from smoother.cameras.lifting import depth_by_rays
 from smoother.cameras.rig import RelativeClock
+from smoother.cli.run import run
 from smoother.errors import SolveError
 from smoother.recording import JOINTS, CameraPose
 from smoother.result import Recovery
@@ -169,3 +172,22 @@ def test_start_depths_are_those_of_the_forearm_that_was_assumed() -> None:
     for joint in ("elbow", "wrist"):
         there = np.interp(t, truth.t_s, truth.joints[joint][:, 2])
         assert np.nanmedian(started.arm.joint(joint)[:, 2] / there) == pytest.approx(1.1, abs=0.06)
+
+
+def test_the_command_recovers_one_camera_without_depth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording, recovered = str(tmp_path / "a.mcap"), str(tmp_path / "out.mcap")
+    settings = "--preset realistic --protocol random --duration-s 30 --rgb all --seed 945"
+    assert run(["simulate", "arm", "-o", recording, *settings.split()]) == 0
+    height = ["--body-height", "1.75", "--processes", "1", "--draws", "0"]
+    assert run(["smooth", recording, "-o", recovered, *height]) == 0
+    assert "Usable" in capsys.readouterr().out
+    figures = tmp_path / "v.json"
+    assert run(["validate", recovered, "--truth", recording, "--json", str(figures)]) == 0
+    occluded = json.loads(figures.read_text())["occluded"]
+    # a minute of other arms: 1.2 to 3.3 cm
+    assert occluded["joint_rms_m"]["wrist"] < 0.05
+    assert occluded["coverage_95"] > 0.8
+    assert occluded["nees"] < 2.0
+    assert run(["smooth", recording, "-o", recovered, "--force", "--body-height", "175"]) == 2

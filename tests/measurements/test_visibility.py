@@ -223,10 +223,15 @@ def test_info_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         assert ("not ready for `unocclude smooth`" in printed) is not ready
 
 
-def test_one_camera_without_depth_is_not_enough_and_two_are() -> None:
+def test_what_one_camera_without_depth_leaves_open_is_said() -> None:
     settings = {"protocol": "random", "duration_s": 20.0, "rgb": "all", "cameras": (75.0,)}
     recording = simulate_arm(ArmSimulation.preset("realistic", **settings), 5).recording
     both, alone = allowance(recording), allowance(replace(recording, cameras=()))
     assert both.ready
-    assert not alone.ready
-    assert "one camera without depth do not show how far away the arm is" in alone.sentence
+    assert "one camera without depth" not in both.sentence
+    assert alone.ready
+    assert "one camera without depth: how far away the arm is shows" in alone.sentence
+    nowhere = tuple(replace(camera, pose=None) for camera in recording.cameras)
+    assert "do not show how far away the arm is" in allowance(replace(recording, cameras=nowhere)).sentence
+    elbow_alone = replace(recording.arm.hide(np.ones(len(recording.arm), bool), ("wrist", "hand")))
+    assert not allowance(replace(recording, arm=elbow_alone, cameras=())).ready

@@ -106,6 +106,11 @@ simulate arm -o a.mcap --calibration-out cal.toml --preset realistic --protocol 
 --duration-s 15 --seed 14
 live --replay a.mcap --speed 0 --calibration cal.toml --record live.mcap --json live.json
 """
+_LIVE_BOTH = """
+simulate arm -o a.mcap --arms both --imus wrist,upper-arm --preset realistic --protocol random \
+--duration-s 12 --seed 14
+live --replay a.mcap --arms both --speed 0 --record live.mcap --json live.json
+"""
 _LIVE_COMPARED = """
 simulate arm -o a.mcap --calibration-out cal.toml --preset realistic --protocol random \
 --duration-s 15 --seed 14
@@ -202,6 +207,7 @@ GROUPS: tuple[Group, ...] = (
     ),
     *(Group(name, _EACH.format(options=options)) for name, options in _SIMULATED.items()),
     Group("live replay", _LIVE),
+    Group("live with both arms", _LIVE_BOTH),
     Group("live compared", _LIVE_COMPARED),
     Group("demo, gaps", _DEMO_GAPS),
     Group("wrong set-up", _WRONG),
