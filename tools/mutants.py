@@ -72,6 +72,11 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         _ALONE,
         "tests/graph/test_lag_window.py",
     ),
+    "smoother/graph/lag_factors.py": (
+        "tests/graph/test_lag_window.py",
+        "tests/live/test_further_imus.py",
+    ),
+    "smoother/graph/scale.py": ("tests/graph/test_scale.py",),
     "smoother/graph/lag_window.py": (
         "tests/graph/test_lag_window.py",
         "tests/live/test_live_smoother.py",

@@ -51,14 +51,14 @@ class Move:
     def sentence(self, first: str) -> str:
         """What is said of the camera; `first` is the other one's name."""
         return (
-            f"from about {self.t_s:.0f} s on it stands {100 * self.shifted_m:.0f} cm and"
-            f" {np.degrees(self.turned_rad):.0f} degrees from where it stood before, against {first}: one of"
+            f"from about {self.t_s:.0f} s on it is {100 * self.shifted_m:.0f} cm and"
+            f" {np.degrees(self.turned_rad):.0f} degrees from its earlier place, relative to {first}: one of"
             " the two was moved; cut the recording there"
         )
 
 
 def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first: str) -> str:
-    """Why a camera cannot take part, in words; "" where it can.
+    """Why a camera cannot be used, in words; "" where it can.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first:
         return min(moves, key=lambda each: each.misfit_m).sentence(first)
     if best.misfit_m > OTHER_M and best.misfit_m > OTHER_SHARE * best.spread_m:
         return (
-            f"its joints are {100 * best.misfit_m:.0f} cm from {first}'s wherever it stands, and whatever"
-            " its clock: it saw another person or the other arm, or is of another session"
+            f"its joints are {100 * best.misfit_m:.0f} cm from {first}'s for any pose and clock: it saw"
+            " another person or the other arm, or is of another session"
         )
     return ""
 
@@ -212,6 +212,6 @@ def moved_from(found: CameraPose, known: CameraPose, points: FloatArray) -> str:
     if turned < turned_most and shifted_m < shifted_most:
         return ""
     return (
-        f"stands {100 * shifted_m:.0f} cm and {np.degrees(turned):.0f} degrees from its calibrated place: it"
+        f"is {100 * shifted_m:.0f} cm and {np.degrees(turned):.0f} degrees from its calibrated place: it"
         " was moved since, and that place was not used; run `calibrate cameras` again"
     )

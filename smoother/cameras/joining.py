@@ -231,7 +231,7 @@ def _by_rays(camera: Camera, first: JointTracks) -> RigCamera:
     if misfit_m > RAYS_M:
         reason = (
             f"its rays pass {FIRST_CAMERA}'s by {100 * misfit_m:.0f} cm, whatever its clock: it was moved"
-            " since the calibration, is mirrored, or saw somebody else"
+            " since the calibration, is mirrored, or saw another person"
         )
     together_s = overlap(first, camera.arm, clock).length_s
     return RigCamera(camera.name, camera.pose, clock, misfit_m=misfit_m, together_s=together_s, reason=reason)

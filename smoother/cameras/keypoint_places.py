@@ -99,8 +99,8 @@ def placed_keypoints(camera: Camera, first: JointTracks, name: str) -> RigCamera
         reason = min(moves, key=lambda each: each.misfit_m).sentence(name)
     elif best.misfit_m > OTHER_M:
         reason = (
-            f"its rays pass {name}'s joints by {100 * best.misfit_m:.0f} cm wherever it stands, and whatever"
-            " its clock: it saw another person or the other arm, is mirrored, was moved, or its lens is wrong"
+            f"its rays pass {name}'s joints by {100 * best.misfit_m:.0f} cm for any pose and clock: it saw"
+            " another person or the other arm, is mirrored, was moved, or its lens is wrong"
         )
     return RigCamera(camera.name, pose, clock, misfit_m=best.misfit_m, together_s=length_s, reason=reason)
 

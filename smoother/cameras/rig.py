@@ -59,9 +59,9 @@ class RigCamera:
     together_s : float, s
         Time during which both saw some part of the arm.
     reason : str
-        Why it was left out; "" where it takes part.
+        Why it was left out; "" where it is used.
     note : str
-        What is to be known of one that takes part, after its name.
+        What is to be known of one that is used, after its name.
     """
 
     name: str
@@ -101,7 +101,7 @@ class CameraRig:
 
     @property
     def used(self) -> tuple[RigCamera, ...]:
-        """Those that take part; a joined frame's `camera` counts them."""
+        """Those that are used; a joined frame's `camera` counts them."""
         return tuple(camera for camera in self.cameras if camera.takes_part)
 
     @property

@@ -317,7 +317,7 @@ def keep(
     if (worst := max(row.factor for row in factors)) > LARGEST_FACTOR:
         raise CalibrationError(
             f"{path} was not written: sigma has to be multiplied by {worst:.0f}, so it is not sigma"
-            " that is wrong; look whether clock, axes and mounting are right"
+            " that is wrong; check clock, axes and mounting"
         )
     digits = ("factor", "factor_50", "factor_95", "level")
     rows = [

@@ -47,7 +47,7 @@ PARENT_TIE_M = 0.005
 TISSUE_S = 1.0
 #: A bias variable for about this long, s: one for a recording is too stiff to follow scale errors.
 BIAS_LENGTH_S = 4.0
-#: A window has no more of them: they take part in every step of the solution. In gaps of minutes, where alone
+#: A window has no more of them: they are used in every step of the solution. In gaps of minutes, where alone
 #: windows are that long, the arm's reach says more than the integrated IMU.
 MOST_BIASES = 24
 

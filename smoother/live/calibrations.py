@@ -117,9 +117,7 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
             reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, Timeline.of(recording))
         ]
         if not excerpts:
-            return LiveCalibration(
-                np.nan, np.nan, reason="the IMU and a visible forearm have not come together yet"
-            )
+            return LiveCalibration(np.nan, np.nan, reason="the IMU and a visible forearm do not overlap yet")
         config = with_measured_noise(job.config, recording.imu)
         with Pool(1, 0) as here:
             further, left_out = calibrate_further_imus(recording, job.given, config, here)
@@ -129,7 +127,7 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
         return LiveCalibration(np.nan, np.nan, reason=str(error))
     if model.mounting_unknown:
         return LiveCalibration(
-            np.nan, np.nan, reason="the arm has to move more: how the IMU sits does not show yet"
+            np.nan, np.nan, reason="the arm has to move more: the IMU's mounting is not determined yet"
         )
     if not model.joint_sigma_m.max() < LARGEST_SIGMA_M:
         return LiveCalibration(

@@ -102,7 +102,9 @@ class LiveFurtherImu:
             because = (*because, "it contradicts the rest of the arm")
         name, notes = f"the IMU on the {self.segment.label}", []
         if bool(because) != bool(self._because):
-            notes.append(f"{name} is left out: {'; '.join(because)}" if because else f"{name} is sound again")
+            notes.append(
+                f"{name} is left out: {'; '.join(because)}" if because else f"{name} is plausible again"
+            )
         has_stopped = now_s - self.buffer.end_s > STOPPED_S
         if has_stopped != self._has_stopped:
             notes.append(f"{name} is left out: it has stopped" if has_stopped else f"{name} is back")

@@ -82,7 +82,7 @@ class Finding:
     Attributes
     ----------
     accepted : ndarray of bool, shape (5,)
-        Joints that take part.
+        Joints that are used.
     cause : Culprit
         New with this frame; `NOBODY` while nothing changes.
     sentence : str
@@ -242,7 +242,7 @@ class CameraMonitor:
     Attributes
     ----------
     since_s : float or None, s
-        Since when the camera is left out; None where it takes part.
+        Since when the camera is left out; None where it is used.
     sound_since_s : float, s
         Since when nothing contradicts.
     """
@@ -279,7 +279,7 @@ class CameraMonitor:
         solution: LagSolution | None,
         signal_since: Callable[[float], DoubtfulSignal],
     ) -> Finding:
-        """Which joints of a frame take part, and whether something is wrong.
+        """Which joints of a frame are used, and whether something is wrong.
 
         Parameters
         ----------
@@ -325,7 +325,7 @@ class CameraMonitor:
             if after_gap or self._jumps(now):
                 self._limit_s = LONGEST_AFTER_GAP_S if after_gap else LONGEST_S
                 self._jump_m = float(np.linalg.norm(now.residual, axis=1).mean())
-                return self._left_out(t_s, "it jumped away from where the IMU leads", np.inf)
+                return self._left_out(t_s, "it jumped away from the IMU's prediction", np.inf)
             return self._imu_wrong(t_s, t_s - DOUBT_BEFORE_S, accepted)
         if before is not None and first is not None:
             self._bad = self._bad + 1 if _mean_squared(before) > CONTRADICTS_BEFORE else 0
@@ -426,7 +426,9 @@ class CameraMonitor:
         self._doubted_until_s = t_s + self._doubt_s
         self._solutions.clear()
         self._bad, self.sound_since_s = 0, np.inf
-        sentence = "" if again else "the IMU does not fit the camera's motion; the camera leads meanwhile"
+        sentence = (
+            "" if again else "the IMU does not fit the camera's motion; the camera is followed meanwhile"
+        )
         return Finding(accepted, Culprit.IMU, sentence, doubt_s=(since_s, self._doubted_until_s), again=again)
 
     def _contradicted(self, t_s: float, first: LagSolution, accepted: BoolArray) -> Finding:
@@ -481,8 +483,8 @@ def _rests(first: _Seen, before: JointResiduals, last: _Seen, after: JointResidu
     return max(moved) > MOVED_M and max(seen) < max(RESTS_SHARE * max(moved), 0.02)
 
 
-_RESTS = "its joints rest while the IMU moves"
-_ANEW = "camera and answer contradict each other, and which is wrong does not show: the smoother begins anew"
+_RESTS = "its joints are frozen while the IMU moves"
+_ANEW = "camera and solution contradict each other, and it is unclear which is wrong: the smoother restarts"
 
 
 def _mean_squared(residuals: JointResiduals) -> float:

@@ -49,7 +49,7 @@ class LiveSmoother:
     side : {"left", "right", ""}
         Which arm.
     calibration : ArmCalibration, optional
-        What is known beforehand; what it lacks is solved from the first seconds.
+        What is known beforehand; what is missing is estimated from the first seconds.
     config : Config, optional
         Settings, as of `smooth`.
     lag_s : float, s
@@ -220,12 +220,14 @@ class LiveSmoother:
         self._calibrations.close()
 
     def _check_imu(self) -> None:
-        """Look at what came of the IMU; say once what is wrong with it, and when it is sound again."""
+        """Look at what came of the IMU; say once what is wrong with it, and when it is plausible again."""
         self._imu_changed(self._imu.check() if len(self._imu) else None)
         because = self._imu.doubtful_because
-        self._notes += [f"{why}; the camera leads meanwhile" for why in because if why not in self._because]
+        self._notes += [
+            f"{why}; the camera is followed meanwhile" for why in because if why not in self._because
+        ]
         if self._because and not because:
-            self._notes.append("the IMU is sound again")
+            self._notes.append("the IMU is plausible again")
         self._because = because
 
     # 1. The calibration
@@ -250,7 +252,7 @@ class LiveSmoother:
             self._late, self._changed_s = [], None
             return
         if tracker.pause_s() > LONGEST_PAUSE_S:
-            self._lose("the IMU's samples paused: the smoother begins anew")
+            self._lose("the IMU's samples paused: the smoother restarts")
             return
         solved, changed = tracker.solution, self._mend(tracker)
         ready = self._ready(tracker)
@@ -266,7 +268,7 @@ class LiveSmoother:
         try:
             tracker.solve(now_s - self._lag_s)
         except (np.linalg.LinAlgError, RuntimeError):
-            self._lose("the last moments did not determine the motion: the smoother begins anew")
+            self._lose("the last moments did not determine the motion: the smoother restarts")
             return
         if ended_s is not None and solved is not None:
             self._display.spread(predicted(tracker, solved, now_s), tracker, now_s)

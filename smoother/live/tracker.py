@@ -213,7 +213,7 @@ class Tracker:
         return ended
 
     def _judged(self, stamp_s: float, t_s: float, position: FloatArray, accepted: BoolArray) -> BoolArray:
-        """Which of a frame's accepted joints take part; what the monitor finds is noted, and taken back."""
+        """Which of a frame's accepted joints are used; what the monitor finds is noted, and taken back."""
         finding = self.monitor.judge(t_s, position, accepted, self.solution, self.signal.since)
         if finding.cause is not Culprit.NOBODY or finding.sentence:
             self.findings.append(finding)
@@ -296,7 +296,7 @@ class Tracker:
         return self.signal.pause_s(self.t_s)
 
     def accepted(self, frame: SkeletonFrame) -> BoolArray:
-        """Which joints of a frame may take part, (5,)."""
+        """Which joints of a frame may be used, (5,)."""
         return np.asarray((frame.state == JointState.TRACKED) & np.isfinite(frame.position).all(axis=1))
 
     def is_visible(self, accepted: BoolArray) -> bool:

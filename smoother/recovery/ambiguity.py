@@ -72,7 +72,7 @@ def with_ambiguities(
     if any(each.is_mirrored and each.cost < -CLEARLY and each.direction_rad < FITS_RAD for each in others):
         axis = _level_axis(recording)
         remedies = (Remedy(mirror=axis), Remedy(negate=("accelerometer",)))
-        mistake = f"the skeleton seems mirrored ({axis}), or the accelerometer's sign seems turned"
+        mistake = f"the skeleton seems mirrored ({axis}), or the accelerometer's sign seems reversed"
         return distrusted(recovery, fixed_by(mistake, remedies, recording.applied_fixes))
     if not is_trusted:
         return recovery

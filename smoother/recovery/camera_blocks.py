@@ -111,7 +111,7 @@ class Solved:
     excluded: Excluded | None = None
 
     def paired(self, pairing: Pairing | None, recording: Recording, given: Clock | None) -> Pairing | None:
-        """The pairing by what takes part: without what the camera alone shows to be wrong, and a few blocks.
+        """The pairing by what is used: without what the camera alone shows to be wrong, and a few blocks.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class Excluded:
 
     @classmethod
     def nothing(cls, recording: Recording) -> Excluded:
-        """All samples take part."""
+        """All samples are used."""
         return cls(np.zeros(recording.arm.state.shape, bool))
 
     def __eq__(self, other: object) -> bool:
@@ -336,7 +336,7 @@ def _visible_runs(t: FloatArray, seen: BoolArray) -> list[slice]:
 
 
 def readmitted(excluded: Excluded, recovery: Recovery, recording: Recording) -> Excluded:
-    """What is still left out once the slices that the answer without them predicts take part again.
+    """What is still left out once the slices that the answer without them predicts are used again.
 
     Parameters
     ----------

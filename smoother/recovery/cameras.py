@@ -16,7 +16,7 @@ from ..result import CameraEstimate, Estimates, Recovery
 
 
 def names_of(rig: CameraRig | None, arm: JointTracks) -> tuple[str, ...]:
-    """The cameras that take part, in sentences; numbers where their frames came joined already."""
+    """The cameras that are used, in sentences; numbers where their frames came joined already."""
     if arm.camera is None:
         return ("the camera",)
     if rig is None:
@@ -85,7 +85,7 @@ def _estimate(
 
 
 def _seen(recovery: Recovery) -> list[tuple[tuple[float, float], ...]]:
-    """When each camera saw the forearm: from frame to frame that took part and follow each other."""
+    """When each camera saw the forearm: from frame to frame that were used and follow each other."""
     rows = recovery.arm.rows_by_camera
     if recovery.residuals is None:
         return [() for _ in rows]

@@ -67,8 +67,8 @@ def alternatives(recording: Recording) -> Iterator[Alternative]:
         remedy = Remedy(mirror=axis)
         if _in_front(recording, remedy):
             yield by_remedy(remedy, f"the skeleton seems mirrored ({axis})", "mirror")
-    yield by_remedy(Remedy(negate=("accelerometer",)), "the accelerometer's sign seems turned")
-    yield by_remedy(Remedy(negate=("gyroscope",)), "the gyroscope's sign seems turned")
+    yield by_remedy(Remedy(negate=("accelerometer",)), "the accelerometer's sign seems reversed")
+    yield by_remedy(Remedy(negate=("gyroscope",)), "the gyroscope's sign seems reversed")
     yield by_remedy(Remedy(negate=("accelerometer", "gyroscope")), "the sensor's axes seem left-handed")
     yield Alternative(
         "the gyroscope's rates seem 57 times too small (rad/s converted as if they were deg/s)",
@@ -76,7 +76,7 @@ def alternatives(recording: Recording) -> Iterator[Alternative]:
         'import them again as they are (gyroscope_unit = "rad/s")',
     )
     yield Alternative(
-        "the gyroscope's rates seem 57 times too large (deg/s called rad/s)",
+        "the gyroscope's rates seem 57 times too large (deg/s labelled rad/s)",
         lambda given: _turning(given, 1.0 / DEGREES),
         'import them again in their unit (gyroscope_unit = "deg/s")',
     )
@@ -244,9 +244,9 @@ def likeliest_cause(
     is_elsewhere = as_it_is.direction_deg > ELSEWHERE_DEG and as_it_is.acceleration_share > ELSEWHERE_SHARE
     if is_elsewhere and not any(input_faults(recording)):
         return Cause(
-            "the IMU does not turn with this forearm, and no mirroring, sign, unit or clock explains it: the"
-            " skeleton seems to be of the other arm or of another recording, or the IMU was worn elsewhere;"
-            " look at --side, --imu and the files"
+            "the IMU does not turn with this forearm, and no mirroring, sign, unit or clock explains it:"
+            " the skeleton seems to be of the other arm or of another recording, or the IMU was worn"
+            " elsewhere; check --side, --imu and the files"
         )
     return None
 
@@ -287,8 +287,8 @@ def _wrong_gravity(fit: ClosedForm, recording: Recording, down: FloatArray) -> C
     frames = frames_with_down(fit.down, recording, SAME_DOWN_DEG)
     if recording.gravity_hint is not None or not frames:
         return Cause(
-            "camera and IMU fit together, but not with the direction of gravity that the recording states;"
-            " look at how the camera stood"
+            "camera and IMU fit together, but not with the direction of gravity stated in the recording;"
+            " check the camera's orientation"
         )
     remedy = Remedy(camera_frame=frames[0])
     return Cause(

@@ -165,8 +165,8 @@ PUSHED_DEG, PUSHED_SIGMAS = 1.5, 4.0
 #: The least sigma of one such mean, degrees.
 MEAN_SIGMA_DEG = 0.4
 #: A turn of all that the camera sees about the vertical counts from here on, degrees, sigmas, and as a share
-#: of the whole turn that the gyroscope did not feel: sound simulated arms stay below 2 degrees, a camera that
-#: is turned by 15 shows 6 to 8.
+#: of the whole turn that the gyroscope did not measure: sound simulated arms stay below 2 degrees, a camera
+#: that is turned by 15 shows 6 to 8.
 TURNED_DEG, TURNED_SIGMAS, TURNED_SHARE = 4.5, 3.5, 0.7
 #: Fewer filled samples are not worth a word.
 FEW_FILLED = 5
@@ -214,8 +214,9 @@ def strap_slipped(jumps: FloatArray) -> Iterator[str]:
     usual_deg = float(np.median(elsewhere)) if len(elsewhere) >= FEW_ELSEWHERE else 0.0
     if angle_deg > max(JUMP_DEG, JUMP_TIMES_USUAL * usual_deg):
         yield (
-            f"at about {at_s:.0f} s the IMU's sense of down jumps by {angle_deg:.0f} degrees without a turn"
-            " that its gyroscope felt: the strap slipped, the sensor was taken off, or samples are missing"
+            f"at about {at_s:.0f} s the IMU's sense of down jumps by {angle_deg:.0f} degrees without a"
+            " rotation measured by its gyroscope: the strap slipped, the sensor was taken off, or samples"
+            " are missing"
         )
 
 
@@ -242,7 +243,7 @@ def gyroscope_left(drift: GyroscopeDrift, jumps: FloatArray) -> Iterator[str]:
         most = int(np.argmax(np.where(counts, drift.angle_deg / drift.sigma_deg, 0.0)))
         yield (
             f"at about {drift.at_s[most]:.0f} s the arm would have turned by {drift.angle_deg[most]:.0f}"
-            " degrees that the gyroscope did not feel: the strap slipped, the sensor was taken off, the"
+            " degrees that the gyroscope did not measure: the strap slipped, the sensor was taken off, the"
             " camera was moved, or samples are missing"
         )
 
@@ -328,8 +329,8 @@ def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[str]:
     sigmas, angle_deg, changed_s = best
     if angle_deg > PUSHED_DEG and sigmas > PUSHED_SIGMAS:
         yield (
-            f"from about {changed_s:.0f} s on, down points {angle_deg:.1f} degrees elsewhere in the camera's"
-            " frame: was the camera pushed, or the sensor turned on the arm?"
+            f"from about {changed_s:.0f} s on, down points {angle_deg:.1f} degrees in another direction of"
+            " the camera's frame: was the camera pushed, or the sensor turned on the arm?"
         )
 
 
@@ -351,7 +352,7 @@ def camera_turned(drift: GyroscopeDrift, down: FloatArray) -> Iterator[str]:
         most = int(np.argmax(np.where(counts, about_down, 0.0)))
         yield (
             f"at about {drift.at_s[most]:.0f} s all that the camera sees turns by {about_down[most]:.0f}"
-            " degrees or more about the vertical, which the IMU did not feel: the camera was moved, or the"
+            " degrees or more about the vertical, which the IMU did not measure: the camera was moved, or the"
             " sensor turned on the arm; positions before and after are not in one frame"
         )
 
@@ -396,8 +397,8 @@ def imu_lies_still(
                 start_s,
                 end_s,
                 (
-                    f"from {start_s:.1f} to {end_s:.1f} s the IMU lies still while the camera sees the"
-                    " forearm turn: it was taken off, or the skeleton is somebody else's",
+                    f"from {start_s:.1f} to {end_s:.1f} s the IMU is still while the camera sees the"
+                    " forearm turn: it was taken off, or the skeleton is another person's",
                 ),
             )
 
@@ -428,6 +429,6 @@ def skeleton_filled(recovery: Recovery) -> Iterator[str]:
     count = int(np.count_nonzero(recovery.residuals.reason == Rejection.INTERPOLATED))
     if count > FEW_FILLED:
         yield (
-            f"a program filled gaps of the skeleton and called them tracked ({count} samples lie on lines"
+            f"a program filled gaps of the skeleton and marked them as tracked ({count} samples lie on lines"
             " or cubics): treated as not seen; export the skeleton without filling and filtering"
         )

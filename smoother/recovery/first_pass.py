@@ -144,7 +144,7 @@ class SecondJob:
     ----------
     state : SectionState
     priors : list of Priors
-        One a window.
+        One per window.
     field : dict of int to FieldMeasurements
         What the magnetometer adds, by the window's number in the section.
     """
@@ -197,7 +197,7 @@ class FirstPass:
                 first._add(answer)
             progress(count / len(sections))
         if not first.messages:
-            raise SolveError(f"{sections.name}: too little of what the camera saw can be believed")
+            raise SolveError(f"{sections.name}: too few of the camera's samples are plausible")
         return first
 
     def _add(self, answer: FirstAnswer) -> None:
@@ -272,7 +272,7 @@ def magnetic_field(first: FirstPass, task: Task, workers: Pool) -> Magnetometer:
 def _section_means(
     section: tuple[SectionState, range], strength: float, task: Task
 ) -> tuple[SectionState, range, list[FieldMean]]:
-    """Where the magnetometer could take part in the second pass of a section."""
+    """Where the magnetometer could be used in the second pass of a section."""
     state, windows = section[0].without_outliers(task), section[1]
     prepared, margin_s = state.prepared, task.config.windows.margin_s
     means: list[FieldMean] = []

@@ -80,7 +80,7 @@ def zeros(imu: ImuStream) -> Iterator[str]:
     A gyroscope without any noise sends nothing either.
     """
     if len(imu) and not np.asarray(imu.gyro).any():
-        yield "the gyroscope sends zeros: look whether it is switched on and exported"
+        yield "the gyroscope sends zeros: check that it is switched on and exported"
     silent = [
         rows
         for rows in runs(np.asarray(~np.asarray(imu.acc).any(axis=1)))
@@ -203,7 +203,7 @@ def wrong_scale(scale: ForceScale | None) -> Iterator[str]:
     cause = f"as if its range were {factor:g} times as wide" if close else "its unit or its scale is wrong"
     yield (
         f"the accelerometer reads {scale.ratio * STANDARD_GRAVITY:.1f} m/s^2 where gravity alone acts (9.8):"
-        f" {cause}; look at the unit and range that it was exported with, or calibrate it"
+        f" {cause}; check the unit and range of the export, or calibrate it"
         " (`unocclude calibrate imu`)"
     )
 

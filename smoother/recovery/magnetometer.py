@@ -34,7 +34,7 @@ STRENGTH_ELSEWHERE = 0.35
 #: left out, as those whose direction is; and their neighbours, which the same magnet may have reached.
 FAR = 3.5
 LEAST_FAR = 0.03
-#: A mean takes part when this much of it is undisturbed.
+#: A mean is used when this much of it is undisturbed.
 SHARE_NEEDED = 0.8
 #: Where fewer of a mean's nodes have a sample there is no mean: samples that are missing are no iron.
 SAMPLES_NEEDED = 0.5
@@ -85,7 +85,7 @@ class Magnetometer:
     sigma_rad : float, rad
         Of a mean's direction.
     means, used : int
-        How many means of the field there are, and how many take part.
+        How many means of the field there are, and how many are used.
     note : str
         A sentence for the reader, "" where there is no calibrated magnetometer.
     by_window : dict of int to FieldMeasurements
@@ -171,7 +171,7 @@ def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer
 
 
 def judge(means: Sequence[FieldMean]) -> Magnetometer:
-    """Find the field's direction in {K}, and which means of it agree: they take part in the second pass.
+    """Find the field's direction in {K}, and which means of it agree: they are used in the second pass.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def judge(means: Sequence[FieldMean]) -> Magnetometer:
     calm = [mean for mean in means if mean.share >= SHARE_NEEDED]
     if len(means) < MEANS_NEEDED:
         return _without(
-            "the recording is too short, or has too few of its samples, to learn the field's direction"
+            "the recording is too short, or has too few of its samples, to estimate the field's direction"
         )
     if len(calm) < max(MEANS_SHARE * len(means), MEANS_NEEDED):
         return _without(_off(len(means) - len(calm), len(means), "strength"))

@@ -31,7 +31,7 @@ class SecondAnswer:
     answer : SectionAnswer
         At its samples.
     messages : list of Message
-        One a window.
+        One per window.
     unexplained : tuple of Gap
         Long gaps whose motion the model does not explain.
     check : SectionCheck

@@ -1,6 +1,6 @@
 """The self-check: visible stretches are hidden, recovered from the rest, and compared with what was seen.
 
-The stretches are as long and as fast as the recording's own gaps. What is hidden takes part in no window that
+The stretches are as long and as fast as the recording's own gaps. What is hidden is used in no window that
 answers for it; the arm's measures and the clock, which all of the recording shares, are those of the whole.
 """
 

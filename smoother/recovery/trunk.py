@@ -80,7 +80,7 @@ def _motion(
     if mount.line_sigma_rad > WRONG_LIMB_RAD:
         return None, (
             f"{name} was left out: the line of shoulders departs from its motion by"
-            f" {np.degrees(mount.line_sigma_rad):.0f} degrees; look whether it was on the trunk"
+            f" {np.degrees(mount.line_sigma_rad):.0f} degrees; check that it was on the trunk"
         )
     quaternion, covariance = store.array((len(recovery), 4)), store.array((len(recovery), 3, 3))
     for start in starts:

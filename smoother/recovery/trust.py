@@ -73,7 +73,7 @@ HAND_AT_ELBOW = SwappedJoints(
 )
 SENSOR_AT_ELBOW = SwappedJoints(
     ("elbow", "wrist"),
-    "elbow and wrist seem swapped: the sensor moves as if it sat near the joint called elbow",
+    "elbow and wrist seem swapped: the sensor moves as if it were near the joint named elbow",
 )
 HAND_BEFORE_WRIST = SwappedJoints(
     ("wrist", "hand"), "wrist and hand seem swapped: the hand is nearer to the elbow than the wrist is"
@@ -300,7 +300,7 @@ def _mirror_image(recording: Recording) -> Iterator[str]:
     if mirrored and "--negate accelerometer" in recording.applied_fixes:
         yield (
             f"{mirrored} and --negate accelerometer correct the same sign, and together they mirror the whole"
-            " motion, which nothing in a recording shows: give one of the two, or neither"
+            " motion, which no recording can show: give only one of the two, or neither"
         )
 
 
@@ -325,7 +325,9 @@ def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy, from_axis_m: float) -
         yield from _outside(length_m, sigma_m, FOREARM_M[anatomy], "elbow and wrist are")
         across = wrist.position_m - (wrist.position_m @ along) * along / length_m**2
         away_m = float(np.linalg.norm(across))
-        yield from _outside(away_m, sigma_m, (0.0, from_axis_m), "the IMU lies off the forearm's axis by")
+        yield from _outside(
+            away_m, sigma_m, (0.0, from_axis_m), "the IMU's distance from the forearm's axis is"
+        )
     for joint, lever in levers.items():
         length_m = float(np.linalg.norm(lever.position_m))
         if length_m > LEVER_ARM_M + 2.0 * float(lever.sigma_m.max()):
@@ -343,7 +345,7 @@ def _hand_as_wrist(arm: ArmCalibration | None, anatomy: Anatomy) -> Iterator[str
     if forearm_m > HAND_RATIO * upper_m or (forearm_m > HAND_M and anatomy is Anatomy.ADULT):
         yield (
             f"elbow and wrist are {100 * forearm_m:.0f} cm apart with an upper arm of {100 * upper_m:.0f} cm:"
-            " is the hand called the wrist?"
+            " is the hand labelled as the wrist?"
         )
 
 
@@ -351,7 +353,7 @@ def _outside(value_m: float, sigma_m: float, limits_m: tuple[float, float], what
     least, most = limits_m
     if not least - 2.0 * sigma_m <= value_m <= most + 2.0 * sigma_m:
         allowed = f"{100 * least:.0f} to {100 * most:.0f} cm" if least > 0 else f"at most {100 * most:.0f} cm"
-        yield f"{what} {100 * value_m:.0f} cm, where {allowed} is possible"
+        yield f"{what} {100 * value_m:.0f} cm (possible: {allowed})"
 
 
 def _gravity(recovery: Recovery, recording: Recording) -> Iterator[str]:
@@ -365,7 +367,7 @@ def _gravity(recovery: Recovery, recording: Recording) -> Iterator[str]:
     angle_deg = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
     if angle_deg > GRAVITY_DEG:
         yield (
-            f"gravity was found {angle_deg:.0f} degrees from where the camera has down: the camera's frame,"
+            f"gravity was found {angle_deg:.0f} degrees from the camera's stated down: the camera's frame,"
             " the accelerometer's sign or the skeleton's axes are likely to be wrong"
             f"{_fitting_frame(recovery.gravity_direction, recording)}"
         )
@@ -426,10 +428,10 @@ def _camera(recovery: Recovery, far_m: float) -> Iterator[str]:
         size = np.linalg.norm(residual[(used | rejected)[:, column], column], axis=1)
         size = size[np.isfinite(size)]
         if len(size) > 20 and float(np.median(size)) > far_m:
-            yield f"the answer passes {100 * np.median(size):.0f} cm beside the {joint} that the camera sees"
+            yield f"the solution deviates by {100 * np.median(size):.0f} cm from the camera's {joint}"
     for joint, sigma_m in (recovery.estimates.camera_sigma_m or {}).items():
         if sigma_m > JOINT_SIGMA_M:
-            yield f"the camera's {joint} scatters by {100 * sigma_m:.0f} cm about the answer"
+            yield f"the camera's {joint} scatters by {100 * sigma_m:.0f} cm about the solution"
     tracked = used | rejected
     if tracked.sum() > 20 and rejected.sum() > REJECTED_SHARE * tracked.sum():
         share = 100.0 * rejected.sum() / tracked.sum()

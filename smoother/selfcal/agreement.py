@@ -44,7 +44,7 @@ LARGEST_SKEW, LINE_STEP_S = 3.5e-3, 0.06
 NEAR_S = LARGEST_OFFSET_S + 0.05
 #: Another offset is one at least this far away, s.
 APART_S = 0.5
-#: A stretch takes part in the line's fit where its own best offset is this near to it, s.
+#: A stretch is used in the line's fit where its own best offset is this near to it, s.
 ON_LINE_S = 0.12
 #: The offset and drift of fewer stretches, or over a shorter time, s, are not told apart.
 FEWEST_FOR_SKEW, SKEW_SPAN_S = 3, 60.0

@@ -102,7 +102,7 @@ def refined_clocks(
     Parameters
     ----------
     clocks, synthetic_stamps : sequence of Clock, sequence of bool
-        One a recording.
+        One per recording.
     windows, solutions : sequence of Window, sequence of Solution
         Of one round of the self-calibration.
     recording_of_window : ndarray of int, shape (len(windows),)

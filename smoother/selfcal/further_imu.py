@@ -219,7 +219,7 @@ def calibrate_further_imu(
     if segment.camera_joints and covers < LEAST_COVER:
         return None, (
             f"{imu.name} was left out: it has samples in {100 * covers:.0f} % of the recording only, and"
-            f" without them the {far} would have no answer"
+            f" without them the {far} would have no result"
         )
     try:
         as_forearm, coarse = synchronise_coarsely(as_forearm)
@@ -239,7 +239,7 @@ def calibrate_further_imu(
     if scatter_m > WRONG_LIMB_M:
         return None, (
             f"{imu.name} was left out: {near} and {far} scatter by {100 * scatter_m:.0f} cm about its motion;"
-            f" look whether it was on this {segment.label}, and the other IMU on the forearm"
+            f" check that it was on this {segment.label}, and the other IMU on the forearm"
         )
     return FurtherImu(segment, imu, model, model.clock.after(coarse)), ""
 

@@ -91,7 +91,7 @@ def cut_round(
         if (answer := prepare(segment, calibration, clocks[segment.recording], joint_sigma_m, margin_s))
     ]
     if not ready:
-        raise CalibrationError("at no time do the IMU and a visible forearm come together")
+        raise CalibrationError("the IMU and a visible forearm never overlap")
     prepared = {number: with_initial_values(each, trajectories.get(number)) for number, _, each, _ in ready}
     initial = initial_values(
         list(prepared.values()),

@@ -93,7 +93,7 @@ class SelfCalibration:
             )
         if self.interrupted_s < SHORT_S:
             questions.append(
-                f"the IMU drops out every {self.interrupted_s:.1f} s: its own place on the arm is hardly"
-                " known (the joints are); bring its receiver nearer, or give a calibration"
+                f"the IMU drops out every {self.interrupted_s:.1f} s: its own position on the arm is"
+                " uncertain (the joints are not); move its receiver closer, or give a calibration"
             )
         return tuple(questions)

@@ -319,8 +319,8 @@ class StampSteps(Generic[Rows]):
         if not -EARLY_S <= delay <= OTHER_CLOCK_S:
             self.moved_s = delay
             events.append(
-                f"the stamps of {self._name} are of a clock of its own: {delay:+.1f} s were added, so that"
-                " the first one is when it came"
+                f"the stamps of {self._name} come from another clock: {delay:+.1f} s were added, so that"
+                " the first one is its arrival time"
             )
         self._learn(row.stamped(row.t_s + self.moved_s))
         return events

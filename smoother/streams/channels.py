@@ -181,8 +181,8 @@ def check_one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -
         if spare:
             shown = printable(", ".join(dict.fromkeys([*(stream.labels[at] for at in used), *spare])))
             raise RecordingError(
-                f"The stream {printable(stream.name)} has several {several} ({shown}); send one of them, that"
-                " with the larger range."
+                f"The stream {printable(stream.name)} has several {several} ({shown}); send the one with"
+                " the larger range."
             )
 
 

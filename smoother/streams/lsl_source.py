@@ -286,7 +286,8 @@ class LslSource:
         ]
         there = listed([stream for inlet in self._all_inlets for stream in inlet.others])
         return (
-            f"no stream for {' and '.join(names)} came within {seconds:g} s; streams on the network: {there}"
+            f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on the network:"
+            f" {there}"
         )
 
 

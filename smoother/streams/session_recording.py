@@ -309,7 +309,7 @@ class Recorder:
         except Full:
             self._lost += 1
             if self._lost == 1:
-                self._events.put("the disk is too slow: the recording has holes from now on")
+                self._events.put("the disk is too slow: the recording has gaps from now on")
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:

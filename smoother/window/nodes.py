@@ -15,7 +15,7 @@ from .problem import States
 GAP_NODE_S = 0.2
 #: The same with a second IMU: two segments meet in their joint at nodes alone, s.
 GAP_NODE_CHAIN_S = 0.1
-#: Nodes keep at least this far apart, s; of closer frames only one takes part.
+#: Nodes keep at least this far apart, s; of closer frames only one is used.
 CLOSEST_S = 0.008
 #: Frames up to this far from a node belong to it, s (`propagate`), except so near to a gap, s: there the
 #: camera's last samples decide.

@@ -93,7 +93,7 @@ class PreparedSegment:
     position : ndarray, shape (f, 5, 3), m
         The camera's samples in {K}.
     accepted : ndarray of bool, shape (f, 5)
-        Samples that may take part.
+        Samples that may be used.
     sigma_m : ndarray, shape (f, 5), m
         Their standard deviation per axis.
     gaps : tuple of Gap
@@ -354,7 +354,7 @@ def _local_lines(t: FloatArray, x: FloatArray, half_s: float = 0.12) -> tuple[Fl
 
 
 def further_segments(calibration: ArmCalibration) -> tuple[str, ...]:
-    """Names of the segments beyond the forearm whose IMU is known enough to take part."""
+    """Names of the segments beyond the forearm whose IMU is known enough to be used."""
     known = (body for body in FURTHER if body.name in calibration.mountings)
     return tuple(body.name for body in known if body.shared_joint in calibration.lever_arms)
 
@@ -379,7 +379,7 @@ def prepare_further(
     frame_t_imu : ndarray, shape (f,), s
         Its frames on the forearm IMU's clock.
     accepted : ndarray of bool, shape (f, 5)
-        Samples that may take part.
+        Samples that may be used.
     calibration : ArmCalibration
         Its `mountings` contain the joints in the IMUs' axes.
     t : ndarray, shape (n,), s
@@ -390,7 +390,7 @@ def prepare_further(
     Returns
     -------
     runs : tuple of PreparedRun
-        Those that hold two nodes, and frames with both joints.
+        Those that contain two nodes, and frames with both joints.
     """
     prepared = []
     for run in segment.further:

@@ -1,6 +1,6 @@
 """One window as plain arrays: what a graph is built from.
 
-It travels between processes, so it holds arrays and numbers only.
+It travels between processes, so it contains arrays and numbers only.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ class SharedLayout:
     joints : tuple of str
         Those with a lever arm on the forearm, (3,) m in {A} each.
     has_upper_arm : bool
-        The shoulder takes part, (1,) m.
+        The shoulder is used, (1,) m.
     gravity_axes : ndarray, shape (2, 3)
         Unit vectors in {K} across the direction of down; gravity's two coordinates are the components of
         the unit vector of down along them.

@@ -21,7 +21,7 @@ class BlockShift:
     start_s, end_s : float, s
         On the IMU's clock.
     shift_m : ndarray, shape (3,)
-        What the block would have to be moved by in {K}.
+        What the block has to be moved by in {K}.
     score : float
         Squared shift in sigmas / 3, the camera's slow errors allowed for; about 1 where it is chance.
     camera : int

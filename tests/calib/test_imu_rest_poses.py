@@ -89,7 +89,7 @@ def test_eight_poses_are_refused_and_the_same_pose_counts_once():
 def test_poses_about_one_axis_are_refused_with_the_axis_that_is_missing():
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     around = GRAVITY * np.stack([np.cos(angle), np.sin(angle), np.zeros(12)], axis=1)
-    with pytest.raises(CalibrationError, match=r"open.*points up"):
+    with pytest.raises(CalibrationError, match=r"undetermined.*points up"):
         calibrate_accelerometer(rests_of(sensor(0).distort(around)), GRAVITY)
 
 
@@ -150,7 +150,7 @@ def test_a_sensor_that_never_lay_still_is_refused():
     rng = np.random.default_rng(0)
     t = np.arange(0.0, 30.0, 0.01)
     stream = ImuStream("shaken", t, rng.normal([0, 0, 9.8], 5, (len(t), 3)), rng.normal(0, 2, (len(t), 3)))
-    with pytest.raises(CalibrationError, match="never lay still"):
+    with pytest.raises(CalibrationError, match="never still"):
         calibrate_imu(stream)
 
 

@@ -92,7 +92,7 @@ def test_a_camera_that_moved_is_named_with_the_time() -> None:
     _, rig = join_cameras(simulated.recording)
     assert rig is not None
     (caution,) = rig.cautions
-    assert caution.startswith("camera_2 was left out: from about 15 s on it stands")
+    assert caution.startswith("camera_2 was left out: from about 15 s on it is")
 
 
 @pytest.mark.parametrize("fault", ["other_person", "mirrored", "moved"])

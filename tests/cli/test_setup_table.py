@@ -22,8 +22,8 @@ from tools.reliability.setup_errors import CASES, LARGEST_ERROR_M, Job, Setup, s
 #: answer right may be called usable.
 SAID: dict[str, tuple[str, str]] = {
     "mirrored_skeleton": ("the skeleton seems mirrored", "--mirror"),
-    "accelerometer_sign": ("the accelerometer's sign seems turned", "--negate accelerometer"),
-    "gyroscope_sign": ("the gyroscope's sign seems turned", "--negate gyroscope"),
+    "accelerometer_sign": ("the accelerometer's sign seems reversed", "--negate accelerometer"),
+    "gyroscope_sign": ("the gyroscope's sign seems reversed", "--negate gyroscope"),
     "left_handed_axes": ("the sensor's axes seem left-handed", "--negate accelerometer,gyroscope"),
     "elbow_and_wrist_swapped": ("elbow and wrist seem swapped", "--swap elbow,wrist"),
     "joints_of_the_other_arm": ("seems to be of the other arm or of another recording", ""),

@@ -185,7 +185,7 @@ def test_an_imu_of_somebody_else(made: SimulatedArm) -> None:
     ).recording.upper_imu
     recovery = smooth(blind(made).with_imu("upper_arm", other), processes=1)
     assert recovery.upper is None
-    assert any("look whether it was on this upper arm" in note for note in recovery.notes)
+    assert any("check that it was on this upper arm" in note for note in recovery.notes)
 
 
 def test_calibrated_beforehand(made: SimulatedArm) -> None:

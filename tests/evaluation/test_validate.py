@@ -98,7 +98,7 @@ def test_unanswered_samples_are_counted(recovery):
     position[100:200] = np.nan
     found = validate(replace(recovery, position=position), make_truth(np.arange(0, 20, 0.01)))
     assert found.all.unanswered == 100
-    assert any("no answer" in note for note in found.notes)
+    assert any("no result" in note for note in found.notes)
 
 
 def test_errors_are_sentences(recovery):

@@ -76,9 +76,9 @@ def test_where_it_is_wrong_it_is_left_out_and_the_forearm_goes_on_alone(one: lis
     assert notes == [
         "the IMU on the upper arm is left out: the accelerometer repeats a value;"
         " the gyroscope repeats a value",
-        "the IMU on the upper arm is sound again",
+        "the IMU on the upper arm is plausible again",
         "the IMU on the upper arm is left out: it contradicts the rest of the arm",
-        "the IMU on the upper arm is sound again",
+        "the IMU on the upper arm is plausible again",
         "the IMU on the upper arm is left out: it has stopped",
         "the IMU on the upper arm is back",
     ]
@@ -122,4 +122,4 @@ def test_a_pause_is_said_once_and_a_contradiction_lasts_longer_each_time() -> No
         worn.check(worn.buffer.end_s)
     assert left_out_s == pytest.approx([1.0, 2.0, 4.0, 8.0, 8.0])
     sends(worn.buffer.end_s + step_s, worn.buffer.end_s + 5.0)
-    assert worn.check(worn.buffer.end_s) == ["the IMU on the upper arm is sound again"]
+    assert worn.check(worn.buffer.end_s) == ["the IMU on the upper arm is plausible again"]

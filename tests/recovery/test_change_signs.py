@@ -169,14 +169,14 @@ def test_a_hand_called_the_wrist_is_asked_for():
     assert arm is not None and arm.upper_arm is not None
     hand = arm.lever_arms["hand"]
     without = {joint: lever for joint, lever in arm.lever_arms.items() if joint != "hand"}
-    assert "is the hand called the wrist" not in judged_with(calibration=replace(arm, lever_arms=without))[1]
+    assert "hand labelled as the wrist" not in judged_with(calibration=replace(arm, lever_arms=without))[1]
     swapped = replace(arm, lever_arms=without | {"wrist": hand})
-    assert "is the hand called the wrist" in judged_with(calibration=swapped)[1]
+    assert "hand labelled as the wrist" in judged_with(calibration=swapped)[1]
 
 
 def test_no_answer_is_trusted_over_a_slip():
     trusted, verdict = judged_with(imu=slipped(made(), 15.0).imu)
-    assert trusted is False and "without a turn that its gyroscope felt" in verdict
+    assert trusted is False and "without a rotation measured by its gyroscope" in verdict
 
 
 @pytest.mark.parametrize(("limit", "trusted", "words"), [(13.0, True, "less certain"), (9.0, False, "wider")])

@@ -261,4 +261,4 @@ def test_from_when_on(worn: tuple[Recovery, Recording]) -> None:
     recovery, recording = worn
     (found,) = imu_lies_still(recovery, taken_off(recording, 14.0), NO_BIAS)
     assert found.start_s == pytest.approx(14.0, abs=0.3) and found.end_s > 24.0
-    assert "lies still" in found.reasons[0]
+    assert "is still" in found.reasons[0]

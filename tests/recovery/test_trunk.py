@@ -162,7 +162,7 @@ def test_an_imu_that_is_not_on_the_trunk() -> None:
     assert trunk is not None
     recording = replace(made.recording, trunk=replace(trunk, imu=made.recording.imu))
     recovery = with_trunk(recovered(made), recording, Store())
-    assert recovery.trunk is None and "look whether it was on the trunk" in recovery.notes[-1]
+    assert recovery.trunk is None and "check that it was on the trunk" in recovery.notes[-1]
 
 
 UP = np.array([0.1, 0.97, -0.2]) / np.linalg.norm([0.1, 0.97, -0.2])

@@ -255,7 +255,7 @@ def test_streams_that_cannot_be_used(lab, tmp_path):
         in refused("--imu", "wrist", "--skeleton", "kinect", "--record", "session.mcap")
     )
     missing = refused("--imu", "ankle", "--skeleton", "kinect", "--wait", "4")
-    assert "no stream for --imu ankle came within 4 s" in missing
+    assert "no stream for --imu ankle arrived within 4 s" in missing
     assert "kinect (type MoCap), wrist (type IMU)" in missing
     assert not list(tmp_path.glob("*.mcap"))
 

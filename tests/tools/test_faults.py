@@ -98,7 +98,7 @@ def sound() -> Sound:
 @pytest.mark.parametrize(
     "kind, said",
     [
-        ("IMU held for 1 s", "the gyroscope repeats a value; the camera leads meanwhile"),
+        ("IMU held for 1 s", "the gyroscope repeats a value; the camera is followed meanwhile"),
         ("other body 1 m away for 3 s", "the camera is left out: it jumped away"),
         ("IMU clock set back 0.1 s", "stepped by -0.100 s"),
     ],
