@@ -153,7 +153,7 @@ def _solved(
     # 2. Self-calibration on the excerpts that are most informative: lever arms, clock, camera noise.
     excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
     if not excerpts:
-        raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
+        raise SolveError(f"{recording.name}: the IMU and a visible forearm never overlap")
     misfits = tuple(contradictions(excerpts, given))
     clock_sigma_s = OFFSET_SIGMA_S if measured is None else measured.sigma_s
     #    IMUs on other segments, where there are any: how they sit, and their clocks.

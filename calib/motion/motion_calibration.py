@@ -311,7 +311,7 @@ def calibrate_motion(
         for segment in split_into_segments(recording, LARGEST_OFFSET_S, number)
     ]
     if not segments:
-        raise CalibrationError("in none of the recordings do the IMU and a visible forearm come together")
+        raise CalibrationError("the IMU and a visible forearm overlap in none of the recordings")
     with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
         if len(recordings) > 1:
             _require_one_mounting(recordings, segments, known, config, pool)

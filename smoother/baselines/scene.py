@@ -202,7 +202,7 @@ def scenes_of(recording: Recording, graph: Recovery, orientation: str = "vqf") -
         if len(rows) >= FEWEST_SAMPLES:
             scenes.append(_scene(recording, graph, orientation, samples, slice(rows[0], rows[-1] + 1)))
     if not scenes:
-        raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
+        raise SolveError(f"{recording.name}: the IMU and a visible forearm never overlap")
     return scenes
 
 

@@ -162,7 +162,7 @@ def self_calibrate(
     Raises
     ------
     CalibrationError
-        At no time do the IMU and a visible forearm come together.
+        The IMU and a visible forearm never overlap.
     """
     excerpts, mounting = _closed_form(choose_excerpts(segments), given, clock_sigma_s)
     synthetic = [

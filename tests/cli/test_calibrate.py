@@ -83,7 +83,7 @@ def test_sound_and_broadcast_chain(folder: Path, tmp_path: Path, capsys: pytest.
     text = page.read_text(encoding="utf-8")
     assert (
         "The beep that ends at" in text
-        and "What is left: broadcast" in text
+        and "Residuals: broadcast" in text
         and "For the next recording" in text
     )
 

@@ -192,5 +192,5 @@ def test_the_second_pass_answers_in_order(store: Store, monkeypatch: pytest.Monk
 
 
 def test_no_section_at_all_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SolveError, match="made by hand: too little"):
+    with pytest.raises(SolveError, match="made by hand: too few"):
         first_pass((0, 1, 2, 3, 4), Store(), monkeypatch)

@@ -61,7 +61,7 @@ def test_a_sound_recording_is_usable(seed: int) -> None:
 @pytest.mark.parametrize(
     ("wrong", "word", "seed"),
     # tests/cli/test_setup_table.py smooths every mistake by the real command, which names its cause
-    [(mirrored, "gravity", 3), (another_skeleton, "beside the", 0)],
+    [(mirrored, "gravity", 3), (another_skeleton, "deviates by", 0)],
 )
 def test_a_wrong_set_up_is_not_to_be_trusted(
     wrong: Callable[[Recording], Recording], word: str, seed: int
