@@ -131,7 +131,7 @@ def _sensors(facts: ArmFacts) -> Iterator[str]:
     units = "an inertial measurement unit (IMU)" if len(imus) == 1 else "inertial measurement units (IMUs)"
     whose = "forearm: " if len(imus) > 1 else ""
     yield (
-        f"The {facts.arm} was recorded for {facts.length_s:.1f} s by a depth camera {tracking}"
+        f"The {facts.arm} was recorded for {facts.length_s:.1f} s by a camera {tracking}"
         f" ({facts.camera_frames} frames, median rate {facts.camera_rate_hz:.1f} Hz) and by {units} on the"
         f" {_listed(imus)} ({whose}{facts.imu_samples} samples, median rate {facts.imu_rate_hz:.1f} Hz)."
     )

@@ -151,7 +151,7 @@ def _angles(recovery: Recovery, truth: Truth | None) -> str:
     )
     around = _NO_BAND
     if recovery.trusted.any():
-        around = "The band holds 95 of 100 true values; gaps are shaded."
+        around = "The band contains 95 of 100 true values; gaps are shaded."
     reference = _REFERENCE if truth is not None else ""
     caption = f"Curves are {_colours([recovery])}. {around}{reference}"
     below = f'<p class="caption"><small>{escape(capitalised(meanings))}.</small></p>'
@@ -207,7 +207,7 @@ def in_motion(
     reference = _REFERENCE if any(truth is not None for *_, truth in arms) else ""
     joint = "wrist" if any("wrist" in recovery.joints for _, recovery, _ in arms) else "sensor"
     colours = _colours([recovery for _, recovery, _ in arms])
-    ellipse = f", the ellipse about the {joint} holds it in 95 of 100 cases"
+    ellipse = f", the ellipse about the {joint} contains it in 95 of 100 cases"
     if not any(recovery.trusted.any() for _, recovery, _ in arms):
         ellipse = ""
     people = persons([(recording, recovery) for recording, recovery, _ in arms], frame)
@@ -338,7 +338,7 @@ _GAPS = (
     " the least certain moment of a gap. The camera constrains a gap seen on both sides before and after it;"
     " one seen on one side only is not."
 )
-_BAND = "The pale blue band holds 95 of 100 true values of each coordinate."
+_BAND = "The pale blue band contains 95 of 100 true values of each coordinate."
 _NO_BAND = "No band is drawn: it would not be valid."
 _ERRORS = (
     "rms: root mean square. NEES: mean squared error in standard deviations; 1 where the stated uncertainty"
@@ -351,7 +351,7 @@ _CALIBRATION = (
 )
 _DRAWN = (
     "The dark square is the sensor (drawn 2 cm large) with its axes x, y, z; the ellipse about each joint"
-    " holds it in 95 of 100 cases, and so does ±."
+    " contains it in 95 of 100 cases, and so does ±."
 )
 _REJECTED = (
     "Tracked camera samples that were not used, by joint, one colour per reason; pale ticks were used,"

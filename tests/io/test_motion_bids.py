@@ -17,9 +17,10 @@ from results import made
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import read_recording, read_recovery, write_recording, write_recovery
-from smoother.io.export.bids import BidsNames, write_bids
+from smoother.io.export.bids import BidsNames, recorded_systems, write_bids
 from smoother.io.plain.bids import open_bids
-from smoother.recording import JointState
+from smoother.recording import JOINTS, JointState
+from smoother.simulation import ArmSimulation, simulate_arm
 
 VALIDATOR = shutil.which("bids-validator-deno")
 #: Of a motion file's name, in this order.
@@ -171,3 +172,14 @@ def test_what_is_refused(dataset: Path, result: Path, tmp_path: Path):
     with pytest.raises(UnoccludeError, match="contains other files"):
         write_bids(tmp_path, names, [], recoveries, "1")
     assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
+
+
+def test_a_camera_without_depth_has_image_coordinates_and_no_metres() -> None:
+    settings = {"protocol": "random", "duration_s": 8.0, "rgb": "all"}
+    recording = simulate_arm(ArmSimulation.preset("realistic", **settings), 1).recording
+    (camera,) = [each for each in recorded_systems(recording) if each.label.startswith("camera")]
+    assert camera.title == "camera without depth"
+    assert not [each.name for each in camera.channels if each.units == "m" or each.kind == "POS"]
+    (column,) = [each for each in camera.channels if each.name == "right_wrist_x_image"]
+    seen = recording.arm.state[:, JOINTS.index("wrist")] > 0
+    np.testing.assert_array_equal(column.values[seen], recording.arm.joint("wrist")[seen, 0])

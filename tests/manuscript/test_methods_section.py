@@ -74,7 +74,7 @@ def test_each_figure_of_the_paragraph_is_the_results(result: Path):
     rejected = int((np.asarray(recovery.residuals.reason) != 0).sum())
     tracked = rejected + int(np.asarray(recovery.residuals.used).sum())
     expected = [
-        f"for {t[-1] - t[0]:.1f} s by a depth camera with skeleton tracking ({len(frames)} frames,"
+        f"for {t[-1] - t[0]:.1f} s by a camera with skeleton tracking ({len(frames)} frames,"
         f" median rate {1 / np.median(np.diff(frames)):.1f} Hz)",
         f"on the forearm ({len(t)} samples, median rate {1 / np.median(np.diff(t)):.1f} Hz).",
         *[
@@ -193,7 +193,7 @@ def test_a_simulation_asks_for_no_participants():
 
 def test_a_strap_alone_is_no_skeleton():
     text = paragraph(made(strap=True))
-    assert "a depth camera that tracked the strap of the IMU" in text
+    assert "a camera that tracked the strap of the IMU" in text
     assert "skeleton" not in text and "elbow" not in text and "[@wu2005]" not in text
 
 

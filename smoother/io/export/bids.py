@@ -121,18 +121,24 @@ def recorded_systems(recording: Recording) -> list[TrackingSystem]:
         label = "".join(word.capitalize() for word in segment.split("_"))
         systems.append(_imu(f"imu{label}{side}", segment, recording.side, imu))
     arm, channels = recording.arm, []
+    has_depth = arm.pixel_rad is None
+    title = "depth camera" if has_depth else "camera without depth"
     frames = _camera_frames(recording.camera_frame)
     frame = next(iter(frames), "")
     for joint in arm.present:
         point = _point(joint, recording.side)
         state = arm.state[:, JOINTS.index(joint)]
         place = np.where((state == JointState.NOT_TRACKED)[:, None], np.nan, arm.joint(joint))
-        for axis, values in zip("xyz", place.T, strict=True):
+        for axis, values in zip("xyz" if has_depth else "xy", place.T, strict=False):
             words = f"position of the {joint} in the camera's axes"
-            channels.append(Channel(f"{point}_{axis}", axis, "POS", point, "m", values, words, frame))
+            if has_depth:
+                channels.append(Channel(f"{point}_{axis}", axis, "POS", point, "m", values, words, frame))
+            else:
+                words = f"image coordinate {axis}/z of the {joint}, lens distortion removed"
+                channels.append(Channel(f"{point}_{axis}_image", "", "MISC", point, "", values, words))
         about = "0 not tracked, 1 a guess of the camera's, 2 tracked"
         channels.append(Channel(f"{point}_state", "", "MISC", point, "", state.astype(float), about))
-    systems.append(TrackingSystem(f"camera{side}", "depth camera", arm.t_s, channels, frames=frames))
+    systems.append(TrackingSystem(f"camera{side}", title, arm.t_s, channels, frames=frames))
     return systems
 
 
@@ -340,7 +346,7 @@ def _camera_frames(frame: CameraFrame | None) -> dict[str, dict[str, str]]:
 def _describe(root: Path, version: str, is_derivative: bool) -> None:
     made = {"Name": "unocclude", "Version": version}
     description: dict[str, object] = {
-        "Name": "Arms recovered by unocclude" if is_derivative else "Arms recorded by depth camera and IMU",
+        "Name": "Arms recovered by unocclude" if is_derivative else "Arms recorded by camera and IMU",
         "BIDSVersion": BIDS_VERSION,
         "DatasetType": "derivative" if is_derivative else "raw",
         "GeneratedBy": [made],
@@ -383,7 +389,7 @@ def _json(path: Path, values: dict[str, object]) -> None:
     _lines(path, [text])
 
 
-_README = """# Arms recorded by a depth camera and IMUs
+_README = """# Arms recorded by a camera and IMUs
 
 Motion-BIDS, written by unocclude. `sub-*/motion` contains what was recorded: a tracking system is a stream
 with a clock of its own (`tracksys-camera..`, `tracksys-imu..`). The channel `latency` is the time in seconds

@@ -304,6 +304,7 @@ _SCHEMAS = {
         "unocclude.": (
             "Imu",
             "Skeleton",
+            "Keypoints2D",
             "Residuals",
         ),
     }.items()
