@@ -155,6 +155,11 @@ class Replay:
         arm = choice.arm
         if not len(choice.imu.stamp_ns) or not len(arm.stamp_ns):
             raise RecordingError(f"{path}: the IMU or the skeleton has no sample.")
+        if arm.lens is not None:
+            raise RecordingError(
+                f"{path}: {arm.topic} is of a camera without depth, which live does not use;"
+                " run `unocclude smooth`."
+            )
         origin = int(choice.imu.stamp_ns.min()) // SECOND_NS * SECOND_NS
         origin = origin if beside is None else beside.info.origin_ns
         log_times = LogTimes(path, choice.imu.topic, arm.topic, [s.topic for s in choice.further.values()])

@@ -192,3 +192,6 @@ def test_the_command_recovers_one_camera_without_depth(
     assert occluded["coverage_95"] > 0.8
     assert occluded["nees"] < 2.0
     assert run(["smooth", recording, "-o", recovered, "--force", "--body-height", "175"]) == 2
+    capsys.readouterr()
+    assert run(["live", "--replay", recording, "--speed", "0"]) == 1
+    assert "a camera without depth, which live does not use" in capsys.readouterr().err
