@@ -226,7 +226,7 @@ class LinearSystem:
                 said = right[g - 1, :, :wide].T @ forward[g - 1]
                 own[g] -= said[:, :wide]
                 right[g, :, wide:] -= said[:, wide:]
-            inverses[g] = np.linalg.inv(own[g])  # with so many right-hand sides half of what `solve` takes
+            inverses[g] = np.linalg.inv(own[g])  # half the time of `solve` with this many right-hand sides
             forward[g] = inverses[g] @ right[g]
         self._inverses, self._gains = inverses, forward[:, :, :wide]
         self._factors = np.asarray(np.linalg.cholesky(own), float)  # raises where a direction is left free
