@@ -237,9 +237,9 @@ def _gauss_newton(
     tolerance: float,
     order: gtsam.Ordering,
 ) -> Optimum | None:
-    """The optimum without damping, which costs an eighth of the time; None where a step raises the error.
+    """The optimum without damping, in seven eighths of the time; None where a step raises the error.
 
-    From a good start Levenberg and Marquardt's steps are the same to the last digits.
+    From a good start its steps are those of Levenberg and Marquardt to rounding.
     """
     params = gtsam.GaussNewtonParams()
     params.setOrdering(order)

@@ -439,7 +439,7 @@ class Window:
 def joints_at_start(window: Window) -> dict[str, FloatArray]:
     """Where start values have the joints, m: at the samples' nodes by key, the shoulder at its knots.
 
-    Empty where all cameras see depth: nobody asks.
+    Empty where all cameras see depth, where nothing is linearised.
     """
     joints: dict[str, FloatArray] = {}
     if not window.has_rays:
