@@ -8,7 +8,7 @@ asked for (Takahashi et al., 1973; block form as in the Rauch-Tung-Striebel smoo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -81,33 +81,6 @@ class Jacobian:
 ExtraColumns = Callable[[Jacobian], FloatArray]
 
 
-@dataclass(frozen=True)
-class Conditional:
-    """A group of the chain given the next group and the border: a block row of the Cholesky factor.
-
-    It is what GTSAM's `GaussianBayesNet` holds, a `GaussianConditional` a group.
-
-    Attributes
-    ----------
-    columns : ndarray of int, shape (k,)
-        Of the group in `LinearSystem.jacobian`.
-    factor : ndarray, shape (k, k)
-        Lower Cholesky factor of the group's information, scaled.
-    gain : ndarray, shape (k, m), or None
-        The group falls by this times the next one, both scaled; None of the last one.
-    scale : ndarray, shape (k,)
-        A coordinate is its scaled one times this.
-    follows : ndarray, shape (k, b + e)
-        The group falls by this times the border and the extra quantities, not scaled.
-    """
-
-    columns: IntArray
-    factor: FloatArray
-    gain: FloatArray | None
-    scale: FloatArray
-    follows: FloatArray
-
-
 class LinearSystem:
     """The normal equations of a linearised graph, reduced to its border.
 
@@ -160,15 +133,15 @@ class LinearSystem:
         np.minimum.at(first, rows[chained], of_entry[chained])
         np.maximum.at(last, rows[chained], of_entry[chained])
         reach = max(int((last - first)[last >= 0].max(initial=1)), 3)
-        chain = np.flatnonzero(node >= 0)
+        # in the order of time, in a group too: what is drawn is the same however nodes are grouped
+        chain = np.argsort(node, kind="stable")[np.count_nonzero(node < 0) :]
         group = node[chain] // reach
-        order = np.argsort(group, kind="stable")
         sizes = np.bincount(group)
-        self._groups = np.split(chain[order], np.cumsum(sizes)[:-1])
+        self._groups = np.split(chain, np.cumsum(sizes)[:-1])
         #: group and row in it of every column
         self._place = np.full((len(node), 2), -1)
-        self._place[chain[order], 0] = group[order]
-        self._place[chain[order], 1] = np.arange(len(chain)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        self._place[chain, 0] = group
+        self._place[chain, 1] = np.arange(len(chain)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         #: the group of every row of the Jacobian; -1 of those that are about the border alone
         self._group_of_row = np.where(last >= 0, first // reach, -1)
 
@@ -319,16 +292,35 @@ class LinearSystem:
         across = self.information[:borders, row]
         return float(max(self.information[row, row] - across @ self._shared_covariance @ across, 0.0))
 
-    def conditionals(self) -> Iterator[Conditional]:
-        """The groups of the chain, each given what comes after it, from the last to the first."""
-        last = len(self._groups) - 1
-        for g in range(last, -1, -1):
-            columns = self._groups[g]
-            size = len(columns)
-            gain = self._gains[g, :size, : len(self._groups[g + 1])] if g < last else None
-            follows = self._solved[g, :size, : len(self.information)]
-            factor, scale = self._factors[g, :size, :size], self._scale[g, :size]
-            yield Conditional(columns, factor, gain, scale, follows)
+    def sample(self, normals: FloatArray, given: FloatArray) -> FloatArray:
+        """Draw all variables in time, given the border's and the extra quantities (back substitution).
+
+        It is what `GaussianBayesNet.sample` does, which knows no extra quantities.
+
+        Parameters
+        ----------
+        normals : ndarray, shape (k, c)
+            Standard normals of k draws, by column of the Jacobian; those of the border are not used.
+        given : ndarray, shape (k, b + e)
+            Errors of the border's variables and of the first e extra quantities.
+
+        Returns
+        -------
+        errors : ndarray, shape (k, c)
+            Zero of the border.
+        """
+        chain = np.flatnonzero(self._place[:, 0] >= 0)
+        group, row = self._place[chain].T
+        drawn = np.zeros((*self._scale.shape, len(normals)))
+        drawn[group, row] = normals[:, chain].T
+        drawn = np.linalg.solve(np.swapaxes(self._factors, 1, 2), drawn)
+        for g in range(len(drawn) - 2, -1, -1):
+            drawn[g] -= self._gains[g] @ drawn[g + 1]
+        drawn *= self._scale[:, :, None]
+        drawn -= self._solved[:, :, : given.shape[1]] @ given.T
+        errors = np.zeros(normals.shape)
+        errors[:, chain] = drawn[group, row].T
+        return errors
 
     def _rows(self, keys: Sequence[int]) -> tuple[IntArray, IntArray]:
         """The group of each variable's columns, and their rows in it, (k, d) each."""

@@ -9,13 +9,14 @@ neighbouring windows draw the same motion where they overlap.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import G, S, V, X
 
 from ..array_types import FloatArray, IntArray
-from ..body import FOREARM, SEGMENTS, UPPER_ARM
+from ..body import SEGMENTS
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.problem import Window
 from ..window.shared import STRAP_PLACE
@@ -24,25 +25,14 @@ from .build import node_of_variables
 from .error_columns import is_place
 from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
-from .variables import DIMENSION, keys_of
+from .variables import DIMENSION, LETTER_BITS, keys_of
 
-#: Streams of random numbers: forearm and upper arm share one, any other segment has its own, so that its
-#: being there changes nothing of theirs. By stream the letters of a node's variables in their order.
-_SHARED_STREAM = (FOREARM.name, UPPER_ARM.name)
-_LETTERS = {"node": "xvsywe"} | {
-    f"node {name}": segment.letters[0] + segment.letters[1] + segment.letters[4]
-    for name, segment in SEGMENTS.items()
-    if name not in _SHARED_STREAM
+#: Streams of random numbers, and the letters of a node's variables that each is for: every segment has its own,
+#: so that a further IMU changes nothing of the others'.
+_LETTERS = {
+    segment.name: segment.letters[:2] + (segment.letters[4:] if segment.parent else "s")
+    for segment in SEGMENTS.values()
 }
-_WIDTHS = {stream: sum(DIMENSION[each] for each in letters) for stream, letters in _LETTERS.items()}
-#: Where a variable's numbers begin, one stream after the other.
-_FIRST = dict(
-    zip(
-        "".join(_LETTERS.values()),
-        np.cumsum([0, *(DIMENSION[each] for each in "".join(_LETTERS.values()))])[:-1].tolist(),
-        strict=True,
-    )
-)
 #: Random numbers of the biases belong to slices of time of this length, s, as windows cut them differently.
 _SLICE_S = 0.5
 
@@ -77,15 +67,14 @@ def sample_window(
     -------
     draws : WindowDraws
     """
-    nodes = node_of_variables(window)
     # 1. What all windows share, drawn once, and the biases given that.
     border = _border(system, values, window, biases, plan)
-    # 2. The chain, node by node from the last.
-    errors = _chain(system, nodes, window.t, border, plan)
-    # 3. Errors that are considered: constant over the recording, and of made-up frame times.
-    considered = plan.considered_errors(window.t)
+    # 2. Errors that are considered: constant over the recording, and of made-up frame times.
+    considered, given = plan.considered_errors(window.t), border
     if shared_sensitivity is not None and considered is not None:
-        _add_considered(errors, system, shared_sensitivity, considered)
+        given = np.concatenate([border + considered @ shared_sensitivity.T, considered], axis=1)
+    # 3. The chain, node by node from the last.
+    errors = system.sample(_normals_of_columns(system, window, plan), given)
 
     width = errors.shape[1]
 
@@ -157,69 +146,33 @@ def _bias_normals(system: LinearSystem, window: Window, biases: IntArray, plan: 
     A bias covers some seconds; its numbers are sums over slices of that time.
     """
     normals = np.zeros((plan.count, system.extras.start))
-    start, end, count = window.t[0], window.t[-1], int(biases[-1]) + 1
-    edges = np.linspace(start, end, count + 1)
+    count = int(biases[-1]) + 1
+    edges = np.linspace(window.t[0], window.t[-1], count + 1)
     first = np.ceil(edges / _SLICE_S - 0.5).astype(int)
-    for number, segment in enumerate(window.priors.layout.segments):
-        bias, shares = keys_of(segment).bias, segment in _SHARED_STREAM
-        stream, at = ("bias", 6 * number) if shares else (f"bias {segment}", 0)
-        for k in range(count):
-            slices = (np.arange(first[k], max(first[k + 1], first[k] + 1)) + 0.5) * _SLICE_S
-            width = 6 * len(_SHARED_STREAM) if shares else 6
-            of_slices = plan.at_times(stream, slices, width)[:, :, at : at + 6]
-            rows = system.border_rows([bias + k])
-            normals[:, rows] = of_slices.sum(axis=1) / np.sqrt(len(slices))
+    slices = (np.arange(first[0], first[-1] + 1) + 0.5) * _SLICE_S
+    for segment in window.priors.layout.segments:
+        numbers = plan.at_times(f"bias {segment}", slices, 6)
+        for k, (start, end) in enumerate(pairwise((first - first[0]).tolist())):
+            own = numbers[:, start : max(end, start + 1)]
+            rows = system.border_rows([keys_of(segment).bias + k])
+            normals[:, rows] = own.sum(axis=1) / np.sqrt(own.shape[1])
     return normals
 
 
-def _chain(
-    system: LinearSystem, nodes: dict[int, int], t: FloatArray, border: FloatArray, plan: DrawPlan
-) -> FloatArray:
-    """Errors (count, columns) of all variables in time, given the border's; zero of the border."""
-    width = system.jacobian.width
-    letters = {chr(gtsam.Symbol(key).chr()) for key in nodes}
-    normals = plan.at_times("node", t, _WIDTHS["node"])
-    for name, own_width in list(_WIDTHS.items())[1:]:
-        met = not letters.isdisjoint(_LETTERS[name])
-        more = plan.at_times(name, t, own_width) if met else np.zeros((plan.count, len(t), own_width))
-        normals = np.concatenate([normals, more], axis=2)
-    # the node of each column, and which of the node's random numbers it has
-    place = np.full((width, 2), -1)
-    for key, node in nodes.items():
-        letter = chr(gtsam.Symbol(key).chr())
-        place[system.columns(key), 0] = node
-        place[system.columns(key), 1] = _FIRST[letter] + np.arange(DIMENSION[letter])
-    errors = np.zeros((plan.count, width))
-    after = np.zeros((0, plan.count))
-    for group in system.conditionals():
-        node, number = place[group.columns].T
-        order = np.lexsort((number, node))  # by time, however nodes are grouped
-        own = normals[:, node[order], number[order]].T
-        drawn = np.empty_like(own)
-        drawn[order] = np.linalg.solve(_reordered(group.factor, order).T, own)
-        if group.gain is not None:
-            drawn -= group.gain @ after
-        after = drawn
-        follows = group.follows[:, : border.shape[1]] @ border.T
-        errors[:, group.columns] = (group.scale[:, None] * drawn - follows).T
-    return errors
-
-
-def _reordered(factor: FloatArray, order: IntArray) -> FloatArray:
-    """Lower Cholesky factor of the same information with its rows in another order.
-
-    By QR, which never fails: drawing must not decide whether a window is treated as determined.
-    """
-    upper = np.linalg.qr(np.tril(factor)[order].T, mode="r")
-    return np.asarray((upper * np.sign(np.diag(upper))[:, None]).T)
-
-
-def _add_considered(
-    errors: FloatArray, system: LinearSystem, shared: FloatArray, considered: FloatArray
-) -> None:
-    """What considered errors (count, e) add, in place."""
-    borders = len(shared)
-    for group in system.conditionals():
-        own = group.follows[:, borders : borders + considered.shape[1]]
-        sensitivity = -own - group.follows[:, :borders] @ shared
-        errors[:, group.columns] += considered @ sensitivity.T
+def _normals_of_columns(system: LinearSystem, window: Window, plan: DrawPlan) -> FloatArray:
+    """Standard normals (count, columns) of all variables in time, a node's its own; zero of the others."""
+    normals = np.zeros((plan.count, system.jacobian.width))
+    by_letter: dict[str, dict[int, int]] = {}
+    for key, node in node_of_variables(window).items():
+        by_letter.setdefault(chr(key >> LETTER_BITS), {})[key] = node
+    for segment, letters in _LETTERS.items():
+        if letters[0] not in by_letter:
+            continue
+        sizes = [DIMENSION[letter] for letter in letters]
+        numbers = plan.at_times(f"node {segment}", window.t, sum(sizes))
+        parts = np.split(numbers, np.cumsum(sizes)[:-1], axis=2)
+        for letter, part in zip(letters, parts, strict=True):
+            if nodes := by_letter.get(letter):  # keys of a letter follow each other, as columns do
+                columns = slice(system.columns(min(nodes)).start, system.columns(max(nodes)).stop)
+                normals[:, columns] = part[:, list(nodes.values())].reshape(plan.count, -1)
+    return normals

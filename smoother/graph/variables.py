@@ -66,12 +66,12 @@ for _segment in SEGMENTS.values():
 #: The dimension by the letter's number, and where a key has its letter (GTSAM's `Symbol`).
 _SIZE = np.zeros(128, int)
 _SIZE[[ord(letter) for letter in DIMENSION]] = list(DIMENSION.values())
-_LETTER_BITS = 56
+LETTER_BITS = 56
 
 
 def sizes_of(keys: NDArray[np.uint64]) -> IntArray:
     """Dimensions of many variables."""
-    return np.asarray(_SIZE[(keys >> np.uint64(_LETTER_BITS)).astype(int)])
+    return np.asarray(_SIZE[(keys >> np.uint64(LETTER_BITS)).astype(int)])
 
 
 def values_of(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:

@@ -12,14 +12,14 @@ from ..measurements.inertial import InertialSignal, Preintegration, integrate_be
 from .problem import States
 
 #: Node spacing where the camera gives nothing, s.
-GAP_NODE_S = 0.2
+GAP_NODE_S = 0.26
 #: The same with a second IMU: two segments meet in their joint at nodes alone, s.
-GAP_NODE_CHAIN_S = 0.1
+GAP_NODE_CHAIN_S = 0.13
 #: Nodes keep at least this far apart, s; of closer frames only one is used.
 CLOSEST_S = 0.008
 #: Frames up to this far from a node belong to it, s (`propagate`), except so near to a gap, s: there the
 #: camera's last samples decide.
-GROUPED_S = 0.07
+GROUPED_S = 0.105
 FINE_S = 0.15
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from unittest.mock import patch
 
@@ -36,13 +37,14 @@ class BasisPlan(DrawPlan):
 
     places: dict[tuple[int, int], slice] = field(default_factory=dict)
 
-    def _normals(self, stream: int, number: int, width: int) -> FloatArray:
-        start = max((place.stop for place in self.places.values()), default=0)
-        place = self.places.setdefault((stream, number), slice(start, start + width))
-        assert place.stop - place.start == width and place.stop <= self.count
-        numbers = np.zeros((self.count, width))
-        numbers[place] = np.eye(width)
-        return numbers
+    def _normals(self, stream: int, numbers: Sequence[int], width: int) -> FloatArray:
+        normals = np.zeros((len(numbers), self.count, width))
+        for number, own in zip(numbers, normals, strict=True):
+            start = max((place.stop for place in self.places.values()), default=0)
+            place = self.places.setdefault((stream, number), slice(start, start + width))
+            assert place.stop - place.start == width and place.stop <= self.count
+            own[place] = np.eye(width)
+        return normals
 
 
 @pytest.fixture(scope="module")
