@@ -10,6 +10,7 @@ zero.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from statistics import NormalDist
 
@@ -38,16 +39,7 @@ def error_radius(covariance: FloatArray, probability: float = SHARE) -> FloatArr
     radius : ndarray, shape (...), m
         Within 1 % of the exact one at 0.95; nan where the covariance is not known.
     """
-    covariance = np.asarray(covariance, float)
-    first = np.trace(covariance, axis1=-2, axis2=-1)
-    second = np.einsum("...ij,...ij->...", covariance, covariance)
-    third = np.einsum("...ij,...jk,...ki->...", covariance, covariance, covariance)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        freedom = np.clip(np.where(third > 0, second**3 / third**2, 3.0), 1.0, 3.0)
-        one, two, three = _chi_squares(probability)
-        of_one, of_three = (freedom - 2) * (freedom - 3) / 2, (freedom - 1) * (freedom - 2) / 2
-        quantile = one * of_one + two * (freedom - 1) * (3 - freedom) + three * of_three
-        return np.asarray(np.sqrt(np.maximum(first + (quantile - freedom) * np.sqrt(second / freedom), 0.0)))
+    return _radii(covariance, [probability])[0]
 
 
 def pooled_radius(covariance: FloatArray, probability: float = SHARE) -> float | None:
@@ -70,9 +62,27 @@ def pooled_radius(covariance: FloatArray, probability: float = SHARE) -> float |
     if not len(known):
         return None
     some = covariance[known[:: math.ceil(len(known) / _MOST_SAMPLES)]]
-    levels = (np.arange(_LEVELS) + 0.5) / _LEVELS
-    radii = np.stack([error_radius(some, float(level)) for level in levels])
+    radii = _radii(some, [(level + 0.5) / _LEVELS for level in range(_LEVELS)])
     return float(np.quantile(radii, probability, overwrite_input=True))
+
+
+def _radii(covariance: FloatArray, probabilities: Sequence[float]) -> FloatArray:
+    """The distance for each of k probabilities, (k, ...)."""
+    covariance = np.asarray(covariance, float)
+    square = covariance @ covariance
+    first, second = (np.trace(each, axis1=-2, axis2=-1) for each in (covariance, square))
+    third = np.einsum("...ij,...ij->...", square, covariance)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        freedom = np.clip(np.where(third > 0, second**3 / third**2, 3.0), 1.0, 3.0)
+        # a parabola through the quantiles of one, two and three degrees of freedom
+        weights = (
+            (freedom - 2) * (freedom - 3) / 2,
+            (freedom - 1) * (3 - freedom),
+            (freedom - 1) * (freedom - 2) / 2,
+        )
+        quantiles = np.array([_chi_squares(each) for each in probabilities])
+        quantile = np.tensordot(quantiles, np.stack(weights), axes=1)
+        return np.asarray(np.sqrt(np.maximum(first + (quantile - freedom) * np.sqrt(second / freedom), 0.0)))
 
 
 def in_cm(metres: float) -> str:

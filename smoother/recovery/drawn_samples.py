@@ -8,7 +8,7 @@ import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..body import SEGMENTS
-from ..linalg import interpolate
+from ..linalg import interpolate, skew
 from ..measurements.alignment import lever_of
 from ..result.draws import JOINT, TURN
 from ..rotation import Rotation
@@ -85,36 +85,37 @@ def sample_draws(
     R_at_samples = Rotation.from_quat(answer.quaternion, scalar_first=True).as_matrix()
     R = R_at_samples[samples]
     v = answer.velocity[samples]
+    #    From here on samples come before draws, (m, k, 3), as the columns have them.
     # 1. Between nodes: the cubic of position and velocity, a smooth curve through the turns.
-    p = _hermite(nodes, drawn.position, drawn.velocity, t)
-    r = _curve(nodes, drawn.rotation, t)
+    p = _hermite(nodes, _nodes_first(drawn.position), _nodes_first(drawn.velocity), t)
+    r = _curve(nodes, _nodes_first(drawn.rotation), t)
     # 2. Angles that are hardly known, widened as the covariance is, and positions by what depends on them.
     p, r = _widened(p, r, interpolate(nodes, trajectory.forearm.pose_covariance, t))
-    # 3. A clock that is off by a moment moves the whole path along itself.
-    p = p + model.clock.local_sigma_s * plan.once("clock", 1)[:, :, None] * v
-    #    An IMU that is late shows the pose of a moment ago.
-    delay = IMU_DELAY_S * plan.once("delay", 1)[:, :, None]
-    p, r = p + delay * v, r + delay * turning(imu_t, R_at_samples)[samples]
+    # 3. A clock that is off by a moment moves the whole path along itself; an IMU that is late shows the pose
+    #    of a moment ago.
+    delay = IMU_DELAY_S * plan.once("delay", 1)
+    p += (model.clock.local_sigma_s * plan.once("clock", 1) + delay) * v[:, None]
+    r += delay * turning(imu_t, R_at_samples)[samples][:, None]
     # 4. Joints follow the pose; their lever arms have errors of their own.
     columns = {"position": p, "rotation": r}
     levers = lever_errors(model, layout, plan)
     turns = {
-        name: _turns(drawn.turns[name], motion, t)
+        name: _turns(_nodes_first(drawn.turns[name]), motion, t)
         for name in drawn.turns
         if (motion := trajectory.of(name)) is not None
     }
     for joint in answer.joints:
         if joint == "shoulder":
             if drawn.shoulder is not None:
-                columns[JOINT + joint] = _linear(nodes, drawn.shoulder, t)
+                columns[JOINT + joint] = interpolate(nodes, _nodes_first(drawn.shoulder), t)
         elif lever_of(model.estimate, joint) is not None:
             arm = np.einsum("nij,nj->ni", R, trajectory.lever_at(joint, t))
-            columns[JOINT + joint] = p + np.cross(r, arm)
+            columns[JOINT + joint] = p + _crossed(r, arm)
             if joint in levers:
-                columns[JOINT + joint] += np.einsum("nij,kj->kni", R, levers[joint])
+                columns[JOINT + joint] += _turned(R, levers[joint])
             spread_m = moves_by(joint, [body.segment for body in trajectory.bodies], model)
             if spread_m:
-                columns[JOINT + joint] += spread_m * plan.once(f"moves {joint}", 3)[:, None]
+                columns[JOINT + joint] += spread_m * plan.once(f"moves {joint}", 3)
     #    What a further segment carries hangs on the joint that it shares, and turns with its IMU.
     for segment in (SEGMENTS[name] for name in turns):
         quaternion = next(each.quaternion for each in answer.further if each.segment == segment.name)
@@ -124,22 +125,18 @@ def sample_draws(
         own = model.estimate.mountings[segment.name].lever_arms
         for joint in segment.camera_joints:
             along = own[joint].position_m - own[segment.shared_joint].position_m
-            arm = np.cross(turns[segment.name], np.einsum("nij,j->ni", R_own, along))
             a, b = (layout.lever(end, segment.name) for end in (joint, segment.shared_joint))
             both = plan.shared[a, a] + plan.shared[b, b] - plan.shared[a, b] - plan.shared[b, a]
             length = plan.once(f"length {segment.name} {joint}", 3) @ root_of(both)
-            arm = arm + np.einsum("nij,kj->kni", R_own, length)
-            columns[JOINT + joint] = columns[JOINT + segment.shared_joint] + arm
+            moved = _crossed(turns[segment.name], R_own @ along) + _turned(R_own, length)
+            columns[JOINT + joint] = columns[JOINT + segment.shared_joint] + moved
     # 5. A sensor whose mounting the motion did not show.
     place_m, turn_rad = unknown_mounting(model)
     if place_m or turn_rad:
-        columns["position"] = p + np.einsum("nij,kj->kni", R, place_m * plan.once("mounting", 3))
-        columns["rotation"] = r + np.einsum("nij,kj->kni", R, turn_rad * plan.once("mounting turn", 3))
+        columns["position"] = p + _turned(R, place_m * plan.once("mounting", 3))
+        columns["rotation"] = r + _turned(R, turn_rad * plan.once("mounting turn", 3))
     columns |= {SEGMENTS[name].prefix + TURN: turned for name, turned in turns.items()}
-    return SectionDraws(
-        samples,
-        {name: np.moveaxis(values, 0, 1).astype(np.float32) for name, values in columns.items()},
-    )
+    return SectionDraws(samples, {name: values.astype(np.float32) for name, values in columns.items()})
 
 
 def lever_errors(model: SelfCalibration, layout: SharedLayout, plan: DrawPlan) -> dict[str, FloatArray]:
@@ -164,20 +161,35 @@ def lever_errors(model: SelfCalibration, layout: SharedLayout, plan: DrawPlan) -
     return errors
 
 
+def _nodes_first(drawn: FloatArray) -> FloatArray:
+    """Draws (k, n, 3) of a window as (n, k, 3)."""
+    return np.ascontiguousarray(np.swapaxes(drawn, 0, 1))
+
+
+def _crossed(turns: FloatArray, arm: FloatArray) -> FloatArray:
+    """What small turns (m, k, 3) move the ends of arms (m, 3) by; `numpy.cross` takes three times as long."""
+    return np.asarray(turns @ skew(arm))
+
+
+def _turned(R: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors (k, 3) in the axes of each of the rotations (m, 3, 3): (m, k, 3)."""
+    return np.asarray(vectors @ np.swapaxes(R, 1, 2))
+
+
 def _turns(rotation: FloatArray, motion: SegmentTrajectory, t: FloatArray) -> FloatArray:
-    """Turns (k, m, 3) of a further IMU; nan where it has no samples."""
-    at_samples = _linear(motion.t, rotation, t)
+    """Turns (m, k, 3) of a further IMU at times (m,); nan where it has no samples."""
+    at_samples = interpolate(motion.t, rotation, t)
     covariance = interpolate(motion.t, motion.pose_covariance, t)
     known = np.isfinite(covariance).all(axis=(1, 2))
-    at_samples[:, ~known] = np.nan
+    at_samples[~known] = np.nan
     if known.any():
-        nothing = np.zeros_like(at_samples[:, known])
-        at_samples[:, known] = _widened(nothing, at_samples[:, known], covariance[known])[1]
+        nothing = np.zeros_like(at_samples[known])
+        at_samples[known] = _widened(nothing, at_samples[known], covariance[known])[1]
     return at_samples
 
 
 def _widened(p: FloatArray, r: FloatArray, pose_covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions and turns (k, m, 3) with the covariance that `widen_turns` makes of theirs.
+    """Positions and turns (m, k, 3) with the covariance that `widen_turns` makes of theirs.
 
     It takes a variance v to v (1 + v / LINEAR_RAD^2)^2, so the turn about that axis grows by the factor in
     brackets, and the position by what follows from that.
@@ -186,32 +198,25 @@ def _widened(p: FloatArray, r: FloatArray, pose_covariance: FloatArray) -> tuple
     if wide is None:
         return p, r
     grows = wide.axes @ ((wide.variance / LINEAR_RAD**2)[:, :, None] * np.swapaxes(wide.axes, 1, 2))
-    more = np.einsum("mij,kmj->kmi", grows, r[:, wide.rows])
+    more = r[wide.rows] @ np.swapaxes(grows, 1, 2)
     p, r = p.copy(), r.copy()
-    r[:, wide.rows] += more
-    p[:, wide.rows] += np.einsum("mij,kmj->kmi", wide.position_follows, more)
+    r[wide.rows] += more
+    p[wide.rows] += more @ np.swapaxes(wide.position_follows, 1, 2)
     return p, r
 
 
 def _hermite(nodes: FloatArray, p: FloatArray, v: FloatArray, t: FloatArray) -> FloatArray:
-    """Cubics through values and slopes (k, n, 3) at times (m,)."""
+    """Cubics through values and slopes (n, k, 3) at times (m,)."""
     left = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 2)
-    h = np.diff(nodes)[left][:, None]
-    u = ((t - nodes[left])[:, None] / h).clip(0.0, 1.0)
+    h = np.diff(nodes)[left][:, None, None]
+    u = ((t - nodes[left])[:, None, None] / h).clip(0.0, 1.0)
     rises = u * u * (3.0 - 2.0 * u)
     start, end = u * (1.0 - u) ** 2 * h, u * u * (u - 1.0) * h
-    return np.asarray(
-        (1.0 - rises) * p[:, left] + rises * p[:, left + 1] + start * v[:, left] + end * v[:, left + 1]
-    )
+    return np.asarray((1.0 - rises) * p[left] + rises * p[left + 1] + start * v[left] + end * v[left + 1])
 
 
 def _curve(nodes: FloatArray, r: FloatArray, t: FloatArray) -> FloatArray:
-    """A smooth curve through values (k, n, 3) at times (m,)."""
-    columns = np.moveaxis(r, 0, 1).reshape(len(nodes), -1)
+    """A smooth curve through values (n, k, 3) at times (m,)."""
     inside = np.clip(t, nodes[0], nodes[-1])
-    at = cubic_spline(nodes, columns, natural=True)(inside)
-    return np.moveaxis(at.reshape(len(t), len(r), 3), 0, 1)
-
-
-def _linear(nodes: FloatArray, values: FloatArray, t: FloatArray) -> FloatArray:
-    return np.moveaxis(interpolate(nodes, np.moveaxis(values, 1, 0), t), 0, 1)
+    at = cubic_spline(nodes, r.reshape(len(nodes), -1), natural=True)(inside)
+    return at.reshape(len(t), *r.shape[1:])

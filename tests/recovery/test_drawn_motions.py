@@ -94,21 +94,21 @@ def test_wide_angles_are_widened_as_their_covariance_is() -> None:
     rng = np.random.default_rng(1)
     root = rng.normal(size=(3, 6, 6)) * np.array([0.005, 0.1, 0.4])[:, None, None]
     covariance = root @ root.transpose(0, 2, 1)
-    draws = root.transpose(2, 0, 1)  # (k, n, 6): their sum of squares is the covariance
+    draws = root.transpose(0, 2, 1)  # (n, k, 6): their sum of squares is the covariance
     p, r = _widened(draws[:, :, :3], draws[:, :, 3:], covariance)
     both = np.concatenate([p, r], axis=2)
-    np.testing.assert_allclose(np.einsum("kni,knj->nij", both, both), widen_turns(covariance), rtol=1e-9)
+    np.testing.assert_allclose(np.einsum("nki,nkj->nij", both, both), widen_turns(covariance), rtol=1e-9)
     assert widen_turns(covariance)[2, 3, 3] > 2.0 * covariance[2, 3, 3]
-    np.testing.assert_array_equal(both[:, 0], draws[:, 0])  # small angles stay
+    np.testing.assert_array_equal(both[0], draws[0])  # small angles stay
 
 
 def test_between_nodes_a_motion_of_constant_acceleration_is_exact() -> None:
     nodes, t = np.array([0.0, 0.1, 0.3, 0.35]), np.linspace(0.0, 0.35, 15)
 
     def path(at: np.ndarray) -> np.ndarray:
-        return np.stack([at, at**2, 1.0 - at**3], axis=-1)[None]
+        return np.stack([at, at**2, 1.0 - at**3], axis=-1)[:, None]
 
-    speed = np.stack([np.ones(4), 2 * nodes, -3 * nodes**2], axis=-1)[None]
+    speed = np.stack([np.ones(4), 2 * nodes, -3 * nodes**2], axis=-1)[:, None]
     np.testing.assert_allclose(_hermite(nodes, path(nodes), speed, t), path(t), atol=1e-12)
 
 
