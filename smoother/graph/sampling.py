@@ -27,8 +27,8 @@ from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
 from .variables import DIMENSION, LETTER_BITS, keys_of
 
-#: Every segment has its own stream of random numbers, so that a further IMU changes nothing of the others': the
-#: letters of a node's variables that it is for.
+#: Every segment has its own stream of random numbers, so that a further IMU changes nothing of the others'.
+#: By segment the letters of a node's variables that it is for.
 _LETTERS = {
     segment.name: segment.letters[:2] + (segment.letters[4:] if segment.parent else "s")
     for segment in SEGMENTS.values()

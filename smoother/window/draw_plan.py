@@ -114,7 +114,7 @@ class DrawPlan:
         return int(np.random.SeedSequence(words).generate_state(1, np.uint64)[0])
 
     def _normals(self, stream: int, numbers: Sequence[int], width: int) -> FloatArray:
-        """Standard normals (k, count, width), those of each number of its own `Philox(key=[stream, number])`."""
+        """Standard normals (k, count, width), those of a number by its own `Philox(key=[stream, number])`."""
         philox = np.random.Philox(key=np.array([stream, 0], np.uint64))
         fresh, generator = philox.state, np.random.Generator(philox)
         normals = np.empty((len(numbers), self.count, width))
