@@ -82,6 +82,25 @@ def inverse(matrix: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (answer + np.swapaxes(answer, -1, -2)), dtype=np.float64)
 
 
+def scaled_inverse(matrix: FloatArray) -> FloatArray:
+    """Inverse of a positive definite matrix (n, n), scaled to unit diagonal first.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        It is not positive definite.
+    """
+    if not len(matrix):
+        return matrix
+    diagonal = np.diag(matrix)
+    if not (diagonal > 0).all():
+        raise np.linalg.LinAlgError("a quantity is left free")
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = matrix * scale[:, None] * scale
+    np.linalg.cholesky(scaled)  # raises where it is not positive definite
+    return inverse(scaled) * scale[:, None] * scale
+
+
 def unit(vectors: FloatArray) -> FloatArray:
     """Vectors (..., k) of length one; nan where the length is zero."""
     with np.errstate(invalid="ignore", divide="ignore"):

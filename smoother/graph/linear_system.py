@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
-from ..linalg import inverse
+from ..linalg import scaled_inverse
 from .variables import sizes_of
 
 
@@ -212,7 +212,7 @@ class LinearSystem:
         #: information (b + e, b + e) and vector (b + e,) on the border's variables and the extra columns
         self.information, self.vector = total[:-1, :-1], total[:-1, -1]
         borders = len(self._border)
-        self._shared_covariance = _inverse(self.information[:borders, :borders])
+        self._shared_covariance = scaled_inverse(self.information[:borders, :borders])
 
     @property
     def extra_count(self) -> int:
@@ -256,7 +256,7 @@ class LinearSystem:
         follows, shared = self._solved[group, rows, : len(self._border)], self._shared_covariance
         if held:
             free = np.setdiff1d(np.arange(len(self._border)), self.border_rows(held))
-            follows, shared = follows[:, :, free], _inverse(self.information[np.ix_(free, free)])
+            follows, shared = follows[:, :, free], scaled_inverse(self.information[np.ix_(free, free)])
         across = follows @ shared @ np.swapaxes(follows, 1, 2)
         return np.asarray(own * scale[:, :, None] * scale[:, None, :] + across)
 
@@ -328,16 +328,3 @@ class LinearSystem:
         own = self.columns(keys[0])
         place = self._place[first[:, None] + np.arange(own.stop - own.start)]
         return place[:, :, 0], place[:, :, 1]
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of a positive definite matrix, scaled to unit diagonal first."""
-    if not len(matrix):
-        return matrix
-    diagonal = np.diag(matrix)
-    if not (diagonal > 0).all():
-        raise np.linalg.LinAlgError("a shared quantity is left free")
-    scale = 1.0 / np.sqrt(diagonal)
-    scaled = matrix * scale[:, None] * scale
-    np.linalg.cholesky(scaled)  # raises where it is not positive definite
-    return inverse(scaled) * scale[:, None] * scale

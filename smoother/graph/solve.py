@@ -30,7 +30,7 @@ from .error_columns import (
     stamp_columns,
 )
 from .linear_system import ExtraColumns, LinearSystem
-from .optimise import Optimum, optimise
+from .optimise import Optimum, marginal_covariance, optimise
 from .sampling import sample_window
 from .scale import coordinates_by_pixels, with_scale_term
 from .shared_prior import bias_keys, shared_jacobian, shared_keys
@@ -240,7 +240,7 @@ def _read(
     states = {body.segment: body.states for body in bodies}
     following, offset, draws = None, 0.0, None
     shifts: tuple[BlockShift, ...] = ()
-    if with_covariance or with_message or with_evidence or with_offset:
+    if with_covariance or with_evidence or with_offset:
         extra: list[ExtraColumns] = []
         if with_evidence or window.considered is not None:
             extra.append(
@@ -270,7 +270,7 @@ def _read(
         if plan is not None:
             draws = sample_window(following.system, values, window, biases, plan, following.shared, lost)
     shoulder, shoulder_covariance = _shoulder(values, following if with_covariance else None, window)
-    message = _message(values, following if with_message else None, window, biases)
+    message = _message(optimum, following, window, biases, with_message)
     return Solution(
         index=window.index,
         bodies=tuple(bodies),
@@ -461,9 +461,11 @@ def _shoulder(
     return position, interpolate(t[knots], covariance, t)
 
 
-def _message(values: gtsam.Values, following: _Following | None, window: Window, biases: IntArray) -> Message:
+def _message(
+    optimum: Optimum, following: _Following | None, window: Window, biases: IntArray, with_covariance: bool
+) -> Message:
     """The shared variables, jointly, in the shared vector's coordinates; without covariance it is nan."""
-    layout = window.priors.layout
+    layout, values = window.priors.layout, optimum.values
     keys = shared_keys(window, biases)
     down = values.atUnit3(G(0))
     mean = np.empty(layout.size)
@@ -476,9 +478,14 @@ def _message(values: gtsam.Values, following: _Following | None, window: Window,
         for joint, rows in layout.levers(segment).items():
             mean[rows] = values.atPoint3(keys_of(segment).lever_of(joint))
     covariance = np.full((layout.size, layout.size), np.nan)
-    if following is not None:
+    if with_covariance:
         jacobian = shared_jacobian(layout, down)
-        covariance = jacobian @ following.system.shared_covariance(keys) @ jacobian.T
+        own = (
+            marginal_covariance(optimum, window, keys)
+            if following is None
+            else following.system.shared_covariance(keys)
+        )
+        covariance = jacobian @ own @ jacobian.T
     return Message(t_s=float(0.5 * (window.t[0] + window.t[-1])), shared=Gaussian(mean, covariance))
 
 
