@@ -270,7 +270,15 @@ def _read(
         if plan is not None:
             draws = sample_window(following.system, values, window, biases, plan, following.shared, lost)
     shoulder, shoulder_covariance = _shoulder(values, following if with_covariance else None, window)
-    message = _message(optimum, following, window, biases, with_message)
+    of_shared = None
+    if with_message:
+        keys = shared_keys(window, biases)
+        of_shared = (
+            marginal_covariance(optimum, window, keys)
+            if following is None
+            else following.system.shared_covariance(keys)
+        )
+    message = _message(values, of_shared, window, biases)
     return Solution(
         index=window.index,
         bodies=tuple(bodies),
@@ -461,11 +469,9 @@ def _shoulder(
     return position, interpolate(t[knots], covariance, t)
 
 
-def _message(
-    optimum: Optimum, following: _Following | None, window: Window, biases: IntArray, with_covariance: bool
-) -> Message:
-    """The shared variables, jointly, in the shared vector's coordinates; without covariance it is nan."""
-    layout, values = window.priors.layout, optimum.values
+def _message(values: gtsam.Values, of_shared: FloatArray | None, window: Window, biases: IntArray) -> Message:
+    """The shared variables in the shared vector's coordinates, their joint covariance nan where None."""
+    layout = window.priors.layout
     keys = shared_keys(window, biases)
     down = values.atUnit3(G(0))
     mean = np.empty(layout.size)
@@ -478,14 +484,9 @@ def _message(
         for joint, rows in layout.levers(segment).items():
             mean[rows] = values.atPoint3(keys_of(segment).lever_of(joint))
     covariance = np.full((layout.size, layout.size), np.nan)
-    if with_covariance:
+    if of_shared is not None:
         jacobian = shared_jacobian(layout, down)
-        own = (
-            marginal_covariance(optimum, window, keys)
-            if following is None
-            else following.system.shared_covariance(keys)
-        )
-        covariance = jacobian @ own @ jacobian.T
+        covariance = jacobian @ of_shared @ jacobian.T
     return Message(t_s=float(0.5 * (window.t[0] + window.t[-1])), shared=Gaussian(mean, covariance))
 
 

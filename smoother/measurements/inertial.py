@@ -80,22 +80,27 @@ class InertialSignal:
         return float(self.edges[-1])
 
     def velocity_error(self, t: FloatArray) -> FloatArray:
-        """Velocity that each interval of consecutive times may have lost to impacts.
+        """`velocity_error_between` of each interval of consecutive times (n + 1,), s: (n,), m/s."""
+        return self.velocity_error_between(t[:-1], t[1:])
+
+    def velocity_error_between(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
+        """Velocity that intervals may have lost to impacts.
 
         Between neighbouring samples an impact is faster than the sensor follows: part of the impulse
         is filtered, aliased or clipped. Root sum of squares over the samples.
 
         Parameters
         ----------
-        t : ndarray, shape (n + 1,), s
-            Increasing.
+        start_s, end_s : ndarray, shape (n,), s
+            Of the intervals.
 
         Returns
         -------
         error : ndarray, shape (n,), m/s
             One sigma.
         """
-        return IMPACT_SHARE * np.sqrt(np.maximum(np.diff(np.interp(t, self.edges, self._impacts)), 0.0))
+        start, end = (np.interp(t, self.edges, self._impacts) for t in (start_s, end_s))
+        return np.asarray(IMPACT_SHARE * np.sqrt(np.maximum(end - start, 0.0)))
 
     def mean(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
         """Mean of the signal over any intervals.

@@ -21,6 +21,8 @@ CLOSEST_S = 0.008
 #: camera's last samples decide.
 GROUPED_S = 0.105
 FINE_S = 0.15
+#: Nor where impacts that the IMU did not follow may move the arm by so much within that time, one sigma, m.
+IMPACT_M = 0.001
 
 
 def decimate(t: FloatArray) -> BoolArray:
@@ -33,6 +35,12 @@ def decimate(t: FloatArray) -> BoolArray:
         keep[i] = t[i] - last >= CLOSEST_S
         last = t[i] if keep[i] else last
     return keep
+
+
+def struck(signal: InertialSignal, t: FloatArray) -> BoolArray:
+    """Which frames (n,) at times (n,), s, are so near an impact that the IMU does not tie them to others."""
+    first, last = (np.clip(t + apart, signal.start_s, signal.end_s) for apart in (-GROUPED_S, GROUPED_S))
+    return np.asarray(GROUPED_S * signal.velocity_error_between(first, last) > IMPACT_M)
 
 
 def group_frames(t: FloatArray, visible: BoolArray) -> IntArray:
