@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..array_types import FloatArray
 from ..linalg import nonnegative_pair
@@ -74,15 +75,18 @@ def _memory(found: dict[str, list[FloatArray]], times: dict[str, list[FloatArray
     spacing = np.concatenate([np.diff(t) for each in times.values() for t in each])
     step = float(np.median(spacing)) if len(spacing) else 1.0
     lags = max(round(LONGEST_LAG_S / step), 1)
+    lag_s = step * np.arange(lags + 1)
     sums, counts = np.zeros(lags + 1), np.zeros(lags + 1)
     for joint, series in found.items():
         robust = _robust(np.vstack(series))
         for residual, t in zip(series, times[joint], strict=True):
             x = np.clip(residual / robust, -CLIP, CLIP)
-            for lag in range(min(lags + 1, len(x))):
-                near = np.abs(t[lag:] - t[: len(t) - lag] - lag * step) < 0.5 * step
-                sums[lag] += np.sum(x[lag:][near] * x[: len(x) - lag][near])
-                counts[lag] += 3 * near.sum()
+            # each sample with those after it: nothing follows the last ones
+            later_x = sliding_window_view(np.pad(x, ((0, lags), (0, 0))), lags + 1, axis=0)
+            later_t = sliding_window_view(np.pad(t, (0, lags), constant_values=np.inf), lags + 1)
+            near = np.abs(later_t - t[:, None] - lag_s) < 0.5 * step
+            sums += (near * (x[:, None] @ later_x)[:, 0]).sum(axis=0)
+            counts += 3 * near.sum(axis=0)
     covariance = sums / np.maximum(counts, 1.0)
     return _fitted(covariance / max(covariance[0], 1e-12), counts, step)
 
