@@ -14,7 +14,10 @@ def main() -> None:
     # all cores are kept busy by processes; threads of the libraries inside only get in each other's way
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    gc.set_threshold(20_000)  # of what imports make nothing is garbage, and looking through it takes 0.06 s
+    # of what imports make nothing is garbage, and looking through it takes 0.06 s
+    gc.set_threshold(300_000)
+    # no library's plugin belongs here, and pydantic would read every installed package's metadata for them
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     _open_closed_streams()
     try:
         from .run import run
