@@ -12,7 +12,7 @@ A mirrored skeleton, or elbow and wrist exchanged, fits as well as the true one 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -47,7 +47,7 @@ NEWTON_STEPS = 6
 #: Of the offsets every this many are tried first; then all where this part of the best is reached.
 COARSE, LOOKED_AT = 3, 0.5
 #: Offsets are worked on in batches of this many.
-BATCH = 4096
+BATCH = 1024
 
 
 @dataclass(frozen=True)
@@ -281,30 +281,32 @@ def _best_fits(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
 def _best_fit(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
     """The largest 2 tr(Q' T a) - a' C a over rotations Q and unit vectors a, (n,)."""
     width, axes = np.linalg.eigh(C)
-    count = len(T)
-    starts = np.repeat(np.vstack([np.eye(3), -np.eye(3)])[None], count, axis=0)  # (n, 6, 3)
-    score, a = _alternate(T, width, axes, starts, FIRST_ROUNDS, heading_only)
-    best = np.argsort(-score, axis=1)[:, :KEPT]
-    score, _ = _alternate(
-        T, width, axes, np.take_along_axis(a, best[:, :, None], axis=1), MORE_ROUNDS, heading_only
-    )
-    return score.max(axis=1)
+    # a = axes y: in these axes C is diagonal
+    T = (T.reshape(-1, 9, 3) @ axes).reshape(-1, 3, 3, 3)
+    turned = _by_heading(T) if heading_only else _freely(T)
+    widths = _columns(width)
+    starts = np.ascontiguousarray(axes.transpose(2, 1, 0))  # the sensor's axes
+    score, y = _alternate(turned, widths, np.concatenate([starts, -starts], axis=1), FIRST_ROUNDS)
+    best = np.argsort(-score, axis=0)[:KEPT]
+    score, _ = _alternate(turned, widths, np.take_along_axis(y, best[None], axis=1), MORE_ROUNDS)
+    return score.max(axis=0)
+
+
+def _columns(vectors: FloatArray) -> FloatArray:
+    """Vectors (n, 3) as (3, 1, n): sums over three, and all else, are fast with the many in a row."""
+    return np.ascontiguousarray(vectors.T)[:, None]
 
 
 def _alternate(
-    T: FloatArray, width: FloatArray, axes: FloatArray, a: FloatArray, rounds: int, heading_only: bool
+    turned: Callable[[FloatArray], FloatArray], width: FloatArray, y: FloatArray, rounds: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Rounds of Q for a and a for Q from start values (n, s, 3): what they reach (n, s), and their a."""
-    value = np.zeros(a.shape[:2])
+    """Rounds of Q for y and y for Q from start values (3, s, n): what they reach (s, n), and their y."""
+    value = np.zeros(y.shape[1:])
     for _ in range(rounds):
-        M = np.einsum("nijk,nsk->nsij", T, a)
-        Q = _heading(M) if heading_only else nearest_rotation(M)
-        b = np.einsum("nsij,nijk->nsk", Q, T)
-        z = np.einsum("nsk,nkc->nsc", b, axes)
-        y = _on_sphere(z, width[:, None, :])
-        value = 2.0 * _sum(z, y) - _sum(width[:, None, :] * y, y)
-        a = np.einsum("nsc,nkc->nsk", y, axes)
-    return value, a
+        z = turned(y)
+        y = _on_sphere(z, width)
+        value = ((2.0 * z - width * y) * y).sum(axis=0)
+    return value, y
 
 
 def _on_sphere(z: FloatArray, width: FloatArray) -> FloatArray:
@@ -313,29 +315,39 @@ def _on_sphere(z: FloatArray, width: FloatArray) -> FloatArray:
     Newton's method on 1/|y| - 1 from the left of the root, which it approaches from that side.
     """
     z = np.where(np.abs(z) < 1e-12, 1e-12, z)
-    shift = np.maximum(np.linalg.norm(z, axis=-1) - width[..., 2], np.abs(z[..., 0]) - width[..., 0])
+    shift = np.maximum(np.sqrt((z * z).sum(axis=0)) - width[2], np.abs(z[0]) - width[0])
     for _ in range(NEWTON_STEPS):
-        inverse = 1.0 / (width + shift[..., None])
-        y = z * inverse
-        square, slope = _sum(y, y), _sum(y * y, inverse)
+        inverse = 1.0 / (width + shift)
+        squares = (z * inverse) ** 2
+        square, slope = squares.sum(axis=0), (squares * inverse).sum(axis=0)
         shift = shift + (np.sqrt(square) - 1.0) * square / slope
-    return unit(z / (width + shift[..., None]))
+    y = z / (width + shift)
+    return np.asarray(y / np.sqrt((y * y).sum(axis=0)))
 
 
-def _sum(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Scalar products over the last axis; `sum` over so short a one takes three times as long."""
-    return np.einsum("...i,...i->...", a, b)
+def _freely(T: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """For vectors y (3, s, n) the z of z'y = tr(Q' T y) with the best rotation Q; T is (n, 3, 3, 3)."""
+    flat = T.reshape(-1, 9, 3)
+
+    def turned(y: FloatArray) -> FloatArray:
+        M = y.transpose(2, 1, 0) @ np.swapaxes(flat, 1, 2)  # (n, s, 9)
+        Q = nearest_rotation(M.reshape(*M.shape[:2], 3, 3))
+        return np.ascontiguousarray((Q.reshape(M.shape) @ flat).transpose(2, 1, 0))
+
+    return turned
 
 
-def _heading(M: FloatArray) -> FloatArray:
-    """Rotations about the third axis (..., 3, 3) that maximise trace(Q' M)."""
-    c, s = M[..., 0, 0] + M[..., 1, 1], M[..., 1, 0] - M[..., 0, 1]
-    length = np.maximum(np.hypot(c, s), 1e-300)
-    Q = np.zeros_like(M)
-    Q[..., 0, 0] = Q[..., 1, 1] = c / length
-    Q[..., 1, 0], Q[..., 0, 1] = s / length, -s / length
-    Q[..., 2, 2] = 1.0
-    return Q
+def _by_heading(T: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """`_freely` with a rotation Q about the third axis: then three vectors are all that counts of T."""
+    cosine, sine = _columns(T[:, 0, 0] + T[:, 1, 1]), _columns(T[:, 1, 0] - T[:, 0, 1])
+    along = _columns(T[:, 2, 2])
+
+    def turned(y: FloatArray) -> FloatArray:
+        c, s = (cosine * y).sum(axis=0), (sine * y).sum(axis=0)
+        length = np.maximum(np.hypot(c, s), 1e-300)
+        return np.asarray((c / length) * cosine + (s / length) * sine + along)
+
+    return turned
 
 
 def _upright(up: FloatArray) -> FloatArray:
