@@ -9,7 +9,7 @@ each has its own clock.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -51,8 +51,8 @@ from .self_calibration import SHORT_S, SelfCalibration
 
 
 @dataclass(frozen=True)
-class RoundWindows:
-    """The windows of a round, segment after segment.
+class SolvedRound:
+    """The windows of a round, segment after segment, and their answers.
 
     `borders` and `prepared`: one per segment; `recording_of_window`: one per window.
     """
@@ -60,21 +60,22 @@ class RoundWindows:
     prepared: dict[int, PreparedSegment]
     borders: list[list[float]]
     windows: list[Window]
+    solutions: list[Solution]
     recording_of_window: IntArray
     initial: InitialValues
     prior: Priors
 
-    def trajectories(self, solutions: Sequence[Solution]) -> dict[int, Trajectory]:
+    def trajectories(self) -> dict[int, Trajectory]:
         """The joined trajectory of each segment, by its number."""
         merged, first = {}, 0
         for (number, prepared), border in zip(self.prepared.items(), self.borders, strict=True):
             last = first + len(border) - 1
-            merged[number] = merge_windows(prepared.t, self.windows[first:last], list(solutions[first:last]))
+            merged[number] = merge_windows(prepared.t, self.windows[first:last], self.solutions[first:last])
             first = last
         return merged
 
 
-def cut_round(
+def solve_round(
     segments: dict[int, Segment],
     calibration: ArmCalibration,
     clocks: Sequence[Clock],
@@ -82,8 +83,9 @@ def cut_round(
     upper_arm_sigma_m: float,
     trajectories: dict[int, Trajectory],
     config: Config,
-) -> RoundWindows:
-    """Prepare and cut all segments; start values are the last round's trajectories where there are any."""
+    workers: Pool,
+) -> SolvedRound:
+    """Prepare, cut and solve all segments, from the last round's trajectories where there are any."""
     margin_s = config.windows.margin_s
     ready = [
         (number, segment, *answer)
@@ -101,13 +103,19 @@ def cut_round(
     prior = first_priors(initial, calibration, config)
     noise = noise_of(config, upper_arm_sigma_m)
     borders = [cut_times(each, config.windows.length_s) for each in prepared.values()]
-    sharing = sum(len(border) - 1 for border in borders)
+    counts = [len(border) - 1 for border in borders]
     windows: list[Window] = []
-    recording: list[int] = []
-    for (_, segment, *_), each, border in zip(ready, prepared.values(), borders, strict=True):
-        windows += cut(each, [prior] * (len(border) - 1), noise, border, margin_s, GRAVITY, sharing)
-        recording += [segment.recording] * (len(border) - 1)
-    return RoundWindows(prepared, borders, windows, np.array(recording), initial, prior)
+
+    def cut_one_by_one() -> Iterator[Window]:
+        for each, border, count in zip(prepared.values(), borders, counts, strict=True):
+            for window in cut(each, [prior] * count, noise, border, margin_s, GRAVITY, sum(counts)):
+                windows.append(window)
+                yield window
+
+    # the first ones are solved while the next ones are cut
+    solutions = list(workers.map(SOLVE_ONCE, cut_one_by_one()))
+    recording = np.repeat([segment.recording for _, segment, *_ in ready], counts)
+    return SolvedRound(prepared, borders, windows, solutions, recording, initial, prior)
 
 
 def with_initial_values(prepared: PreparedSegment, trajectory: Trajectory | None) -> PreparedSegment:
@@ -121,6 +129,7 @@ def with_initial_values(prepared: PreparedSegment, trajectory: Trajectory | None
 ROUNDS = 4
 #: A round ends when an iteration lowers the error by less than this share of it.
 TOLERANCE = 1e-3
+SOLVE_ONCE = partial(solve, with_covariance=False, with_offset=True, with_evidence=True, tolerance=TOLERANCE)
 #: Rounds end when nothing moved more than this, m (a clock's s as m at a hand's pace, m/s), or more
 #: than this share of its own sigma: the windows solve lever arms again.
 SETTLED_M, SETTLED_SIGMAS = 0.001, 0.4
@@ -180,9 +189,6 @@ def self_calibrate(
     with_depth = any((origin := each.frame_origins) is None or np.isnan(origin).any() for each in excerpts)
     errors = ConstantErrors()
     trajectories: dict[int, Trajectory] = {}
-    solve_once = partial(
-        solve, with_covariance=False, with_offset=True, with_evidence=True, tolerance=TOLERANCE
-    )
     everything = list(range(len(excerpts)))
     # the first round, which starts farthest off, reads half
     numbers = _every_second(excerpts) if rounds > 1 else everything
@@ -190,17 +196,15 @@ def self_calibrate(
         signals: dict[int, InertialSignal] = {}
         corrected = {number: errors.corrected(excerpts[number], signals) for number in numbers}
         try:
-            current = cut_round(
-                corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config
+            current = solve_round(
+                corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config, workers
             )
         except CalibrationError:
             if numbers == everything:
                 raise
             numbers = everything  # what can be used is in the other half
             continue
-        windows = current.windows
-        solutions = list(workers.map(solve_once, windows))
-        trajectories = current.trajectories(solutions)
+        windows, solutions, trajectories = current.windows, current.solutions, current.trajectories()
         shared = pooled([solution.message for solution in solutions], current.prior)
         estimate = calibration_from(shared, current.prior.layout, start, errors.joints.sigma_m)
         noise = joint_noise(windows, solutions)

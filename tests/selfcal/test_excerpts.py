@@ -209,7 +209,7 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))
     assert len(excerpts) > 2
     read: list[int] = []
-    original = rounds.cut_round
+    original = rounds.solve_round
 
     def cut(segments: dict, *others: object) -> object:
         read.append(len(segments))
@@ -217,7 +217,7 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
         assert starts == sorted(starts)  # the clock's wander is followed in time
         return original(segments, *others)
 
-    monkeypatch.setattr(rounds, "cut_round", cut)
+    monkeypatch.setattr(rounds, "solve_round", cut)
     config, given = Config(), ArmCalibration(side=made.recording.side)
     with Pool(1, 0) as workers:
         coarse = rounds.self_calibrate(excerpts, given, config, workers)
