@@ -8,6 +8,8 @@ import signal
 import sys
 from contextlib import suppress
 
+from ..runtime.allocation import keep_freed_memory
+
 
 def main() -> None:
     """Run the command that the arguments name, and exit with its code."""
@@ -18,6 +20,7 @@ def main() -> None:
     gc.set_threshold(300_000)
     # no library's plugin belongs here, and pydantic would read every installed package's metadata for them
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
+    keep_freed_memory()
     _open_closed_streams()
     try:
         from .run import run

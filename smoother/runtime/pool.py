@@ -19,6 +19,7 @@ from types import ModuleType, TracebackType
 from typing import Any, Generic, Literal, TypeVar
 
 from ..errors import UnoccludeError
+from .allocation import keep_freed_memory
 
 #: Libraries and their threads take about this much, bytes; with less they end the process, or never answer.
 LEAST_BYTES = 300 << 20
@@ -54,6 +55,7 @@ _PR_SET_PDEATHSIG = 1
 
 def prepare_worker() -> None:
     """Prepare a worker process; the first that it runs."""
+    keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent ends its workers
     for number in signal.valid_signals() - {signal.SIGINT}:
         if callable(signal.getsignal(number)):  # a forked worker has its parent's
