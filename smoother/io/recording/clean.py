@@ -58,17 +58,18 @@ def unusable_samples(stamp_ns: IntArray, acc: FloatArray, gyro: FloatArray) -> d
     with np.errstate(invalid="ignore", over="ignore"):
         for part in batches(count):
             rows = slice(max(part.start - 1, 0), min(part.stop + 1, count))
-            a, g = np.asarray(acc[rows]), np.asarray(gyro[rows])
+            # with the samples in a row, what is taken over three axes takes a tenth of the time
+            a, g = np.ascontiguousarray(acc[rows].T), np.ascontiguousarray(gyro[rows].T)
             mine = slice(part.start - rows.start, part.stop - rows.start)
-            zero[part] = np.all((a[mine] == 0) & (g[mine] == 0), axis=1)
-            beyond[part] = np.any((abs(a[mine]) > ACC_LIMIT) | (abs(g[mine]) > GYRO_LIMIT), axis=1)
+            zero[part] = np.all((a[:, mine] == 0) & (g[:, mine] == 0), axis=0)
+            beyond[part] = np.any((abs(a[:, mine]) > ACC_LIMIT) | (abs(g[:, mine]) > GYRO_LIMIT), axis=0)
             for sensor, values in enumerate((a, g)):
                 inside = np.where(abs(values) <= (ACC_LIMIT, GYRO_LIMIT)[sensor], abs(values), 0.0)
-                highest[sensor] = np.maximum(highest[sensor], inside.max(axis=0, initial=0.0))
-            if len(a) > 1:
-                equal = (a[1:] == a[:-1]).all(axis=1) & (g[1:] == g[:-1]).all(axis=1)
+                highest[sensor] = np.maximum(highest[sensor], inside.max(axis=1, initial=0.0))
+            if rows.stop - rows.start > 1:
+                equal = ((a[:, 1:] == a[:, :-1]) & (g[:, 1:] == g[:, :-1])).all(axis=0)
                 same[rows.start + 1 : rows.stop] = equal
-            if len(a) > 2 and rate >= _SPIKE_RATE_HZ:
+            if rows.stop - rows.start > 2 and rate >= _SPIKE_RATE_HZ:
                 lone = _spikes(a, *_SPIKE_ACC) | _spikes(g, *_SPIKE_GYRO)
                 spike[rows.start + 1 : rows.stop - 1] |= lone
     causes = {
@@ -86,10 +87,10 @@ def unusable_samples(stamp_ns: IntArray, acc: FloatArray, gyro: FloatArray) -> d
 
 
 def _spikes(values: FloatArray, off: float, agree: float) -> BoolArray:
-    """Inner samples (n - 2,) off both neighbours, which agree."""
-    middle = 0.5 * (values[2:] + values[:-2])
-    apart = abs(values[2:] - values[:-2]).max(axis=1)
-    lone: BoolArray = (abs(values[1:-1] - middle).max(axis=1) > off) & (apart < agree)
+    """Inner samples (n - 2,) of three axes (3, n) off both neighbours, which agree."""
+    before, after = values[:, :-2], values[:, 2:]
+    apart = abs(after - before).max(axis=0)
+    lone: BoolArray = (abs(values[:, 1:-1] - 0.5 * (after + before)).max(axis=0) > off) & (apart < agree)
     return lone
 
 
