@@ -1,22 +1,19 @@
 """Elbow, shoulder and forearm from joints and one IMU's orientation, each angle with its sigma.
 
-Sigma is by first-order propagation through `joint_angles.arm_angles` itself, of the pose of the forearm's IMU
-(it moves the elbow and turns the forearm), of the shoulder's position, and of the forearm's direction in the
-IMU's axes. The shoulder's errors are treated as independent of the IMU's, as a recovery keeps no covariance
-between them; of what both add up to, a measured part counts (`UPPER_ARM_SHARE`).
+Sigma is by first-order propagation through the angles of `joint_angles.arm_angles`, of the pose of the
+forearm's IMU (it moves the elbow and turns the forearm), of the shoulder's position, and of the forearm's
+direction in the IMU's axes. The shoulder's errors are treated as independent of the IMU's, as a recovery
+keeps no covariance between them; of what both add up to, a measured part counts (`UPPER_ARM_SHARE`).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ..array_types import FloatArray
-from ..joint_angles import arm_angles, elbow_flexion_sigma, forearm_axes, wrapped_deg
-from ..linalg import rotate_covariance
+from ..joint_angles import arm_angles, elbow_flexion_sigma, forearm_axes, torso_axes
+from ..linalg import rotate_covariance, unit
 from ..result.moving_arm import MovingArm
-from ..rotation import Rotation
 from ..shoulder_angles import DOWN_T, FORWARD_T
 from .definitions import (
     ELBOW_FLEXION,
@@ -24,6 +21,7 @@ from .definitions import (
     SHOULDER,
     SHOULDER_ELEVATION,
     SHOULDER_PLANE,
+    SHOULDER_ROTATION,
     SHOULDER_TRUNK,
 )
 from .forearm_mounting import ForearmMounting
@@ -42,8 +40,8 @@ UPPER_ARM_SHARE = 0.5
 FOREARM_M = 0.25
 #: An angle that may be anything is off by this at most, degrees.
 MOST_SIGMA_DEG = 180.0
-#: Steps of the numerical derivatives, m and rad.
-_STEP = 1e-6
+#: The sine of elevation counts as this at the least: a bone that hangs straight has no plane.
+_NO_PLANE = 1e-12
 
 
 def skeleton_angles(arm: MovingArm, mounting: ForearmMounting) -> tuple[Angles, Angles]:
@@ -65,8 +63,7 @@ def skeleton_angles(arm: MovingArm, mounting: ForearmMounting) -> tuple[Angles, 
     """
     names = [angle.name for angle in (*SHOULDER, PRONATION)]
     values, sigmas = _with_sigma(arm, mounting, names, None, None)
-    flexion = arm_angles(arm.joints, len(arm))[ELBOW_FLEXION.name]
-    return values | {ELBOW_FLEXION.name: flexion}, sigmas | {ELBOW_FLEXION.name: elbow_flexion_sigma(arm)}
+    return values, sigmas | {ELBOW_FLEXION.name: elbow_flexion_sigma(arm)}
 
 
 def skeleton_trunk_angles(arm: MovingArm, mounting: ForearmMounting) -> tuple[Angles, Angles]:
@@ -113,7 +110,7 @@ def widened_elevation(
     plane_sigma_deg : ndarray, shape (N,), deg
         Of the plane of elevation, not limited.
     """
-    sine = np.abs(np.sin(np.radians(elevation_deg)))
+    sine = np.maximum(np.abs(np.sin(np.radians(elevation_deg))), _NO_PLANE)
     across = np.minimum(np.radians(plane_sigma_deg) * sine, 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         longer = np.minimum(0.5 * across**2 / np.maximum(sine, 1e-9), across)
@@ -143,27 +140,31 @@ def _with_sigma(
     R_K_T: FloatArray | None,
     of_trunk: FloatArray | None,
 ) -> tuple[Angles, Angles]:
-    """Shoulder angles, and pronation where it is asked for, against a thorax (N, 3, 3) or an upright one."""
+    """Angles of shoulder, elbow and forearm against a thorax (N, 3, 3) or an upright one; sigmas of some."""
+    values = {name: np.full(len(arm), np.nan) for name in (*names, ELBOW_FLEXION.name)}
+    sigmas = {name: values[name] for name in names}
     if not {"shoulder", "elbow"} <= set(arm.joints):
-        nothing = {name: np.full(len(arm), np.nan) for name in names}
-        return nothing, dict(nothing)
-    geometry = _Geometry(arm, mounting, R_K_T)
-    values = geometry.angles(geometry.upper, np.eye(3))
-    values = {name: values[name] for name in names}
+        return values, sigmas
+    elbow = np.asarray(arm.joints["elbow"])
+    upper = np.asarray(arm.joints["shoulder"]) - elbow
+    fore = arm.joints["wrist"] - elbow if "wrist" in arm.joints else np.full_like(elbow, np.nan)
+    values = _values(arm, mounting, upper, fore, R_K_T)
     if "shoulder" not in arm.joint_covariance:
-        return values, {name: np.full(len(arm), np.nan) for name in names}
+        return values, sigmas
     pose, shoulder = np.asarray(arm.pose_covariance), np.asarray(arm.joint_covariance["shoulder"])
     own = direction_variance(arm)
-    sigmas = {}
-    for name, slope in geometry.slopes(values, of_trunk is not None).items():
+    slopes = _slopes(upper, fore, arm.gravity_direction, R_K_T)
+    for name in names:
+        apart, forearm = slopes[name]
         # The pose moves the elbow, whose error counts in part as the shoulder's does, and turns the forearm.
-        of_elbow = np.concatenate([-slope.apart, geometry.by_turn_of_elbow(slope.apart)], axis=1)
-        by_pose = np.sqrt(UPPER_ARM_SHARE) * of_elbow
-        by_pose[:, 3:] += slope.forearm
-        variance = _propagated(by_pose, pose) + UPPER_ARM_SHARE * _propagated(slope.apart, shoulder)
-        variance += own * (slope.forearm**2).sum(axis=1)
-        if of_trunk is not None:
-            variance += _propagated(slope.whole, of_trunk)
+        by_pose = np.concatenate([-apart, np.cross(apart, elbow - arm.position)], axis=1)
+        by_pose *= np.sqrt(UPPER_ARM_SHARE)
+        by_pose[:, 3:] += forearm
+        variance = _propagated(by_pose, pose) + UPPER_ARM_SHARE * _propagated(apart, shoulder)
+        variance += own * (forearm**2).sum(axis=1)
+        if of_trunk is not None:  # the trunk's turn is one of the whole arm the other way round
+            variance += _propagated(np.cross(upper, apart) + forearm, of_trunk)
+        variance *= np.degrees(1.0) ** 2
         if name == PRONATION.name:
             variance += mounting.roll_sigma_deg**2
         sigmas[name] = np.sqrt(variance)
@@ -180,61 +181,55 @@ def _propagated(slope: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ni,nij,nj->n", slope, covariance, slope))
 
 
-class _Slopes(NamedTuple):
-    """Derivatives of an angle, (N, 3) each in {K}, deg/m and deg/rad.
-
-    By the shoulder's place against the IMU's; by a turn of the forearm about the elbow; by one of the whole
-    arm, which is the trunk's the other way round.
-    """
-
-    apart: FloatArray
-    forearm: FloatArray
-    whole: FloatArray
-
-
-class _Geometry:
-    """Upper arm and forearm of an arm's samples, which may be moved a little."""
-
-    def __init__(self, arm: MovingArm, mounting: ForearmMounting, R_K_T: FloatArray | None) -> None:
-        elbow = np.asarray(arm.joints["elbow"])
-        #: From elbow to shoulder, and to the wrist, (N, 3) m in {K}.
-        self.upper = np.asarray(arm.joints["shoulder"]) - elbow
-        self._fore = arm.joints["wrist"] - elbow if "wrist" in arm.joints else np.full_like(elbow, np.nan)
-        self._from_imu = elbow - arm.position
-        R_F_A = mounting.R_F_A
-        self._R_K_F = None if R_F_A is None else forearm_axes(np.asarray(arm.quaternion), R_F_A)
-        self._side, self._down, self._R_K_T = arm.side, arm.gravity_direction, R_K_T
-
-    def angles(self, upper: FloatArray, turn: FloatArray) -> Angles:
-        """With another upper arm (N, 3), and a forearm that is turned (3, 3)."""
-        fore = _turned(self._fore, turn)
-        axes = None if self._R_K_F is None else turn @ self._R_K_F
-        if self._R_K_T is None:
-            joints = {"shoulder": upper, "elbow": np.zeros_like(upper), "wrist": fore}
-            return arm_angles(joints, len(upper), axes, self._side, self._down)
-        upper, fore = (np.einsum("nji,nj->ni", self._R_K_T, bone) for bone in (upper, fore))
+def _values(
+    arm: MovingArm, mounting: ForearmMounting, upper: FloatArray, fore: FloatArray, R_K_T: FloatArray | None
+) -> Angles:
+    """Angles of bones (N, 3) from the elbow to shoulder and wrist."""
+    if R_K_T is None:
+        axes = None if mounting.R_F_A is None else forearm_axes(np.asarray(arm.quaternion), mounting.R_F_A)
         joints = {"shoulder": upper, "elbow": np.zeros_like(upper), "wrist": fore}
-        return arm_angles(joints, len(upper), None, self._side, DOWN_T, forward=FORWARD_T)
-
-    def slopes(self, base: Angles, of_whole: bool) -> dict[str, _Slopes]:
-        """Of the angles that `angles` gives for the arm as it is; by one of the whole only if asked for."""
-        slopes = {name: _Slopes(*(np.full((len(self.upper), 3), np.nan) for _ in range(3))) for name in base}
-        for axis, step in enumerate(_STEP * np.eye(3)):
-            turn = Rotation.from_rotvec(step).as_matrix()
-            moved = [self.angles(self.upper + step, np.eye(3)), self.angles(self.upper, turn)]
-            if of_whole:
-                moved.append(self.angles(_turned(self.upper, turn), turn))
-            for name, of_angle in slopes.items():
-                for slope, angles in zip(of_angle, moved, strict=False):
-                    slope[:, axis] = wrapped_deg(angles[name] - base[name]) / _STEP
-        return slopes
-
-    def by_turn_of_elbow(self, apart: FloatArray) -> FloatArray:
-        """Slopes (N, 3) by how the IMU's turn moves the elbow, from those by the shoulder's place."""
-        return np.asarray(np.cross(apart, self._from_imu))
+        return arm_angles(joints, len(upper), axes, arm.side, arm.gravity_direction)
+    upper, fore = (np.einsum("nji,nj->ni", R_K_T, bone) for bone in (upper, fore))
+    joints = {"shoulder": upper, "elbow": np.zeros_like(upper), "wrist": fore}
+    return arm_angles(joints, len(upper), None, arm.side, DOWN_T, forward=FORWARD_T)
 
 
-def _turned(vectors: FloatArray, turn: FloatArray) -> FloatArray:
-    """Vectors (N, 3) turned by (3, 3); a product of matrices would round a single row otherwise than many."""
-    x, y, z = (vectors[:, i, None] for i in range(3))
-    return np.asarray(x * turn[:, 0] + y * turn[:, 1] + z * turn[:, 2])
+def _slopes(
+    upper: FloatArray, fore: FloatArray, down: FloatArray, R_K_T: FloatArray | None
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Derivatives of the angles of a right arm; those of a left one are these or their negatives.
+
+    With u and v the unit vectors from elbow to shoulder and from wrist to elbow, Y the thorax's up, and
+    z = u x v / |u x v| the axis that the elbow bends about. A turn of the forearm moves v and z.
+
+    Returns
+    -------
+    slopes : dict of str to (ndarray, ndarray), each of shape (N, 3)
+        By the shoulder's place against the elbow's, rad/m in {K}, and by a turn of the forearm, rad/rad.
+    """
+    T = np.full((3, 3), np.nan) if R_K_T is None else R_K_T
+    if R_K_T is None and np.isfinite(down).all():
+        T = torso_axes(down)
+    reach = np.linalg.norm(upper, axis=1)[:, None]
+    u, v = unit(upper), -unit(fore)
+    # of a bone that hangs straight the plane is not determined: any will do
+    level = np.cross(T[..., 1], u) + _NO_PLANE * T[..., 0]
+    bend = np.cross(u, v)
+    z = unit(bend)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        of_plane = level / (level**2).sum(axis=1)[:, None] / reach
+        of_elevation = np.cross(unit(level), u) / reach
+        sine = np.linalg.norm(bend, axis=1)[:, None]
+        cotangent = (u * v).sum(axis=1)[:, None] / sine
+        by_bend = z / reach
+        rise = (T[..., 1] * u).sum(axis=1)[:, None]
+        nothing = np.zeros_like(u)
+        return {
+            SHOULDER_PLANE.name: (of_plane, nothing),
+            SHOULDER_ELEVATION.name: (of_elevation, nothing),
+            SHOULDER_ROTATION.name: (
+                -rise * of_plane - cotangent * by_bend,
+                u + cotangent * np.cross(u, z),
+            ),
+            PRONATION.name: (by_bend / sine, v - cotangent * np.cross(v, z)),
+        }

@@ -136,6 +136,56 @@ def test_sigmas_are_the_spread_of_drawn_errors() -> None:
             assert stated == pytest.approx(spread, rel=0.12), (name, sample)
 
 
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("lean", [None, [0.1, 0.4, -0.2]])
+def test_sigmas_have_the_slopes_of_the_angles(side: str, lean: list[float] | None) -> None:
+    """Against central differences of the angles over all that is uncertain; the thorax upright, or known."""
+    count, step = 12, 1e-6
+    made = replace(arm(count, **some(count)), side=side)
+    R_K_T, down, forward, of_trunk = np.eye(3), DOWN, None, np.zeros((3, 3))
+    suffix, names = "", ALWAYS[1:]
+    if lean is not None:
+        R_K_T = Rotation.from_rotvec(lean).as_matrix()
+        down, forward, of_trunk = np.array([0.0, -1, 0]), np.array([1.0, 0, 0]), 4e-4 * np.diag([1, 2, 3.0])
+        quaternion = np.tile(Rotation.from_matrix(R_K_T).as_quat(scalar_first=True), (count, 1))
+        trunk = TrunkMotion(quaternion, np.tile(of_trunk, (count, 1, 1)), np.eye(3), np.zeros(3))
+        made, suffix, names = replace(made, trunk=trunk), "_trunk", ALWAYS[1:4]
+    share = np.sqrt(UPPER_ARM_SHARE)
+
+    def moved(by: FloatArray) -> dict[str, FloatArray]:
+        """By errors of the pose, the shoulder, the forearm in the IMU's axes and the thorax, (15,)."""
+        turns = [Rotation.from_rotvec(by[k : k + 3]).as_matrix() for k in (3, 9, 12)]
+        at, fore = made.joints, turns[1] @ turns[0]
+        elbow = by[:3] + (at["elbow"] - made.position) @ (turns[0] - np.eye(3)).T
+        joints = {
+            "elbow": np.zeros((count, 3)),
+            "shoulder": at["shoulder"] - at["elbow"] + share * (by[6:9] - elbow),
+            "wrist": (at["wrist"] - at["elbow"]) @ fore.T,
+        }
+        axes = fore @ forearm_axes(made.quaternion, R_F_A)
+        thorax = turns[2] @ R_K_T
+        joints = {name: place @ thorax for name, place in joints.items()}
+        return arm_angles(joints, count, thorax.T @ axes, side, down, forward=forward)
+
+    steps = [(moved(by), moved(-by)) for by in step * np.eye(15)]
+    table = made.angles()
+    for name in names:
+        slope = np.stack([wrapped_deg(a[name] - b[name]) / (2 * step) for a, b in steps], axis=1)
+        variance = np.einsum("ni,nij,nj->n", slope[:, :6], made.pose_covariance, slope[:, :6])
+        for at, covariance in ((6, made.joint_covariance["shoulder"][0]), (12, of_trunk)):
+            variance += (slope[:, at : at + 3] @ covariance * slope[:, at : at + 3]).sum(axis=1)
+        variance += direction_variance(made) * (slope[:, 9:12] ** 2).sum(axis=1)
+        stated = table.sigmas[name + suffix]
+        if name == "pronation":
+            stated = np.sqrt(stated**2 - 15.0**2)  # how the IMU was calibrated on the forearm
+        if name == "shoulder_elevation":  # it holds what the error across adds as well
+            assert (stated >= np.sqrt(variance)).all()
+            tight = np.sin(np.radians(table.values[name + suffix])) > 0.5
+            np.testing.assert_allclose(stated[tight], np.sqrt(variance[tight]), rtol=0.01)
+        else:
+            np.testing.assert_allclose(stated, np.sqrt(variance), rtol=1e-6)
+
+
 @pytest.mark.parametrize("elevation", [0.0, 0.5, 2.0, 179.5, 180.0])
 def test_a_hanging_or_upright_arm_has_no_plane(elevation: float) -> None:
     made = arm(20, **some(20, elevation=elevation))
