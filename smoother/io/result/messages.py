@@ -384,7 +384,7 @@ def draw_messages(draws: Draws, stamp: IntArray, first: IntArray, frame_id: str)
     stamp : ndarray of int, shape (m,), ns
         Of all drawn times.
     first : ndarray of int
-        Some of `message_rows`.
+        Some of `message_rows` that follow each other.
     frame_id : str
         Of the camera.
 
@@ -393,21 +393,34 @@ def draw_messages(draws: Draws, stamp: IntArray, first: IntArray, frame_id: str)
     message : bytes
         One each.
     """
-    for start in first.tolist():
-        rows = slice(start, start + ROWS)
+    rows = slice(int(first[0]), int(first[-1]) + ROWS)
+    columns = {name: _whole_numbers(values[:, rows]) for name, values in draws.columns().items()}
+    for number, start in enumerate(first.tolist()):
+        rows, mine = slice(start, start + ROWS), slice(number * ROWS, (number + 1) * ROWS)
         message = message_class(SCHEMA)()
         message.timestamp.FromNanoseconds(int(stamp[start]))
         message.frame_id, message.motions = frame_id, len(draws)
         message.offset.extend((stamp[rows] - stamp[start]).tolist())
-        for name, values in draws.columns().items():
-            part = np.moveaxis(values[:, rows], 0, 1)
-            known = np.isfinite(part)
-            filled = np.where(known, part, 0.0)
-            scale = float(np.abs(filled).max(initial=0.0)) / _MOST or 1.0
-            whole = np.rint(filled / scale).astype(_KIND)
-            whole[~known] = _NOTHING
-            message.drawn.add(name=name, scale=scale, deviation=whole.tobytes())
+        for name, (whole, scales) in columns.items():
+            message.drawn.add(name=name, scale=scales[number], deviation=whole[mine].tobytes())
         yield message.SerializeToString(deterministic=True)
+
+
+def _whole_numbers(values: NDArray) -> tuple[NDArray, list[float]]:
+    """Deviations (n, m, 3) by time as whole numbers (m, 3 n), and what they are to be multiplied by.
+
+    One scale for each message's times, by the largest of them.
+    """
+    part = np.moveaxis(values, 0, 1).reshape(values.shape[1], -1)
+    known = np.isfinite(part)
+    filled = np.where(known, part, np.zeros(1, part.dtype))
+    largest = np.abs(filled).max(axis=1, initial=0.0)
+    scale = np.maximum.reduceat(largest, np.arange(0, len(part), ROWS)).astype(float) / _MOST
+    scale[scale == 0.0] = 1.0
+    filled /= scale.astype(part.dtype).repeat(ROWS)[: len(part), None]
+    whole = np.rint(filled, out=filled).astype(_KIND)
+    whole[~known] = _NOTHING
+    return whole, scale.tolist()
 
 
 class DrawsTable(TopicTable):

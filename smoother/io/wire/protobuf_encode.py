@@ -76,17 +76,15 @@ class Template:
         ndarray of uint8, shape (rows, HEAD_BYTES + size)
             Bytes, one row per message, behind zeros for its head.
         """
-        block = np.tile(np.frombuffer(bytes(HEAD_BYTES) + self.data, np.uint8), (rows, 1))
+        block = np.empty((rows, HEAD_BYTES + len(self.data)), np.uint8)
+        block[:] = np.frombuffer(bytes(HEAD_BYTES) + self.data, np.uint8)
         for slot in self.slots:
-            values = columns[slot.column]
-            if slot.width:
-                part = values if values.ndim == 1 else values[:, slot.first]
-                _put_varint(block, HEAD_BYTES + slot.offset, slot.width, part)
-                continue
-            wanted = values.reshape(rows, -1)[:, slot.first : slot.first + slot.count]
-            raw = np.ascontiguousarray(wanted, dtype="<f8").view(np.uint8)
+            values = columns[slot.column].reshape(rows, -1)[:, slot.first : slot.first + slot.count]
             first = HEAD_BYTES + slot.offset
-            block[:, first : first + 8 * slot.count] = raw
+            if slot.width:
+                block[:, first : first + slot.width] = _padded_varints(values, slot.width)
+            else:
+                block[:, first : first + 8 * slot.count].view("<f8")[:] = values
         return block
 
 
@@ -108,12 +106,12 @@ def alike(codes: NDArray[np.integer]) -> list[tuple[tuple[int, ...], NDArray[np.
     return [(tuple(codes[mine[0]].tolist()), mine) for mine in rows]
 
 
-def _put_varint(block: NDArray[np.uint8], offset: int, width: int, values: NDArray) -> None:
-    rest = values.astype(np.int64).view(np.uint64)
-    for place in range(width):
-        more = np.uint8(0x80 if place < width - 1 else 0)
-        block[:, offset + place] = (rest & np.uint64(0x7F)).astype(np.uint8) | more
-        rest = rest >> np.uint64(7)
+def _padded_varints(values: NDArray, width: int) -> NDArray[np.uint8]:
+    """Numbers (rows, 1) as varints of one width, (rows, width): seven bits each, and more after all but one."""
+    sevens = np.arange(0, 7 * width, 7).astype(np.uint64)
+    raw = (values.astype(np.int64).view(np.uint64) >> sevens).astype(np.uint8) | np.uint8(0x80)
+    raw[:, -1] &= 0x7F
+    return raw
 
 
 def varint(value: int) -> bytes:
