@@ -17,7 +17,6 @@ from ..io.recording.read import RESULT_PREFIX
 from ..io.recording.write import CAMERA
 from ..io.result.messages import gap_messages
 from ..io.result.streams import RecoveryStreams
-from ..io.wire.protobuf_encode import HEAD_BYTES
 from ..io.wire.schemas import message_class, schema_data
 from ..live.answers import LiveEstimate, LiveOutput, LiveState
 from ..measurements.visibility import Gap
@@ -155,7 +154,7 @@ class LiveMessages:
                 continue
             encoded = stream.encode(slice(0, len(stream.time_ns)))
             for stamp, row in zip(stream.time_ns.tolist(), encoded, strict=True):
-                data = row if isinstance(row, bytes) else row[HEAD_BYTES:].tobytes()
+                data = row if isinstance(row, bytes) else row.tobytes()
                 yield LiveMessage(topic, schema, stamp, data)
 
     def _recovery(self, estimate: LiveEstimate | None, arm: JointTracks) -> Recovery:

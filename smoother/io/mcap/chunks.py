@@ -32,11 +32,11 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from ...array_types import IntArray
-from ..wire.protobuf_encode import HEAD_BYTES
+from ..wire.layout import Buffer, copy_runs, runs
 from .messages import ChunkMessages
 from .records import CHUNK, HEAD, INDEX, MAGIC, MESSAGE
 
-#: Messages of one stream: rows (n, HEAD_BYTES + size) behind room for their heads, or one by one.
+#: Messages of one stream: rows (n, size), or one by one.
 Encoded = NDArray[np.uint8] | list[bytes]
 
 
@@ -51,14 +51,22 @@ class Records(NamedTuple):
         Log times.
     sizes : ndarray of int, shape (n,), bytes
         Of the records.
-    records : list of bytes
-        Heads and payloads.
+    records : memoryview
+        Heads and payloads, one record behind the other.
     """
 
     channel: IntArray
     log_ns: IntArray
     sizes: IntArray
-    records: list[bytes]
+    records: memoryview
+
+
+class Payloads(NamedTuple):
+    """Messages of any sizes: a buffer, where in it each starts (n,), and its size (n,), bytes."""
+
+    source: Buffer
+    start: IntArray
+    size: IntArray
 
 
 class Batch:
@@ -66,7 +74,7 @@ class Batch:
 
     def __init__(self) -> None:
         self._columns: list[IntArray] = []
-        self._data: list[Encoded] = []
+        self._payloads: list[NDArray[np.uint8] | Payloads] = []
 
     def extend(self, channel: int, time_ns: IntArray, data: Encoded) -> None:
         """Our own messages, to be numbered."""
@@ -75,13 +83,17 @@ class Batch:
         columns = np.full((4, len(time_ns)), -1, np.int64)
         columns[0], columns[2:] = channel, time_ns
         self._columns.append(columns)
-        self._data.append(data)
+        if isinstance(data, list):
+            sizes = np.fromiter(map(len, data), np.int64, len(data))
+            self._payloads.append(Payloads(b"".join(data), np.cumsum(sizes) - sizes, sizes))
+        else:
+            self._payloads.append(data)
 
     def add(self, messages: ChunkMessages, channels: list[int]) -> None:
         """Messages of another file, which keep their numbers; `channels` are those of its topics."""
         channel = np.array(channels, np.int64)[messages.topic]
         self._columns.append(np.stack([channel, messages.sequence, messages.log_ns, messages.publish_ns]))
-        self._data.append(messages.data)
+        self._payloads.append(Payloads(messages.chunk, messages.start, messages.stop - messages.start))
 
     def own(self) -> Counter[int]:
         """How many messages of our own it has, by channel."""
@@ -101,7 +113,7 @@ class Batch:
         """
         if not self._columns:
             nothing = np.empty(0, np.int64)
-            return Records(nothing, nothing, nothing, [])
+            return Records(nothing, nothing, nothing, memoryview(b""))
         columns = np.concatenate(self._columns, axis=1)
         channel, sequence, log_ns, publish_ns = columns
         order = np.argsort(log_ns, kind="stable")
@@ -116,25 +128,26 @@ class Batch:
         heads["opcode"] = Opcode.MESSAGE
         heads["channel"], heads["sequence"] = channel, sequence
         heads["log"], heads["publish"] = log_ns, publish_ns
-        records: list[bytes] = []
-        for data in self._data:
-            records += _records(heads[len(records) : len(records) + len(data)], data)
-        sizes = heads["length"].astype(np.int64) + HEAD.size
-        in_order = list(map(records.__getitem__, order.tolist()))
-        return Records(channel[order], log_ns[order], sizes[order], in_order)
+        sizes = MESSAGE.itemsize + np.concatenate([_sizes(data) for data in self._payloads])
+        heads["length"] = sizes - HEAD.size
+        ends = np.cumsum(sizes[order])
+        place = np.empty_like(ends)
+        place[order] = ends - sizes[order]
+        records = np.empty(ends[-1], np.uint8).data
+        runs(records, MESSAGE.itemsize)[place] = heads.view(f"V{MESSAGE.itemsize}")
+        first = 0
+        for data in self._payloads:
+            mine = place[first : first + len(_sizes(data))] + MESSAGE.itemsize
+            first += len(mine)
+            if isinstance(data, Payloads):
+                copy_runs(data.source, data.start, data.size, records, mine)
+            elif size := data.shape[1]:
+                runs(records, size)[mine] = data.view(f"V{size}")[:, 0]
+        return Records(channel[order], log_ns[order], sizes[order], records)
 
 
-def _records(heads: NDArray, data: Encoded) -> list[bytes]:
-    """Heads and messages put together; the heads learn the messages' lengths."""
-    if isinstance(data, list):
-        heads["length"] = np.fromiter(map(len, data), np.int64, len(data)) + (MESSAGE.itemsize - HEAD.size)
-        raw = heads.tobytes()
-        starts = range(0, len(raw), MESSAGE.itemsize)
-        return [raw[at : at + MESSAGE.itemsize] + each for at, each in zip(starts, data, strict=True)]
-    heads["length"] = data.shape[1] - HEAD.size
-    data[:, :HEAD_BYTES] = heads.view(np.uint8).reshape(len(data), -1)
-    records: list[bytes] = data.view(f"V{data.shape[1]}")[:, 0].tolist()
-    return records
+def _sizes(data: NDArray[np.uint8] | Payloads) -> IntArray:
+    return data.size if isinstance(data, Payloads) else np.full(len(data), data.shape[1])
 
 
 _CHUNK_BYTES = 1 << 20
@@ -189,9 +202,7 @@ class ChunkedFile:
         self._later(self._record, channel)
         return number
 
-    def messages(
-        self, channel: IntArray, log_ns: IntArray, sizes: IntArray, records: Sequence[bytes]
-    ) -> None:
+    def messages(self, channel: IntArray, log_ns: IntArray, sizes: IntArray, records: memoryview) -> None:
         """Write message records in the order given, in chunks of about a megabyte.
 
         Parameters
@@ -200,17 +211,17 @@ class ChunkedFile:
             Of the messages; log times in ns.
         sizes : ndarray of int, shape (n,), bytes
             Of the records.
-        records : sequence of bytes
-            The messages with their heads.
+        records : memoryview
+            The messages with their heads, one behind the other.
         """
-        count, ends = len(records), np.cumsum(sizes)
+        ends = np.cumsum(sizes)
         start = 0
-        while start < count:
-            before = ends[start - 1] if start else 0
+        while start < len(ends):
+            before = int(ends[start - 1]) if start else 0
             stop = max(int(np.searchsorted(ends, before + _CHUNK_BYTES, "right")), start + 1)
             part = slice(start, stop)
             offsets = ends[part] - sizes[part] - before
-            packed = self._packers.submit(_pack, b"".join(records[part]))
+            packed = self._packers.submit(_pack, records[before : int(ends[stop - 1])])
             self._later(self._chunk, packed, channel[part], log_ns[part], offsets)
             start = stop
 
@@ -365,7 +376,7 @@ class _Packed(NamedTuple):
     crc: int
 
 
-def _pack(data: bytes) -> _Packed:
+def _pack(data: memoryview) -> _Packed:
     # a compressor belongs to one thread
     packed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
     return _Packed(packed, len(data), zlib.crc32(data))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ...array_types import IntArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
+from ..wire.layout import Buffer, joined
 from .chunk_source import ChunkSource, Definitions
 from .messages import ChunkMessages, DamageLog, Loss, McapMessage, Topic, TopicMessages, plain_name
 from .records import HEAD, MAGIC, MESSAGE, Summary, find, read_summary
@@ -134,14 +135,15 @@ class Container:
                 new_number[position] = numbers[position]
             topic_of = new_number[number]
             mine = topic_of >= 0
+            payloads: Buffer = chunk
             if not mine.all():
-                heads, start, stop, topic_of = heads[mine], start[mine], stop[mine], topic_of[mine]
+                heads, topic_of = heads[mine], topic_of[mine]
+                payloads, start, stop = joined(chunk, start[mine], stop[mine])  # the others need not be kept
             if len(heads):
-                data = [chunk[a:b] for a, b in zip(start.tolist(), stop.tolist(), strict=True)]
                 sequence, log_ns, publish_ns = (
                     heads[name].astype(np.int64) for name in ("sequence", "log", "publish")
                 )
-                yield ChunkMessages(topics, topic_of, sequence, log_ns, publish_ns, data)
+                yield ChunkMessages(topics, topic_of, sequence, log_ns, publish_ns, payloads, start, stop)
 
     def _messages_in(
         self, chunk: bytes, index: Sequence[bytes]

@@ -21,6 +21,7 @@ from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...runtime.outputs import writing
 from ...runtime.printable import printable
+from ..wire.layout import joined
 from ..wire.schemas import schema_data
 from .chunks import Batch, ChunkedFile
 from .chunks import Encoded as Encoded
@@ -142,12 +143,12 @@ class Output:
         while self._next_foreign is not None:
             chunk = self._next_foreign
             late = chunk.log_ns >= edge
-            stop = int(np.argmax(late)) if late.any() and edge != END else len(chunk.data)
+            stop = int(np.argmax(late)) if late.any() and edge != END else len(late)
             if stop:
                 early = chunk.select(slice(0, stop))
                 batch.add(early, [self._channel(topic) for topic in early.topics])
-                held += sum(map(len, early.data))
-            if stop < len(chunk.data):
+                held += int((early.stop - early.start).sum())
+            if stop < len(chunk.log_ns):
                 self._next_foreign = chunk.select(slice(stop, None))
                 break
             self._next_foreign = next(self._foreign, None)
@@ -386,12 +387,11 @@ def spooled(container: Container, payloads: IO[bytes]) -> tuple[IntArray, list[T
     topics: list[Topic] = []
     for chunk in container.chunks(lambda topic: True):
         topics = chunk.topics
-        sizes = np.fromiter(map(len, chunk.data), np.int64, len(chunk.data))
-        ends = place + np.cumsum(sizes)
-        columns = (chunk.topic, chunk.sequence, chunk.log_ns, chunk.publish_ns, ends - sizes, sizes)
+        data, start, stop = joined(chunk.chunk, chunk.start, chunk.stop)
+        columns = (chunk.topic, chunk.sequence, chunk.log_ns, chunk.publish_ns, place + start, stop - start)
         parts.append(np.stack(columns, axis=1))
-        payloads.write(b"".join(chunk.data))
-        place = int(ends[-1])
+        payloads.write(data)
+        place += len(data)
     return (np.concatenate(parts) if parts else np.empty((0, 6), np.int64)), topics
 
 
@@ -404,7 +404,9 @@ def by_time(rows: IntArray, topics: list[Topic], payloads: IO[bytes]) -> Iterato
         for place, size in mine[:, 4:].tolist():
             payloads.seek(place)
             data.append(payloads.read(size))
-        yield ChunkMessages(topics, mine[:, 0], mine[:, 1], mine[:, 2], mine[:, 3], data)
+        topic, sequence, log_ns, publish_ns, _, sizes = mine.T
+        ends = np.cumsum(sizes)
+        yield ChunkMessages(topics, topic, sequence, log_ns, publish_ns, b"".join(data), ends - sizes, ends)
 
 
 def _report(container: Container, topics: list[Topic], rows: IntArray) -> RepairReport:

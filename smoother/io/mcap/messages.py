@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray, IntArray
 from ...runtime.printable import printable
 from ...runtime.store import Store, batches
-from ..wire.layout import Block, MessageLayout
+from ..wire.layout import Block, Buffer, MessageLayout
 
 SECOND_NS = 1_000_000_000
 
@@ -281,8 +281,10 @@ class ChunkMessages(NamedTuple):
         Their numbers within the channel.
     log_ns, publish_ns : ndarray of int, shape (n,), ns
         Their times.
-    data : list of bytes
-        Copies of the payloads.
+    chunk : bytes or memoryview
+        What contains the payloads.
+    start, stop : ndarray of int, shape (n,)
+        Where each payload begins and ends.
     """
 
     topics: list[Topic]
@@ -290,7 +292,15 @@ class ChunkMessages(NamedTuple):
     sequence: IntArray
     log_ns: IntArray
     publish_ns: IntArray
-    data: list[bytes]
+    chunk: Buffer
+    start: IntArray
+    stop: IntArray
+
+    @property
+    def data(self) -> list[bytes]:
+        """Copies of the payloads."""
+        view = memoryview(self.chunk)
+        return [bytes(view[a:b]) for a, b in zip(self.start.tolist(), self.stop.tolist(), strict=True)]
 
     def select(self, rows: slice) -> ChunkMessages:
         """Some of the messages."""
@@ -300,5 +310,7 @@ class ChunkMessages(NamedTuple):
             self.sequence[rows],
             self.log_ns[rows],
             self.publish_ns[rows],
-            self.data[rows],
+            self.chunk,
+            self.start[rows],
+            self.stop[rows],
         )

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from ...array_types import IntArray
 
 Block = NDArray[np.uint8]
+#: Bytes as a file has them, or put together here.
+Buffer = bytes | memoryview
 #: What a walk over a message that is cut off or not of its schema may raise.
 BROKEN = (struct.error, IndexError, ValueError, OverflowError)
 
@@ -166,9 +168,29 @@ def cut_out(data: bytes, start: IntArray, size: int) -> Block:
     """Bytes (n, size) from where they start (n,)."""
     if not size or not len(start):
         return np.empty((len(start), size), np.uint8)
-    whole = np.frombuffer(data, np.uint8)
-    rows: Block = np.lib.stride_tricks.sliding_window_view(whole, size)[start]
-    return rows
+    return runs(data, size)[start].view(np.uint8).reshape(len(start), size)
+
+
+def copy_runs(source: Buffer, start: IntArray, size: IntArray, target: memoryview, place: IntArray) -> None:
+    """Copy bytes: from where they start (n,) in a buffer, so many (n,), to their places (n,) in another."""
+    order = np.argsort(size, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(size[order])) + 1):
+        if len(rows) and (length := int(size[rows[0]])):
+            runs(target, length)[place[rows]] = runs(source, length)[start[rows]]
+
+
+def joined(source: Buffer, start: IntArray, stop: IntArray) -> tuple[memoryview, IntArray, IntArray]:
+    """Parts of a buffer one behind the other, and where each then starts and stops."""
+    size = stop - start
+    ends = np.cumsum(size)
+    target = np.empty(size.sum(), np.uint8).data
+    copy_runs(source, start, size, target, ends - size)
+    return target, ends - size, ends
+
+
+def runs(data: Buffer, size: int) -> NDArray[np.void]:
+    """Every run of so many bytes by where it starts, one item each: NumPy copies them whole."""
+    return np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
 
 
 def _cut(block: Block, offset: int, dtype: np.dtype, count: int) -> NDArray:

@@ -19,8 +19,6 @@ from ...array_types import IntArray
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 #: Widths of padded varints: any 64-bit number, any 32-bit number, a flag or small enum.
 _WIDE, _MEDIUM, _BYTE = 10, 5, 1
-#: Room that is left before each message for the head of its record in the file.
-HEAD_BYTES = 31
 
 
 @dataclass(frozen=True)
@@ -73,18 +71,18 @@ class Template:
 
         Returns
         -------
-        ndarray of uint8, shape (rows, HEAD_BYTES + size)
-            Bytes, one row per message, behind zeros for its head.
+        ndarray of uint8, shape (rows, size)
+            Bytes, one row per message.
         """
-        block = np.empty((rows, HEAD_BYTES + len(self.data)), np.uint8)
-        block[:] = np.frombuffer(bytes(HEAD_BYTES) + self.data, np.uint8)
+        block = np.empty((rows, len(self.data)), np.uint8)
+        block[:] = np.frombuffer(self.data, np.uint8)
         for slot in self.slots:
             values = columns[slot.column].reshape(rows, -1)[:, slot.first : slot.first + slot.count]
-            first = HEAD_BYTES + slot.offset
+            room = block[:, slot.offset : slot.offset + (slot.width or 8 * slot.count)]
             if slot.width:
-                block[:, first : first + slot.width] = _padded_varints(values, slot.width)
+                room[:] = _padded_varints(values, slot.width)
             else:
-                block[:, first : first + 8 * slot.count].view("<f8")[:] = values
+                room.view("<f8")[:] = values
         return block
 
 
@@ -107,7 +105,7 @@ def alike(codes: NDArray[np.integer]) -> list[tuple[tuple[int, ...], NDArray[np.
 
 
 def _padded_varints(values: NDArray, width: int) -> NDArray[np.uint8]:
-    """Numbers (rows, 1) as varints of one width, (rows, width): seven bits each, and more after all but one."""
+    """Numbers (rows, 1) as varints of one width, (rows, width): seven bits a byte, the last one unmarked."""
     sevens = np.arange(0, 7 * width, 7).astype(np.uint64)
     raw = (values.astype(np.int64).view(np.uint64) >> sevens).astype(np.uint8) | np.uint8(0x80)
     raw[:, -1] &= 0x7F
