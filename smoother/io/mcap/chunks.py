@@ -6,6 +6,7 @@ Here messages come packed (`Batch`); all other records are the package's.
 
 from __future__ import annotations
 
+import itertools
 import struct
 import zlib
 from collections import Counter, deque
@@ -155,14 +156,14 @@ _LIBRARY = "unocclude"
 _COMPRESSION = "zstd"
 #: Of zstd: level 1 takes half as long again, on drawn motions six times, for files that are 1 % smaller.
 _LEVEL = -1
-#: Threads that compress, and records that may wait for them.
+#: Threads that compress, and records that may wait to be written.
 _THREADS, _AHEAD = 2, 12
 
 
 class ChunkedFile:
     """Writes an MCAP file: chunks of messages, and the index that players look for at its end.
 
-    Threads compress while the next chunk is made; all is written in the order in which it came.
+    Threads compress and write while the next chunk is made; all is written in the order in which it came.
 
     Parameters
     ----------
@@ -178,7 +179,8 @@ class ChunkedFile:
         self._chunks = _ChunkIndexes()
         self._metadata: list[MetadataIndex] = []
         self._packers = ThreadPoolExecutor(_THREADS)
-        self._waiting: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()
+        self._writer = ThreadPoolExecutor(1)
+        self._waiting: deque[Future[object]] = deque()
         file.write(MAGIC)
         self._record(Header(profile="", library=_LIBRARY))
 
@@ -232,7 +234,8 @@ class ChunkedFile:
 
     def close(self) -> None:
         """Leave off; what still waits is not written."""
-        self._packers.shutdown(cancel_futures=True)
+        for threads in (self._writer, self._packers):
+            threads.shutdown(cancel_futures=True)
 
     def finish(self) -> None:
         """Write the index; the file stays open."""
@@ -288,13 +291,16 @@ class ChunkedFile:
         self._file.write(HEAD.pack(Opcode.CHUNK, len(head) + length) + head)
         self._file.write(packed.data)
         index_at = self._file.tell()
+        index = self._index(channel, log_ns, offsets)
+        places = itertools.accumulate(map(len, index.values()), initial=index_at)
+        self._file.write(b"".join(index.values()))
         self._chunks.add(
             ChunkIndex(
                 message_start_time=first,
                 message_end_time=last,
                 chunk_start_offset=at,
                 chunk_length=index_at - at,
-                message_index_offsets=self._index(channel, log_ns, offsets),
+                message_index_offsets=dict(zip(index, places, strict=False)),
                 message_index_length=self._file.tell() - index_at,
                 compression=_COMPRESSION,
                 compressed_size=length,
@@ -302,20 +308,19 @@ class ChunkedFile:
             )
         )
 
-    def _index(self, channel: IntArray, log_ns: IntArray, offsets: IntArray) -> dict[int, int]:
-        """Write where in a chunk the messages of each channel lie; where these records lie themselves."""
+    def _index(self, channel: IntArray, log_ns: IntArray, offsets: IntArray) -> dict[int, bytes]:
+        """Records, by channel, of where in a chunk its messages lie."""
         order = np.argsort(channel.astype(np.uint16), kind="stable")
         rows = np.stack([log_ns[order], offsets[order]], axis=1).astype("<u8").tobytes()
         counts = np.bincount(channel)
-        offset_of, start = {}, 0
+        index, start = {}, 0
         for number in np.flatnonzero(counts).tolist():
             entries = rows[16 * start : 16 * (start + int(counts[number]))]
             start += int(counts[number])
-            offset_of[number] = self._file.tell()
             head = HEAD.pack(Opcode.MESSAGE_INDEX, INDEX.size + len(entries))
-            self._file.write(head + INDEX.pack(number, len(entries)) + entries)
+            index[number] = head + INDEX.pack(number, len(entries)) + entries
             self._counts[number] = self._counts.get(number, 0) + int(counts[number])
-        return offset_of
+        return index
 
     def _named(self, metadata: Metadata) -> None:
         offset = self._file.tell()
@@ -324,14 +329,13 @@ class ChunkedFile:
 
     def _later(self, job: Callable[..., object], *values: object) -> None:
         """Write something after all that came before it."""
-        self._waiting.append((job, values))
+        self._waiting.append(self._writer.submit(job, *values))
         self._settle(_AHEAD)
 
     def _settle(self, most: int) -> None:
-        """Write until at most this many records wait."""
+        """Wait until at most this many records are still to be written."""
         while len(self._waiting) > most:
-            job, values = self._waiting.popleft()
-            job(*values)
+            self._waiting.popleft().result()
 
     def _record(self, record: Any) -> int:
         builder = RecordBuilder()
