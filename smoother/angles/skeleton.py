@@ -21,7 +21,6 @@ from .definitions import (
     SHOULDER,
     SHOULDER_ELEVATION,
     SHOULDER_PLANE,
-    SHOULDER_ROTATION,
     SHOULDER_TRUNK,
 )
 from .forearm_mounting import ForearmMounting
@@ -153,21 +152,18 @@ def _with_sigma(
         return values, sigmas
     pose, shoulder = np.asarray(arm.pose_covariance), np.asarray(arm.joint_covariance["shoulder"])
     own = direction_variance(arm)
-    slopes = _slopes(upper, fore, arm.gravity_direction, R_K_T)
-    for name in names:
-        apart, forearm = slopes[name]
-        # The pose moves the elbow, whose error counts in part as the shoulder's does, and turns the forearm.
-        by_pose = np.concatenate([-apart, np.cross(apart, elbow - arm.position)], axis=1)
-        by_pose *= np.sqrt(UPPER_ARM_SHARE)
-        by_pose[:, 3:] += forearm
-        variance = _propagated(by_pose, pose) + UPPER_ARM_SHARE * _propagated(apart, shoulder)
-        variance += own * (forearm**2).sum(axis=1)
-        if of_trunk is not None:  # the trunk's turn is one of the whole arm the other way round
-            variance += _propagated(np.cross(upper, apart) + forearm, of_trunk)
-        variance *= np.degrees(1.0) ** 2
-        if name == PRONATION.name:
-            variance += mounting.roll_sigma_deg**2
-        sigmas[name] = np.sqrt(variance)
+    apart, forearm = _slopes(upper, fore, arm.gravity_direction, R_K_T)
+    # The pose moves the elbow, whose error counts in part as the shoulder's does, and turns the forearm.
+    turned = np.cross(apart, (elbow - arm.position)[:, :, None], axis=1)
+    by_pose = np.sqrt(UPPER_ARM_SHARE) * np.concatenate([-apart, turned], axis=1)
+    by_pose[:, 3:] += forearm
+    variance = _propagated(by_pose, pose) + UPPER_ARM_SHARE * _propagated(apart, shoulder)
+    variance += own * (forearm**2).sum(axis=1)
+    if of_trunk is not None:  # the trunk's turn is one of the whole arm the other way round
+        variance += _propagated(np.cross(upper[:, :, None], apart, axis=1) + forearm, of_trunk)
+    of_name = dict(zip(_SLOPES, np.degrees(np.sqrt(variance)).T, strict=True))
+    of_name[PRONATION.name] = np.hypot(of_name[PRONATION.name], mounting.roll_sigma_deg)
+    sigmas = {name: of_name[name] for name in names}
     elevation, plane = SHOULDER_ELEVATION.name, SHOULDER_PLANE.name
     sigmas[elevation] = widened_elevation(values[elevation], sigmas[elevation], sigmas[plane])
     return values, {
@@ -177,8 +173,12 @@ def _with_sigma(
 
 
 def _propagated(slope: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Variances (N,) by slopes (N, k) and covariances (N, k, k)."""
-    return np.asarray(np.einsum("ni,nij,nj->n", slope, covariance, slope))
+    """Variances (N, m) of m angles by their slopes (N, k, m) and covariances (N, k, k)."""
+    return np.asarray(np.einsum("nim,nim->nm", covariance @ slope, slope))
+
+
+#: The angles that `_slopes` gives.
+_SLOPES = (*(angle.name for angle in SHOULDER), PRONATION.name)
 
 
 def _values(
@@ -196,7 +196,7 @@ def _values(
 
 def _slopes(
     upper: FloatArray, fore: FloatArray, down: FloatArray, R_K_T: FloatArray | None
-) -> dict[str, tuple[FloatArray, FloatArray]]:
+) -> tuple[FloatArray, FloatArray]:
     """Derivatives of the angles of a right arm; those of a left one are these or their negatives.
 
     With u and v the unit vectors from elbow to shoulder and from wrist to elbow, Y the thorax's up, and
@@ -204,8 +204,9 @@ def _slopes(
 
     Returns
     -------
-    slopes : dict of str to (ndarray, ndarray), each of shape (N, 3)
-        By the shoulder's place against the elbow's, rad/m in {K}, and by a turn of the forearm, rad/rad.
+    apart, forearm : ndarray, shape (N, 3, 4)
+        Of plane, elevation, rotation and pronation by the shoulder's place against the elbow's, rad/m in
+        {K}, and by a turn of the forearm, rad/rad.
     """
     T = np.full((3, 3), np.nan) if R_K_T is None else R_K_T
     if R_K_T is None and np.isfinite(down).all():
@@ -217,19 +218,13 @@ def _slopes(
     bend = np.cross(u, v)
     z = unit(bend)
     with np.errstate(divide="ignore", invalid="ignore"):
-        of_plane = level / (level**2).sum(axis=1)[:, None] / reach
-        of_elevation = np.cross(unit(level), u) / reach
+        plane = level / (level**2).sum(axis=1)[:, None] / reach
+        elevation = np.cross(unit(level), u) / reach
         sine = np.linalg.norm(bend, axis=1)[:, None]
         cotangent = (u * v).sum(axis=1)[:, None] / sine
         by_bend = z / reach
         rise = (T[..., 1] * u).sum(axis=1)[:, None]
-        nothing = np.zeros_like(u)
-        return {
-            SHOULDER_PLANE.name: (of_plane, nothing),
-            SHOULDER_ELEVATION.name: (of_elevation, nothing),
-            SHOULDER_ROTATION.name: (
-                -rise * of_plane - cotangent * by_bend,
-                u + cotangent * np.cross(u, z),
-            ),
-            PRONATION.name: (by_bend / sine, v - cotangent * np.cross(v, z)),
-        }
+        apart = [plane, elevation, -rise * plane - cotangent * by_bend, by_bend / sine]
+        rotation, pronation = u + cotangent * np.cross(u, z), v - cotangent * np.cross(v, z)
+    forearm = [np.zeros_like(u), np.zeros_like(u), rotation, pronation]
+    return np.stack(apart, axis=2), np.stack(forearm, axis=2)

@@ -16,7 +16,7 @@ from ...recording import JOINTS, JointTracks
 from ...result import Draws, FrameResiduals, GapVerdict, Recovery
 from ...result.segment_motion import SegmentMotion
 from ...rotation import Rotation
-from ..mcap.messages import Topic, TopicMessages, seconds
+from ..mcap.messages import Topic, TopicMessages, nanoseconds, seconds
 from ..recording.decode import SkeletonDecoder, joint_code, proto_grouper
 from ..recording.read import RESULT_PREFIX
 from ..wire import protobuf_decode as proto
@@ -375,16 +375,16 @@ def message_rows(draws: Draws) -> IntArray:
     return np.arange(0, len(draws.t_s), ROWS)
 
 
-def draw_messages(draws: Draws, stamp: IntArray, first: IntArray, frame_id: str) -> Iterator[bytes]:
+def draw_messages(draws: Draws, first: IntArray, origin_ns: int, frame_id: str) -> Iterator[bytes]:
     """Drawn motions, encoded.
 
     Parameters
     ----------
     draws : Draws
-    stamp : ndarray of int, shape (m,), ns
-        Of all drawn times.
     first : ndarray of int
         Some of `message_rows` that follow each other.
+    origin_ns : int, ns
+        Of the recording.
     frame_id : str
         Of the camera.
 
@@ -394,13 +394,14 @@ def draw_messages(draws: Draws, stamp: IntArray, first: IntArray, frame_id: str)
         One each.
     """
     rows = slice(int(first[0]), int(first[-1]) + ROWS)
+    stamp = nanoseconds(draws.t_s[rows], origin_ns)
     columns = {name: _whole_numbers(values[:, rows]) for name, values in draws.columns().items()}
-    for number, start in enumerate(first.tolist()):
-        rows, mine = slice(start, start + ROWS), slice(number * ROWS, (number + 1) * ROWS)
+    for number in range(len(first)):
+        mine = slice(number * ROWS, (number + 1) * ROWS)
         message = message_class(SCHEMA)()
-        message.timestamp.FromNanoseconds(int(stamp[start]))
+        message.timestamp.FromNanoseconds(int(stamp[mine.start]))
         message.frame_id, message.motions = frame_id, len(draws)
-        message.offset.extend((stamp[rows] - stamp[start]).tolist())
+        message.offset.extend((stamp[mine] - stamp[mine.start]).tolist())
         for name, (whole, scales) in columns.items():
             message.drawn.add(name=name, scale=scales[number], deviation=whole[mine].tobytes())
         yield message.SerializeToString(deterministic=True)
@@ -411,14 +412,14 @@ def _whole_numbers(values: NDArray) -> tuple[NDArray, list[float]]:
 
     One scale for each message's times, by the largest of them.
     """
-    part = np.moveaxis(values, 0, 1).reshape(values.shape[1], -1)
+    part = np.moveaxis(values, 0, 1).copy().reshape(values.shape[1], -1)
     known = np.isfinite(part)
-    filled = np.where(known, part, np.zeros(1, part.dtype))
-    largest = np.abs(filled).max(axis=1, initial=0.0)
+    part[~known] = 0.0
+    largest = np.maximum(part.max(axis=1, initial=0.0), -part.min(axis=1, initial=0.0))
     scale = np.maximum.reduceat(largest, np.arange(0, len(part), ROWS)).astype(float) / _MOST
     scale[scale == 0.0] = 1.0
-    filled /= scale.astype(part.dtype).repeat(ROWS)[: len(part), None]
-    whole = np.rint(filled, out=filled).astype(_KIND)
+    part /= scale.astype(part.dtype).repeat(ROWS)[: len(part), None]
+    whole = np.rint(part, out=part).astype(_KIND)
     whole[~known] = _NOTHING
     return whole, scale.tolist()
 

@@ -263,13 +263,13 @@ class RecoveryStreams:
         draws = self.recovery.draws
         if draws is None:
             return
-        stamp, first = self._stamps(draws.t_s), message_rows(draws)[messages]
+        first = message_rows(draws)[messages]
 
         def encode(part: slice) -> Encoded:
-            return list(draw_messages(draws, stamp, first[part], self.frame_id))
+            return list(draw_messages(draws, first[part], self.recovery.origin_ns, self.frame_id))
 
         channel = self.output.channel(f"{RESULT_PREFIX}draws{self.suffix}", SCHEMA)
-        yield OutputStream(channel, stamp[first] + self.shift, encode)
+        yield OutputStream(channel, self._stamps(draws.t_s[first]) + self.shift, encode)
 
     def _at_frames(self, samples: slice, batch: Recovery) -> tuple[IntArray, BoolArray]:
         """The IMU sample nearest to each frame that the IMU covers, and which of its frames those are.

@@ -80,7 +80,7 @@ class Template:
             values = columns[slot.column].reshape(rows, -1)[:, slot.first : slot.first + slot.count]
             room = block[:, slot.offset : slot.offset + (slot.width or 8 * slot.count)]
             if slot.width:
-                room[:] = _padded_varints(values, slot.width)
+                room[:] = _padded_varints(values[:, 0], slot.width)
             else:
                 room.view("<f8")[:] = values
         return block
@@ -105,11 +105,11 @@ def alike(codes: NDArray[np.integer]) -> list[tuple[tuple[int, ...], NDArray[np.
 
 
 def _padded_varints(values: NDArray, width: int) -> NDArray[np.uint8]:
-    """Numbers (rows, 1) as varints of one width, (rows, width): seven bits a byte, the last one unmarked."""
-    sevens = np.arange(0, 7 * width, 7).astype(np.uint64)
+    """Numbers (rows,) as varints of one width, (rows, width): seven bits a byte, all but the last marked."""
+    sevens = np.arange(0, 7 * width, 7).astype(np.uint64)[:, None]
     raw = (values.astype(np.int64).view(np.uint64) >> sevens).astype(np.uint8) | np.uint8(0x80)
-    raw[:, -1] &= 0x7F
-    return raw
+    raw[-1] &= 0x7F
+    return raw.T
 
 
 def varint(value: int) -> bytes:
