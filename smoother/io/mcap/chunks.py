@@ -156,14 +156,15 @@ _LIBRARY = "unocclude"
 _COMPRESSION = "zstd"
 #: Of zstd: level 1 takes half as long again, on drawn motions six times, for files that are 1 % smaller.
 _LEVEL = -1
-#: Threads that compress, and records that may wait to be written.
-_THREADS, _AHEAD = 2, 12
+#: Threads that compress.
+_THREADS = 2
 
 
 class ChunkedFile:
     """Writes an MCAP file: chunks of messages, and the index that players look for at its end.
 
-    Threads compress and write while the next chunk is made; all is written in the order in which it came.
+    Threads sort, compress and write a batch while the next one is made; all is written in the order in which
+    it came.
 
     Parameters
     ----------
@@ -204,32 +205,22 @@ class ChunkedFile:
         self._later(self._record, channel)
         return number
 
-    def messages(self, channel: IntArray, log_ns: IntArray, sizes: IntArray, records: memoryview) -> None:
-        """Write message records in the order given, in chunks of about a megabyte.
+    def messages(self, batch: Batch, numbers: Mapping[int, int]) -> None:
+        """Write messages by log time, in chunks of about a megabyte, once those before them are written.
 
         Parameters
         ----------
-        channel, log_ns : ndarray of int, shape (n,)
-            Of the messages; log times in ns.
-        sizes : ndarray of int, shape (n,), bytes
-            Of the records.
-        records : memoryview
-            The messages with their heads, one behind the other.
+        batch : Batch
+            Messages; it must not change any more.
+        numbers : mapping of int to int
+            The next message's number by channel; zero where there is none.
         """
-        ends = np.cumsum(sizes)
-        start = 0
-        while start < len(ends):
-            before = int(ends[start - 1]) if start else 0
-            stop = max(int(np.searchsorted(ends, before + _CHUNK_BYTES, "right")), start + 1)
-            part = slice(start, stop)
-            offsets = ends[part] - sizes[part] - before
-            packed = self._packers.submit(_pack, records[before : int(ends[stop - 1])])
-            self._later(self._chunk, packed, channel[part], log_ns[part], offsets)
-            start = stop
+        self._settle()
+        self._later(self._messages, batch, numbers)
 
     def flush(self) -> None:
         """Write what still waits."""
-        self._settle(0)
+        self._settle()
         self._file.flush()
 
     def close(self) -> None:
@@ -239,7 +230,7 @@ class ChunkedFile:
 
     def finish(self) -> None:
         """Write the index; the file stays open."""
-        self._settle(0)
+        self._settle()
         self._record(DataEnd(data_section_crc=0))
         start = self._file.tell()
         builder = RecordBuilder()
@@ -281,10 +272,21 @@ class ChunkedFile:
         self._record(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc))
         self._file.write(MAGIC)
 
-    def _chunk(
-        self, packing: Future[_Packed], channel: IntArray, log_ns: IntArray, offsets: IntArray
-    ) -> None:
-        packed, first, last = packing.result(), int(log_ns.min()), int(log_ns.max())
+    def _messages(self, batch: Batch, numbers: Mapping[int, int]) -> None:
+        channel, log_ns, sizes, records = batch.sorted(numbers)
+        ends = np.cumsum(sizes)
+        start, chunks = 0, []
+        while start < len(ends):
+            before = int(ends[start - 1]) if start else 0
+            stop = max(int(np.searchsorted(ends, before + _CHUNK_BYTES, "right")), start + 1)
+            packing = self._packers.submit(_pack, records[before : int(ends[stop - 1])])
+            chunks.append((packing, slice(start, stop), before))
+            start = stop
+        for packing, part, before in chunks:
+            self._chunk(packing.result(), channel[part], log_ns[part], ends[part] - sizes[part] - before)
+
+    def _chunk(self, packed: _Packed, channel: IntArray, log_ns: IntArray, offsets: IntArray) -> None:
+        first, last = int(log_ns.min()), int(log_ns.max())
         at, length = self._file.tell(), len(packed.data)
         name = _COMPRESSION.encode()
         head = CHUNK.pack(first, last, packed.size, packed.crc, len(name)) + name + struct.pack("<Q", length)
@@ -330,11 +332,10 @@ class ChunkedFile:
     def _later(self, job: Callable[..., object], *values: object) -> None:
         """Write something after all that came before it."""
         self._waiting.append(self._writer.submit(job, *values))
-        self._settle(_AHEAD)
 
-    def _settle(self, most: int) -> None:
-        """Wait until at most this many records are still to be written."""
-        while len(self._waiting) > most:
+    def _settle(self) -> None:
+        """Wait until all is written."""
+        while self._waiting:
             self._waiting.popleft().result()
 
     def _record(self, record: Any) -> int:

@@ -158,9 +158,8 @@ class Output:
         return batch
 
     def _write(self, batch: Batch) -> None:
-        records = batch.sorted(self._sequence)
+        self._file.messages(batch, dict(self._sequence))
         self._sequence.update(batch.own())
-        self._file.messages(*records)
 
 
 def _slices(outgoing: Sequence[OutputStream], until: int) -> Iterator[tuple[int, Batch]]:
