@@ -377,12 +377,13 @@ def _step_between(recovery: Recovery, recording: Recording, start_s: float, end_
     if len(rows) * GRID_S < 2.0 * LEAST_S:
         return None
     block = ((grid[rows] - grid[rows[0]]) / BLOCK_S).astype(int)
-    _, block = np.unique(block, return_inverse=True)
+    _, starts, block = np.unique(block, return_index=True, return_inverse=True)
     shifts = np.arange(-reach, reach + 1)
-    cost = np.empty((block[-1] + 1, len(shifts)))
-    for column, shift in enumerate(shifts):
-        left = seen[rows] - felt[rows + shift]
-        cost[:, column] = np.bincount(block, weights=np.einsum("ni,ni->n", left, left))
+    cost = np.empty((len(starts), len(shifts)))
+    within = seen[reach : len(grid) - reach]
+    for column in range(len(shifts)):
+        left = within - felt[column : column + len(within)]  # all rows in one piece, then those that count
+        cost[:, column] = np.add.reduceat(np.einsum("ni,ni->n", left, left)[rows - reach], starts)
     samples = np.cumsum(np.bincount(block))
     before = np.cumsum(cost, axis=0)
     after = before[-1] - before
@@ -405,7 +406,8 @@ def _memory(residual: FloatArray) -> float:
     """Samples (N, 3) that say as much as one: 2 sum rho^2 - 1 of their autocorrelation."""
     power = float(np.sum(residual**2))
     lags = min(round(2.0 / GRID_S), len(residual) - 1)
-    rho = [float(np.sum(residual[lag:] * residual[: len(residual) - lag])) / power for lag in range(1, lags)]
+    flat = residual.ravel()
+    rho = [float(flat[3 * lag :] @ flat[: len(flat) - 3 * lag]) / power for lag in range(1, lags)]
     return 1.0 + 2.0 * float(np.sum(np.square(rho)))
 
 
