@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from ..array_types import BoolArray, FloatArray
 from ..linalg import median_rate_hz
@@ -42,7 +43,7 @@ class ImuStream:
     def __len__(self) -> int:
         return len(self.t_s)
 
-    @property
+    @cached_property
     def rate_hz(self) -> float:
         """Median sample rate, Hz (nan for fewer than two samples)."""
         return median_rate_hz(self.t_s)
