@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.io.wire import layout as module
-from smoother.io.wire.layout import Grouper, MessageLayout, axes, cut_out
+from smoother.io.wire.layout import Grouper, MessageLayout, axes, copy_runs, cut_out, joined
 
 
 def rows(*payloads: bytes) -> np.ndarray:
@@ -146,3 +146,23 @@ def test_bytes_cut_out_of_a_buffer() -> None:
     nothing = cut_out(b"", np.zeros(0, np.int64), 4)
     assert nothing.shape == (0, 4) and nothing.dtype == np.uint8
     assert cut_out(b"abc", np.array([0]), 3).tobytes() == b"abc"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bytes_put_together_in_another_order(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    source = rng.bytes(500)
+    size = rng.choice([0, 1, 7, 40], 60)
+    start = rng.integers(0, 501 - size)
+    parts = [source[a : a + n] for a, n in zip(start.tolist(), size.tolist(), strict=True)]
+    target, begin, end = joined(source, start, start + size)
+    assert bytes(target) == b"".join(parts)
+    assert [bytes(target[a:b]) for a, b in zip(begin, end, strict=True)] == parts
+    order = rng.permutation(60)
+    ends = np.cumsum(size[order])
+    place = np.empty_like(ends)
+    place[order] = ends - size[order]
+    out = memoryview(bytearray(int(size.sum())))
+    copy_runs(source, start, size, out, place)
+    assert bytes(out) == b"".join(parts[k] for k in order.tolist())
+    assert bytes(joined(b"", np.zeros(0, int), np.zeros(0, int))[0]) == b""
