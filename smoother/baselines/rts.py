@@ -244,6 +244,8 @@ GRAVITY_SIZE_SIGMA = 0.01
 #: The upper arm's length is measured anew no more often than this, s, and varies at most this much, m.
 RANGE_EVERY_S = 0.09
 LARGEST_FLEX_M = 0.04
+#: Node spacing where the camera gives nothing, s.
+GAP_NODE_S = 0.2
 #: The least noise of a joint, m.
 LEAST_SIGMA_M = 2e-4
 #: The sensor and the arm, as in the graph by default.
@@ -298,7 +300,7 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajecto
     """Nodes at the frames with a joint and between them; start values from camera and filter."""
     any_joint = np.flatnonzero(seen_joints(scene).sum(axis=1))
     frames = any_joint[decimate(scene.frame_t[any_joint])]
-    t = insert_nodes(scene.frame_t[frames], float(scene.t[0]), float(scene.t[-1]))
+    t = insert_nodes(scene.frame_t[frames], float(scene.t[0]), float(scene.t[-1]), GAP_NODE_S)
     joints = np.full((len(t), len(JOINTS), 3), np.nan)
     node = np.clip(np.searchsorted(t, scene.frame_t[frames] - 1e-9), 0, len(t) - 1)
     on = np.abs(t[node] - scene.frame_t[frames]) < 1e-9

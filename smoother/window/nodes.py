@@ -37,13 +37,13 @@ def decimate(t: FloatArray) -> BoolArray:
     return keep
 
 
-def struck(signal: InertialSignal, t: FloatArray) -> BoolArray:
+def near_impacts(signal: InertialSignal, t: FloatArray) -> BoolArray:
     """Which frames (n,) at times (n,), s, are so near an impact that the IMU does not tie them to others."""
     first, last = (np.clip(t + apart, signal.start_s, signal.end_s) for apart in (-GROUPED_S, GROUPED_S))
     return np.asarray(GROUPED_S * signal.velocity_error_between(first, last) > IMPACT_M)
 
 
-def group_frames(t: FloatArray, visible: BoolArray) -> IntArray:
+def group_frames(t: FloatArray, visible: BoolArray, near_impact: BoolArray) -> IntArray:
     """Which frame's node each frame belongs to: its own, or that of the middle one of an odd group.
 
     The IMU ties frames a few hundredths of a second apart much better than the camera measures them, so
@@ -55,6 +55,8 @@ def group_frames(t: FloatArray, visible: BoolArray) -> IntArray:
         Increasing times of the frames with at least one forearm joint.
     visible : ndarray of bool, shape (n,)
         Frames with enough of them.
+    near_impact : ndarray of bool, shape (n,)
+        Frames that share a node with no other.
 
     Returns
     -------
@@ -77,7 +79,13 @@ def group_frames(t: FloatArray, visible: BoolArray) -> IntArray:
         if count > 0 and visible[a]:
             rows = first + np.arange(count * size)
             owner[rows] = first + half + size * np.repeat(np.arange(count), size)
-    return np.where(np.abs(t - t[owner]) <= 1.5 * GROUPED_S, owner, np.arange(len(t)))
+    return _tied(t, owner, np.arange(len(t)), near_impact)
+
+
+def _tied(t: FloatArray, owner: IntArray, alone: IntArray, near_impact: BoolArray) -> IntArray:
+    """The owners (n,), but for frames that are far from theirs and groups with an impact: those `alone`."""
+    tied = (np.abs(t - t[owner]) <= 1.5 * GROUPED_S) & ~np.isin(owner, owner[near_impact])
+    return np.where(tied, owner, alone)
 
 
 def insert_nodes(t: FloatArray, start_s: float, end_s: float, spacing_s: float = GAP_NODE_S) -> FloatArray:
@@ -105,7 +113,9 @@ def insert_nodes(t: FloatArray, start_s: float, end_s: float, spacing_s: float =
     return np.append(nodes, knots[-1])
 
 
-def group_frames_of_cameras(t: FloatArray, visible: BoolArray, cameras: int) -> IntArray:
+def group_frames_of_cameras(
+    t: FloatArray, visible: BoolArray, near_impact: BoolArray, cameras: int
+) -> IntArray:
     """As `decimate` and `group_frames` for the joined frames of several cameras.
 
     Frames of two cameras may lie as near to each other as they like: they share a node, and none is left out.
@@ -116,6 +126,8 @@ def group_frames_of_cameras(t: FloatArray, visible: BoolArray, cameras: int) -> 
         Increasing times of the frames with at least one forearm joint.
     visible : ndarray of bool, shape (n,)
         Frames at whose time some camera sees enough of them.
+    near_impact : ndarray of bool, shape (n,)
+        Frames that share a node with none that is not at the same time.
     cameras : int
         How many there are.
 
@@ -149,7 +161,7 @@ def group_frames_of_cameras(t: FloatArray, visible: BoolArray, cameras: int) -> 
         for number in np.unique(group):
             own = rows[group == number]
             owner[own] = own[int(np.argmin(np.abs(t[own] - middle[number])))]
-    return np.where(np.abs(t - t[owner]) <= 1.5 * GROUPED_S, owner, alone)
+    return _tied(t, owner, alone, near_impact)
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from .nodes import (
     group_frames,
     group_frames_of_cameras,
     insert_nodes,
-    struck,
+    near_impacts,
 )
 from .problem import States
 
@@ -187,7 +187,7 @@ def prepare(
         frame_t_imu,
         measured,
         visible,
-        struck(segment.signal, frame_t_imu),
+        near_impacts(segment.signal, frame_t_imu),
         (start_s, end_s),
         reach(core_start_s, core_end_s, gaps, margin_s),
         GAP_NODE_CHAIN_S if with_further else GAP_NODE_S,
@@ -236,23 +236,20 @@ def _nodes(
     frame_t_imu: FloatArray,
     measured: BoolArray,
     visible: BoolArray,
-    alone: BoolArray,
+    near_impact: BoolArray,
     range_s: tuple[float, float],
     reach_s: tuple[float, float],
     spacing_s: float,
     cameras: int = 1,
 ) -> tuple[FloatArray, IntArray]:
-    """Nodes (n,) of the time range within reach, and the node of each frame (f,), -1 where there is none.
-
-    Frames that are `alone` share none.
-    """
+    """Nodes (n,) of the time range within reach, and the node of each frame (f,), -1 where there is none."""
     rows = np.flatnonzero(measured)
     if cameras > 1:
-        owner = rows[group_frames_of_cameras(frame_t_imu[rows], visible[rows], cameras)]
+        own = frame_t_imu[rows], visible[rows], near_impact[rows]
+        owner = rows[group_frames_of_cameras(*own, cameras)]
     else:
         rows = rows[decimate(frame_t_imu[rows])]
-        owner = rows[group_frames(frame_t_imu[rows], visible[rows])]
-        owner = np.where(np.isin(owner, owner[alone[rows]]), rows, owner)
+        owner = rows[group_frames(frame_t_imu[rows], visible[rows], near_impact[rows])]
     t = insert_nodes(frame_t_imu[np.unique(owner)], *range_s, spacing_s)
     t = t[(t >= reach_s[0]) & (t <= reach_s[1])]
     node = np.clip(np.searchsorted(t, frame_t_imu[owner] - 1e-9), 0, len(t) - 1)

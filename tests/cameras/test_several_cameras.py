@@ -21,7 +21,7 @@ from smoother.recovery.cameras import spans
 from smoother.result import CameraEstimate, Estimates, Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
-from smoother.window.nodes import group_frames_of_cameras
+from smoother.window.nodes import GROUPED_S, group_frames_of_cameras
 
 SETTINGS = {
     "protocol": "random",
@@ -138,14 +138,19 @@ def test_frames_of_two_cameras_share_nodes_and_none_is_lost() -> None:
     t = np.sort(np.concatenate([np.arange(0, 3, 1 / 30), np.arange(0.001, 3, 1 / 30)]))
     visible = np.ones(len(t), bool)
     visible[80:100] = False
-    owner = group_frames_of_cameras(t, visible, 2)
+    owner = group_frames_of_cameras(t, visible, ~visible, 2)
     nodes = np.unique(t[owner])
     assert np.diff(nodes).min() >= 0.008
-    assert np.abs(t - t[owner]).max() <= 0.11
+    assert np.abs(t - t[owner]).max() <= 1.5 * GROUPED_S
     assert len(nodes) < 0.5 * len(t)
-    assert (group_frames_of_cameras(t[:2], visible[:2], 2) == 0).all()
+    struck = np.abs(t - 1.5) < 0.02
+    apart = group_frames_of_cameras(t, visible, struck, 2)
+    assert np.abs(t - t[apart])[struck].max() < 0.008  # with the other camera's frame of that moment alone
+    far = np.abs(t - 1.5) > 0.5
+    np.testing.assert_array_equal(apart[far], owner[far])
+    assert (group_frames_of_cameras(t[:2], visible[:2], ~visible[:2], 2) == 0).all()
     few = np.sort(rng.uniform(0, 0.01, 2))
-    assert len(group_frames_of_cameras(few, np.ones(2, bool), 2)) == 2
+    assert len(group_frames_of_cameras(few, np.ones(2, bool), np.zeros(2, bool), 2)) == 2
 
 
 def test_a_set_up_is_calibrated_kept_and_used_as_a_prior() -> None:

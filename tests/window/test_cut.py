@@ -60,7 +60,8 @@ def prepared_of(gaps: tuple[Gap, ...]) -> PreparedSegment:
     for gap in gaps:
         occluded |= (frame_t > gap.start_s) & (frame_t < gap.end_s)
     visible = np.flatnonzero(~occluded)
-    owner = visible[group_frames(frame_t[visible], np.ones(len(visible), dtype=bool))]
+    never = np.zeros(len(visible), dtype=bool)
+    owner = visible[group_frames(frame_t[visible], ~never, never)]
     t = insert_nodes(frame_t[np.unique(owner)], 0.5, END_S)
     frame_node = np.full(len(frame_t), -1)
     node = np.clip(np.searchsorted(t, frame_t[owner] - 1e-9), 0, len(t) - 1)

@@ -17,7 +17,8 @@ from smoother.array_types import FloatArray
 from smoother.graph.build import stacked_measurements
 from smoother.graph.solve import solve
 from smoother.measurements.inertial import InertialSignal
-from smoother.window.nodes import FINE_S, GROUPED_S, group_frames, propagate
+from smoother.recording import ImuStream
+from smoother.window.nodes import FINE_S, GROUPED_S, group_frames, near_impacts, propagate
 from smoother.window.problem import JointMeasurements, States, Window
 
 LEVER = np.array([0.03, -0.2, 0.01])
@@ -78,7 +79,8 @@ def test_groups_keep_near_their_node_and_away_from_gaps(seed: int, rate_hz: floa
     t = t[rng.uniform(size=len(t)) >= drop]
     visible = np.ones(len(t), dtype=bool)
     visible[(t > 1.3) & (t < 1.6)] = False
-    owner = group_frames(t, visible)
+    struck = np.abs(t - 3.0) < 0.01
+    owner = group_frames(t, visible, struck)
     if not len(t):
         return
     assert (owner[owner] == owner).all()  # a node's frame belongs to itself
@@ -88,13 +90,29 @@ def test_groups_keep_near_their_node_and_away_from_gaps(seed: int, rate_hz: floa
     assert visible[moved].all()
     near_gap = (t > 1.3 - 0.8 * FINE_S) & (t < 1.6 + 0.8 * FINE_S)
     assert not moved[near_gap].any()
+    assert not moved[struck].any() and not np.isin(owner[moved], np.flatnonzero(struck)).any()
 
 
 def test_frames_at_thirty_hertz_share_a_node_by_sevens() -> None:
     t = np.arange(60) / 30.0
-    owner = group_frames(t, np.ones(60, dtype=bool))
+    owner = group_frames(t, np.ones(60, dtype=bool), np.zeros(60, dtype=bool))
     _, count = np.unique(owner, return_counts=True)
     assert np.bincount(count).tolist() == [0, 11, 0, 0, 0, 0, 0, 7]  # five fine ones at both ends
+
+
+def test_frames_near_a_blow_are_found() -> None:
+    """A blow of 100 m/s^2 in one sample, in a motion at 1 Hz with 5 m/s^2."""
+    t = np.arange(400) / 80.0
+    acc = np.stack([5.0 * np.sin(2 * np.pi * t), np.zeros(400), np.full(400, 9.81)], axis=1)
+    gentle = InertialSignal(ImuStream("imu", t, acc, np.zeros((400, 3))))
+    struck = acc.copy()
+    struck[200, 1] = 100.0
+    blow = InertialSignal(ImuStream("imu", t, struck, np.zeros((400, 3))))
+    frames = np.arange(0.0, 5.0, 1 / 30)
+    assert not near_impacts(gentle, frames).any()
+    near = np.abs(frames - t[200]) < GROUPED_S
+    found = near_impacts(blow, frames)
+    assert found[near].all() and not found[np.abs(frames - t[200]) > GROUPED_S + 0.03].any()
 
 
 def test_one_wrong_sample_of_a_group_costs_itself_only() -> None:
