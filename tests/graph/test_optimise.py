@@ -131,7 +131,7 @@ def test_a_wrong_minimum_is_refused(first_window: Job) -> None:
 
 def test_sound_windows_are_accepted() -> None:
     solved = [job for job in jobs(long_gaps(101, 10.0).recording, None) if has_long_gap(job.window)]
-    assert len(solved) > 6
+    assert len(solved) > 5
     assert all(job.solution.accepted for job in solved)
 
 
