@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -118,97 +119,108 @@ class LinearSystem:
         given = [columns(self.jacobian) for columns in extra]
         self._extra_count = sum(columns.shape[1] for columns in given)
         self._group(node)
-        self._reduce(*self._normal_equations(given))
+        self._reduce(given)
 
     def columns(self, key: int) -> slice:
         """Columns of a variable in `jacobian`."""
         return self.jacobian.columns[key]
 
     def _group(self, node: IntArray) -> None:
-        """Nodes to groups so that no factor reaches beyond the neighbouring group."""
+        """Nodes to groups, as small as they can be so that no row reaches beyond the neighbouring group."""
         rows, of_entry = self.jacobian.row, node[self.jacobian.column]
-        count = len(self.jacobian.rhs)
+        count, nodes = len(self.jacobian.rhs), int(node.max(initial=0)) + 1
         chained = of_entry >= 0
-        first, last = np.full(count, len(node)), np.full(count, -1)
+        first, last = np.full(count, nodes), np.full(count, -1)
         np.minimum.at(first, rows[chained], of_entry[chained])
         np.maximum.at(last, rows[chained], of_entry[chained])
-        reach = max(int((last - first)[last >= 0].max(initial=1)), 3)
+        reach = np.full(nodes + 1, -1)  # of the rows that begin at a node or before it
+        np.maximum.at(reach, first, last)
+        np.maximum.accumulate(reach, out=reach)
+        starts = [0]
+        while (start := starts[-1]) < nodes:
+            starts.append(max(start, int(reach[start - 1]) if start else 0) + 1)
+        group_of_node = np.searchsorted(starts, np.arange(nodes + 1), side="right") - 1
         # in the order of time, in a group too: what is drawn is the same however nodes are grouped
-        chain = np.argsort(node, kind="stable")[np.count_nonzero(node < 0) :]
-        group = node[chain] // reach
-        sizes = np.bincount(group)
-        self._groups = np.split(chain, np.cumsum(sizes)[:-1])
-        #: group and row in it of every column
-        self._place = np.full((len(node), 2), -1)
-        self._place[chain, 0] = group
-        self._place[chain, 1] = np.arange(len(chain)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        #: the group of every row of the Jacobian; -1 of those that are about the border alone
-        self._group_of_row = np.where(last >= 0, first // reach, -1)
+        self._chain = np.argsort(node, kind="stable")[np.count_nonzero(node < 0) :]
+        group = group_of_node[node[self._chain]]
+        #: where each group begins in the chain, and the last one ends
+        self._bounds = np.concatenate([[0], np.cumsum(np.bincount(group, minlength=len(starts) - 1))])
+        #: place in the chain of every column, and its group; -1 of the border
+        self._place, self._group_of_column = np.full((2, len(node)), -1)
+        self._place[self._chain] = np.arange(len(group))
+        self._group_of_column[self._chain] = group
+        #: the group of every row of the Jacobian, one more than there are of those about the border alone
+        self._group_of_row = np.where(last >= 0, group_of_node[first], len(starts) - 1)
 
-    def _normal_equations(self, given: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Normal equations group by group, in columns of the group, of the next, of the border and the rest.
+    def _table(self, given: Sequence[FloatArray]) -> tuple[FloatArray, IntArray, IntArray]:
+        """The Jacobian by groups, dense.
 
         Returns
         -------
-        normal : ndarray, shape (g, w + w, w + w + s)
-            What the rows of each group say of its columns and the next one's; a group's are padded to the
-            widest one's w, and the s others are the border, the extra columns and the right-hand side.
-        others : ndarray, shape (s, s)
-            What all rows say of these others.
+        table : ndarray, shape (r, w + w + s)
+            Rows in the order of their groups; columns of the group and of the next one, both of the widest
+            one's width w, and s others: the border, the extra columns and the right-hand side.
+        starts : ndarray of int, shape (g + 1,)
+            Where the rows of each group start, and the last one's end.
+        reaching : ndarray of int, shape (g,)
+            How many of a group's rows, the first ones, reach into the next.
         """
-        jacobian, count = self.jacobian, len(self._groups)
-        wide, borders = max(len(columns) for columns in self._groups), len(self._border)
-        width = 2 * wide + borders + self._extra_count + 1
-        # rows, sorted by group, into panels of one height; those of the border alone into one more
-        group = np.where(self._group_of_row < 0, count, self._group_of_row)
-        heights = np.bincount(group, minlength=count + 1)
-        rank = np.empty(len(group), int)
-        rank[np.argsort(group, kind="stable")] = np.arange(len(group)) - np.repeat(
-            np.cumsum(heights) - heights, heights
-        )
-        panel = np.zeros((count + 1, int(heights.max()), width))
-        of_column = np.where(self._place[:, 0] >= 0, self._place[:, 1], 2 * wide + self._border_row)
-        row, column = jacobian.row, jacobian.column
-        is_next = self._place[column, 0] > group[row]
-        panel[group[row], rank[row], of_column[column] + wide * is_next] = jacobian.value
+        jacobian, groups = self.jacobian, len(self._bounds) - 1
+        wide, borders = int(np.diff(self._bounds).max()), len(self._border)
+        row, column, group = jacobian.row, jacobian.column, self._group_of_row
+        is_next = self._group_of_column[column] > group[row]
+        reaches = np.zeros(len(group), dtype=bool)
+        reaches[row[is_next]] = True
+        place = np.empty(len(group), int)
+        place[np.lexsort((~reaches, group))] = np.arange(len(group))
+        in_group = self._place - self._bounds[self._group_of_column]
+        of_column = np.where(self._place >= 0, in_group, 2 * wide + self._border_row)
+        table = np.zeros((len(group), 2 * wide + borders + self._extra_count + 1))
+        scale = np.ones(jacobian.width)
+        scale[self._chain] = self._scale
+        table[place[row], of_column[column] + wide * is_next] = jacobian.value * scale[column]
         first = 2 * wide + borders
         for own in given:
-            rows = slice(0, len(own))
-            panel[group[rows], rank[rows], first : first + own.shape[1]] = own
+            table[place[: len(own)], first : first + own.shape[1]] = own
             first += own.shape[1]
-        panel[group, rank, -1] = jacobian.rhs
-        chained, others = panel[:-1, :, : 2 * wide], panel[:, :, 2 * wide :].reshape(-1, width - 2 * wide)
-        return np.swapaxes(chained, 1, 2) @ panel[:-1], others.T @ others
+        table[place, -1] = jacobian.rhs
+        starts = np.concatenate([[0], np.cumsum(np.bincount(group, minlength=groups))[:groups]])
+        return table, starts, np.bincount(group[reaches], minlength=groups)
 
-    def _reduce(self, normal: FloatArray, others: FloatArray) -> None:
+    def _reduce(self, given: Sequence[FloatArray]) -> None:
         """Eliminate the chain: what is left of the information on the border and the extra columns."""
-        count, wide = len(normal), normal.shape[1] // 2
-        own, right = normal[:, :wide, :wide], normal[:, :wide, wide:]
-        own[1:] += normal[:-1, wide:, wide : 2 * wide]
-        right[1:, :, wide:] += normal[:-1, wide:, 2 * wide :]
-        diagonal = np.einsum("gii->gi", own)
-        diagonal[diagonal == 0.0] = 1.0  # columns that pad a group
-        self._scale = 1.0 / np.sqrt(diagonal)
-        own *= self._scale[:, :, None] * self._scale[:, None, :]
-        right *= self._scale[:, :, None]
-        right[:-1, :, :wide] *= self._scale[1:, None, :]
-        coupling = right[:, :, wide:].reshape(count * wide, -1).copy()
-        forward, inverses = np.empty_like(right), np.empty_like(own)
-        for g in range(count):
-            if g > 0:  # information from the groups before about this one
-                said = right[g - 1, :, :wide].T @ forward[g - 1]
-                own[g] -= said[:, :wide]
-                right[g, :, wide:] -= said[:, wide:]
-            inverses[g] = np.linalg.inv(own[g])  # half the time of `solve` with this many right-hand sides
-            forward[g] = inverses[g] @ right[g]
-        self._inverses, self._gains = inverses, forward[:, :, :wide]
-        self._factors = np.asarray(np.linalg.cholesky(own), float)  # raises where a direction is left free
-        solved = forward[:, :, wide:]
-        for g in range(count - 2, -1, -1):
-            solved[g] -= self._gains[g] @ solved[g + 1]
-        said = coupling.T @ solved.reshape(count * wide, -1)
-        total = others - 0.5 * (said + said.T)
-        self._solved = solved * self._scale[:, :, None]
+        squares = np.bincount(self.jacobian.column, self.jacobian.value**2, self.jacobian.width)[self._chain]
+        self._scale = 1.0 / np.sqrt(np.where(squares > 0.0, squares, 1.0))
+        table, starts, reaching = self._table(given)
+        sizes = [*np.diff(self._bounds).tolist(), 0]
+        wide = max(sizes)
+        own: list[FloatArray] = []
+        self._inverses: list[FloatArray] = []
+        self._gains: list[FloatArray] = []
+        others = np.empty((len(self._chain), table.shape[1] - 2 * wide))
+        solved = np.empty_like(others)
+        said = np.zeros((sizes[0], table.shape[1] - wide))  # what groups before say
+        for g, (size, after) in enumerate(pairwise(sizes)):
+            rows, here = table[starts[g] : starts[g + 1]], slice(self._bounds[g], self._bounds[g + 1])
+            normal = rows[:, :size].T @ rows
+            own.append(normal[:, :size] + said[:, :size])
+            right = normal[:, wide:]
+            right[:, wide:] += said[:, wide:]
+            # half the time of `solve` with as many columns
+            self._inverses.append(np.asarray(np.linalg.inv(own[-1])))
+            forward = self._inverses[-1] @ right
+            reach = rows[: reaching[g], wide:]
+            said = reach[:, :after].T @ reach - right[:, :after].T @ forward
+            self._gains.append(forward[:, :after])
+            others[here], solved[here] = right[:, wide:], forward[:, wide:]
+        self._factors = _cholesky(own)  # raises where a direction is left free
+        total = table[:, 2 * wide :].T @ table[:, 2 * wide :]
+        eliminated = others.T @ solved
+        total -= 0.5 * (eliminated + eliminated.T)
+        for g in range(len(self._gains) - 2, -1, -1):
+            a, b, c = self._bounds[g : g + 3]
+            solved[a:b] -= self._gains[g] @ solved[b:c]
+        self._solved = solved * self._scale[:, None]
         #: information (b + e, b + e) and vector (b + e,) on the border's variables and the extra columns
         self.information, self.vector = total[:-1, :-1], total[:-1, -1]
         borders = len(self._border)
@@ -239,21 +251,23 @@ class LinearSystem:
     @cached_property
     def _diagonal(self) -> FloatArray:
         """Covariance (g, w, w) within each group, the border held fixed, in scaled coordinates."""
-        blocks = self._inverses.copy()
-        for g in range(len(blocks) - 2, -1, -1):
-            gain = self._gains[g]
-            blocks[g] += gain @ blocks[g + 1] @ gain.T
-        return np.asarray(blocks)
+        sizes = [*np.diff(self._bounds).tolist(), 0]
+        blocks = np.zeros((len(self._gains) + 1, max(sizes), max(sizes)))
+        for g in range(len(self._gains) - 1, -1, -1):
+            gain, after = self._gains[g], blocks[g + 1, : sizes[g + 1], : sizes[g + 1]]
+            blocks[g, : sizes[g], : sizes[g]] = self._inverses[g] + gain @ after @ gain.T
+        return blocks
 
     def covariances(self, keys: Sequence[int], held: Sequence[int] = ()) -> FloatArray:
         """Covariances (k, d, d) of variables in time, all of one dimension; extra quantities held fixed.
 
         So are the border's variables `held`.
         """
-        group, rows = self._rows(keys)
-        scale = self._scale[group, rows]
-        own = self._diagonal[group[:, :, None], rows[:, :, None], rows[:, None, :]]
-        follows, shared = self._solved[group, rows, : len(self._border)], self._shared_covariance
+        place = self._places(keys)
+        group = np.searchsorted(self._bounds, place[:, 0], side="right") - 1
+        scale, rows = self._scale[place], place - self._bounds[group, None]
+        own = self._diagonal[group[:, None, None], rows[:, :, None], rows[:, None, :]]
+        follows, shared = self._solved[place, : len(self._border)], self._shared_covariance
         if held:
             free = np.setdiff1d(np.arange(len(self._border)), self.border_rows(held))
             follows, shared = follows[:, :, free], scaled_inverse(self.information[np.ix_(free, free)])
@@ -269,7 +283,7 @@ class LinearSystem:
         shared : ndarray, shape (b, e)
             How the border follows them (`shared_sensitivity`).
         """
-        follows = self._solved[self._rows(keys)]
+        follows = self._solved[self._places(keys)]
         borders, extras = len(self._border), self._first_extras(shared.shape[1])
         return np.asarray(-follows[:, :, extras] - follows[:, :, :borders] @ shared)
 
@@ -309,22 +323,31 @@ class LinearSystem:
         errors : ndarray, shape (k, c)
             Zero of the border.
         """
-        chain = np.flatnonzero(self._place[:, 0] >= 0)
-        group, row = self._place[chain].T
-        drawn = np.zeros((*self._scale.shape, len(normals)))
-        drawn[group, row] = normals[:, chain].T
-        drawn = np.linalg.solve(np.swapaxes(self._factors, 1, 2), drawn)
-        for g in range(len(drawn) - 2, -1, -1):
-            drawn[g] -= self._gains[g] @ drawn[g + 1]
-        drawn *= self._scale[:, :, None]
-        drawn -= self._solved[:, :, : given.shape[1]] @ given.T
+        numbers, drawn = normals[:, self._chain].T, np.empty((len(self._chain), len(normals)))
+        after = np.empty((0, len(normals)))
+        for g in range(len(self._gains) - 1, -1, -1):
+            here = slice(self._bounds[g], self._bounds[g + 1])
+            after = np.linalg.solve(self._factors[g].T, numbers[here]) - self._gains[g] @ after
+            drawn[here] = after
+        drawn *= self._scale[:, None]
+        drawn -= self._solved[:, : given.shape[1]] @ given.T
         errors = np.zeros(normals.shape)
-        errors[:, chain] = drawn[group, row].T
+        errors[:, self._chain] = drawn.T
         return errors
 
-    def _rows(self, keys: Sequence[int]) -> tuple[IntArray, IntArray]:
-        """The group of each variable's columns, and their rows in it, (k, d) each."""
+    def _places(self, keys: Sequence[int]) -> IntArray:
+        """Places in the chain (k, d) of each variable's columns."""
         first = np.array([self.columns(key).start for key in keys])
         own = self.columns(keys[0])
-        place = self._place[first[:, None] + np.arange(own.stop - own.start)]
-        return place[:, :, 0], place[:, :, 1]
+        return np.asarray(self._place[first[:, None] + np.arange(own.stop - own.start)])
+
+
+def _cholesky(matrices: Sequence[FloatArray]) -> list[FloatArray]:
+    """Lower Cholesky factors; matrices of one size at once, in half the time."""
+    factors = list(matrices)
+    sizes = np.array([len(matrix) for matrix in matrices])
+    for size in np.unique(sizes):
+        alike = np.flatnonzero(sizes == size).tolist()
+        for number, factor in zip(alike, np.linalg.cholesky([matrices[g] for g in alike]), strict=True):
+            factors[number] = factor
+    return factors
