@@ -7,7 +7,7 @@ from contextlib import suppress
 
 #: Parameters of glibc's `mallopt`: blocks smaller than the first are taken from the heap, at whose end up to
 #: the second stays free, bytes.
-_MMAP_THRESHOLD, _TRIM_THRESHOLD = (-3, 32 << 20), (-1, 64 << 20)
+_MMAP_THRESHOLD, _TRIM_THRESHOLD = (-3, 32 << 20), (-1, 16 << 20)
 
 
 def keep_freed_memory() -> None:
