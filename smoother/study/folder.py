@@ -177,8 +177,13 @@ class StudyFolder:
 
 
 def _is_empty(folder: Path) -> bool:
-    """Whether there is nothing of this name, or an empty folder."""
-    return not any(folder.iterdir()) if folder.is_dir() else not folder.exists()
+    """Whether there is nothing of this name, or an empty folder; it may appear at this moment."""
+    try:
+        return not any(folder.iterdir())
+    except FileNotFoundError:
+        return True
+    except NotADirectoryError:
+        return False
 
 
 def _alive(process: int) -> bool:
