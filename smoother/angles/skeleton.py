@@ -39,7 +39,7 @@ UPPER_ARM_SHARE = 0.5
 FOREARM_M = 0.25
 #: An angle that may be anything is off by this at most, degrees.
 MOST_SIGMA_DEG = 180.0
-#: The sine of elevation counts as this at the least: a bone that hangs straight has no plane.
+#: Least sine of elevation in these formulas: a bone that hangs straight has no plane.
 _NO_PLANE = 1e-12
 
 

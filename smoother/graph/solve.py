@@ -109,7 +109,7 @@ def solve(
     tolerance: float = RELATIVE_TOLERANCE,
     plan: DrawPlan | None = None,
 ) -> Solution:
-    """Optimise a window and read its answer: `settle` and `solution_of` in one, with their parameters."""
+    """Optimise a window and read its answer: `optimise_window` and `solution_of`, with their parameters."""
     optimised = optimise_window(window, tolerance)
     return solution_of(optimised, with_covariance, with_offset, with_message, with_evidence, plan)
 

@@ -172,7 +172,7 @@ def cut_out(data: bytes, start: IntArray, size: int) -> Block:
 
 
 def copy_runs(source: Buffer, start: IntArray, size: IntArray, target: memoryview, place: IntArray) -> None:
-    """Copy bytes: from where they start (n,) in a buffer, so many (n,), to their places (n,) in another."""
+    """Copy n runs of bytes, each with its start and size in `source`, to its place in `target`."""
     order = np.argsort(size, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(size[order])) + 1):
         if len(rows) and (length := int(size[rows[0]])):
@@ -189,7 +189,7 @@ def joined(source: Buffer, start: IntArray, stop: IntArray) -> tuple[memoryview,
 
 
 def runs(data: Buffer, size: int) -> NDArray[np.void]:
-    """Every run of so many bytes by where it starts, one item each: NumPy copies them whole."""
+    """All runs of `size` bytes in a buffer, indexed by their start; NumPy copies each as one item."""
     return np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
 
 
