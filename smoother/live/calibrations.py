@@ -23,7 +23,15 @@ from ..measurements.outliers import reject_by_camera
 from ..measurements.segment import Timeline
 from ..measurements.visibility import joints_needed
 from ..recording import CameraFrame, Recording
-from ..runtime.pool import Pool, blank_main, interrupts_wait, one_thread_each, prepare_worker
+from ..runtime.pool import (
+    Pool,
+    blank_main,
+    end_if_one_died,
+    end_workers,
+    interrupts_wait,
+    one_thread_each,
+    prepare_worker,
+)
 from ..selfcal.excerpts import informative_excerpts
 from ..selfcal.further_imu import calibrate_further_imus, without_joints_of
 from ..selfcal.pairing import coarse_clock
@@ -228,7 +236,10 @@ class BackgroundCalibrator(Calibrator):
 
     def answer(self) -> LiveCalibration | None:
         """As `Calibrator.answer`; a process that was killed is started again with the next job."""
-        if self._future is None or not self._future.done():
+        if self._future is None or self._executor is None:
+            return None
+        if not self._future.done():
+            end_if_one_died(self._executor)
             return None
         future, self._future = self._future, None
         try:
@@ -243,9 +254,7 @@ class BackgroundCalibrator(Calibrator):
         """As `Calibrator.close`."""
         if self._executor is None:
             return
-        for process in list((getattr(self._executor, "_processes", None) or {}).values()):
-            with suppress(OSError, ValueError):
-                process.terminate()
+        end_workers(self._executor)
         self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor, self._future = None, None
 

@@ -10,10 +10,12 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
 from threading import Lock
 from types import ModuleType, TracebackType
 from typing import Any, Generic, Literal, TypeVar
@@ -108,6 +110,8 @@ def interrupts_wait() -> Iterator[None]:
 
 #: With fewer frames than this in all, starting processes costs more than it saves.
 WORTH_FRAMES = 4000
+#: How often a worker that died in the middle of an answer is looked for, s.
+_LOOK_S = 1.0
 #: Libraries that would start threads of their own in each process.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -195,7 +199,7 @@ class Pool:
     ) -> None:
         if self._executor is not None:
             if error is not None:
-                _end_workers(self._executor)  # their results are not needed
+                end_workers(self._executor)  # their results are not needed
             self._executor.shutdown(wait=True, cancel_futures=True)
 
     def map(self, job: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
@@ -243,7 +247,7 @@ class Pool:
             future = waiting[0].future
             try:
                 if future is not None:
-                    answer = future.result()
+                    answer = self._result(future)
                     waiting.popleft()
                     return answer
             except BrokenProcessPool:
@@ -252,6 +256,13 @@ class Pool:
             for work in waiting:
                 if work.future is None or not work.future.done() or work.future.exception() is not None:
                     work.future = self._submit(job, work.item)
+
+    def _result(self, future: Future[Answer]) -> Answer:
+        """The result of a job."""
+        assert self._executor is not None
+        while not wait_for([future], _LOOK_S).done:
+            end_if_one_died(self._executor)
+        return future.result()
 
     def _restart(self) -> None:
         """Start the workers once more."""
@@ -276,11 +287,28 @@ class _Work(Generic[Item, Answer]):
         self.future = future
 
 
-def _end_workers(executor: ProcessPoolExecutor) -> None:
-    """End the workers in the middle of what they are doing."""
-    for process in list((getattr(executor, "_processes", None) or {}).values()):
+def _workers(executor: ProcessPoolExecutor) -> list[BaseProcess]:
+    return list((getattr(executor, "_processes", None) or {}).values())
+
+
+def end_if_one_died(executor: ProcessPoolExecutor) -> None:
+    """End all workers where one has died, so that jobs that are not done raise BrokenProcessPool.
+
+    An executor does that by itself, unless it is reading an answer of which the dead worker wrote a part:
+    it waits for the rest, and the other workers wait until they may write.
+    """
+    if wait([process.sentinel for process in _workers(executor)], 0):
+        end_workers(executor)
+
+
+def end_workers(executor: ProcessPoolExecutor) -> None:
+    """End the workers in the middle of what they are doing, also of writing an answer."""
+    for process in _workers(executor):
         with suppress(OSError, ValueError):
             process.terminate()
+    # who reads half an answer waits for the rest as long as anyone, this process too, could write it
+    with suppress(OSError, AttributeError):
+        executor._result_queue._writer.close()  # type: ignore[attr-defined]
 
 
 #: Commands and worker processes start so; what the environment says later, NumPy does not hear.

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from live_play import simulated
+from pool_jobs import answer_half
 
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
+from smoother.live import calibrations
 from smoother.live.buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
 from smoother.live.calibrations import (
     AGAIN_S,
@@ -176,8 +180,23 @@ def test_the_background_answers_as_this_process_does():
     assert answer.model is not None and here.model is not None
     for joint, lever in here.model.estimate.lever_arms.items():
         other = answer.model.estimate.lever_arms[joint]
-        np.testing.assert_allclose(other.position_m, lever.position_m, atol=1e-6)
+        # BLAS may have more threads here, which sum in another order: micrometres
+        np.testing.assert_allclose(other.position_m, lever.position_m, atol=1e-5)
     assert answer.clock.mean_s == pytest.approx(-0.02, abs=0.01)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
+def test_a_background_that_dies_while_it_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The rest of its answer never comes: it was waited for as long as the live run went on."""
+    monkeypatch.setattr(calibrations, "calibrate_excerpts", answer_half)
+    calibrator = BackgroundCalibrator()
+    try:
+        calibrator.submit(str(tmp_path / "a"))  # type: ignore[arg-type]
+        assert "started again" in wait_for(calibrator).reason
+        calibrator.submit(str(tmp_path / "a"))  # type: ignore[arg-type]
+        assert wait_for(calibrator) == "a"
+    finally:
+        calibrator.close()
 
 
 def test_clocks_far_apart_are_brought_together_by_the_arrival():

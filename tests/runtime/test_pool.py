@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pool_jobs import die_always, die_once, double, wait_long
+from pool_jobs import answer_half, die_always, die_once, double, wait_long
 from scenes import point
 from studies import is_alive, until
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -139,6 +139,49 @@ def test_an_error_does_not_wait_for_workers(tmp_path: Path):
     until(lambda: not is_alive(int((tmp_path / "a").read_text())))
 
 
+@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
+def test_a_worker_that_dies_while_it_answers_is_started_once_more(tmp_path: Path):
+    """The rest of its answer never comes, and the other worker waits to write its own; all hung before."""
+    with Pool(2, 10**6) as pool:
+        marks = [str(tmp_path / name) for name in ("a", "b")]
+        (tmp_path / "b").touch()
+        assert list(pool.map(answer_half, marks)) == ["a", "b"]
+
+
+HALF = """
+import sys
+from pathlib import Path
+from pool_jobs import answer_half
+from smoother.runtime.pool import Pool
+from studies import until
+
+def items():
+    yield sys.argv[1]
+    until(Path(sys.argv[1]).exists)
+    raise KeyboardInterrupt
+
+with Pool(2, 10**6) as pool:
+    list(pool.map(answer_half, items()))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
+def test_an_interrupt_while_a_worker_answers(tmp_path: Path):
+    """What it had not written yet never comes: the command waited for it for ever, once in some hundred."""
+    mark = tmp_path / "a.long"
+    done = subprocess.run(
+        [sys.executable, "-c", HALF, str(mark)], env=_with_helpers(), capture_output=True, timeout=60
+    )
+    assert b"KeyboardInterrupt" in done.stderr
+    until(lambda: not is_alive(int(mark.read_text())))
+
+
+def _with_helpers() -> dict[str, str]:
+    """The environment of a script that uses the tests' helpers."""
+    helpers = Path(__file__).parents[1] / "helpers"
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(helpers), os.environ.get("PYTHONPATH", "")])}
+
+
 ORPHANS = """
 import sys
 from pool_jobs import wait_long
@@ -152,11 +195,7 @@ with Pool(2, 10**6) as pool:
 @pytest.mark.parametrize("number", ["SIGKILL", "SIGTERM"])
 def test_workers_end_with_their_parent(tmp_path: Path, number: str):
     """Killed outright, so that nothing of its own can tidy up; workers waited for ever before."""
-    helpers = Path(__file__).parents[1] / "helpers"
-    program = subprocess.Popen(
-        [sys.executable, "-c", ORPHANS, str(tmp_path)],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(helpers), os.environ.get("PYTHONPATH", "")])},
-    )
+    program = subprocess.Popen([sys.executable, "-c", ORPHANS, str(tmp_path)], env=_with_helpers())
     try:
         until(lambda: len([mark for mark in tmp_path.iterdir() if mark.stat().st_size]) == 2, 60.0)
         workers = [int(mark.read_text()) for mark in tmp_path.iterdir()]
