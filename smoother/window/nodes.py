@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -9,11 +10,12 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..measurements.inertial import InertialSignal, Preintegration, integrate_between
+from ..measurements.visibility import Gap
 from .problem import States
 
 #: Node spacing where the camera gives nothing, s.
 GAP_NODE_S = 0.26
-#: The same with a second IMU: two segments meet in their joint at nodes alone, s.
+#: The same in a gap with a second IMU: two segments meet in their joint at nodes alone, s.
 GAP_NODE_CHAIN_S = 0.13
 #: Nodes keep at least this far apart, s; of closer frames only one is used.
 CLOSEST_S = 0.008
@@ -88,7 +90,14 @@ def _tied(t: FloatArray, owner: IntArray, alone: IntArray, near_impact: BoolArra
     return np.where(tied, owner, alone)
 
 
-def insert_nodes(t: FloatArray, start_s: float, end_s: float, spacing_s: float = GAP_NODE_S) -> FloatArray:
+def insert_nodes(
+    t: FloatArray,
+    start_s: float,
+    end_s: float,
+    spacing_s: float = GAP_NODE_S,
+    gaps: Sequence[Gap] = (),
+    gap_spacing_s: float = GAP_NODE_CHAIN_S,
+) -> FloatArray:
     """Node times: the given ones, start and end, and evenly spaced ones where they are far apart.
 
     Parameters
@@ -99,6 +108,9 @@ def insert_nodes(t: FloatArray, start_s: float, end_s: float, spacing_s: float =
         The first node and the last.
     spacing_s : float, s
         Where nodes are far apart.
+    gaps : sequence of Gap
+        In order of time; nodes in them are at most `gap_spacing_s` apart.
+    gap_spacing_s : float, s
 
     Returns
     -------
@@ -107,7 +119,10 @@ def insert_nodes(t: FloatArray, start_s: float, end_s: float, spacing_s: float =
     """
     inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
     knots = np.concatenate(([start_s], inner, [end_s]))
-    count = np.maximum(np.ceil(np.diff(knots) / spacing_s - 1e-9).astype(int), 1)
+    middle, spacing = 0.5 * (knots[1:] + knots[:-1]), np.full(len(knots) - 1, spacing_s)
+    for gap in gaps:
+        spacing[(middle > gap.start_s) & (middle < gap.end_s)] = gap_spacing_s
+    count = np.maximum(np.ceil(np.diff(knots) / spacing - 1e-9).astype(int), 1)
     inside = np.arange(count.sum()) - np.repeat(np.concatenate(([0], np.cumsum(count)[:-1])), count)
     nodes = np.repeat(knots[:-1], count) + np.repeat(np.diff(knots) / count, count) * inside
     return np.append(nodes, knots[-1])

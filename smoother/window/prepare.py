@@ -30,8 +30,6 @@ from ..splines import PiecewiseCubic
 from ..units import GRAVITY
 from .nodes import (
     CLOSEST_S,
-    GAP_NODE_CHAIN_S,
-    GAP_NODE_S,
     decimate,
     group_frames,
     group_frames_of_cameras,
@@ -190,7 +188,7 @@ def prepare(
         near_impacts(segment.signal, frame_t_imu),
         (start_s, end_s),
         reach(core_start_s, core_end_s, gaps, margin_s),
-        GAP_NODE_CHAIN_S if with_further else GAP_NODE_S,
+        gaps if with_further else (),
         1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1,
     )
     if alignment is None:
@@ -239,7 +237,7 @@ def _nodes(
     near_impact: BoolArray,
     range_s: tuple[float, float],
     reach_s: tuple[float, float],
-    spacing_s: float,
+    fine_gaps: tuple[Gap, ...],
     cameras: int = 1,
 ) -> tuple[FloatArray, IntArray]:
     """Nodes (n,) of the time range within reach, and the node of each frame (f,), -1 where there is none."""
@@ -250,7 +248,7 @@ def _nodes(
     else:
         rows = rows[decimate(frame_t_imu[rows])]
         owner = rows[group_frames(frame_t_imu[rows], visible[rows], near_impact[rows])]
-    t = insert_nodes(frame_t_imu[np.unique(owner)], *range_s, spacing_s)
+    t = insert_nodes(frame_t_imu[np.unique(owner)], *range_s, gaps=fine_gaps)
     t = t[(t >= reach_s[0]) & (t <= reach_s[1])]
     node = np.clip(np.searchsorted(t, frame_t_imu[owner] - 1e-9), 0, len(t) - 1)
     frame_node = np.full(len(frame_t_imu), -1)

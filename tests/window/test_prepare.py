@@ -19,7 +19,7 @@ from smoother.measurements.visibility import Gap, enough_joints
 from smoother.recording import JOINTS, ImuStream
 from smoother.rotation import Rotation
 from smoother.simulation import SimulatedArm
-from smoother.window.nodes import CLOSEST_S, GAP_NODE_S, GROUPED_S, decimate, insert_nodes
+from smoother.window.nodes import CLOSEST_S, GAP_NODE_CHAIN_S, GAP_NODE_S, GROUPED_S, decimate, insert_nodes
 from smoother.window.prepare import PreparedSegment, prepare, reach
 
 SIGMA_M = np.full(len(JOINTS), 0.01)
@@ -250,6 +250,16 @@ def test_nodes_are_no_more_than_needed(start: float, gaps: list[float]) -> None:
         inside = nodes[(nodes >= a) & (nodes <= b)]
         assert len(inside) - 1 == max(1, int(np.ceil((b - a) / GAP_NODE_S - 1e-9)))
         np.testing.assert_allclose(np.diff(inside), (b - a) / (len(inside) - 1), atol=EPS)
+
+
+def test_nodes_are_closer_in_gaps_only() -> None:
+    """Where the camera sees both segments of a chain, it ties them; in gaps their joint does, at nodes."""
+    t = np.concatenate((np.arange(0.0, 3.0, 0.25), np.arange(6.0, 9.0, 0.25)))
+    nodes = insert_nodes(t, 0.0, 9.0, gaps=[Gap(2.75, 6.0)])
+    in_gap = (nodes >= 2.75) & (nodes <= 6.0)
+    assert np.diff(nodes[in_gap]).max() <= GAP_NODE_CHAIN_S + EPS
+    np.testing.assert_allclose(np.diff(nodes[~in_gap & (nodes < 2.75)]), 0.25)
+    np.testing.assert_array_equal(nodes[nodes > 6.0], [*t[t > 6.0], 9.0])
 
 
 @given(st.lists(st.integers(2, 30), min_size=1, max_size=5), st.sampled_from([20.0, 40.0, 100.0, 285.0]))
