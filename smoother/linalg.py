@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -34,6 +35,35 @@ def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray
     u = np.clip((at - t[right - 1]) / (t[right] - t[right - 1]), 0.0, 1.0)
     u = u.reshape(-1, *([1] * (values.ndim - 1)))
     return (1.0 - u) * values[right - 1] + u * values[right]
+
+
+def by_columns(
+    function: Callable[[FloatArray], FloatArray], arrays: dict[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """A function that treats each column alone, applied to those arrays together that are finite alike.
+
+    Parameters
+    ----------
+    function : callable
+        Of an array (n, k), to one (m, k).
+    arrays : dict of str to ndarray, shape (n, k)
+        By name.
+
+    Returns
+    -------
+    results : dict of str to ndarray, shape (m, k)
+        In the same order.
+    """
+    alike: dict[bytes, list[str]] = {}
+    for name, array in arrays.items():
+        alike.setdefault(np.isfinite(array).all(axis=1).tobytes(), []).append(name)
+    results = dict.fromkeys(arrays, np.empty(0))
+    for names in alike.values():
+        ends = np.cumsum([arrays[name].shape[1] for name in names])
+        together = function(np.concatenate([arrays[name] for name in names], axis=1))
+        for name, columns in zip(names, np.split(together, ends[:-1], axis=1), strict=True):
+            results[name] = np.ascontiguousarray(columns)
+    return results
 
 
 def median_rate_hz(t_s: FloatArray) -> float:

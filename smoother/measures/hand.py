@@ -282,8 +282,10 @@ def alpha_volume(points: FloatArray, alpha_m: float) -> float:
 
 def voxel_means(points: FloatArray, voxel_m: float) -> FloatArray:
     """The mean of the points (n, 3) in each cube of that size, (k, 3)."""
-    _, cube = np.unique(np.floor(points / voxel_m).astype(np.int64), axis=0, return_inverse=True)
-    cube = cube.reshape(-1)
+    cubes = np.floor(points / voxel_m).astype(np.int64)
+    order = np.lexsort(cubes.T[::-1])  # np.unique of rows takes ten times as long
+    cube = np.empty(len(points), np.int64)
+    cube[order] = np.cumsum((np.diff(cubes[order], axis=0, prepend=cubes[order[:1]]) != 0).any(axis=1))
     count = np.bincount(cube)
     return np.stack([np.bincount(cube, points[:, axis]) / count for axis in range(3)], axis=1)
 

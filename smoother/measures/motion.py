@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..joint_angles import defined, elbow_bend, recovery_angles, torso_axes
-from ..linalg import interpolate, median_rate_hz, runs
+from ..linalg import by_columns, interpolate, median_rate_hz, runs
 from ..result import Recovery
 from ..shoulder_angles import shoulder_angles, trunk_angles
 from .measure import Smoothing
@@ -92,42 +92,45 @@ def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
     recovery : Recovery
         Of n samples.
     """
+    # measures assume an upright trunk unless an IMU is on it
+    trunk = recovery.trunk if recovery.trunk is None or recovery.trunk.by_imu else None
+    tracks = {"position": recovery.position, "quaternion": recovery.quaternion}
+    tracks |= {f"joint {joint}": position for joint, position in recovery.joints.items()}
+    for name, motion in recovery.segments.items():
+        tracks |= {f"{name} position": motion.position, f"{name} quaternion": motion.quaternion}
+    if trunk is not None:
+        tracks["trunk quaternion"] = trunk.quaternion
 
     def filtered(values: FloatArray) -> FloatArray:
         return low_passed(interpolate(recovery.t_s, values, grid.t_s), grid, cutoff_hz)
 
-    def turned(quaternion: FloatArray) -> FloatArray:
-        even = filtered(one_sign(quaternion))
-        with np.errstate(invalid="ignore"):
-            return np.asarray(even / np.linalg.norm(even, axis=1, keepdims=True))
-
+    turns = [name for name in tracks if name.endswith("quaternion")]
+    even = by_columns(filtered, tracks | {name: one_sign(tracks[name]) for name in turns})
+    with np.errstate(invalid="ignore"):
+        even |= {name: even[name] / np.linalg.norm(even[name], axis=1, keepdims=True) for name in turns}
     n = len(grid.t_s)
-    occluded = recovery.occluded[nearest_rows(recovery.t_s, grid.t_s)]
-    # measures assume an upright trunk unless an IMU is on it
-    trunk = recovery.trunk if recovery.trunk is None or recovery.trunk.by_imu else None
-    segments = {
-        name: replace(
-            motion,
-            position=filtered(motion.position),
-            quaternion=turned(motion.quaternion),
-            pose_covariance=_zeros(n, 6, 6),
-        )
-        for name, motion in recovery.segments.items()
-    }
     if trunk is not None:
-        trunk = replace(trunk, quaternion=turned(trunk.quaternion), covariance=_zeros(n, 3, 3))
+        trunk = replace(trunk, quaternion=even["trunk quaternion"], covariance=_zeros(n, 3, 3))
     return replace(
         recovery,
         t_s=grid.t_s,
-        occluded=occluded,
-        position=filtered(recovery.position),
-        quaternion=turned(recovery.quaternion),
+        occluded=recovery.occluded[nearest_rows(recovery.t_s, grid.t_s)],
+        position=even["position"],
+        quaternion=even["quaternion"],
         velocity=interpolate(recovery.t_s, recovery.velocity, grid.t_s),
         pose_covariance=_zeros(n, 6, 6),
         velocity_covariance=_zeros(n, 3, 3),
-        joints={joint: filtered(position) for joint, position in recovery.joints.items()},
+        joints={joint: even[f"joint {joint}"] for joint in recovery.joints},
         joint_covariance={joint: _zeros(n, 3, 3) for joint in recovery.joint_covariance},
-        segments=segments,
+        segments={
+            name: replace(
+                motion,
+                position=even[f"{name} position"],
+                quaternion=even[f"{name} quaternion"],
+                pose_covariance=_zeros(n, 6, 6),
+            )
+            for name, motion in recovery.segments.items()
+        },
         trunk=trunk,
         draws=None,
     )

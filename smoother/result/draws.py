@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from ..array_types import FloatArray
 from ..body import FURTHER, SEGMENTS
 from ..errors import UnoccludeError
+from ..linalg import by_columns
 from ..rotation import Rotation
 from ..splines import cubic_spline
 
@@ -97,17 +99,14 @@ class Draws:
         """
         if not 0 <= k < len(self):
             raise UnoccludeError(f"there is no drawn motion {k}: {len(self)} were drawn, numbered from 0")
-
-        def value(drawn: FloatArray) -> FloatArray:
-            return _at_times(self.t_s, drawn[k], t_s)[0]
-
-        position, velocity = _at_times(self.t_s, self.position[k], t_s)
+        drawn = {name: values[k] for name, values in self.columns().items()}
+        at = by_columns(partial(_at_times, self.t_s, t_s), drawn)
         return Deviation(
-            position,
-            velocity,
-            value(self.rotation),
-            {joint: value(drawn) for joint, drawn in self.joints.items()},
-            {segment: value(drawn) for segment, drawn in self.turns.items()},
+            at["position"],
+            _at_times(self.t_s, t_s, self.position[k], 1),
+            at["rotation"],
+            {joint: at[JOINT + joint] for joint in self.joints},
+            {segment: at[SEGMENTS[segment].prefix + TURN] for segment in self.turns},
         )
 
 
@@ -144,23 +143,24 @@ def turned_by(rotation: FloatArray, quaternion: FloatArray) -> FloatArray:
     return turned
 
 
-def _at_times(t: FloatArray, drawn: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A deviation (m, 3) and its derivative at other times (n, 3); held beyond the drawn times.
+def _at_times(t: FloatArray, at: FloatArray, drawn: FloatArray, order: int = 0) -> FloatArray:
+    """Deviations (m, k) at other times (n, k), held beyond the drawn ones; derivatives with `order` 1.
 
     Nan where nothing was drawn within a second.
     """
-    value, slope = np.full((len(at), 3), np.nan), np.full((len(at), 3), np.nan)
+    value = np.full((len(at), drawn.shape[1]), np.nan)
     known = np.flatnonzero(np.isfinite(drawn).all(axis=1))
     if not len(known):
-        return value, slope
+        return value
     starts = np.flatnonzero(np.diff(t[known], prepend=-np.inf) > APART_S)
     for rows in np.split(known, starts[1:]):
         first, last = np.searchsorted(at, [t[rows[0]] - 0.5 * APART_S, t[rows[-1]] + 0.5 * APART_S])
         inside = np.clip(at[first:last], t[rows[0]], t[rows[-1]])
         if len(rows) == 1:
-            value[first:last], slope[first:last] = drawn[rows[0]], 0.0
+            value[first:last] = 0.0 if order else drawn[rows[0]]
             continue
         spline = cubic_spline(t[rows], drawn[rows].astype(np.float64), natural=True)
-        value[first:last], slope[first:last] = spline(inside), spline(inside, 1)
-        slope[first:last][inside != at[first:last]] = 0.0
-    return value, slope
+        value[first:last] = spline(inside, order)
+        if order:
+            value[first:last][inside != at[first:last]] = 0.0
+    return value

@@ -11,7 +11,7 @@ from scipy.signal import find_peaks
 from scipy.spatial import transform
 
 from smoother.filters import gaussian_smoothed, moving_mean, moving_median
-from smoother.linalg import largest_trace, nearest_rotation, nonnegative_pair, peaks
+from smoother.linalg import by_columns, largest_trace, nearest_rotation, nonnegative_pair, peaks
 from smoother.rotation import Rotation, Slerp, chained
 from smoother.splines import PiecewiseCubic, cubic_spline
 
@@ -203,3 +203,19 @@ def test_hermite_is_scipys() -> None:
 def test_knots_that_stand_still() -> None:
     with pytest.raises((np.linalg.LinAlgError, ValueError)), np.errstate(all="ignore"):
         cubic_spline(np.zeros(5), np.zeros((5, 1)))
+
+
+def test_columns_that_are_known_differently() -> None:
+    """Each array is treated as alone: where one is unknown, the others are not."""
+    rng = np.random.default_rng(5)
+    arrays = {name: rng.normal(size=(20, width)) for name, width in (("a", 3), ("b", 4), ("c", 3), ("d", 3))}
+    arrays["c"][4:9] = np.nan
+    arrays["d"][4:9, 1] = np.nan  # a row of which a part is unknown is unknown
+
+    def known_sums(columns: np.ndarray) -> np.ndarray:
+        return np.cumsum(columns[np.isfinite(columns).all(axis=1)], axis=0)
+
+    together = by_columns(known_sums, arrays)
+    assert list(together) == list(arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(together[name], known_sums(array))

@@ -155,3 +155,12 @@ def test_what_has_no_volume():
 def test_one_place_in_a_cube():
     places = voxel_means(np.array([[0.001, 0, 0], [0.003, 0, 0], [0.05, 0, 0]]), 0.02)
     np.testing.assert_allclose(places, [[0.002, 0, 0], [0.05, 0, 0]])
+
+
+def test_cubes_are_the_different_rows():
+    """One place far away, too: cubes are not numbered through."""
+    points = np.random.default_rng(3).normal(0.0, 0.05, (500, 3))
+    points[7] = [-3e9, 2e9, 5e9]
+    rows, cube = np.unique(np.floor(points / 0.02).astype(int), axis=0, return_inverse=True)
+    expected = [points[cube.reshape(-1) == number].mean(axis=0) for number in range(len(rows))]
+    np.testing.assert_allclose(voxel_means(points, 0.02), expected, rtol=1e-12)
