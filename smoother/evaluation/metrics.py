@@ -257,20 +257,35 @@ def _piecewise(
     reader: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
 ) -> FloatArray:
     """Apply a reader between samples that may be bridged; other times stay nan."""
-    result = np.full((len(t_s), values.shape[1]), np.nan)
+    return _read(_pieces(t_known, values), t_s, reader, values.shape[1])
+
+
+def _pieces(t_known: FloatArray, values: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Times and values of known samples in order of time, apart where they may not be bridged."""
     finite = np.isfinite(values).all(axis=1) & np.isfinite(t_known)
     t, v = t_known[finite], values[finite]
     order = np.argsort(t, kind="stable")
     t, v = t[order], v[order]
     fresh = np.append(True, np.diff(t) > 0) if len(t) else np.zeros(0, bool)
     t, v = t[fresh], v[fresh]
-    for part in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > BRIDGED_S + STAMP_S) + 1):
-        if not len(part):
-            continue
-        inside = (t_s >= t[part[0]] - STAMP_S) & (t_s <= t[part[-1]] + STAMP_S)
+    starts = np.flatnonzero(np.diff(t) > BRIDGED_S + STAMP_S) + 1
+    return [
+        (part, own) for part, own in zip(np.split(t, starts), np.split(v, starts), strict=True) if len(part)
+    ]
+
+
+def _read(
+    pieces: list[tuple[FloatArray, FloatArray]],
+    t_s: FloatArray,
+    reader: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
+    width: int,
+) -> FloatArray:
+    """What pieces are at other times (n, width); nan outside of them."""
+    result = np.full((len(t_s), width), np.nan)
+    for t, v in pieces:
+        inside = (t_s >= t[0] - STAMP_S) & (t_s <= t[-1] + STAMP_S)
         if inside.any():
-            clipped = np.clip(t_s[inside], t[part[0]], t[part[-1]])
-            result[inside] = reader(t[part], v[part], clipped)
+            result[inside] = reader(t, v, np.clip(t_s[inside], t[0], t[-1]))
     return result
 
 
@@ -368,9 +383,9 @@ def _correlations(
     known = known[:: max(1, len(known) // MOST)]
     if len(known) < FEWEST:
         return r
-    t, a = t_s[known], samples[known]
+    t, a, pieces = t_s[known], samples[known], _pieces(t_reference, reference)
     for k, lag in enumerate(lags):
-        b = linear_at(t_reference, reference, t - lag)
+        b = _read(pieces, t - lag, _linear, reference.shape[1])
         both = np.isfinite(b).all(axis=1)
         if both.sum() >= FEWEST:
             r[k] = _correlation(a[both], b[both])
