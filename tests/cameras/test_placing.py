@@ -122,6 +122,18 @@ def test_a_camera_that_is_wrong_is_named_and_left_out(fault: str, words: str) ->
     assert joined.arm is recording.arm
 
 
+def test_a_camera_that_stood_still_was_not_moved() -> None:
+    """Fourteen seconds off, its parts lie 146 degrees apart and fit to 5.4 cm; the whole fits to 4.9."""
+    config = ArmSimulation.preset(
+        "azure", protocol="random", duration_s=60.0, cameras=(75.0,), camera_clock_s=0.35
+    )
+    simulated = simulate_arm(config, 5007)
+    _, rig = join_cameras(simulated.recording)
+    assert rig is not None and not rig.cameras[1].reason
+    turned_deg, off_m, late_s = errors(simulated, rig.cameras[1].pose, rig.cameras[1].clock.offset_s)
+    assert turned_deg < 2.0 and off_m < 0.03 and abs(late_s) < 0.01
+
+
 def test_a_camera_that_never_sees_the_arm_with_the_first_is_left_out() -> None:
     recording = made().recording
     camera = recording.cameras[0]
