@@ -1,11 +1,17 @@
-"""An outlet that comes back under another source_id, then with another unit; prints what the inlet says."""
+"""An outlet that comes back under another source_id, then with another unit; prints what the inlet says.
+
+Outlets are programs of their own and are killed, like a sensor whose battery is empty: destroying an outlet
+crashes liblsl 1.18 now and then.
+"""
 
 from __future__ import annotations
 
-import gc
 import json
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pylsl
 
@@ -16,7 +22,8 @@ from smoother.streams.lsl import LslInlet
 PATIENCE_S = 25.0
 
 
-def outlet(source_id: str, unit: str) -> pylsl.StreamOutlet:
+def send(source_id: str, unit: str) -> None:
+    """Send for ever."""
     info = pylsl.StreamInfo("wrist", "IMU", 6, 100, "double64", source_id)
     channels = info.desc().append_child("channels")
     for kind, kind_unit in (("acc", unit), ("gyro", "rad/s")):
@@ -24,19 +31,31 @@ def outlet(source_id: str, unit: str) -> pylsl.StreamOutlet:
             channel = channels.append_child("channel")
             channel.append_child_value("label", f"{kind}_{axis}")
             channel.append_child_value("unit", kind_unit)
-    return pylsl.StreamOutlet(info)
-
-
-def sent_until_received(inlet: LslInlet, sender: pylsl.StreamOutlet) -> int:
-    """Send until something comes; how many samples came."""
-    until = time.monotonic() + PATIENCE_S
-    while time.monotonic() < until:
-        sender.push_sample([0.0] * 6)
-        got = sum(len(batch.t_s) for batch in inlet.samples())
-        if got:
-            return got
+    outlet = pylsl.StreamOutlet(info)
+    while True:
+        outlet.push_sample([0.0] * 6)
         time.sleep(0.02)
-    return 0
+
+
+@contextmanager
+def sent(source_id: str, unit: str) -> Iterator[None]:
+    """A program that sends meanwhile."""
+    program = subprocess.Popen([sys.executable, __file__, source_id, unit])
+    try:
+        yield
+    finally:
+        program.kill()
+        program.wait()
+
+
+def received(inlet: LslInlet) -> int:
+    """How many samples came, once some did."""
+    until = time.monotonic() + PATIENCE_S
+    got = 0
+    while not got and time.monotonic() < until:
+        got = sum(len(batch.t_s) for batch in inlet.samples())
+        time.sleep(0.02)
+    return got
 
 
 def main() -> None:
@@ -44,28 +63,25 @@ def main() -> None:
     inlet = LslInlet("wrist", ("imu",), lambda: None)
     inlet.start()
     try:
-        sender = outlet("first", "m/s^2")
-        said["first"] = sent_until_received(inlet, sender)
-        del sender
-        gc.collect()
-        sender = outlet("second", "m/s^2")
-        said["second"] = sent_until_received(inlet, sender)
-        said["events"] = inlet.events()
-        until = time.monotonic() + PATIENCE_S
-        while not said["events"] and time.monotonic() < until:  # what the first one had sent came late
-            said["second"] = sent_until_received(inlet, sender)
+        with sent("first", "m/s^2"):
+            said["first"] = received(inlet)
+        with sent("second", "m/s^2"):
+            until = time.monotonic() + PATIENCE_S
+            said["second"] = received(inlet)
             said["events"] = inlet.events()
-        del sender
-        gc.collect()
-        sender = outlet("second", "g")
-        try:
-            said["third"] = sent_until_received(inlet, sender)
-        except UnoccludeError as error:
-            said["refused"] = str(error)
+            while not said["events"] and time.monotonic() < until:  # what the first one had sent came late
+                said["second"] = received(inlet)
+                said["events"] = inlet.events()
+        with sent("second", "g"):
+            until = time.monotonic() + PATIENCE_S
+            while time.monotonic() < until:  # here, too
+                said["third"] = received(inlet)
+    except UnoccludeError as error:
+        said["refused"] = str(error)
     finally:
         inlet.close()
     print(json.dumps(said))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(send(*sys.argv[1:]) if sys.argv[1:] else main())
