@@ -17,6 +17,8 @@ from threading import Thread
 
 import numpy as np
 
+#: A stream is looked for so long: a machine with other work to do may need a while, s.
+PATIENCE_S = 30.0
 JOINTS = ("shoulder", "elbow", "wrist", "hand", "strap")
 
 
@@ -146,17 +148,17 @@ def play(options: argparse.Namespace) -> None:
 def read(options: argparse.Namespace) -> None:
     import pylsl
 
-    until = time.monotonic() + options.seconds
-    found = pylsl.resolve_byprop("name", options.name, 1, options.seconds)
+    found = pylsl.resolve_byprop("name", options.name, 1, PATIENCE_S)
     if not found:
         sys.exit(f"no stream {options.name}")
     inlet = pylsl.StreamInlet(found[0])
-    info = inlet.info(5)
+    info = inlet.info(PATIENCE_S)
     labels, channel = [], info.desc().child("channels").child("channel")
     for _ in range(info.channel_count()):
         labels.append([channel.child_value(key) for key in ("label", "type", "unit")])
         channel = channel.next_sibling("channel")
     samples, stamps, ages = [], [], []
+    until = time.monotonic() + options.seconds
     while time.monotonic() < until:
         values, t_s = inlet.pull_chunk(timeout=0.2, min_samples=1, as_numpy=True)
         now = pylsl.local_clock()
