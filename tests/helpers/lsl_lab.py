@@ -1,7 +1,7 @@
 """A lab's network on this computer, for tests: outlets that play a recording, and a reader, as programs.
 
 python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --halves | --both]
-python lsl_lab.py read NAME SECONDS
+python lsl_lab.py read NAME SECONDS [--least SAMPLES]
 """
 
 from __future__ import annotations
@@ -158,8 +158,10 @@ def read(options: argparse.Namespace) -> None:
         labels.append([channel.child_value(key) for key in ("label", "type", "unit")])
         channel = channel.next_sibling("channel")
     samples, stamps, ages = [], [], []
-    until = time.monotonic() + options.seconds
-    while time.monotonic() < until:
+    began = time.monotonic()
+    while (after := time.monotonic() - began) < options.seconds or (
+        len(samples) < options.least and after < PATIENCE_S
+    ):
         values, t_s = inlet.pull_chunk(timeout=0.2, min_samples=1, as_numpy=True)
         now = pylsl.local_clock()
         samples += np.asarray(values).tolist()
@@ -185,6 +187,7 @@ def main() -> None:
     reader = commands.add_parser("read")
     reader.add_argument("name")
     reader.add_argument("seconds", type=float)
+    reader.add_argument("--least", type=int, default=0, help="go on until there are so many samples")
     reader.set_defaults(run=read)
     options = parser.parse_args()
     options.run(options)

@@ -105,7 +105,8 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
     lines_until(live, "LSL: streams arm and arm_settled, for this computer")
     tell(outlets, "go")
     lines_until(live, "  visible")
-    reader = lab.start("lsl_lab.py", "read", "arm", 6)
+    # a machine with other work to do takes fewer, longer steps
+    reader = lab.start("lsl_lab.py", "read", "arm", 6, "--least", 200)
     read, errors = reader.communicate(timeout=60)
     assert reader.returncode == 0, errors
     tell(outlets, "imu 2")
@@ -137,7 +138,7 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
     sigma = shown[:, labels.index("wrist_right_sigma")]
     assert 0.002 < np.median(sigma) < 0.1
     assert np.all(np.diff(sent["t_s"]) > -1e-3)
-    assert np.median(sent["ages"]) < 0.1
+    assert np.median(sent["ages"]) < 0.3  # of now; 0.02 on an idle machine
 
     figures = json.loads((tmp_path / "session.json").read_text())
     assert figures["imu"]["lost_times"] == 1
@@ -213,7 +214,7 @@ def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     lines_until(live, "LSL: streams arm_left and arm_left_settled, for this computer")
     tell(outlets, "go")
     lines_until(live, "left arm: visible")
-    reader = lab.start("lsl_lab.py", "read", "arm_left", 3)
+    reader = lab.start("lsl_lab.py", "read", "arm_left", 3, "--least", 30)
     read, errors = reader.communicate(timeout=60)
     assert reader.returncode == 0, errors
     live.send_signal(signal.SIGINT)
