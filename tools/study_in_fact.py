@@ -1,8 +1,8 @@
-"""A study of many recordings on the workers of two Dask schedulers: `python tools/study_in_fact.py`.
+"""A study of many recordings on the workers of two Dask schedulers: `python -m tools.study_in_fact`.
 
 Simulates the recordings, gives half of them to `unocclude batch` with each scheduler, kills a worker of the
 first on the way, and ends the command of the second by Ctrl-C and gives it again. Prints what became of the
-recordings, and what the study cost beside recovering each of them alone.
+recordings, and what the study cost.
 """
 
 from __future__ import annotations
@@ -84,11 +84,9 @@ def batch(folder: Path, half: str, address: str) -> subprocess.Popen[bytes]:
 def rows(folder: Path, half: str = "*") -> int:
     """How many rows are among the results."""
     files = [str(path) for path in folder.glob(f"{half}-results/results/*.parquet")]
-    return (
-        sum(n for (n,) in duckdb.sql(f"SELECT count(*) FROM read_parquet({files})").fetchall())
-        if files
-        else 0
-    )
+    if not files:
+        return 0
+    return int(duckdb.sql(f"SELECT count(*) FROM read_parquet({files})").fetchall()[0][0])
 
 
 def until(condition: Callable[[], bool], program: subprocess.Popen[bytes]) -> None:
@@ -109,13 +107,13 @@ def processor_s() -> float:
 def study(folder: Path, count: int) -> None:
     """The whole study, and the same commands once more, which have nothing to do."""
     first, second = HALVES
-    quarter = count // 8
+    few = count // 8
     before_s, began = processor_s(), time.monotonic()
     with scheduler() as (one, nanny), scheduler() as (two, _):
         working = [batch(folder, first, one), batch(folder, second, two)]
-        until(lambda: rows(folder, first) >= quarter, working[0])
-        os.kill(children(nanny)[-1], signal.SIGKILL)
-        until(lambda: rows(folder, second) >= 2 * quarter, working[1])
+        until(lambda: rows(folder, first) >= few, working[0])
+        os.kill(children(nanny)[-1], signal.SIGKILL)  # the first one is Python's resource tracker
+        until(lambda: rows(folder, second) >= 2 * few, working[1])
         working[1].send_signal(signal.SIGINT)
         working[1].wait(60)
         kept = rows(folder, second)
@@ -128,7 +126,7 @@ def study(folder: Path, count: int) -> None:
         ]
         again_s = time.monotonic() - again
     used_s = processor_s() - before_s
-    print(f"exit codes {codes}; a worker killed after {quarter} rows, a command ended with {kept} rows kept")
+    print(f"exit codes {codes}; a worker killed after {few} rows, a command ended with {kept} rows kept")
     table = f"read_parquet('{folder}/*-results/results/*.parquet')"
     facts = "status, count(*), count(DISTINCT recording), sum(duration_s) / 60, sum(seconds)"
     for status, number, different, minutes, seconds in duckdb.sql(

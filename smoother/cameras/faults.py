@@ -78,8 +78,11 @@ def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first:
             " back in the camera's program"
         )
     # at a wrong offset parts may lie somewhere by chance, but no better than the whole at its right place
-    moves = [move for each, together in found if (move := moved(each, together)) is not None]
-    moves = [move for move in moves if move.misfit_m < best.misfit_m]
+    moves = [
+        move
+        for each, together in found
+        if (move := moved(each, together)) is not None and move.misfit_m < best.misfit_m
+    ]
     if moves:
         return min(moves, key=lambda each: each.misfit_m).sentence(first)
     if best.misfit_m > OTHER_M and best.misfit_m > OTHER_SHARE * best.spread_m:

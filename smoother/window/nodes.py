@@ -96,7 +96,6 @@ def insert_nodes(
     end_s: float,
     spacing_s: float = GAP_NODE_S,
     gaps: Sequence[Gap] = (),
-    gap_spacing_s: float = GAP_NODE_CHAIN_S,
 ) -> FloatArray:
     """Node times: the given ones, start and end, and evenly spaced ones where they are far apart.
 
@@ -109,8 +108,7 @@ def insert_nodes(
     spacing_s : float, s
         Where nodes are far apart.
     gaps : sequence of Gap
-        In order of time; nodes in them are at most `gap_spacing_s` apart.
-    gap_spacing_s : float, s
+        Nodes in them are at most `GAP_NODE_CHAIN_S` apart.
 
     Returns
     -------
@@ -121,7 +119,7 @@ def insert_nodes(
     knots = np.concatenate(([start_s], inner, [end_s]))
     middle, spacing = 0.5 * (knots[1:] + knots[:-1]), np.full(len(knots) - 1, spacing_s)
     for gap in gaps:
-        spacing[(middle > gap.start_s) & (middle < gap.end_s)] = gap_spacing_s
+        spacing[(middle > gap.start_s) & (middle < gap.end_s)] = GAP_NODE_CHAIN_S
     count = np.maximum(np.ceil(np.diff(knots) / spacing - 1e-9).astype(int), 1)
     inside = np.arange(count.sum()) - np.repeat(np.concatenate(([0], np.cumsum(count)[:-1])), count)
     nodes = np.repeat(knots[:-1], count) + np.repeat(np.diff(knots) / count, count) * inside

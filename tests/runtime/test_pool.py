@@ -167,7 +167,7 @@ with Pool(2, 10**6) as pool:
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_an_interrupt_while_a_worker_answers(tmp_path: Path):
-    """What it had not written yet never comes: the command waited for it for ever, once in some hundred."""
+    """What it had not written yet never comes: the command waited for it for ever."""
     mark = tmp_path / "a.long"
     done = subprocess.run(
         [sys.executable, "-c", HALF, str(mark)], env=_with_helpers(), capture_output=True, timeout=60
