@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format docs lock fuzz sbom wheel audit pythons clean
+.PHONY: help setup demo test lint format docs lock fuzz audit clean
 
 help: ## list the tasks
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -32,10 +32,9 @@ format: $(READY) ## put the code in the project's style
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-docs: $(READY) ## build the site in out/site: warnings are errors, every link inside it leads somewhere
+docs: $(READY) ## build the site in out/site: warnings are errors
 	rm -rf out/site out/doctrees docs/generated
 	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -b html -d out/doctrees docs out/site
-	$(BIN)/python -m tools.site_links out/site
 
 lock: $(READY) ## renew requirements.lock from pyproject.toml
 	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \
@@ -44,17 +43,8 @@ lock: $(READY) ## renew requirements.lock from pyproject.toml
 fuzz: $(READY) ## fuzz every reader of files for MINUTES=10; needs atheris (pip install atheris)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tools.fuzz --minutes $(or $(MINUTES),10)
 
-sbom: $(READY) ## write dist/sbom.cdx.json: what the program is made of, from the lock
-	$(BIN)/python -m tools.sbom -o dist/sbom.cdx.json
-
-wheel: $(READY) ## build the wheel into dist, twice, and compare the bytes
-	$(BIN)/python -m tools.wheel -o dist --check
-
 audit: $(READY) ## ask the advisory database for known faults of the locked packages
 	$(BIN)/uvx pip-audit --requirement requirements.lock --require-hashes --disable-pip --strict
-
-pythons: $(READY) ## the tests on Python 3.11, 3.12 and 3.13, as far as they are here
-	$(BIN)/uvx nox -f tools/noxfile.py
 
 clean: ## remove the environment and what the tools left
 	rm -rf .venv build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

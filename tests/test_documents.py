@@ -235,23 +235,6 @@ def test_pages_without_a_list_are_listed(tmp_path: Path, monkeypatch: pytest.Mon
     sys.modules.pop("written_at_build")
 
 
-def test_the_site_checker_finds_what_is_wrong(tmp_path: Path):
-    from tools.site_links import faults
-
-    page = '<h1 id="top">x</h1><a href="other.html#there">a</a><a href="https://example.org">b</a>'
-    (tmp_path / "index.html").write_text(page)
-    (tmp_path / "other.html").write_text(
-        '<p id="there">y</p><link rel="canonical" href="https://example.org/o">'
-    )
-    assert faults(tmp_path) == []
-    (tmp_path / "other.html").write_text(
-        '<script src="https://cdn.example.org/a.js"></script><a href="no.html">'
-    )
-    found = "\n".join(faults(tmp_path))
-    assert "no such place" in found and "no such file" in found and "from outside" in found
-    assert faults(tmp_path / "empty")
-
-
 def test_pictures_are_small_and_whole():
     from xml.dom import minidom
 

@@ -18,13 +18,13 @@ from mcap.reader import make_reader
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
+from mcap_records import places, put
 
 from smoother.errors import RecordingError
 from smoother.io.mcap.container import Container
 from smoother.io.mcap.messages import Topic, plain_name
 from smoother.io.mcap.records import CHUNK, HEAD, MAGIC, find
 from smoother.io.mcap.top_level import LIMIT_NAME
-from tools.faults.file_faults import places, put
 
 COUNT = 300
 Rows = list[tuple[str, int, bytes]]

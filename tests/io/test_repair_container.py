@@ -13,12 +13,12 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
+from mcap_records import places, put
 from test_damaged_container import COUNT, read, written
 
 from smoother.cli.run import run
 from smoother.io import open_recording
 from smoother.io.mcap.merge import repair_container
-from tools.faults.file_faults import places, put
 
 
 def by_package(data: bytes) -> set[tuple[int, int, bytes]]:

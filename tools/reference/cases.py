@@ -7,7 +7,6 @@ the line itself, so that a changed line is a new case. `PROJECT/` is the project
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 from tools.reference import inputs
@@ -201,10 +200,6 @@ GROUPS: tuple[Group, ...] = (
     Group("study", _STUDY, inputs=inputs.sessions_folder),
     Group("demo", _DEMO),
     Group("methods", _METHODS),
-    *(
-        Group(f"damaged files {part + 1}", steps=partial(inputs.damaged, part=part))
-        for part in range(inputs.PARTS)
-    ),
     *(Group(name, _EACH.format(options=options)) for name, options in _SIMULATED.items()),
     Group("live replay", _LIVE),
     Group("live with both arms", _LIVE_BOTH),

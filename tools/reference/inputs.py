@@ -1,25 +1,19 @@
-"""Files that the cases read and no command writes: exports of devices, plain files, damaged files."""
+"""Files that the cases read and no command writes: exports of devices and plain files."""
 
 from __future__ import annotations
 
-import hashlib
 import shlex
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from tools.faults.__main__ import key_of
-from tools.faults.cases import Case, Workshop, all_cases, plain_folder
+from smoother.recording import JOINTS, JointState
 from tools.reference.renderings import PROJECT
 from tools.reference.running import Step
 
 #: Writes a file.
 Write = Callable[[Path], None]
-#: Damaged files are run in this many groups, about this many cases in all, drawn by the case's name.
-PARTS, DAMAGED = 2, 64
-
 
 #: How an IMU's file is named where `forearm_right=file` does not do.
 _NAMED = {"apdm": "'forearm_right=file#Right Wrist'", "metamotion": "forearm_right=file,turning"}
@@ -74,6 +68,26 @@ def _skeleton(path: Path) -> None:
     device_files.SKELETONS["kinect-v2"](path)
 
 
+def plain_folder(path: Path) -> dict[str, str]:
+    """A recording as plain files."""
+    from smoother.io import read_recording
+
+    recording = read_recording(path)
+    imu = ["t_s,ax,ay,az,gx,gy,gz"]
+    for t, *values in np.column_stack([recording.imu.t_s, recording.imu.acc, recording.imu.gyro]).tolist():
+        imu.append(",".join([f"{t:.6f}", *(f"{value:.6f}" for value in values)]))
+    rows = ["t_s,joint,x,y,z,state"]
+    for frame, t in enumerate(recording.arm.t_s.tolist()):
+        for column, joint in enumerate(JOINTS):
+            state = JointState(int(recording.arm.state[frame, column])).name.lower()
+            place = ["", "", ""]
+            if state != "not_tracked":
+                place = [f"{value:.5f}" for value in recording.arm.position[frame, column].tolist()]
+            rows.append(",".join([f"{t:.6f}", f"{joint}_right", *place, state]))
+    about = '[camera]\nframe = "kinect"\nskeleton = "skeleton.csv"\n[imu.forearm_right]\nfile = "imu.csv"\n'
+    return {"imu.csv": "\n".join(imu) + "\n", "skeleton.csv": "\n".join(rows) + "\n", "recording.toml": about}
+
+
 def plain_files(folder: Path) -> None:
     """The demo as plain files, and two small Matlab files as UTD-MHAD has them."""
     from scipy.io import savemat
@@ -84,40 +98,3 @@ def plain_files(folder: Path) -> None:
     rng = np.random.default_rng(0)
     savemat(folder / "inertial.mat", {"d_iner": rng.normal(size=(150, 6))})
     savemat(folder / "skeleton.mat", {"d_skel": rng.normal(size=(20, 3, 90))})
-
-
-def damaged(folder: Path, part: int) -> Iterator[Step]:
-    """Some of the cases of `tools.faults`: the same ones however many there are."""
-    (folder / "sound").mkdir()
-    shop = Workshop(folder / "sound", seed=1)
-    for case in chosen(all_cases(shop)):
-        key = key_of(case)
-        if _number(f"part of {key}") % PARTS != part:
-            continue
-        place = folder / f"{_number(key):x}"
-        place.mkdir()
-        words = (*case.arguments(Path()), "--json", "figures.json", "--force")
-        yield Step(words, place, key, partial(case.make, shop, place))
-
-
-def chosen(cases: list[Case]) -> list[Case]:
-    """About `DAMAGED` of them, each family among them; a case stays chosen when others are added.
-
-    Parameters
-    ----------
-    cases : list of Case
-        All; those that take long or run by themselves are left out.
-    """
-    short = [case for case in cases if case.runs is None and not case.cpu_s]
-    by_family: dict[str, list[Case]] = {}
-    for case in short:
-        by_family.setdefault(case.family, []).append(case)
-    found = []
-    for family in by_family.values():
-        family.sort(key=lambda case: _number(key_of(case)))
-        found += family[: max(2, round(DAMAGED * len(family) / len(short)))]
-    return found
-
-
-def _number(text: str) -> int:
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
