@@ -23,10 +23,11 @@ demo: $(READY) ## the main job on the recording in data/: smooth, validate, repo
 test: $(READY) ## run the tests, two at a time
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
-lint: $(READY) ## style and types
+lint: $(READY) ## style, types, and imports that point down
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
 
 format: $(READY) ## put the code in the project's style
 	$(BIN)/ruff check --fix .

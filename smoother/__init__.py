@@ -1,8 +1,9 @@
 """unocclude: the arm's motion where the depth camera could not see it.
 
-from smoother import read_recording, smooth
-recovery = smooth(read_recording("recording.mcap"))
-arrays = recovery.to_arrays()
+import smoother
+
+recovery = smoother.smooth("recording.mcap")
+table = recovery.to_table()
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ __version__ = "1.0.0rc1"
 if TYPE_CHECKING:
     from calib.file import read_calibration
 
+    from .api import measure, smooth
     from .calibration import ArmCalibration
     from .config import Config
     from .errors import UnoccludeError
     from .evaluation.validate import validate
     from .io import read_recording, read_recordings, read_recovery, write_recording, write_recovery
-    from .measures import Measures, MeasureSettings, measure, measure_both
+    from .measures import Measures, MeasureSettings, measure_both
     from .recording import ImuStream, JointState, JointTracks, Recording, Truth
     from .result import Draws, Recoveries, Recovery
     from .several_arms import smooth_arms
-    from .smoothing import smooth
 
 #: Where each public name lives; loaded at first use, so that the command line starts at once.
 _HOME = {
@@ -41,13 +42,13 @@ _HOME = {
     "Recovery": "smoother.result",
     "Truth": "smoother.recording",
     "UnoccludeError": "smoother.errors",
-    "measure": "smoother.measures",
+    "measure": "smoother.api",
     "measure_both": "smoother.measures",
     "read_calibration": "calib.file",
     "read_recording": "smoother.io",
     "read_recordings": "smoother.io",
     "read_recovery": "smoother.io",
-    "smooth": "smoother.smoothing",
+    "smooth": "smoother.api",
     "smooth_arms": "smoother.several_arms",
     "validate": "smoother.evaluation.validate",
     "write_recording": "smoother.io",

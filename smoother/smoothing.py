@@ -77,7 +77,7 @@ def smooth(
         there is none.
     draws : int
         This many whole motions drawn from the posterior (`Recovery.draws`); the answer is the same with and
-        without. `unocclude.smooth` and the command draw 64.
+        without. `smoother.smooth` and the command draw 64.
     seed : int
         Of the draws' random numbers, 0 or more: the same one gives the same motions.
 

@@ -1,4 +1,4 @@
-"""The documents, README and docs/quality.md: links, commands, options, quoted sentences, named tests."""
+"""The documents, README included: links, commands, options, quoted sentences."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import typer
 
-import smoother
 from calib import read_calibration
 from smoother.io.plain.folder import _Description
 from smoother.io.result.write import write_recovery
@@ -291,10 +290,11 @@ def test_examples_of_files(tmp_path):
 def test_topics_and_columns(tmp_path):
     from mcap.reader import make_reader
 
-    from smoother import read_recording, smooth
+    from smoother import read_recording
     from smoother.config import Config
     from smoother.io.export.csv import csv_columns
     from smoother.result.segment_motion import SegmentMotion, TrunkMotion
+    from smoother.smoothing import smooth
 
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     recording = read_recording(ROOT / "data" / "demo.mcap")
@@ -334,43 +334,3 @@ def test_every_dependency_is_explained():
     for dependency in project["dependencies"]:
         name = re.match(r"[a-z0-9-]+", dependency.lower())[0].removesuffix("-cpu")
         assert {"opencv-python-headless": "opencv"}.get(name, name) in page, name
-
-
-TEXT = (ROOT / "docs" / "quality.md").read_text(encoding="utf-8")
-REQUIREMENTS = re.findall(r"^\| (R\d+) \| (.+?) \| (.+) \|$", TEXT, re.MULTILINE)
-
-
-@cache
-def names_in(path: Path) -> frozenset[str]:
-    """What pytest collects of a file, by name."""
-    names = set()
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        inside = node.body if isinstance(node, ast.ClassDef) and node.name.startswith("Test") else [node]
-        prefix = f"{node.name}::" if isinstance(node, ast.ClassDef) else ""
-        names |= {
-            prefix + each.name
-            for each in inside
-            if isinstance(each, ast.FunctionDef) and each.name.startswith("test_")
-        }
-    return frozenset(names)
-
-
-def test_requirements_are_numbered_through() -> None:
-    assert len(REQUIREMENTS) > 20
-    assert [number for number, _, _ in REQUIREMENTS] == [f"R{n + 1}" for n in range(len(REQUIREMENTS))]
-    anomalies = re.findall(r"^\| (A\d+) \|", TEXT, re.MULTILINE)
-    assert anomalies == [f"A{n + 1}" for n in range(len(anomalies))] and anomalies
-
-
-@pytest.mark.parametrize("number, requirement, tests", REQUIREMENTS, ids=[each[0] for each in REQUIREMENTS])
-def test_each_has_tests_that_exist(number: str, requirement: str, tests: str) -> None:
-    named = re.findall(r"`([^`]+)`", tests)
-    assert named and requirement, number
-    for each in named:
-        file, _, name = each.partition("::")
-        assert file.startswith("tests/") and (ROOT / file).is_file(), f"{number}: there is no {file}"
-        assert name in names_in(ROOT / file), f"{number}: {file} has no {name}"
-
-
-def test_the_anomalies_are_of_this_version() -> None:
-    assert f"Version {smoother.__version__}." in TEXT

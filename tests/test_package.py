@@ -1,4 +1,4 @@
-"""`import unocclude`: what a wheel holds, which names there are, and files given to `smooth`."""
+"""`import smoother`: what a wheel holds, which names there are, and files given to `smooth`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import pytest
 from scenes import ALONE
 
 import smoother
-import unocclude
 from smoother.calibration import ArmCalibration, Length
 from smoother.errors import UnoccludeError
 from smoother.simulation import ArmSimulation, simulate_arm
@@ -41,29 +40,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_wheel_holds_every_module_once(wheel: Path) -> None:
     inside = {path.relative_to(wheel).as_posix() for path in wheel.rglob("*.py")}
     tree = {
-        path.relative_to(ROOT).as_posix()
-        for part in ("smoother", "calib")
-        for path in (ROOT / part).rglob("*.py")
+        p.relative_to(ROOT).as_posix() for part in ("smoother", "calib") for p in (ROOT / part).rglob("*.py")
     }
-    assert inside == {
-        name.removeprefix("smoother/") if name.startswith("smoother/unocclude/") else name for name in tree
-    }
-    assert {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"} == {
-        "smoother",
-        "calib",
-        "unocclude",
-    }
-    assert (wheel / "unocclude" / "py.typed").exists() and (
-        wheel / "smoother" / "report" / "web" / "page.html"
-    ).exists()
+    assert inside == tree
+    assert {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"} == {"smoother", "calib"}
+    assert (wheel / "smoother" / "py.typed").exists()
+    assert (wheel / "smoother" / "report" / "web" / "page.html").exists()
 
 
-def test_the_wheel_is_imported_by_its_own_name(wheel: Path, tmp_path: Path) -> None:
+def test_the_wheel_is_imported_light(wheel: Path, tmp_path: Path) -> None:
     code = (
-        "import sys, unocclude\n"
-        f"assert unocclude.__file__.startswith({str(wheel)!r}), unocclude.__file__\n"
+        "import sys, smoother\n"
+        f"assert smoother.__file__.startswith({str(wheel)!r}), smoother.__file__\n"
         "assert not {'numpy', 'gtsam', 'mcap'} & set(sys.modules)\n"
-        "print(unocclude.__version__, unocclude.Recovery.__name__)\n"
+        "print(smoother.__version__, smoother.Recovery.__name__)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(wheel)}
     done = subprocess.run(
@@ -73,18 +63,12 @@ def test_the_wheel_is_imported_by_its_own_name(wheel: Path, tmp_path: Path) -> N
     assert done.stdout.split() == [smoother.__version__, "Recovery"]
 
 
-def test_dir_shows_the_public_names_and_no_others() -> None:
-    assert dir(unocclude) == sorted([*smoother.__all__, "measures", "simulation", "__version__"])
+def test_every_public_name_is_there() -> None:
+    assert set(smoother.__all__) <= set(dir(smoother))
     for name in smoother.__all__:
-        same = getattr(unocclude, name) is getattr(smoother, name)
-        assert same or name == "smooth"
-    with pytest.raises(AttributeError, match="module 'unocclude' has no attribute 'smoth'"):
-        unocclude.smoth  # noqa: B018
-
-
-def test_what_reading_returns_is_the_first_thing_said() -> None:
-    first = (unocclude.read_recovery.__doc__ or "").splitlines()[0]
-    assert "list" in first and "each arm" in first
+        getattr(smoother, name)
+    with pytest.raises(AttributeError, match="module 'smoother' has no attribute 'smoth'"):
+        smoother.smoth  # noqa: B018
 
 
 ARM = """format = "unocclude calibration"
@@ -100,7 +84,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of six seconds as a file, a calibration file beside it."""
     path = tmp_path_factory.mktemp("session") / "session.mcap"
     arm = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=6.0), 3)
-    unocclude.write_recording(arm.recording, path)
+    smoother.write_recording(arm.recording, path)
     path.with_name("arm.toml").write_text(ARM, encoding="utf-8")
     return path
 
@@ -109,40 +93,40 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def handed_on(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
     """What reaches the method itself."""
     calls: list[tuple] = []
-    monkeypatch.setattr(smoother, "smooth", lambda *given: calls.append(given))
+    monkeypatch.setattr("smoother.smoothing.smooth", lambda *given: calls.append(given))
     return calls
 
 
 @pytest.mark.parametrize("kind", [str, Path])
 def test_a_file_is_read_and_handed_on(session: Path, handed_on: list[tuple], kind: type) -> None:
-    unocclude.smooth(kind(session), config=ALONE, processes=1, draws=64, seed=3)
+    smoother.smooth(kind(session), config=ALONE, processes=1, draws=64, seed=3)
     (recording, calibration, config, progress, store, processes, clock, *drawing) = handed_on[0]
     assert drawing == [64, 3]
-    np.testing.assert_array_equal(recording.imu.acc, unocclude.read_recording(session).imu.acc)
+    np.testing.assert_array_equal(recording.imu.acc, smoother.read_recording(session).imu.acc)
     assert (calibration, config, processes) == (None, ALONE, 1) and progress is store is clock is None
 
 
 def test_a_calibration_file_goes_with_the_file(session: Path, handed_on: list[tuple]) -> None:
-    unocclude.smooth(session, session.with_name("arm.toml"))
-    unocclude.smooth(session, ArmCalibration(side="right", upper_arm=Length(0.29, 0.01)))
+    smoother.smooth(session, session.with_name("arm.toml"))
+    smoother.smooth(session, ArmCalibration(side="right", upper_arm=Length(0.29, 0.01)))
     assert [calibration.upper_arm.value_m for _, calibration, *_ in handed_on] == [0.31, 0.29]
 
 
 def test_a_recording_goes_as_it_is(session: Path, handed_on: list[tuple]) -> None:
-    recording = unocclude.read_recording(session)
-    unocclude.smooth(recording)
+    recording = smoother.read_recording(session)
+    smoother.smooth(recording)
     assert handed_on[0][0] is recording
 
 
 def test_what_a_person_gets_wrong_is_one_sentence(session: Path) -> None:
-    recording = unocclude.read_recording(session)
+    recording = smoother.read_recording(session)
     with pytest.raises(UnoccludeError, match=r"none\.mcap"):
-        unocclude.smooth(session.with_name("none.mcap"))
+        smoother.smooth(session.with_name("none.mcap"))
     with pytest.raises(UnoccludeError, match=r"side: smooth\(\) chooses among a file's streams"):
-        unocclude.smooth(recording, side="left")
+        smoother.smooth(recording, side="left")
     with pytest.raises(
         UnoccludeError, match=r"arm\.toml: a calibration file belongs to the recording's file"
     ):
-        unocclude.smooth(recording, session.with_name("arm.toml"))
+        smoother.smooth(recording, session.with_name("arm.toml"))
     with pytest.raises(UnoccludeError, match="left"):
-        unocclude.smooth(session, side="left")
+        smoother.smooth(session, side="left")

@@ -13,7 +13,6 @@ import pytest
 from made_results import recovery
 from scipy.spatial.transform import Rotation
 
-from smoother import smooth
 from smoother.angles import JOINT_ANGLES
 from smoother.angles.skeleton import UPPER_ARM_SHARE, direction_variance
 from smoother.array_types import FloatArray
@@ -25,6 +24,7 @@ from smoother.linalg import unit
 from smoother.result import Estimates, Recovery
 from smoother.result.segment_motion import SegmentMotion, TrunkMotion
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.smoothing import smooth
 from tools.accuracy.angles import Z_95, AngleErrors, angle_errors, rows, simulated
 
 ALWAYS = ["elbow_flexion", "shoulder_plane", "shoulder_elevation", "shoulder_rotation", "pronation"]

@@ -105,7 +105,7 @@ def test_guesses_are_kept_apart_from_what_is_believed():
 
 
 def test_pauses_of_the_imu_split_the_scenes(behind: SolvedArm):
-    from smoother import smooth
+    from smoother.smoothing import smooth
 
     imu = behind.recording.imu
     keep = (imu.t_s < 9.0) | (imu.t_s > 9.6)
@@ -125,7 +125,7 @@ def test_pauses_of_the_imu_split_the_scenes(behind: SolvedArm):
 
 
 def test_stamps_that_a_radio_made_uneven_get_their_answers(behind: SolvedArm):
-    from smoother import smooth
+    from smoother.smoothing import smooth
 
     rng = np.random.default_rng(5)
     imu = behind.recording.imu

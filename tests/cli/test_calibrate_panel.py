@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
 from calib.world.world_table import with_gravity
-from smoother import smooth
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import read_recording, write_recording
@@ -24,6 +23,7 @@ from smoother.io.markers import read_positions
 from smoother.io.media.images import ImageMessage, LensMessage, read_images
 from smoother.recording import ImuStream, Recording
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.smoothing import smooth
 
 
 @pytest.fixture(scope="module")

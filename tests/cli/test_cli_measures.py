@@ -13,7 +13,7 @@ from commands import done, refused
 from made_measures import made_measures, study_row, write_study
 from measured_arms import simulated, with_draws
 
-import unocclude
+import smoother
 from smoother.cli.run import run
 from smoother.io import read_recovery, write_recovery
 from smoother.recording import Recording
@@ -28,7 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("measures")
     config = ArmSimulation.preset("white", protocol="random", duration_s=8.0, occlusion_lengths_s=(0.8,))
     recordings: list[Recording] = [arm.recording for arm in simulate_both_arms(config, 3)]
-    unocclude.write_recording(recordings, place / "both.mcap")
+    smoother.write_recording(recordings, place / "both.mcap")
     recoveries = [smooth(replace(one, truth=None), processes=1, draws=20) for one in recordings]
     recoveries[0] = replace(recoveries[0], calibration=replace(recoveries[0].calibration, R_F_A=np.eye(3)))
     write_recovery(recoveries, place / "out.mcap", source=place / "both.mcap")
@@ -69,13 +69,13 @@ def test_everything_is_written_and_printed(folder: Path, capsys: pytest.CaptureF
 
 
 def test_the_same_from_python(folder: Path):
-    rows = unocclude.measures(folder / "out.mcap", side="right")
-    direct = unocclude.measure(next(one for one in read_recovery(folder / "out.mcap") if one.side == "right"))
+    rows = smoother.measure(folder / "out.mcap", side="right")
+    direct = smoother.measure(next(one for one in read_recovery(folder / "out.mcap") if one.side == "right"))
     assert rows.by_key["sparc"] == direct.by_key["sparc"] and rows.n_draws == 20
-    with pytest.raises(unocclude.UnoccludeError, match="several arms fit; name one by side and body"):
-        unocclude.measures(folder / "out.mcap")
-    with pytest.raises(unocclude.UnoccludeError, match="no arm fits"):
-        unocclude.measures(folder / "out.mcap", side="right", body=4)
+    with pytest.raises(smoother.UnoccludeError, match="several arms fit; name one by side and body"):
+        smoother.measure(folder / "out.mcap")
+    with pytest.raises(smoother.UnoccludeError, match="no arm fits"):
+        smoother.measure(folder / "out.mcap", side="right", body=4)
 
 
 def test_settings_are_read_and_checked(folder: Path, capsys: pytest.CaptureFixture[str]):
@@ -112,7 +112,7 @@ def test_by_default_every_measure_has_its_interval_the_same_in_all_outputs(
     """Terminal, page, JSON and CSV, of a recording that was smoothed without an option."""
     demo, out = tmp_path / "a.mcap", tmp_path / "out.mcap"
     simulation = ArmSimulation.preset("white", protocol="random", duration_s=8.0, occlusion_lengths_s=(0.8,))
-    unocclude.write_recording([simulate_arm(simulation, 3).recording], demo)
+    smoother.write_recording([simulate_arm(simulation, 3).recording], demo)
     usual = ["--processes", "1"]
     done("smooth", demo, "-o", out, *usual)
     done("smooth", demo, "-o", tmp_path / "bare.mcap", "--draws", "0", *usual)

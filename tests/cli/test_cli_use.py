@@ -402,3 +402,15 @@ def test_the_groups_name_options_that_exist():
     tables = (*help_page._SHARED.values(), *help_page._SIMULATED.values(), help_page._SIMULATED_FIRST)
     missing = {name for table in tables for name in table} - options
     assert not missing, missing
+
+
+def test_the_command_line_starts_light() -> None:
+    code = (
+        "import sys\n"
+        "from smoother.cli.run import run\n"
+        "assert run(['--help']) == 0 and run(['smooth', '--help']) == 0\n"
+        "loaded = {'gtsam', 'open3d', 'cv2', 'plotly', 'scipy', 'vqf', 'mcap'} & set(sys.modules)\n"
+        "assert not loaded, loaded\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scenes import ALONE, OVER_CONFIDENT, SEEDS, UNDER_CONFIDENT, Scene, arm, blind, point
 
-from smoother import smooth
 from smoother.array_types import BoolArray
 from smoother.evaluation.validate import sample_errors
 from smoother.recording import JOINTS, JointState, Recording
+from smoother.smoothing import smooth
 
 #: Limits in the occlusions. Over ten seeds were measured: white 0.45 cm rms, 1.2 at worst, 0.34 degrees;
 #: realistic 1.9 cm, 3.1, 1.8 degrees, mean squared error in sigmas 1.5.

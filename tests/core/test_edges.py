@@ -9,7 +9,6 @@ import pytest
 from scenes import ALONE, OVER_CONFIDENT, Scene, arm, assert_accurate, point, recovered, without_frames
 from scipy.spatial.transform import Rotation
 
-from smoother import smooth
 from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.evaluation.advice import advice
@@ -19,6 +18,7 @@ from smoother.measurements.segment import Timeline
 from smoother.recording import JOINTS, JointState, Recording, Truth
 from smoother.recovery.samples import LINEAR_RAD, widen_turns
 from smoother.selfcal.excerpts import CONTEXT_S, WANTED, spread_excerpts
+from smoother.smoothing import smooth
 
 OPEN_S = 2.0
 

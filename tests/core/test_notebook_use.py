@@ -12,9 +12,10 @@ import pytest
 from scenes import ALONE
 
 import smoother
-from smoother import JointState, Recording, Recovery, UnoccludeError, smooth
+from smoother import JointState, Recording, Recovery, UnoccludeError
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.sketch import MOST_POINTS, Line, lines_svg
+from smoother.smoothing import smooth
 
 
 @pytest.fixture(scope="module")

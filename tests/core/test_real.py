@@ -9,11 +9,12 @@ import pytest
 from scenes import ALONE, there
 
 from calib.motion.motion_calibration import calibrate_motion
-from smoother import Recovery, smooth
+from smoother import Recovery
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.gaps import GapTable, evaluate_gaps
 from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
+from smoother.smoothing import smooth
 
 pytestmark = pytest.mark.real
 

@@ -9,10 +9,10 @@ import pytest
 from scenes import ALONE, there
 
 from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
-from smoother import smooth
 from smoother.evaluation.validate import Validation, validate
 from smoother.io import import_broad
 from smoother.recording import Recording
+from smoother.smoothing import smooth
 
 pytestmark = pytest.mark.real
 

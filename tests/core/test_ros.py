@@ -10,11 +10,11 @@ import pytest
 import ros_bags
 from scenes import ALONE, arm
 
-from smoother import smooth
 from smoother.io import read_recording
 from smoother.measurements.visibility import occluded_at
 from smoother.recording import JOINTS, JointState
 from smoother.simulation import SimulatedArm
+from smoother.smoothing import smooth
 
 ZERO_NS = 1_750_000_000 * 10**9
 #: Joint indices of the Azure Kinect's body tracking (right arm), of 32.

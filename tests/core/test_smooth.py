@@ -13,8 +13,8 @@ import pytest
 from curve import G
 from scenes import ALONE, POINT_MAX_M, POINT_RMS_M, Scene, arm, assert_accurate, point, recovered
 
-import unocclude
-from smoother import Recoveries, smooth, smooth_arms, write_recovery
+import smoother
+from smoother import Recoveries, smooth_arms, write_recovery
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.errors import RecordingError, SolveError
@@ -22,6 +22,7 @@ from smoother.measurements.visibility import MISSING_FRAMES, MISSING_S
 from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, Recording
 from smoother.result.draws import USUAL_DRAWS
 from smoother.simulation import ArmSimulation, simulate_both_arms
+from smoother.smoothing import smooth
 
 
 def test_gaps_are_recovered(white_arm: Scene) -> None:
@@ -203,7 +204,7 @@ def test_each_arm_is_what_smooth_gives(
 
 
 def test_motions_are_drawn_unless_somebody_says_otherwise() -> None:
-    for function in (smooth_arms, unocclude.smooth):
+    for function in (smooth_arms, smoother.smooth):
         assert inspect.signature(function).parameters["draws"].default == USUAL_DRAWS
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smoother import read_recording, smooth, write_recording
+from smoother import read_recording, write_recording
 from smoother.io.recording.selection import role, role_among
 from smoother.io.recording.streams import ImuSamples
 from smoother.io.result.read import read_recovery
@@ -20,6 +20,7 @@ from smoother.recording import JOINTS, ImuStream, Recording
 from smoother.result import Recovery
 from smoother.shoulder_angles import shoulder_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
 
 GAP_S = 8.0
 

@@ -16,13 +16,14 @@ from scipy.spatial.transform import Rotation, Slerp
 from small_window import with_forearm
 
 import smoother.graph.solve
-from smoother import Config, Recovery, smooth
+from smoother import Config, Recovery
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import Validation, validate
 from smoother.graph.solve import WindowOptimum
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
+from smoother.smoothing import smooth
 from smoother.window.problem import Window
 from smoother.window.solution import Solution
 

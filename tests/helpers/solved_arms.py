@@ -7,10 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from smoother import Config, Recovery, smooth
+from smoother import Config, Recovery
 from smoother.array_types import BoolArray, FloatArray
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
 
 ALONE = Config.model_validate({"windows": {"processes": 1}})
 

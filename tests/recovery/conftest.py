@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 from scenes import ALONE, arm
 
-from smoother import Recovery, smooth
+from smoother import Recovery
 from smoother.simulation import SimulatedArm
+from smoother.smoothing import smooth
 
 
 @pytest.fixture(scope="session")

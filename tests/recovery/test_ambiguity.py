@@ -9,7 +9,6 @@ import pytest
 from arms import make_recording, make_recovery
 from scenes import ALONE
 
-from smoother import smooth
 from smoother.array_types import FloatArray
 from smoother.linalg import nearest_rotation, unit
 from smoother.measurements.remedy import Remedy
@@ -29,6 +28,7 @@ from smoother.recovery.trust import with_gap_verdicts
 from smoother.result import Recovery
 from smoother.rotation import Rotation
 from smoother.selfcal.mounting import sphere
+from smoother.smoothing import smooth
 from tools.reliability.cases import mirrored_in_one_plane
 from tools.reliability.judging import Trial, trial_of
 from tools.reliability.scene import draw_scene

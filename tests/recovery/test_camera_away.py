@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import ALONE
 
-from smoother import Recovery, smooth
+from smoother import Recovery
 from smoother.array_types import BoolArray
 from smoother.graph.build import MOST_BIASES, bias_of_intervals
 from smoother.measurements.clock import constant_clock
@@ -16,6 +16,7 @@ from smoother.measurements.segment import Timeline
 from smoother.recording import JointTracks, Recording
 from smoother.recovery.sections import CONTEXT_S, Sections
 from smoother.simulation import SimulatedArm
+from smoother.smoothing import smooth
 from smoother.window.cut import cut_times
 from smoother.window.prepare import PreparedSegment
 from smoother.window.problem import Window

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scenes import ALONE
 
-from smoother import smooth
 from smoother.calibration import ArmCalibration, LeverArm
 from smoother.errors import CalibrationError, SolveError
 from smoother.measurements.clock import constant_clock
@@ -19,6 +18,7 @@ from smoother.recovery.trust import sensor_at_elbow, swapped_joints
 from smoother.selfcal.mounting import closed_form
 from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm, simulate_both_arms
+from smoother.smoothing import smooth
 from tools.reliability import setup_errors
 from tools.reliability.setup_errors import Job
 

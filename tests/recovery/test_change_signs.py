@@ -10,7 +10,7 @@ import pytest
 from scenes import ALONE, there
 from scipy.spatial.transform import Rotation
 
-from smoother import Recording, smooth
+from smoother import Recording
 from smoother.config import Anatomy
 from smoother.io import import_broad
 from smoother.measurements.outliers import interpolated
@@ -28,6 +28,7 @@ from smoother.recovery.trust import with_verdict
 from smoother.result import Recovery
 from smoother.result.frame_residuals import BATCH_ROWS
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
 
 
 @cache

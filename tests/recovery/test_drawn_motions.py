@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from scenes import ALONE, arm
 
-from smoother import Recovery, smooth
+from smoother import Recovery
 from smoother.errors import UnoccludeError
 from smoother.recovery.blended_columns import DrawColumns
 from smoother.recovery.drawn_samples import SectionDraws, _hermite, _widened
 from smoother.recovery.samples import widen_turns
 from smoother.runtime.store import Store
 from smoother.simulation import SimulatedArm
+from smoother.smoothing import smooth
 from smoother.window.draw_plan import DrawPlan
 from smoother.window.trajectory import share_after
 

@@ -12,7 +12,7 @@ import pytest
 from scenes import ALONE, FIELD_K, last_pass, with_field
 
 import smoother.recovery.first_pass
-from smoother import Recovery, smooth
+from smoother import Recovery
 from smoother.array_types import FloatArray
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.segment import Timeline
@@ -26,6 +26,7 @@ from smoother.recovery.task import Task
 from smoother.rotation import Rotation
 from smoother.selfcal.excerpts import informative_excerpts
 from smoother.simulation import SimulatedArm
+from smoother.smoothing import smooth
 
 
 @pytest.fixture(scope="module")

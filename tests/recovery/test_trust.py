@@ -13,7 +13,7 @@ import pytest
 from made_results import recovery as made
 from scenes import ALONE, there
 
-from smoother import Recording, smooth
+from smoother import Recording
 from smoother.calibration import SigmaFactor, SigmaFactors
 from smoother.config import Config
 from smoother.errors import UnoccludeError
@@ -23,6 +23,7 @@ from smoother.recovery.self_check import RAMP_S, HiddenStretch, summary, with_si
 from smoother.recovery.trust import _gravity, with_verdict
 from smoother.result import Draws, Estimates, Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.smoothing import smooth
 
 
 @cache

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from scenes import ALONE
 
-from smoother import Recording, Recovery, smooth
+from smoother import Recording, Recovery
 from smoother.evaluation.validate import sample_errors
 from smoother.linalg import runs
 from smoother.measurements.visibility import Rejection
 from smoother.recording import JOINTS, JointState
 from smoother.recovery.camera_blocks import Excluded, Suspect, left_out
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
 
 SHOULDER, ELBOW, WRIST, HAND = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand"))
 SEED = 12

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-import unocclude
+import smoother
 from calib.file import read_calibration
 from calib.panel.definition import read_intrinsics, read_panel
 from calib.panel.images import read_view
@@ -50,7 +50,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "c.mcap": describe,
     "d.mcap": read_imu,
     "e.mcap": read_recovery,
-    "f.mcap": unocclude.smooth,
+    "f.mcap": smoother.smooth,
     "g.mcap": lambda path: list(Container(path).messages()),
     "h.mcap": lambda path: list(read_images(path)),
     "i.mcap": read_sound,

@@ -18,11 +18,12 @@ from studies import is_alive, until
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import smoother.runtime.pool
-from smoother import Config, Recovery, smooth
+from smoother import Config, Recovery
 from smoother.cli.run import explain
 from smoother.errors import UnoccludeError
 from smoother.runtime import pool
 from smoother.runtime.pool import THREADS, Pool, one_blas_thread
+from smoother.smoothing import smooth
 
 
 def recover(processes: int) -> Recovery:
@@ -57,7 +58,8 @@ SCRIPT = """
 from dataclasses import replace
 
 import smoother.runtime.pool
-from smoother import Config, smooth
+from smoother import Config
+from smoother.smoothing import smooth
 from smoother.simulation import PointSimulation, simulate_point
 
 print("begun")
@@ -208,7 +210,8 @@ def test_workers_end_with_their_parent(tmp_path: Path, number: str):
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 CODE = """
 import hashlib
-from smoother import read_recording, smooth
+from smoother import read_recording
+from smoother.smoothing import smooth
 print(hashlib.sha256(smooth(read_recording({path!r})).position.tobytes()).hexdigest())
 """
 

@@ -10,7 +10,7 @@ from scenes import ALONE, Scene, arm
 from scipy.stats import multivariate_normal
 
 from calib.motion.motion_calibration import MotionCalibration, calibrate_motion
-from smoother import Recovery, smooth
+from smoother import Recovery
 from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.measurements.clock import LARGEST_OFFSET_S, OFFSET_SIGMA_S, Clock, constant_clock
@@ -19,6 +19,7 @@ from smoother.recording import Recording
 from smoother.selfcal.clock_fit import SYNTHETIC_SIGMA_S, ClockScore, _likeliest, _local_level, refined_clock
 from smoother.selfcal.pairing import coarse_clock, coarse_offset, synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
 
 
 class Dense:

@@ -11,7 +11,6 @@ from curve import G
 from scenes import ALONE, arm
 from scipy.spatial.transform import Rotation
 
-from smoother import smooth
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.measurements.clock import LARGEST_OFFSET_S
@@ -30,6 +29,7 @@ from smoother.selfcal.mounting import (
     sphere,
 )
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
 
 #: Offset (s), direction (degrees) and lever arms (m): what the closed form must be good to. The graph
 #: refines from here; it finds its way from 18 ms, 10 degrees and 4 cm.

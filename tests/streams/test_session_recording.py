@@ -13,11 +13,11 @@ from made_recordings import make
 from mcap.reader import make_reader
 from scenes import ALONE, arm
 
-from smoother import smooth
 from smoother.errors import UnoccludeError
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.merge import repair_container
 from smoother.live.buffers import ImuBatch
+from smoother.smoothing import smooth
 from smoother.streams.arrivals import Arrivals
 from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession

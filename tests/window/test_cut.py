@@ -16,7 +16,6 @@ from scenes import ALONE, arm
 from scipy.spatial.transform import Rotation
 
 import smoother.recovery.first_pass
-from smoother import smooth
 from smoother.array_types import FloatArray
 from smoother.body import FOREARM
 from smoother.linalg import interpolate
@@ -24,6 +23,7 @@ from smoother.measurements.inertial import STEP_S, InertialSignal
 from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS, ImuStream, Recording
 from smoother.simulation import SimulatedArm
+from smoother.smoothing import smooth
 from smoother.window.cut import FREE_RAD, KEEP_S, KNOT_S, STILL_ACCELERATION, cut, cut_times, window_nodes
 from smoother.window.nodes import GAP_NODE_CHAIN_S, GAP_NODE_S, GROUPED_S, group_frames, insert_nodes
 from smoother.window.prepare import PreparedRun, PreparedSegment

@@ -20,7 +20,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.motion.motion_calibration import calibrate_motion
-from smoother import smooth
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.evaluation.gap_table import spread_of
@@ -32,6 +31,7 @@ from smoother.recording import Recording
 from smoother.report.method_comparison import PLAIN, STYLES
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.smoothing import smooth
 from tools.accuracy.check import ONE_PROCESS, datasets
 
 #: How far a tripod's camera is taken to be off the level, degrees.

@@ -20,11 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother import read_recording, smooth
+from smoother import read_recording
 from smoother.array_types import FloatArray
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.smoothing import smooth
 
 HERE = Path(__file__).parents[2]
 CHAIN = ("shoulder", "elbow", "wrist", "hand")

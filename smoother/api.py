@@ -1,52 +1,22 @@
-"""unocclude: the arm's motion where the depth camera could not see it.
-
-    import unocclude
-
-    recovery = unocclude.smooth("recording.mcap")
-    table = recovery.to_table()
-
-What `smoother` shows, under the name that is installed; `smooth` also takes files.
-"""
+"""`smoother.smooth` and `smoother.measure`: they take a file as well as what was read of one."""
 
 from __future__ import annotations
 
 import os
-from importlib import import_module
 from typing import TYPE_CHECKING, Unpack
 
-import smoother
-from smoother import __version__ as __version__
+from .errors import UnoccludeError
 
 if TYPE_CHECKING:
-    from smoother import ArmCalibration as ArmCalibration
-    from smoother import Config as Config
-    from smoother import Draws as Draws
-    from smoother import ImuStream as ImuStream
-    from smoother import JointState as JointState
-    from smoother import JointTracks as JointTracks
-    from smoother import Measures as Measures
-    from smoother import MeasureSettings as MeasureSettings
-    from smoother import Recording as Recording
-    from smoother import Recoveries as Recoveries
-    from smoother import Recovery as Recovery
-    from smoother import Truth as Truth
-    from smoother import UnoccludeError as UnoccludeError
-    from smoother import measure as measure
-    from smoother import measure_both as measure_both
-    from smoother import read_calibration as read_calibration
-    from smoother import read_recording as read_recording
-    from smoother import read_recordings as read_recordings
-    from smoother import read_recovery as read_recovery
-    from smoother import smooth_arms as smooth_arms
-    from smoother import validate as validate
-    from smoother import write_recording as write_recording
-    from smoother import write_recovery as write_recovery
-    from smoother.io.recording.selection import Selection
-    from smoother.measurements.clock import Clock
-    from smoother.runtime.pool import Progress
-    from smoother.runtime.store import Store
-
-__all__ = sorted([*smoother.__all__, "measures", "simulation"])
+    from .calibration import ArmCalibration
+    from .config import Config
+    from .io.recording.selection import Selection
+    from .measurements.clock import Clock
+    from .measures import Measures, MeasureSettings
+    from .recording import Recording
+    from .result import Recovery
+    from .runtime.pool import Progress
+    from .runtime.store import Store
 
 
 def smooth(
@@ -102,15 +72,15 @@ def smooth(
 
     Examples
     --------
-    >>> recovery = unocclude.smooth("session.mcap", "arm.toml", side="left")  # doctest: +SKIP
+    >>> recovery = smoother.smooth("session.mcap", "arm.toml", side="left")  # doctest: +SKIP
     """
-    from smoother.calibration import ArmCalibration
-    from smoother.errors import UnoccludeError
-    from smoother.recording import Recording
+    from .calibration import ArmCalibration
+    from .recording import Recording
+    from .smoothing import smooth as smooth_recording
 
     given, file = (calibration, None) if isinstance(calibration, ArmCalibration) else (None, calibration)
     if not isinstance(recording, Recording):
-        from smoother.io.recording.read import read_arm
+        from .io.recording.read import read_arm
 
         recording, of_file = read_arm(recording, file, store=store, truth=False, **selection)
         given = given or of_file
@@ -123,12 +93,14 @@ def smooth(
             f"{os.fspath(file)}: a calibration file belongs to the recording's file, as it also corrects the"
             " sensors; give smooth() both as paths, or an arm of it: read_calibration(FILE).arm(SIDE)"
         )
-    return smoother.smooth(recording, given, config, progress, store, processes, clock, draws, seed)
+    return smooth_recording(recording, given, config, progress, store, processes, clock, draws, seed)
 
 
-def measures(
+def measure(
     result: Recovery | str | os.PathLike[str],
     settings: MeasureSettings | None = None,
+    processes: int = 1,
+    progress: Progress | None = None,
     *,
     side: str | None = None,
     body: int | None = None,
@@ -141,6 +113,10 @@ def measures(
         What `smooth` returned, or the MCAP file that it was written to. With draws there are intervals.
     settings : MeasureSettings, optional
         Thresholds and sizes.
+    processes : int
+        Worker processes for the drawn motions, 0 = one per core; the measures are the same with any number.
+    progress : callable, optional
+        Called with the share done (0 to 1) and its label.
     side : str, optional
         Of a file with several arms: "left" or "right".
     body : int, optional
@@ -158,14 +134,16 @@ def measures(
 
     Examples
     --------
-    >>> rows = unocclude.measures("out.mcap", side="left").by_key  # doctest: +SKIP
+    >>> rows = smoother.measure("out.mcap", side="left").by_key  # doctest: +SKIP
     >>> rows["elbow_flexion_range_deg"].value  # doctest: +SKIP
     """
-    from smoother.errors import UnoccludeError
-    from smoother.result import Recovery
+    from .measures.measuring import measure as measure_recovery
+    from .result import Recovery
 
     if not isinstance(result, Recovery):
-        arms = smoother.read_recovery(result)
+        from .io import read_recovery
+
+        arms = read_recovery(result)
         fitting = [one for one in arms if side in (None, one.side) and body in (None, one.body)]
         if len(fitting) != 1:
             labels = ", ".join(one.arm_label for one in arms) or "none"
@@ -174,16 +152,4 @@ def measures(
                 f"{os.fspath(result)}: {what}; name one by side and body; the file has: {labels}"
             )
         result = fitting[0]
-    return smoother.measure(result, settings)
-
-
-def __getattr__(name: str) -> object:
-    if name == "simulation":
-        return import_module("unocclude.simulation")
-    if name in __all__:
-        return getattr(smoother, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])
+    return measure_recovery(result, settings, processes, progress)
