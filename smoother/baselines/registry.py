@@ -31,7 +31,7 @@ class BaselineEntry:
     name : str
         As users call it; the function is the module's of that name, with underscores.
     words : str
-        What it is, and whose, in a paper's sentence; keys as in `manuscript.references`.
+        What it is, and whose, in a paper's sentence; keys as in `report.methods`.
     needs_orientation : bool
         The answer depends on the orientation filter.
     options : frozenset of str

@@ -246,7 +246,7 @@ _COMMANDS = {
     "gaps": _spec("gaps", "gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json"),
     "benchmark": _spec("benchmark", "benchmark --data datasets -o benchmark"),
     "export": _spec("export", "export recovered.mcap --format trc -o recovered.trc"),
-    "methods": _spec("export", "methods recovered.mcap -o methods.tex"),
+    "methods": _spec("export", "methods recovered.mcap -o methods.md"),
     "view": _spec("view", "view recovered.mcap"),
     "batch": _spec("batch", "batch sessions -o recovered --calibration arm.toml --report", "BatchCommand"),
     "progress": _spec("progress", "progress recovered --person p12 --report p12.html"),
