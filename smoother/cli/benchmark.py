@@ -16,12 +16,12 @@ from .options import Force, Json, Processes
 from .output import check_outputs, print_notes, print_table, progress_bar, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from ..benchmark.run import BenchmarkRun
+    from ..evaluation.benchmark import BenchmarkRun
 
 #: Where the data sets lie, unless `--data` says.
 VARIABLE = "UNOCCLUDE_DATASETS"
-_FILES = ("benchmark.json", "benchmark.md", "benchmark.html", "gaps.csv")
-#: Notes on the terminal; all are in the page.
+_FILES = ("benchmark.json", "benchmark.md", "gaps.csv")
+#: Notes on the terminal; all are in the JSON.
 _MOST_NOTES = 6
 
 
@@ -45,18 +45,6 @@ def benchmark(
     split: Annotated[
         str, typer.Option("--split", metavar="development|test|all", help="Which trials.")
     ] = "all",
-    answers: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--answers",
-            metavar="NAME=FOLDER",
-            help="Also score another method's results; may be repeated.",
-            show_default=False,
-        ),
-    ] = None,
-    tasks: Annotated[
-        bool, typer.Option("--tasks", help="Write the tasks for other programs, without solving any.")
-    ] = False,
     trials: Annotated[
         int | None,
         typer.Option(
@@ -77,14 +65,11 @@ def benchmark(
 
     The folder of --data contains broad/, utd_mhad/, smartfallmm/ and sevivi/ as published; missing ones are
     named and left out. Splits and gaps are frozen: they depend only on a trial's name and the seed. Writes
-    benchmark.json, benchmark.md (the table), benchmark.html (the page) and gaps.csv (one row per gap).
-    Other methods are added as files: --tasks writes their input, --answers scores their results.
+    benchmark.json, benchmark.md (the table) and gaps.csv (one row per gap).
     """
     from .. import __version__
-    from ..benchmark.answers import parse_answers
-    from ..benchmark.datasets import DATASETS, SPLITS
-    from ..benchmark.run import BenchmarkOptions, find_trials, run_benchmark
-    from ..benchmark.summary import plain
+    from ..evaluation.benchmark import all_notes, find_trials, plain, run_benchmark
+    from ..evaluation.datasets import DATASETS, SPLITS
 
     folder = data or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if folder is None:
@@ -94,31 +79,22 @@ def benchmark(
     keys = _chosen("--datasets", datasets, tuple(DATASETS))
     splits = _chosen("--split", split, SPLITS)
     names = tuple(choose(method))
-    entered = tuple(parse_answers(answers or [], METHODS))
-    files = [] if tasks else [output / name for name in _FILES]
+    files = [output / name for name in _FILES]
     if output.is_dir() or json_file is not None:
         check_outputs(force, [*(files if output.is_dir() else []), json_file])
-    if tasks and output.exists() and any(output.iterdir()) and not force:
-        raise UnoccludeError(f"{output} is not empty; give another folder, or --force")
     found, missing = find_trials(folder, keys, splits, trials)
     output.mkdir(parents=True, exist_ok=True)
-    options = BenchmarkOptions(names, entered, seed, processes or 0, output if tasks else None)
     began = time.perf_counter()
     with progress_bar("benchmark") as progress:
-        run = run_benchmark(folder, found, options, progress)
-    if tasks:
-        print_notes(missing)
-        say(f"written: {output} (tasks of {len(found)} trials)")
-        return
+        run = run_benchmark(folder, found, names, progress, seed, processes or 0)
     figures = plain(run, seed, __version__)
-    _write(run, output, figures, force, f"{len(found)} trials, seed {seed}, unocclude {__version__}")
+    _write(run, output, figures, force)
     write_json(json_file, figures, force)
     _show(run)
-    notes = [*missing, *run.notes]
-    held = [note for table in run.tables.values() for note in table.notes]
-    print_notes([*notes, *held[:_MOST_NOTES]])
-    if len(held) > _MOST_NOTES:
-        say(f"{len(held) - _MOST_NOTES} notes more are in {output / 'benchmark.html'}")
+    notes = [*missing, *all_notes(run)]
+    print_notes(notes[:_MOST_NOTES])
+    if len(notes) > _MOST_NOTES:
+        say(f"{len(notes) - _MOST_NOTES} notes more are in {output / 'benchmark.json'}")
     say(f"{len(found)} trials in {(time.perf_counter() - began) / 60:.1f} minutes")
     say_written(*files, json_file)
 
@@ -134,20 +110,18 @@ def _chosen(option: str, text: str, known: tuple[str, ...]) -> list[str]:
     return list(dict.fromkeys(wanted))
 
 
-def _write(run: BenchmarkRun, output: Path, figures: dict[str, object], force: bool, about: str) -> None:
-    from ..benchmark.summary import gap_lines, markdown
-    from ..report.benchmark import benchmark_page
+def _write(run: BenchmarkRun, output: Path, figures: dict[str, object], force: bool) -> None:
+    from ..evaluation.benchmark import gap_lines, markdown
     from ..runtime.outputs import writing
 
     write_json(output / "benchmark.json", figures, force)
     for name, text in (("benchmark.md", markdown(run)), ("gaps.csv", "\n".join(gap_lines(run)) + "\n")):
         with writing(output / name, force) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
-    benchmark_page(run, about).write(output / "benchmark.html", force)
 
 
 def _show(run: BenchmarkRun) -> None:
-    from ..benchmark.summary import cells_of, columns_of, heading, method_rows
+    from ..evaluation.benchmark import cells_of, columns_of, heading, method_rows
 
     for (dataset, split), table in run.tables.items():
         rows = [cells_of(row, table.lengths) for row in method_rows(table)]

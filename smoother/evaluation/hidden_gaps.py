@@ -331,54 +331,6 @@ def strap_position(recovery: Recovery) -> FloatArray:
     return strap
 
 
-def score_points(
-    recording: Recording,
-    t_s: FloatArray,
-    position: FloatArray,
-    covariance: FloatArray,
-    gap: HiddenGap,
-    noise_of: Recovery | None,
-) -> GapErrors:
-    """Errors of points that another program answered, as `score_gap` has them of a recovery.
-
-    Parameters
-    ----------
-    recording : Recording
-        With its truth, or with the camera samples that were hidden.
-    t_s : ndarray, shape (n,), s
-        Times of the answers, on the camera's clock; of a recording with truth both clocks are one.
-    position : ndarray, shape (n, 3), m
-        Of the IMU where there is a truth, else of the wrist (the strap where that is all there is), in {K}.
-    covariance : ndarray, shape (n, 3, 3), m^2
-        nan where none is stated.
-    gap : HiddenGap
-    noise_of : Recovery or None
-        Whose residuals give the noise of hidden camera samples; None for none.
-
-    Returns
-    -------
-    errors : GapErrors
-    """
-    if recording.truth is not None and len(recording.truth):
-        name, times = "truth", recording.imu.t_s[gap.contains(recording.imu.t_s)]
-        truth = truth_at(recording.truth, times)
-        reference, noise = truth.position, np.zeros((3, 3))
-        scored = truth.score & np.isfinite(reference).all(axis=1)
-    else:
-        inside = gap.contains(recording.arm.t_s)
-        seen = [joint for joint in REFERENCES if (recording.arm.tracked(joint) & inside).any()]
-        if not seen:
-            return GapErrors.empty()
-        name, frames = seen[0], inside & recording.arm.tracked(seen[0])
-        times, reference = recording.arm.t_s[frames], recording.arm.joint(name)[frames]
-        noise = np.zeros((3, 3)) if noise_of is None else camera_noise(noise_of, name)
-        scored = np.ones(len(times), dtype=bool)
-    answer = np.where(scored[:, None], position_at(t_s, position, times), np.nan)
-    stated = linear_at(t_s, covariance.reshape(-1, 9), times).reshape(-1, 3, 3)
-    errors = _errors(name, answer, reference, stated, noise, np.full(len(times), np.nan), scored)
-    return replace(errors, since_s=times - gap.start_s)
-
-
 def _reference_joint(recording: Recording, recovery: Recovery, gap: HiddenGap) -> str | None:
     """The first joint that the camera saw in the gap and that the recovery answers."""
     inside = gap.contains(recording.arm.t_s)

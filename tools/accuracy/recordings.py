@@ -22,9 +22,9 @@ from scipy.stats import chi2
 
 from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
 from calib.motion.motion_calibration import calibrate_motion
-from smoother.benchmark.datasets import open_utd, utd_files
 from smoother.calibration import ArmCalibration
 from smoother.cli.config import read_config
+from smoother.evaluation.datasets import open_utd, utd_files
 from smoother.evaluation.gaps import evaluate_gaps
 from smoother.evaluation.metrics import Figures
 from smoother.evaluation.validate import sample_errors, validate

@@ -27,8 +27,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, chisquare, norm
 
 from calib.motion.motion_calibration import calibrate_motion
-from smoother.benchmark.datasets import open_utd, utd_files
 from smoother.calibration import ArmCalibration
+from smoother.evaluation.datasets import open_utd, utd_files
 from smoother.evaluation.hidden_gaps import place_gaps
 from smoother.evaluation.metrics import squared_sigmas, truth_at
 from smoother.evaluation.validate import sample_errors

@@ -25,9 +25,9 @@ from scipy.spatial.transform import Rotation
 
 from calib.motion.motion_calibration import calibrate_motion
 from smoother.array_types import BoolArray, FloatArray
-from smoother.benchmark.datasets import BenchmarkTrial, imported, open_utd, smartfallmm_trials, utd_files
 from smoother.calibration import ArmCalibration
 from smoother.errors import UnoccludeError
+from smoother.evaluation.datasets import BenchmarkTrial, imported, open_utd, smartfallmm_trials, utd_files
 from smoother.linalg import interpolate, unit
 from smoother.measurements.visibility import accepted_samples, visible_frames
 from smoother.recording import Recording

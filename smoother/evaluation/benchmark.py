@@ -1,9 +1,9 @@
-"""Runs the benchmark: every trial, length of gap and method; the same input gives the same digits."""
+"""The public benchmark: every trial, length of gap and method; the same input gives the same digits."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,20 +14,20 @@ import numpy as np
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import RecordingError, UnoccludeError
-from ..evaluation.gap_table import GapTable, pooled, table_of
-from ..evaluation.gaps import Collected, GapCopy, hide, row_of, try_methods
-from ..evaluation.hidden_gaps import GapErrors, HiddenGap, place_gaps, score_points
-from ..evaluation.methods import GRAPH, SharedGraph, make_methods
 from ..recording import Recording
 from ..runtime.pool import Pool
-from .answers import Answers, task_name, write_task
-from .datasets import DATASETS, BenchmarkTrial
+from .datasets import DATASETS, VERSION, BenchmarkTrial
+from .gap_table import GapFigures, GapTable, pooled, spread_by_length, table_of
+from .gaps import Collected, GapCopy, hide, try_methods
+from .hidden_gaps import GapErrors, HiddenGap, place_gaps
+from .methods import GRAPH, make_methods
 
 #: The methods are as they come: their settings by default, on one process.
 _CONFIG = {"windows": {"processes": 1}}
 #: Frames that the pool counts: a trial is always worth a process.
 _MANY_FRAMES = 1_000_000
 Progress = Callable[[float, str], None]
+CSV_COLUMNS = "dataset,split,trial,length_s,method,start_s,end_s,samples,rms_m,max_m,sigma_max_m,failure"
 
 
 class BenchmarkTask(NamedTuple):
@@ -35,36 +35,6 @@ class BenchmarkTask(NamedTuple):
 
     trial: BenchmarkTrial
     lengths_s: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class BenchmarkOptions:
-    """What is run.
-
-    Attributes
-    ----------
-    methods : tuple of str
-        Ours, of `evaluation.methods.METHODS`.
-    answers : tuple of Answers
-        Other methods' answers.
-    seed : int
-        0 is the published benchmark.
-    processes : int
-        0 = one per core.
-    tasks : Path or None
-        Write the tasks to this folder, and answer none.
-    """
-
-    methods: tuple[str, ...]
-    answers: tuple[Answers, ...] = ()
-    seed: int = 0
-    processes: int = 0
-    tasks: Path | None = None
-
-    @property
-    def all_methods(self) -> tuple[str, ...]:
-        """Ours, then the others."""
-        return (*self.methods, *(each.method for each in self.answers))
 
 
 @dataclass(frozen=True)
@@ -127,28 +97,19 @@ def find_trials(
 
 
 def run_benchmark(
-    folder: Path, trials: Sequence[BenchmarkTrial], options: BenchmarkOptions, progress: Progress
+    folder: Path,
+    trials: Sequence[BenchmarkTrial],
+    methods: Sequence[str],
+    progress: Progress,
+    seed: int = 0,
+    processes: int = 0,
 ) -> BenchmarkRun:
-    """Hide, recover and score.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the data sets.
-    trials : sequence of BenchmarkTrial
-    options : BenchmarkOptions
-    progress : callable
-        Called with (part done, what is being done).
-
-    Returns
-    -------
-    run : BenchmarkRun
-    """
+    """Hide, recover and score; seed 0 is the published benchmark, 0 processes are one per core."""
     tasks = [task for trial in trials for task in _tasks(trial)]
-    with Pool(options.processes, _MANY_FRAMES) as pool:
+    with Pool(processes, _MANY_FRAMES) as pool:
         progress(0.0, "calibrating")
-        calibrations = {} if options.tasks else _calibrations(folder, trials, pool)
-        job = partial(_collected, options=options, calibrations=calibrations)
+        calibrations = _calibrations(folder, trials, pool)
+        job = partial(_collected, methods=tuple(methods), seed=seed, calibrations=calibrations)
         answers = []
         for number, (task, answer) in enumerate(zip(tasks, pool.map(job, tasks), strict=True)):
             progress(number / len(tasks), task.trial.key)
@@ -207,13 +168,13 @@ def _calibration(group: tuple[str, list[BenchmarkTrial]]) -> ArmCalibration | No
 
 
 def _collected(
-    task: BenchmarkTask, options: BenchmarkOptions, calibrations: dict[str, ArmCalibration]
+    task: BenchmarkTask, methods: tuple[str, ...], seed: int, calibrations: dict[str, ArmCalibration]
 ) -> Collected:
     """One task by all methods."""
     trial, data, collected = task.trial, DATASETS[task.trial.dataset], Collected()
     try:
         recording = replace(data.open(trial), name=trial.name)
-        gaps = placed_gaps(task, recording, options.seed)
+        gaps = placed_gaps(task, recording, seed)
     except UnoccludeError as error:
         collected.notes.append(f"{trial.key} could not be opened: {error}")
         return collected
@@ -223,22 +184,15 @@ def _collected(
         collected.notes.append(f"{trial.key} shows no arm for long enough to hide it for {words} s.")
     if not gaps:
         return collected
-    if options.tasks is not None:
-        write_task(options.tasks, trial, recording, task.lengths_s, gaps)
-        return collected
     calibration = calibrations.get(f"{trial.dataset}/{trial.calibrated_on}")
     lengths = {gap: length_s for length_s, gap in gaps}
     copy = GapCopy(task.lengths_s[0], 0, list(lengths))
-    methods = make_methods([GRAPH, *options.methods], calibration, Config.model_validate(_CONFIG))
-    found = try_methods(copy, recording, methods, one_noise=True)
-    wanted = [row.method in options.methods for row in found.rows]
+    made = make_methods([GRAPH, *methods], calibration, Config.model_validate(_CONFIG))
+    found = try_methods(copy, recording, made, one_noise=True)
+    wanted = [row.method in methods for row in found.rows]
     collected.rows += [row for row, kept in zip(found.rows, wanted, strict=True) if kept]
     collected.hidden += [each for each, kept in zip(found.hidden, wanted, strict=True) if kept]
     collected.notes += [f"{trial.key}: {note}" for note in found.notes]
-    graph = methods[GRAPH]
-    assert isinstance(graph, SharedGraph)
-    for answers in options.answers:
-        collected.add(_scored(answers, task, copy, recording, graph))
     collected.rows = [replace(row, length_s=lengths[row.gap]) for row in collected.rows]
     return collected
 
@@ -257,26 +211,6 @@ def placed_gaps(task: BenchmarkTask, recording: Recording, seed: int) -> list[tu
     return sorted(placed, key=lambda each: each[1].start_s)
 
 
-def _scored(
-    answers: Answers, task: BenchmarkTask, copy: GapCopy, recording: Recording, graph: SharedGraph
-) -> Collected:
-    """What another method answered to a task."""
-    collected = Collected()
-    read = answers.read(task_name(*task))
-    try:
-        noise_of = graph.last()
-    except UnoccludeError:
-        noise_of = None
-    for gap in copy.gaps:
-        errors, failure = GapErrors.empty(), "no answer to this task"
-        if read is not None:
-            errors = score_points(recording, *read, gap, noise_of)
-            failure = "" if np.isfinite(errors.distance_m).any() else "no answer inside the gap"
-        collected.rows.append(row_of(copy, answers.method, gap, errors, failure, recording.name))
-        collected.hidden.append(errors)
-    return collected
-
-
 def _digest(trials: Sequence[BenchmarkTrial]) -> str:
     """SHA-256 over names and contents of the files of the trials."""
     total = hashlib.sha256()
@@ -288,3 +222,138 @@ def _digest(trials: Sequence[BenchmarkTrial]) -> str:
             except OSError as error:
                 raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     return total.hexdigest()
+
+
+@dataclass(frozen=True)
+class MethodRow:
+    """A method over one data set and split.
+
+    Attributes
+    ----------
+    method : str
+    median_m : dict of float to float or None, m
+        By length: the median over the gaps of their rms.
+    rms_m : dict of float to float or None, m
+        By length: over all samples.
+    inside_95 : float or None
+        Share of all samples inside the stated 95 % region, over all lengths; None where no sigma is stated.
+    gaps, failed : int
+        That were tried, and those of them without an answer.
+    """
+
+    method: str
+    median_m: dict[float, float | None]
+    rms_m: dict[float, float | None]
+    inside_95: float | None
+    gaps: int
+    failed: int
+
+
+def method_rows(table: GapTable) -> list[MethodRow]:
+    """The methods of a data set, by the sum of their medians, those without an answer last."""
+    spreads = spread_by_length(table.rows)
+    methods = dict.fromkeys(row.method for row in table.rows)
+    rows = []
+    for name in methods:
+        median = {length: by[name].median_m for length, by in spreads.items() if name in by}
+        rms = {length: by[name].figures.position_rms_m for length, by in table.lengths.items() if name in by}
+        own = [errors for row, errors in zip(table.rows, table.errors, strict=True) if row.method == name]
+        together = GapErrors.pooled(own).figures()
+        failed = sum(bool(row.failure) for row in table.rows if row.method == name)
+        rows.append(MethodRow(name, median, rms, together.coverage_95, len(own), failed))
+    return sorted(rows, key=_rank)
+
+
+def _rank(row: MethodRow) -> tuple[int, float]:
+    known = [value for value in row.median_m.values() if value is not None]
+    return len(row.median_m) - len(known), sum(known)
+
+
+def plain(run: BenchmarkRun, seed: int, version: str) -> dict[str, object]:
+    """Plain values by name, as `benchmark.json` holds them; nothing in it changes from run to run."""
+    return {
+        "benchmark": VERSION,
+        "version": version,
+        "seed": seed,
+        "data_sha256": run.digest,
+        "datasets": [
+            {
+                "dataset": dataset,
+                "split": split,
+                "trials": run.trials[dataset, split],
+                "lengths": [
+                    {"length_s": length, "methods": {name: _figures(each) for name, each in by.items()}}
+                    for length, by in table.lengths.items()
+                ],
+                "methods": [
+                    {
+                        "method": row.method,
+                        "median_m": {f"{length:g}": value for length, value in row.median_m.items()},
+                        "rms_m": {f"{length:g}": value for length, value in row.rms_m.items()},
+                        "inside_95": row.inside_95,
+                        "gaps": row.gaps,
+                        "failed": row.failed,
+                    }
+                    for row in method_rows(table)
+                ],
+            }
+            for (dataset, split), table in run.tables.items()
+        ],
+        "notes": list(all_notes(run)),
+    }
+
+
+def _figures(figures: GapFigures) -> dict[str, object]:
+    return {name: value for name, value in figures.to_dict().items() if not name.endswith("_cm")}
+
+
+def all_notes(run: BenchmarkRun) -> Sequence[str]:
+    """What a reader must know, one sentence each, none twice."""
+    return list(dict.fromkeys([*run.notes, *(note for table in run.tables.values() for note in table.notes)]))
+
+
+def columns_of(table: GapTable) -> tuple[str, ...]:
+    """The heads of the one table's columns."""
+    return ("method", *(f"{length:g} s" for length in table.lengths), "inside 95 %", "gaps")
+
+
+def cells_of(row: MethodRow, lengths: Iterable[float]) -> tuple[str, ...]:
+    """A row of the one table: median / rms in cm by length, the share inside, gaps and failures."""
+    errors = [f"{_cm(row.median_m.get(length))} / {_cm(row.rms_m.get(length))}" for length in lengths]
+    inside = "-" if row.inside_95 is None else f"{100 * row.inside_95:.0f} %"
+    gaps = f"{row.gaps}" if not row.failed else f"{row.gaps} ({row.failed} failed)"
+    return (row.method, *errors, inside, gaps)
+
+
+def _cm(value_m: float | None) -> str:
+    return "-" if value_m is None else f"{100 * value_m:.2f}"
+
+
+def heading(dataset: str, split: str, trials: int) -> str:
+    """The title of a data set's table."""
+    return f"{DATASETS[dataset].title}, {split}: {trials} trial{'' if trials == 1 else 's'}"
+
+
+def markdown(run: BenchmarkRun) -> str:
+    """The tables in Markdown."""
+    parts = []
+    for (dataset, split), table in run.tables.items():
+        head = columns_of(table)
+        lines = [f"### {heading(dataset, split, run.trials[dataset, split])}", ""]
+        lines += [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+        lines += [f"| {' | '.join(cells_of(row, table.lengths))} |" for row in method_rows(table)]
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts) + "\n"
+
+
+def gap_lines(run: BenchmarkRun) -> Iterable[str]:
+    """One line per gap, as in `gaps.csv`; the header first."""
+    yield CSV_COLUMNS
+    for (dataset, split), table in run.tables.items():
+        for row in table.rows:
+            numbers = (row.figures.position_rms_m, row.figures.position_max_m, row.sigma_max_m)
+            cells = [dataset, split, row.recording, f"{row.length_s:g}", row.method]
+            cells += [repr(float(row.gap.start_s)), repr(float(row.gap.end_s)), str(row.figures.samples)]
+            cells += ["" if value is None else repr(float(value)) for value in numbers]
+            cells.append('"' + row.failure.replace('"', "'") + '"' if row.failure else "")
+            yield ",".join(cells)

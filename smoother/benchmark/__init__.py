@@ -1,1 +1,0 @@
-"""The benchmark of the field: public data sets, frozen gaps, every method, one table."""
