@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import FloatArray
-from ..runtime.outputs import writing
+from ..runtime.outputs import csv_rows
 from .progress import first_of
 
 #: Measures of a group's table.
@@ -71,13 +70,10 @@ class GroupMeasure:
 
 def write_long(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the long format as CSV: a header, a comma, a point, empty cells where there is nothing."""
-    with (
-        writing(path, force=True) as temporary,
-        open(temporary, "w", newline="", encoding="utf-8") as file,
-    ):
-        table = csv.DictWriter(file, LONG)
-        table.writeheader()
-        table.writerows(rows)
+    with csv_rows(path, force=True) as write:
+        write(LONG)
+        for row in rows:
+            write(row.get(name, "") for name in LONG)
 
 
 def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[GroupMeasure]:
