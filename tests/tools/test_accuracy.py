@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from smoother.matching import ImuMatch, Limb
 from smoother.simulation import ArmSimulation, simulate_arm
 from tools.accuracy.__main__ import main, option_parser
 from tools.accuracy.measures import NEAR_DEG, Sample, accuracy_csv, coverage_table, hidden_extremes
+from tools.accuracy.oracle import DIGITS, Run, differing, row_of
 from tools.accuracy.pairing import Answer, answer_rows, crossed, known_clock_s, rows_of
 from tools.accuracy.recordings import GapErrors
 from tools.figures import curves
@@ -261,3 +263,41 @@ def test_scenes_are_run(capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     assert "Scenes, seeds 0 to 1, 8 IMUs" in printed
     assert re.search(r"motion .* 0 +[\d.]+%$", printed, re.MULTILINE)  # none that is sure is wrong
+
+
+def test_a_row_of_the_oracle_counts_what_is_not_answered():
+    errors = np.array([[0.03, 1.0, 2.0, 3.0], [0.04, 9.0, 2.0, 3.0], [np.nan] * 4, [np.nan] * 4])
+    row = row_of(
+        [Run([errors], Counter(recordings=1, gaps=1)), Run([], Counter(recordings=1, refused=1))], 2.04
+    )
+    figures = [row[name] for name in ("rms cm", "max cm", "turn deg", "inside %", "turn inside %", "NEES")]
+    assert figures == [3.54, 4.0, 2.0, 50.0, 100.0, 1.67]
+    assert [row[name] for name in ("answered %", "recordings", "refused", "cpu s")] == [50.0, 2, 1, 2.0]
+    assert row_of([Run([], Counter(recordings=1, refused=1))], 0.0)["rms cm"] is None
+
+
+@pytest.mark.parametrize(
+    ("change", "tolerance", "differs"),
+    [
+        ({}, 0.0, False),
+        ({"rms cm": 1.01}, 0.0, True),
+        ({"rms cm": 1.01}, 0.02, False),
+        ({"rms cm": 0.97}, 0.02, True),
+        ({"inside %": 93.1}, 0.02, False),  # of 100, not of 95
+        ({"inside %": 92.9}, 0.02, True),
+        ({"gaps trusted": 48}, 0.02, False),  # of all 100 gaps
+        ({"gaps trusted": 47}, 0.02, True),
+        ({"wrong": 51}, 0.02, True),  # never more
+        ({"wrong": 49}, 0.02, False),
+        ({"turn deg": None}, 0.02, True),
+    ],
+)
+def test_tables_of_the_oracle_are_compared(change: dict[str, float | None], tolerance: float, differs: bool):
+    old = dict.fromkeys(DIGITS, 50.0) | {"rms cm": 1.0, "inside %": 95.0, "gaps": 100.0}
+    told = differing(old, old | change, tolerance)
+    assert len(told) == differs and all(each.startswith((*change,)) for each in told)
+
+
+def test_the_oracle_names_what_it_cannot_read(tmp_path: Path):
+    with pytest.raises(SystemExit, match="there is no"):
+        main(["oracle", "--against", str(tmp_path / "none.json")])
