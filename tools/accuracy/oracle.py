@@ -144,7 +144,8 @@ def of_simulation(made: SimulatedArm, recording: Recording, segment: str = "", l
     """The IMU of a simulated arm; of the hand, or the thorax's turn, where that segment is named."""
 
     def scored(recovery: Recovery) -> tuple[FloatArray, FloatArray]:
-        answer, motion = recovery, made.motion
+        answer: Any = recovery
+        motion: Any = made.motion
         if segment == "hand":
             answer, motion = recovery.segments.get("hand"), made.further_motions["hand"]
         if answer is None:
@@ -351,7 +352,8 @@ def oracle(options: argparse.Namespace) -> Iterator[str]:
     if not new:
         sys.exit(f"no row's name contains '{options.only}'")
     if options.json:
-        lines = (f"{json.dumps(name)}: {json.dumps(row)}" for name, row in new.items())
+        kept = json.loads(options.json.read_text()) if options.only and options.json.is_file() else {}
+        lines = (f"{json.dumps(name)}: {json.dumps(row)}" for name, row in (kept | new).items())
         options.json.write_text("{\n" + ",\n".join(lines) + "\n}\n")
     if options.against:
         both = dict.fromkeys((*(name for name in old if options.only in name), *new))
@@ -366,6 +368,8 @@ _AGAINST = option("--against", type=Path, metavar="FILE", help="a stored table; 
 _TOLERANCE = option(
     "--tolerance", type=float, default=0.0, metavar="PART", help="what may differ, as 0.02 [nothing]"
 )
-_ONLY = option("--only", default="", metavar="PATTERN", help="rows whose name contains this")
+_ONLY = option(
+    "--only", default="", metavar="PATTERN", help="rows whose name contains this; --json keeps the others"
+)
 _PROCESSES = option("--processes", type=int, default=2, help="recordings at a time [2]")
 CHECKS = (Check("oracle", oracle, (JSON, _AGAINST, _TOLERANCE, _ONLY, _PROCESSES)),)
