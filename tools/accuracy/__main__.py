@@ -16,13 +16,26 @@ from tools.accuracy import (
     live,
     measures,
     more_imus,
+    oracle,
     pairing,
     panel,
     recordings,
     uncertainty,
 )
 
-MODULES = (recordings, more_imus, cameras, angles, uncertainty, measures, live, calibrations, panel, pairing)
+MODULES = (
+    recordings,
+    more_imus,
+    cameras,
+    angles,
+    uncertainty,
+    measures,
+    live,
+    calibrations,
+    panel,
+    pairing,
+    oracle,
+)
 #: Every check by name.
 CHECKS = {check.name: check for module in MODULES for check in module.CHECKS}
 
