@@ -103,7 +103,7 @@ LEVEL = 0.05
 #: A value from more recovered samples than this gets a note.
 MOSTLY_RECOVERED = 0.5
 #: Sessions whose numbers of movements, by their intervals, may differ more do not have the same movements.
-LIKE_SHARE = 0.75
+LIKE_SHARE = 0.9
 #: What none of n draws shows is rarer than this over n, with 95 % (Hanley and Lippman-Hand, JAMA 249, 1983).
 RULE_OF_THREE = 3.0
 #: Half of a normal interval of 95 %, in standard deviations.

@@ -100,8 +100,10 @@ def compared(left: Measures, right: Measures, key: str) -> str:
         return "cannot be assessed"
     change = change_between(_value(one, "left"), _value(other, "right"))
     if key in BY_MOVEMENT:
-        counts = [arm.by_key.get("movement_count") for arm in (left, right)]
-        change = without_like_movements(change, *(row and _value(row, row.scope) for row in counts))
+        ours, others = (arm.by_key.get("movement_count") for arm in (left, right))
+        change = without_like_movements(
+            change, ours and _value(ours, "left"), others and _value(others, "right")
+        )
     return "no clear difference" if change.word == "no clear change" else change.word
 
 
