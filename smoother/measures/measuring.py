@@ -341,7 +341,14 @@ def _notes(measuring: Measuring) -> list[str]:
     if motion.hand_joint != "hand":
         instead = "the IMU" if motion.hand_joint == "imu" else f"the {motion.hand_joint}"
         notes.append(f"The recording has no hand; {instead} is used instead.")
-    figure = measuring.answer.get(SESSION, {}).get("shoulder_rotation_range_deg")
+    figures = measuring.answer.get(SESSION, {})
+    low, high, _ = measuring.interval(SESSION, "movement_count", figures["movement_count"].value)
+    if low < high:
+        notes.append(
+            f"The drawn motions have {low:.0f} to {high:.0f} movements. Those listed are the result's; their"
+            " intervals are over their samples and do not include whether another motion has them."
+        )
+    figure = figures.get("shoulder_rotation_range_deg")
     turned = float("nan") if figure is None else figure.value
     if turned > WIDE_ROTATION_DEG:
         notes.append(
