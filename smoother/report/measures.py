@@ -101,9 +101,9 @@ def compared(left: Measures, right: Measures, key: str) -> str:
     change = change_between(_value(one, "left"), _value(other, "right"))
     if key in BY_MOVEMENT:
         ours, others = (arm.by_key.get("movement_count") for arm in (left, right))
-        change = without_like_movements(
-            change, ours and _value(ours, "left"), others and _value(others, "right")
-        )
+        if ours is None or others is None:
+            return "cannot be assessed"
+        change = without_like_movements(change, _value(ours, "left"), _value(others, "right"))
     return "no clear difference" if change.word == "no clear change" else change.word
 
 
