@@ -1,7 +1,8 @@
 """What is measured when: movements, repetitions and known angles as the answer has them.
 
-Answer, drawn motions and truth are measured over the same samples, so that an interval is of a number and not
-of where a threshold was passed; only counts of movements and repetitions are made anew for each.
+The figures of one movement or repetition, and those of angles, are measured over the same samples in the
+answer, a drawn motion and a truth. The number of movements and means over movements are of those that each
+motion finds in itself, so that their intervals include which movements were found.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ MOST_PLACES = 2000
 #: Measures of a movement whose mean over movements describes a longer time; of a ratio it is the median.
 _MEANS = ("sparc", "ldlj_v", "velocity_peaks", "hand_time_to_peak_s", "hand_time_to_peak_percent")
 _MEDIANS = ("hand_path_ratio",)
+#: Those that are means over the movements that a motion finds in itself, and all figures of what it finds.
+BY_MOVEMENT = (*_MEANS, *_MEDIANS, "movement_duration_s")
+FOUND = (*BY_MOVEMENT, "movement_time_percent", "repetition_duration_s", "repetition_duration_cv_percent")
 
 
 @dataclass(frozen=True)
@@ -107,20 +111,27 @@ class Layout:
             if name in motion.angles
         }
         speed = motion.speed
-        of_movements = [self._of_movement(motion, place, angles, speed) for place in self.places]
-        by_place: dict[Place, Figures] = {SESSION: self._of_session(motion, angles, speed, of_movements)}
-        by_place |= {("movement", k): each for k, each in enumerate(of_movements)}
+        own = find_movements(speed, motion.grid, self.settings.movements)
+        of_own = [self._of_hand(motion, place, speed) for place in own]
+        by_place: dict[Place, Figures] = {SESSION: self._of_session(motion, angles, speed, own, of_own)}
+        for k, place in enumerate(self.places):
+            by_place["movement", k] = self._of_movement(motion, place, angles, speed)
         for k, place in enumerate(self.rounds):
             inside = [
                 each
-                for each, part in zip(of_movements, self.places, strict=True)
+                for each, part in zip(of_own, own, strict=True)
                 if part.start < place.stop and part.stop > place.start
             ]
             by_place["repetition", k] = self._of_time(motion, place, angles, speed, inside)
         return by_place
 
     def _of_session(
-        self, motion: Motion, angles: dict[str, FloatArray], speed: FloatArray, of_movements: list[Figures]
+        self,
+        motion: Motion,
+        angles: dict[str, FloatArray],
+        speed: FloatArray,
+        places: list[slice],
+        of_movements: list[Figures],
     ) -> Figures:
         grid, occluded = motion.grid, motion.occluded
         everything = slice(0, len(grid.t_s))
@@ -128,7 +139,6 @@ class Layout:
         for name, angle in angles.items():
             for zone, figure in zone_figures(name, angle, occluded).items():
                 figures[zone_key(name, zone, ZONE_DEG)] = figure
-        places = find_movements(speed, grid, self.settings.movements)
         share = share_of(occluded)
         figures["movement_count"] = Figure(float(len(places)), share)
         seconds = np.array([place.stop - place.start for place in places]) / grid.rate_hz
@@ -168,13 +178,18 @@ class Layout:
     def _of_movement(
         self, motion: Motion, place: slice, angles: dict[str, FloatArray], speed: FloatArray
     ) -> Figures:
-        occluded, rate = motion.occluded[place], motion.grid.rate_hz
-        hand, pace, settings = motion.hand[place], speed[place], self.settings.movements
+        occluded, rate, hand = motion.occluded[place], motion.grid.rate_hz, motion.hand[place]
         figures: Figures = {}
         for name, angle in angles.items():
             figures |= angle_figures(name, angle[place], occluded, rate)
-        figures |= way_figures(hand, pace, occluded, rate, (slice(0, len(hand)),))
-        figures |= straightness_figures(hand, pace, occluded, rate)
+        figures |= way_figures(hand, speed[place], occluded, rate, (slice(0, len(hand)),))
+        return figures | self._of_hand(motion, place, speed)
+
+    def _of_hand(self, motion: Motion, place: slice, speed: FloatArray) -> Figures:
+        """The figures of a movement that sessions have as means."""
+        occluded, rate = motion.occluded[place], motion.grid.rate_hz
+        pace, settings = speed[place], self.settings.movements
+        figures = straightness_figures(motion.hand[place], pace, occluded, rate)
         share = share_of(occluded)
         peaks = velocity_peaks(pace, rate, settings.peak_rise_m_s, settings.peak_apart_s)
         figures["sparc"] = Figure(spectral_arc_length(pace, rate), share)

@@ -14,7 +14,7 @@ from ..result import Recovery
 from ..runtime.pool import Pool, Progress
 from .angles import PERCENTILES
 from .definitions import FEWEST_DRAWS, definition_of, interval
-from .layout import SESSION, Figures, Layout, Place
+from .layout import FOUND, SESSION, Figures, Layout, Place
 from .measure import UNKNOWN, Figure, Measure, Measures, MeasureSettings
 from .motion import ElbowBend, Motion, grid_of, motion_of, nearest_rows
 
@@ -228,7 +228,8 @@ class Measuring:
 
     def interval(self, place: Place, key: str, value: float) -> tuple[float, float, float]:
         """The 95 % interval about a measure's value, and its standard deviation; nan without draws."""
-        low, high, sigma = interval(value, self.drawn.values(place, key), definition_of(key))
+        is_found = place[0] != "movement" and key in FOUND
+        low, high, sigma = interval(value, self.drawn.values(place, key), definition_of(key), is_found)
         if self.drawn.bend is not None and key in ELBOW_ANGLES and np.isfinite(low):
             low = self.drawn.bend.lower(low)
         return low, high, sigma
@@ -340,7 +341,14 @@ def _notes(measuring: Measuring) -> list[str]:
     if motion.hand_joint != "hand":
         instead = "the IMU" if motion.hand_joint == "imu" else f"the {motion.hand_joint}"
         notes.append(f"The recording has no hand; {instead} is used instead.")
-    figure = measuring.answer.get(SESSION, {}).get("shoulder_rotation_range_deg")
+    figures = measuring.answer.get(SESSION, {})
+    low, high, _ = measuring.interval(SESSION, "movement_count", figures["movement_count"].value)
+    if low < high:
+        notes.append(
+            f"The drawn motions have {low:.0f} to {high:.0f} movements. Those listed are the result's; their"
+            " intervals are over their samples and do not include whether another motion has them."
+        )
+    figure = figures.get("shoulder_rotation_range_deg")
     turned = float("nan") if figure is None else figure.value
     if turned > WIDE_ROTATION_DEG:
         notes.append(

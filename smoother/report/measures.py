@@ -15,8 +15,10 @@ from ..evaluation.progress import (
     number,
     quantity,
     shown_unit,
+    without_like_movements,
 )
 from ..measures import BothArms, Measure, Measures
+from ..measures.layout import BY_MOVEMENT
 from .chart import Mark, Strip, badge, bars, charted, sessions, strips
 from .sheet import (
     NO_DIAGNOSIS,
@@ -96,8 +98,13 @@ def compared(left: Measures, right: Measures, key: str) -> str:
     one, other = left.by_key.get(key), right.by_key.get(key)
     if one is None or other is None:
         return "cannot be assessed"
-    word = change_between(_value(one, "left"), _value(other, "right")).word
-    return "no clear difference" if word == "no clear change" else word
+    change = change_between(_value(one, "left"), _value(other, "right"))
+    if key in BY_MOVEMENT:
+        ours, others = (arm.by_key.get("movement_count") for arm in (left, right))
+        if ours is None or others is None:
+            return "cannot be assessed"
+        change = without_like_movements(change, _value(ours, "left"), _value(others, "right"))
+    return "no clear difference" if change.word == "no clear change" else change.word
 
 
 def symmetry(index: Measure | None) -> str:

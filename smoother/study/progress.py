@@ -11,7 +11,6 @@ from typing import Any
 from ..errors import UnoccludeError
 from ..evaluation.group import LONG
 from ..evaluation.progress import (
-    BY_MOVEMENT,
     PersonProgress,
     Series,
     SessionValue,
@@ -21,6 +20,7 @@ from ..evaluation.progress import (
     without_like_movements,
 )
 from ..evaluation.waveform_change import SessionCurves, change_of, curves_of
+from ..measures.layout import BY_MOVEMENT
 from .folder import DONE, Row, StudyFolder, rows_table
 from .inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions, with_named_days
 
@@ -270,15 +270,13 @@ def _series(
 
 
 def _of_like_movements(series: Series, values: Mapping[_Key, Sequence[SessionValue]]) -> Series:
-    """Changes of means over movements only where the sessions have as many of them."""
+    """Changes of means over movements only where the sessions have like movements."""
     if series.key not in BY_MOVEMENT:
         return series
     counted = values.get((series.side, series.task, "movement_count"), ())
-    counts = {value.session: value.value for value in counted}
+    counts = {value.session: value for value in counted}
     changes = [
-        without_like_movements(
-            change, counts.get(change.first.session, math.nan), counts.get(change.last.session, math.nan)
-        )
+        without_like_movements(change, counts.get(change.first.session), counts.get(change.last.session))
         for change in series.changes
     ]
     return replace(series, changes=tuple(changes))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from itertools import combinations
 
@@ -128,12 +129,34 @@ def test_counts_on_which_all_draws_agree():
 
 
 @pytest.mark.parametrize(
-    ("counts", "word", "said"),
-    [((5, 5), MORE, False), ((10, 9), MORE, True), ((3, 2), UNKNOWN, True), ((math.nan, 2), MORE, False)],
+    ("counts", "shares", "reason"),
+    [
+        (((5, 5, 5), (5, 5, 5)), (0.2, 0.2), ""),
+        (((10, 10, 10), (9, 9, 10)), (0.2, 0.2), ""),
+        (((11, 11, 13), (13, 12, 14)), (0.2, 0.2), r"11 \(11 to 13\) and 13 \(12 to 14\)"),
+        (((3, 3, 3), (2, 2, 2)), (0.2, 0.2), "have 3 and 2 movements"),
+        (((5, 4, 7), (5, 5, 5)), (0.2, 0.2), r"5 \(4 to 7\) and 5"),  # the same number, but found by luck
+        (((5, math.nan, math.nan), (5, 5, 5)), (0.2, 0.2), ""),
+        (((math.nan,) * 3, (2, 2, 2)), (0.2, 0.2), "not known"),
+        ((None, (2, 2, 2)), (0.2, 0.2), "not known"),
+        (((5, 5, 5), (5, 5, 5)), (0.0, 0.8), "0 % .* 80 %"),
+    ],
 )
-def test_means_over_other_movements(counts: tuple[float, float], word: str, said: bool):
-    change = without_like_movements(change_between(value(60), value(75)), *counts)
-    assert change.word == word and bool(change.limits) is said
+def test_means_over_other_movements(
+    counts: tuple[tuple[float, float, float] | None, ...], shares: tuple[float, float], reason: str
+):
+    first, last = (
+        None if count is None else SessionValue("1", 0.0, *map(float, count), 0.0, 0.2, 64)
+        for count in counts
+    )
+    sessions = (replace(value(v), recovered_share=share) for v, share in zip((60, 75), shares, strict=True))
+    before = change_between(*sessions)
+    change = without_like_movements(before, first, last)
+    if not reason:
+        assert change == before and change.word == MORE
+    else:
+        assert change.word == UNKNOWN and math.isnan(change.p) and math.isnan(change.difference)
+        assert re.search(reason, change.limits[0])
 
 
 def test_many_comparisons_together():

@@ -70,7 +70,8 @@ def made_measures(
         made_measure(key, value + (change or {}).get(key, 0.0) + error(sigma), sigma if draws else math.nan)
         for key, (value, sigma) in ARM.items()
     ]
-    rows += [made_measure(key, value, 0.0 if draws else math.nan) for key, value in REACHED.items()]
+    certain = REACHED | {"movement_count": 6.0}
+    rows += [made_measure(key, value, 0.0 if draws else math.nan) for key, value in certain.items()]
     places = tuple(Movement(10.0 * n, 10.0 * n + 2.0, "movement") for n in range(movements))
     for number in range(movements):
         wave = math.sin(number)

@@ -13,6 +13,7 @@ from smoother.joint_angles import elbow_bend, recovery_angles
 from smoother.measures import MeasureSettings, measure
 from smoother.measures.definitions import MeasureDefinition, interval
 from smoother.measures.hand import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
+from smoother.measures.layout import BY_MOVEMENT
 from smoother.measures.measure import MatchingRepetitions, SegmentingMovements
 from smoother.measures.motion import ElbowBend, grid_of, lessened, motion_of
 from smoother.measures.movements import find_movements, find_repetitions, match_cost
@@ -52,6 +53,32 @@ def test_what_is_slow_or_short_is_no_movement():
     short = np.where((T > 2) & (T < 2.2), 0.5, 0.0)
     for speed in (slow, short, np.zeros_like(T), np.full_like(T, np.nan)):
         assert find_movements(speed[: len(grid.t_s)], grid, SegmentingMovements()) == []
+
+
+def dipping(least_m_s: float) -> Recovery:
+    """A hand that moves to and fro, then along a line, slowing once to about the speed of rest."""
+    peak = np.sin(np.pi * (T - 12.0) / 4.0) * (0.3 + 0.05 * (T > 14.0))
+    dip = (peak - least_m_s) * np.exp(-(((T - 14.0) / 0.2) ** 2))
+    speed = np.where((T > 12.0) & (T < 16.0), peak - dip, 0.0)
+    way = 0.3 * (minimum_jerk(T, 2.0, 3.2) - minimum_jerk(T, 6.0, 7.6)) + np.cumsum(speed) * 0.01
+    return recovery_of(T, {"wrist": way[:, None] * np.array([0.6, 0.0, 0.8])})
+
+
+@pytest.mark.parametrize(("found", "true", "counts"), [(0.036, 0.024, (3, 4)), (0.024, 0.036, (4, 3))])
+def test_an_interval_of_a_mean_includes_which_movements_were_found(
+    found: float, true: float, counts: tuple[int, int]
+):
+    answer, truth = measure(with_draws(dipping(found), 64, 0.004)), measure(dipping(true))
+    assert tuple(one.by_key["movement_count"].value for one in (answer, truth)) == counts
+    for key in (*BY_MOVEMENT, "movement_count"):
+        row, there = answer.by_key[key], truth.by_key[key].value
+        slack = 0.03 * abs(there)  # the draws' errors are none that this truth may have
+        assert row.low - slack <= there <= row.high + slack and row.low <= row.value <= row.high, key
+    assert any("3 to 4 movements" in note for note in answer.notes)
+    # a movement's own measures are over the same samples in every draw
+    assert answer.of("movement", 1)["hand_path_length_m"].sigma < 0.01
+    certain = measure(with_draws(to_and_fro([(2.0, 3.0), (6.0, 8.0)]), 64, 0.002))
+    assert certain.by_key["sparc"].sigma < 0.1 and not any("movements" in note for note in certain.notes)
 
 
 def test_a_dip_that_is_no_rest_does_not_part_a_movement():

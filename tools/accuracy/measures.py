@@ -1,10 +1,15 @@
-"""How well measures hold, and changes of them between sessions: `measures` and `progress`.
+"""How well measures hold, and changes of them between sessions: `measures`, `movements`, `progress`.
 
 `measures`, for each preset: how often the 95 % interval of a measure contains the truth's, its rms error and
-its bias; occlusions are those of the simulated body. The truth is measured by the same functions over the
-same samples. The elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to
-7 degrees). Then the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from
-recovered samples: movements in a gap against the same movements with the camera's view whole.
+its bias; occlusions are those of the simulated body. The truth is measured by the same functions: a session's
+means over movements are of the truth's own movements, a movement's measures are over the same samples. The
+elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to 7 degrees). Then
+the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from recovered samples:
+movements in a gap against the same movements with the camera's view whole.
+
+`movements`: for several kinds of sessions, how often the interval of a mean over movements contains the mean
+over the truth's own movements, and between all pairs of sessions how often `progress` calls a change, and
+how often one in the wrong direction.
 
 `progress`: simulated persons, each with three sessions: the same motion twice (other sensor errors, another
 mounting of the sensor, other errors of the camera), then with the elbow bending less. Each session is
@@ -23,9 +28,11 @@ import math
 import pickle
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +40,6 @@ from smoother.calibration import ArmCalibration
 from smoother.evaluation.measure_agreement import same_samples
 from smoother.evaluation.metrics import truth_at
 from smoother.evaluation.progress import (
-    BY_MOVEMENT,
     LESS,
     MORE,
     UNKNOWN,
@@ -43,7 +49,8 @@ from smoother.evaluation.progress import (
     without_like_movements,
 )
 from smoother.measures import Measure, MeasureSettings, measure
-from smoother.measures.layout import SESSION
+from smoother.measures.layout import BY_MOVEMENT, SESSION
+from smoother.measures.measure import Reach
 from smoother.measures.measuring import Measuring
 from smoother.measures.motion import motion_of
 from smoother.recording import Truth
@@ -128,17 +135,23 @@ def accuracy(name: str, seeds: range, draws: int, cache: Path | None) -> list[Sa
     samples: list[Sample] = []
     for seed in seeds:
         simulated = simulate_arm(simulation_of(name), seed)
-        kept = None if cache is None else cache / f"{name}_{seed}_{draws}.pickle"
-        if kept is not None and kept.exists():
-            recovery = pickle.loads(kept.read_bytes())
-        else:
-            recovery = recovered(simulated, draws, seed)
-            if kept is not None:
-                kept.parent.mkdir(parents=True, exist_ok=True)
-                kept.write_bytes(pickle.dumps(recovery))
+        recovery = kept(simulated, name, seed, draws, cache)
         samples += samples_of(simulated, recovery, MeasureSettings())
         print(f"{name} seed {seed}: done", file=sys.stderr, flush=True)
     return samples
+
+
+def kept(simulated: SimulatedArm, name: str, seed: int, draws: int, cache: Path | None) -> Recovery:
+    """What was recovered, from the folder if one is named and has it."""
+    file = None if cache is None else cache / f"{name}_{seed}_{draws}.pickle"
+    if file is not None and file.exists():
+        recovery: Recovery = pickle.loads(file.read_bytes())
+        return recovery
+    recovery = recovered(simulated, draws, seed)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(pickle.dumps(recovery))
+    return recovery
 
 
 def coverage_table(samples: list[Sample]) -> list[dict[str, object]]:
@@ -330,17 +343,18 @@ def count_pair(
     first: tuple[dict[str, Measure], dict[str, Measure]],
     last: tuple[dict[str, Measure], dict[str, Measure]],
     same: bool,
+    keys: Collection[str] | None = None,
 ) -> Iterator[str]:
-    """Count what is said of two sessions."""
-    for key in first[0].keys() & last[0].keys():
+    """Count what is said of two sessions, of all measures or of some."""
+    for key in first[0].keys() & last[0].keys() if keys is None else keys:
         if not is_main(key) or not (first[1][key].is_known and last[1][key].is_known):
             continue
         change = change_between(value(first[0][key]), value(last[0][key]))
         if not math.isfinite(change.p):
             continue
-        movements = [each[0]["movement_count"].value for each in (first, last)]
+        found = [value(each[0]["movement_count"]) for each in (first, last)]
         if key in BY_MOVEMENT:
-            change = without_like_movements(change, *movements)
+            change = without_like_movements(change, *found)
         if change.word == UNKNOWN:
             counts[key]["unknown"] += 1
             continue
@@ -350,9 +364,11 @@ def count_pair(
         counts[key]["pairs"] += 1
         counts[key][what] += 1
         counts[key][f"{what}_called"] += change.word in (MORE, LESS)
+        counts[key]["wrong"] += change.word in (MORE, LESS) and change.difference * true <= 0
         if not change.low <= true <= change.high:
             half = 0.5 * (change.high - change.low)
-            numbers = f"{change.difference:.3g} (true {true:.3g}, half {half:.3g}, movements {movements})"
+            counted = [each.value for each in found]
+            numbers = f"{change.difference:.3g} (true {true:.3g}, half {half:.3g}, movements {counted})"
             yield (f"  {what}: {key} {numbers}")
 
 
@@ -386,6 +402,57 @@ def progress(options: argparse.Namespace) -> Iterator[str]:
         options.json.write_text(json.dumps(counts, indent=2) + "\n", encoding="utf-8")
 
 
+#: Kinds of sessions for means over movements: the preset, and what is changed of it. In `random` motion the
+#: hand rarely rests, so that one movement more or less changes a mean most.
+KINDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "exercises": ("realistic", {}),
+    "tremor": ("azure", {"tremor_rad": 0.004, "speed": 0.7}),
+    "slow": ("realistic", {"protocol": "random", "speed": 0.5}),
+    "random": ("realistic", {"protocol": "random"}),
+    "azure": ("azure", {"protocol": "random"}),
+    "long gaps": (
+        "realistic",
+        {
+            "protocol": "random",
+            "duration_s": 40.0,
+            "occlusion_lengths_s": (3.0, 6.0),
+            "occlusion_every_s": 10.0,
+        },
+    ),
+}
+
+
+def movements(options: argparse.Namespace) -> Iterator[str]:
+    """Means over movements against those over the truth's own, and the changes called between sessions."""
+    settings = MeasureSettings(reach=Reach(voxel_m=0.2))  # its volume takes the time and is not needed
+    for kind in options.kinds:
+        preset, changes = KINDS[kind]
+        sessions = []
+        for seed in options.seeds:
+            simulated = simulate_arm(ArmSimulation.preset(preset, **changes), seed)
+            recovery = kept(simulated, kind, seed, options.draws, options.keep_in)
+            assert simulated.recording.truth is not None
+            truth = true_recovery(recovery, simulated.recording.truth)
+            if recovery.estimates.trusted is not False:
+                sessions.append((measure(recovery, settings).by_key, measure(truth, settings).by_key))
+        for key in BY_MOVEMENT:
+            both = [(answer[key], truth[key].value) for answer, truth in sessions]
+            held = [row.low <= true <= row.high for row, true in both if row.has_interval and true == true]
+            yield f"{kind:10} {key:26} inside {sum(held):3} of {len(held)}"
+        counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
+        for first, last in combinations(sessions, 2):
+            yield from count_pair(counts, first, last, same=False, keys=BY_MOVEMENT)
+        total = {
+            name: sum(each[name] for each in counts.values())
+            for name in ("unknown", "pairs", "other_called", "wrong")
+        }
+        yield (
+            f"{kind}: {len(sessions)} sessions, {math.comb(len(sessions), 2)} pairs; changes of"
+            f" {len(BY_MOVEMENT)} measures: cannot be assessed {total['unknown']}, compared {total['pairs']},"
+            f" clear {total['other_called']}, in the wrong direction {total['wrong']}"
+        )
+
+
 CHECKS = (
     Check(
         "measures",
@@ -397,6 +464,16 @@ CHECKS = (
             option("--keep-in", type=Path, help="folder for what was recovered, to measure it again"),
             JSON,
             option("--csv", type=Path, help="write docs/tables/measures_accuracy.csv"),
+        ),
+    ),
+    Check(
+        "movements",
+        movements,
+        (
+            option("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS)),
+            seeds_option("20"),
+            DRAWS,
+            option("--keep-in", type=Path, help="folder for what was recovered, to measure it again"),
         ),
     ),
     Check(
