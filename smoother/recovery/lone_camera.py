@@ -11,8 +11,9 @@ from ..linalg import unit
 from ..measurements.rays import is_alone
 from ..result import Recovery
 
-#: A distance that is known worse than this deserves a sentence; one worse than the second is not known, m.
-CARE_M, UNKNOWN_M = 0.03, 0.30
+#: A distance that is known worse than this deserves a sentence; one worse than the second is not known, m: an
+#: error of 10 cm is then within 2.5 sigmas.
+CARE_M, UNKNOWN_M = 0.03, 0.04
 #: Of the samples, at most about this many are looked at.
 MOST_SAMPLES = 5_000
 
