@@ -168,6 +168,8 @@ def test_a_wrong_focal_length_is_in_sigma_and_not_trusted(part: float, share: fl
     assert abs(off_m) > 0.08
     assert abs(off_m) < 3.0 * sigma_m
     assert not recovery.estimates.trusted
+    asked = any("calibrate the lens" in each for each in recovery.estimates.reasons)
+    assert asked == (share == FOCAL_DATA_SHEET)
 
 
 def test_an_imu_of_another_motion_is_refused() -> None:
