@@ -172,6 +172,16 @@ def test_a_wrong_focal_length_is_in_sigma_and_not_trusted(part: float, share: fl
     assert asked == (share == FOCAL_DATA_SHEET)
 
 
+def test_a_lens_changes_nothing_of_a_camera_with_depth() -> None:
+    recording = replace(made("none", cameras=(), duration_s=8.0).recording, truth=None)
+    answers = [
+        smooth(replace(recording, arm=replace(recording.arm, focal_share=share)), processes=1)
+        for share in (FOCAL_CALIBRATED, FOCAL_DATA_SHEET)
+    ]
+    for one, other in zip(*(each.joint_covariance.values() for each in answers), strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
 def test_an_imu_of_another_motion_is_refused() -> None:
     one, other = made("all", seed=941, cameras=(), duration_s=40.0), made("all", seed=943, cameras=())
     with pytest.raises(SolveError, match="does not turn as the IMU does"):
