@@ -14,12 +14,15 @@ import numpy as np
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import CameraPose
+from smoother.recording import FOCAL_CALIBRATED, FOCAL_DATA_SHEET, CameraPose
 from smoother.rotation import Rotation
 from smoother.runtime.inputs import check_input, read_toml
 
 #: A point nearer to the lens than this has no pixel, m.
 NEAREST_M = 0.05
+#: A focal length that may be farther off is not known.
+LARGEST_SHARE = 0.5
+SHARE_RANGE = f"focal_share is the focal length's standard error as a part of it, 0 to {LARGEST_SHARE:g}"
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,9 @@ class Intrinsics:
         Focal lengths and principal point.
     distortion : tuple of float
         k1, k2, p1, p2, k3; fewer where the rest is zero, empty for none.
+    focal_share : float, optional
+        Standard error of the focal length, as a part of it. By default that of a calibration where there is
+        distortion, which only a calibration gives, else that of a data sheet.
     """
 
     width: int
@@ -43,6 +49,12 @@ class Intrinsics:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+    focal_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.focal_share:
+            share = FOCAL_CALIBRATED if any(self.distortion) else FOCAL_DATA_SHEET
+            object.__setattr__(self, "focal_share", share)
 
     @property
     def focal_px(self) -> float:
@@ -332,11 +344,14 @@ def _lens(where: str, table: Mapping[str, Any]) -> Intrinsics:
         )
     if not np.isfinite(size).all():
         size = np.round([2 * cx, 2 * cy])  # OpenCV's samples leave it out, and rays do not need it
+    share = float(table.get("focal_share", 0.0))
     values = np.array([fx, fy, cx, cy, *size, *distortion])
+    if not 0.0 <= share <= LARGEST_SHARE:
+        raise CalibrationError(f"{where}: {SHARE_RANGE}.")
     if not (np.isfinite(values).all() and min(fx, fy, *size) > 0):
         raise CalibrationError(f"{where}: focal lengths and sizes are above zero, in pixels.")
     terms = tuple(float(value) for value in distortion[:5])
-    return Intrinsics(int(size[0]), int(size[1]), fx, fy, cx, cy, terms if any(terms) else ())
+    return Intrinsics(int(size[0]), int(size[1]), fx, fy, cx, cy, terms if any(terms) else (), share)
 
 
 def _place(

@@ -180,6 +180,7 @@ def _solved(
     # 6. One trajectory at the IMU's own stamps.
     answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
     recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
+    misfits = (*misfits, *model.misfits)
     return Solved(recovery, evidence, excerpts, misfits, model.open_questions)
 
 

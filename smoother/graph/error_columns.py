@@ -18,9 +18,10 @@ from ..array_types import FloatArray, IntArray
 from ..body import FOREARM
 from ..linalg import skew
 from ..measurements.outliers import noise_key
+from ..measurements.rays import NEAREST_M
 from ..recording import JOINTS
 from ..window.problem import JointMeasurements, States, Window
-from ..window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, ErrorEvidence
+from ..window.shared import JOINT_ERRORS, LENS, SIZE, STRAP_ERRORS, ErrorEvidence
 from .build import FactorGroup, ray_roots, stacked_measurements
 from .factors import IMU_ROWS, POINT_ROWS
 from .linear_system import Jacobian, LinearSystem
@@ -74,8 +75,32 @@ def constant_error_columns(
         block[:, :, error : error + 3] = R[factors.nodes] if is_place(factors.joint, window) else np.eye(3)
         if factors.joint in window.priors.layout.joints:
             block[:, :, STRAP_ERRORS] = _strap(window, factors.joint, R[factors.nodes])
+        if with_lens(window):
+            block[:, :, LENS] = _lens(window, factors)
         every[factors.rows] = factors.whitened(block)
     return every
+
+
+def with_lens(window: Window) -> bool:
+    """Whether the errors of a lens take the rows of the strap's place."""
+    return window.lone_rays and all(each.joint != "strap" for each in window.joint_measurements)
+
+
+def _lens(window: Window, factors: CameraRows) -> FloatArray:
+    """How a joint's points (m, 3, 3) m follow the errors of the lens that sees them (`LENS`)."""
+    if factors.joint == "shoulder":
+        assert window.shoulder is not None
+        point = window.shoulder.position[np.isfinite(window.shoulder.position[:, 0])]
+    else:
+        (measured,) = (each for each in window.joint_measurements if each.key == factors.key)
+        _, point, _ = stacked_measurements(measured, window.noise.cauchy)
+    # of the joint, not of the keypoint: noise on both sides of the equation would draw the lens
+    assert factors.roots is not None
+    ray = np.linalg.eigh(factors.roots)[1][:, :, 0]
+    point = np.sum(point * ray, axis=1, keepdims=True) * ray
+    off = point * [1.0, 1.0, 0.0]
+    squared = np.sum((off / np.maximum(point[:, 2:], NEAREST_M)) ** 2, axis=1, keepdims=True)
+    return np.stack([off, squared * off, np.zeros_like(off)], axis=2)
 
 
 def is_place(joint: str, window: Window) -> bool:

@@ -67,6 +67,8 @@ class Segment:
         Which camera each frame is of; None where all are of one.
     ray_origin_m : ndarray, shape (c, 3), m, or None
         Where the rays of each camera without depth begin (`JointTracks.ray_origin_m`).
+    focal_share : float
+        As that of the `JointTracks`.
     """
 
     signal: InertialSignal
@@ -88,6 +90,7 @@ class Segment:
     further: tuple[ImuRun, ...] = ()
     camera: CameraNumbers | None = None
     ray_origin_m: FloatArray | None = None
+    focal_share: float = 0.0
 
     def between(self, start_s: float, end_s: float) -> Segment:
         """The same segment with a narrower time range (IMU clock), and the frames in and around it.
@@ -231,6 +234,7 @@ def make_segment(
         down_sigma_rad=traits.down_sigma_rad,
         camera=arm.camera,
         ray_origin_m=arm.ray_origin_m,
+        focal_share=arm.focal_share,
     )
 
 

@@ -9,12 +9,21 @@ from __future__ import annotations
 
 from .camera import FIRST_CAMERA, Camera, CameraFrame, CameraPose
 from .imu_stream import ImuStream
-from .joint_tracks import FOREARM_JOINTS, JOINTS, JointState, JointTracks
+from .joint_tracks import (
+    FOCAL_CALIBRATED,
+    FOCAL_DATA_SHEET,
+    FOREARM_JOINTS,
+    JOINTS,
+    JointState,
+    JointTracks,
+)
 from .recording import ImportNote, Recording, TrunkSensors, arm_words
 from .truth import Truth
 
 __all__ = [
     "FIRST_CAMERA",
+    "FOCAL_CALIBRATED",
+    "FOCAL_DATA_SHEET",
     "FOREARM_JOINTS",
     "JOINTS",
     "Camera",

@@ -15,6 +15,9 @@ from ..linalg import median_rate_hz
 JOINTS = ("shoulder", "elbow", "wrist", "hand", "strap")
 #: The joints that ride on the forearm's rigid body.
 FOREARM_JOINTS = ("elbow", "wrist", "hand", "strap")
+#: Standard error of a focal length as a part of it: where a calibration states it, and where a data sheet, a
+#: field of view or a hand-written file does (lenses of a model vary by some percent).
+FOCAL_CALIBRATED, FOCAL_DATA_SHEET = 0.01, 0.05
 
 
 class JointState(IntEnum):
@@ -45,6 +48,8 @@ class JointTracks:
     pixel_rad : float, rad, optional
         Of a camera without depth the angle of a pixel: positions are then points of the joints' rays, a metre
         in front of the camera. None of a depth camera.
+    focal_share : float
+        Of a camera without depth: standard error of the focal length, as a part of it.
     ray_origin_m : ndarray, shape (c, 3), m, optional
         Where the rays of each camera begin in {K}, once a depth was put on them (`cameras.lifting`): then
         only what is across a ray was measured. A row of nan is of a depth camera; None where all are.
@@ -57,6 +62,7 @@ class JointTracks:
     camera: CameraNumbers | None = None
     pixel_rad: float | None = None
     ray_origin_m: FloatArray | None = None
+    focal_share: float = FOCAL_DATA_SHEET
 
     def __len__(self) -> int:
         return len(self.t_s)

@@ -21,6 +21,7 @@ from ..window.problem import Priors, Window
 from ..window.shared import (
     IMU_ERRORS,
     JOINT_ERRORS,
+    LENS,
     SIZE,
     STRAP_ERRORS,
     STRAP_PLACE,
@@ -102,6 +103,11 @@ class PooledEvidence:
         inverse = np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
         return self.before + (inverse @ vector)[errors], inverse[errors, errors]
 
+    def lens(self, covariance: FloatArray) -> tuple[float, float]:
+        """Error of the focal length, as a part of it, and its sigma, of a prior with a covariance."""
+        mean, after = self.posterior(covariance)
+        return float(mean[LENS][0]), float(np.sqrt(after[LENS, LENS][0, 0]))
+
     def shared_sensitivity(self) -> FloatArray:
         """How the shared vector follows the errors, (s, SIZE); gravity of the first recording."""
         others, errors = slice(0, len(self.vector) - SIZE), slice(len(self.vector) - SIZE, None)
@@ -137,6 +143,11 @@ STRAP_RAD = np.radians(2.0)
 LARGEST_JOINT_M = 0.025
 #: Where a tracked strap that represents the IMU is from the chip in its case, m per axis (BROAD: 8 mm).
 STRAP_PLACE_M = 0.010
+#: How large the first radial term is that a lens may lack, by the focal length's standard error: webcams' are
+#: -0.15 to 0.12, those of a calibration within 0.02.
+DISTORTION, LARGEST_DISTORTION = 2.0, 0.15
+#: What a focal length may be off where only the motion is to tell.
+OPEN_SHARE = 0.3
 #: For this many elements a share of that counts when the recording shows how large they are, in this many
 #: steps.
 WEIGHT, USUAL = 1.0, 0.6
@@ -160,11 +171,14 @@ class ConstantErrors:
         The camera's.
     considered : Considered or None
         What may be left; None before the first round.
+    lens : (float, float)
+        Of one camera without depth: by how large a part the focal length seems wrong, and the sigma of that.
     """
 
     imu: FloatArray = field(default_factory=lambda: np.zeros((2, 3, 3)))
     joints: JointBias = field(default_factory=JointBias)
     considered: Considered | None = None
+    lens: tuple[float, float] = (0.0, 0.0)
 
     def corrected(self, segment: Segment, signals: dict[int, InertialSignal] | None = None) -> Segment:
         """A segment with the errors taken off.
@@ -189,6 +203,7 @@ class ConstantErrors:
         recording_of_window: IntArray,
         imu_sigma: float,
         stamp_sigma_s: float = 0.0,
+        focal_share: float = 0.0,
     ) -> ConstantErrors:
         """The errors as estimated by another round.
 
@@ -204,18 +219,32 @@ class ConstantErrors:
             Sigma of each element of `imu` before the recording speaks.
         stamp_sigma_s : float, s
             How far the frames' times may be off, beyond one offset for all; 0 where they were measured.
+        focal_share : float
+            Of one camera without depth and strap: standard error of the focal length, as a part of it.
         """
         place = "strap" not in prior.layout.joints  # a tracked strap then represents the IMU
         joints = _told(windows, place)
         before = np.concatenate([self.imu.ravel(), self.joints.error_m.ravel(), np.zeros(9)])
         pooled = PooledEvidence.of(windows, solutions, prior, recording_of_window, before)
         sizes = _Sizes(
-            imu_sigma, imu_sigma, JOINT_M if joints else 0.0, STRAP_RAD, STRAP_PLACE_M if place else None
+            imu_sigma,
+            imu_sigma,
+            JOINT_M if joints else 0.0,
+            STRAP_RAD,
+            STRAP_PLACE_M if place else None,
+            focal_share,
         )
         first = sizes
         for _ in range(STEPS):
             mean, covariance = pooled.posterior(sizes.covariance())
             sizes = sizes.updated(mean, covariance, joints, first)
+        lens = (0.0, 0.0)
+        if focal_share:  # a lens that the motion contradicts is off by as much as the motion shows
+            lens = pooled.lens(replace(sizes, focal_share=OPEN_SHARE).covariance())
+            seen = float(np.sqrt(max(lens[0] ** 2 - lens[1] ** 2, 0.0)))
+            lens = lens[0], float(np.hypot(lens[1], focal_share))
+            sizes = replace(sizes, focal_share=max(focal_share, seen))
+            mean, covariance = pooled.posterior(sizes.covariance())
         if place:  # the IMU's errors are taken off as they show without it: it takes a part of theirs
             mean = mean.copy()
             alone, _ = pooled.posterior(replace(sizes, strap_place_m=None).covariance())
@@ -233,6 +262,7 @@ class ConstantErrors:
             mean[IMU_ERRORS].reshape(2, 3, 3),
             JointBias(error_m, joints, sizes.joint_m),
             Considered(covariance, pooled.shared_sensitivity(), stamp_sigma_s),
+            lens,
         )
 
 
@@ -249,6 +279,7 @@ class _Sizes:
     joint_m: float
     strap_rad: float
     strap_place_m: float | None
+    focal_share: float = 0.0
 
     def covariance(self) -> FloatArray:
         """Of the errors, (SIZE, SIZE); no direction is exactly free of error."""
@@ -258,6 +289,10 @@ class _Sizes:
         )
         if self.strap_place_m is not None:
             variance[STRAP_PLACE] = self.strap_place_m**2
+        if self.focal_share:
+            variance[LENS] = np.square(
+                [self.focal_share, min(DISTORTION * self.focal_share, LARGEST_DISTORTION), 1e-6]
+            )
         covariance = np.diag(variance)
         turn = np.zeros((3, SIZE))
         for row, (a, b) in zip(turn, GYROSCOPE_PAIRS, strict=True):
@@ -280,6 +315,7 @@ class _Sizes:
             min(size(of_joints, 3 * len(joints), first.joint_m), LARGEST_JOINT_M) if joints else 0.0,
             size(square[STRAP_ERRORS], 9, first.strap_rad),
             self.strap_place_m,
+            self.focal_share,
         )
 
 

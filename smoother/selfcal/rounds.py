@@ -19,6 +19,7 @@ from ..array_types import FloatArray, IntArray
 from ..calibration import ArmCalibration, LeverArm
 from ..config import Config
 from ..errors import CalibrationError
+from ..graph.error_columns import with_lens
 from ..graph.solve import solve
 from ..measurements.clock import OFFSET_SIGMA_S, Clock, constant_clock
 from ..measurements.inertial import InertialSignal
@@ -223,6 +224,7 @@ def self_calibrate(
             current.recording_of_window,
             config.imu.scale_sigma,
             SYNTHETIC_SIGMA_S if any(synthetic) else 0.0,
+            excerpts[0].focal_share if any(with_lens(window) for window in windows) else 0.0,
         )
         clocks = refined_clocks(clocks, synthetic, windows, solutions, current.recording_of_window)
         prior = _recentred(estimate, start, given, with_depth)

@@ -21,6 +21,8 @@ SMALL_MARGIN_RAD = np.radians(25.0)
 #: An IMU that drops out again and again, so soon, s, leaves windows too short to find its own place on the
 #: arm: simulated arms are 1 to 7 cm off at 1.0 s, as stated from 3 s on; the joints are right in all.
 SHORT_S = 2.2
+#: A lens that the motion contradicts by more than this many sigmas is another one's.
+LENS_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,18 @@ class SelfCalibration:
     def mounting_unknown(self) -> bool:
         """The visible motion did not show how the sensor sits on the forearm."""
         return self.direction_spread_rad > LARGEST_SPREAD_RAD
+
+    @property
+    def misfits(self) -> tuple[str, ...]:
+        """What of the stated lens the motion contradicts, in words."""
+        off, sigma = self.errors.lens
+        if abs(off) <= LENS_SIGMAS * sigma:
+            return ()
+        longer = "longer" if off > 0 else "shorter"
+        return (
+            f"the motion fits a focal length about {100 * abs(off):.0f} % {longer}"
+            " than the stated one: check that --intrinsics are this camera's, in the mode that was recorded",
+        )
 
     @property
     def open_questions(self) -> tuple[str, ...]:

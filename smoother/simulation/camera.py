@@ -12,7 +12,15 @@ from scipy.special import gammainc
 
 from ..array_types import BoolArray, FloatArray
 from ..linalg import runs, unit
-from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, CameraPose, JointState, JointTracks
+from ..recording import (
+    FOCAL_CALIBRATED,
+    FOREARM_JOINTS,
+    JOINTS,
+    CameraFrame,
+    CameraPose,
+    JointState,
+    JointTracks,
+)
 from ..rotation import Rotation
 from .config import ArmSimulation, SensorErrors
 
@@ -262,7 +270,7 @@ def photograph(footage: Footage, config: ArmSimulation, rng: np.random.Generator
 
 def with_pixels(tracks: JointTracks) -> JointTracks:
     """The tracks of a photographed footage."""
-    return replace(tracks, pixel_rad=1.0 / FOCAL_PX)
+    return replace(tracks, pixel_rad=1.0 / FOCAL_PX, focal_share=FOCAL_CALIBRATED)
 
 
 def calibrated(R_K_C: FloatArray, p_K_C_m: FloatArray, rng: np.random.Generator) -> CameraPose:

@@ -138,6 +138,9 @@ SIZE = STRAP_ERRORS.stop
 STRAP_PLACE = slice(
     JOINT_ERRORS.start + 3 * JOINTS.index("strap"), JOINT_ERRORS.start + 3 * JOINTS.index("strap") + 3
 )
+#: One camera without depth sees no strap; the rows are its lens's: the focal length's error as a part of it,
+#: the radial term k1 that was left out, and none.
+LENS = STRAP_PLACE
 #: Errors of synthetic stamps are straight lines between times this far apart, s, and last this long, s: a
 #: frame that was dropped shifts all that follow, until the offset that wanders has followed.
 STAMP_KNOT_S = 0.5

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.intrinsics import Intrinsics
+from calib.intrinsics import LARGEST_SHARE, SHARE_RANGE, Intrinsics
 
 from ...array_types import FloatArray
+from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTracks
 from ...runtime.store import Store, batches
 from ..mcap.merge import Encoded, Output, OutputStream
@@ -24,6 +25,8 @@ from .streams import ArmFrames, KnownLens, RecordingFile
 SCHEMA, TOPIC, NAMED_TOPIC = "unocclude.Keypoints2D", "/camera/keypoints_2d", "/camera/{}/keypoints_2d"
 #: A keypoint is treated as tracked from this score on, and as guessed from that.
 TRACKED_SCORE, INFERRED_SCORE = 0.5, 0.1
+#: Networks place joints beyond the image's edge by this part of it, and hardly more than this share beyond.
+BEYOND, OUTSIDE_SHARE = 0.05, 0.01
 
 
 def states_of_scores(score: FloatArray) -> NDArray[np.int8]:
@@ -82,13 +85,36 @@ def tracks_of(arm: ArmFrames, t_s: FloatArray, store: Store) -> JointTracks:
     """Cleaned frames as a recording has them: of a camera without depth the points become rays."""
     if arm.lens is None:
         return JointTracks(arm.topic, t_s, arm.position, arm.state)
+    check_mode(arm, arm.lens)
     position = store.array(arm.position.shape, 0.0)
     for part in batches(len(position)):
         pixels = np.asarray(arm.position[part])[..., :2]
         rays = arm.lens.rays(pixels.reshape(-1, 2)).reshape(pixels.shape)
         forwards = np.where(np.isfinite(rays).all(axis=2), 1.0, np.nan)
         position[part] = np.concatenate([rays, forwards[..., None]], axis=2)
-    return JointTracks(arm.topic, t_s, position, arm.state, pixel_rad=1.0 / arm.lens.focal_px)
+    return JointTracks(
+        arm.topic,
+        t_s,
+        position,
+        arm.state,
+        pixel_rad=1.0 / arm.lens.focal_px,
+        focal_share=arm.lens.focal_share,
+    )
+
+
+def check_mode(arm: ArmFrames, lens: Intrinsics) -> None:
+    """Refuse keypoints of larger images than the lens is stated for."""
+    pixels = np.asarray(arm.position)[np.asarray(arm.state) == JointState.TRACKED][:, :2]
+    size = np.array([lens.width, lens.height])
+    outside = ((pixels < -BEYOND * size) | (pixels > (1.0 + BEYOND) * size)).any(axis=1)
+    if not len(pixels) or outside.mean() <= OUTSIDE_SHARE:
+        return
+    least, most = np.nanpercentile(pixels, [0.5, 99.5], axis=0)
+    raise RecordingError(
+        f"{arm.topic}: the lens is stated for images of {lens.width} x {lens.height} pixels; keypoints are"
+        f" at {least[0]:.0f} to {most[0]:.0f} across and {least[1]:.0f} to {most[1]:.0f} down: they are of"
+        " another mode of the camera. Import them again with --intrinsics of the mode that was recorded."
+    )
 
 
 def pixels_of(tracks: JointTracks, lens: Intrinsics) -> FloatArray:
@@ -132,12 +158,14 @@ def lens_plain(lens: Intrinsics) -> dict[str, Any]:
     names = ("k1", "k2", "p1", "p2", "k3")
     terms = {name: float(value) for name, value in zip(names, lens.distortion, strict=False) if value}
     numbers = {name: float(getattr(lens, name)) for name in ("fx", "fy", "cx", "cy")}
-    return {"width": lens.width, "height": lens.height, **numbers, **terms}
+    size = {"width": lens.width, "height": lens.height}
+    return {**size, **numbers, **terms, "focal_share": lens.focal_share}
 
 
 def lens_from_plain(values: Mapping[str, Any]) -> Intrinsics:
     """From plain values; raises `ValueError`, `TypeError` or `KeyError` where they are none."""
-    unknown = set(values) - {"width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"}
+    numbers = {"width", "height", "fx", "fy", "cx", "cy", "focal_share"}
+    unknown = set(values) - numbers - {"k1", "k2", "p1", "p2", "k3"}
     if unknown:
         raise ValueError(f"{sorted(unknown)[0]} is not a key of a lens")
     fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
@@ -145,7 +173,10 @@ def lens_from_plain(values: Mapping[str, Any]) -> Intrinsics:
     width, height = int(values["width"]), int(values["height"])
     if not (np.isfinite([fx, fy, cx, cy, *terms]).all() and min(fx, fy, width, height) > 0):
         raise ValueError("focal lengths and sizes are above zero")
-    return Intrinsics(width, height, fx, fy, cx, cy, terms if any(terms) else ())
+    share = float(values.get("focal_share", 0.0))
+    if not 0.0 <= share <= LARGEST_SHARE:
+        raise ValueError(SHARE_RANGE)
+    return Intrinsics(width, height, fx, fy, cx, cy, terms if any(terms) else (), share)
 
 
 def lenses_plain(lenses: Mapping[str, KnownLens]) -> dict[str, dict[str, Any]]:

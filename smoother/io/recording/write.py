@@ -179,8 +179,11 @@ def _frames(
     if arm.pixel_rad is None:
         return ArmFrames(skeleton, frame_id, body, side, stamp, arm.position, arm.state)
     if keypoints not in file.lenses:  # which lens it was does not matter to the rays: one that has the angle
-        focal, (width, height) = 1.0 / arm.pixel_rad, IMAGE
-        lens = Intrinsics(width, height, focal, focal, 0.5 * width, 0.5 * height)
+        focal, seen = 1.0 / arm.pixel_rad, np.asarray(arm.position)[np.asarray(arm.state) > 0][:, :2]
+        reach = 2.0 * focal * np.abs(seen).max(axis=0) if len(seen) else np.zeros(2)
+        width, height = np.maximum(IMAGE, np.ceil(np.nan_to_num(reach))).astype(int).tolist()
+        share = arm.focal_share
+        lens = Intrinsics(width, height, focal, focal, 0.5 * width, 0.5 * height, focal_share=share)
         file.lenses[keypoints] = KnownLens(lens, pose)
     lens = file.lenses[keypoints].lens
     return ArmFrames(

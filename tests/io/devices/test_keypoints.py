@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.intrinsics import Intrinsics
+from calib.intrinsics import Intrinsics, read_camera_file
 from smoother.cli.run import run
-from smoother.errors import RecordingError
+from smoother.errors import CalibrationError, RecordingError
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.recording.keypoints import lens_from_plain, lens_plain
 from smoother.io.recording.streams import KnownLens
@@ -59,6 +59,54 @@ def test_a_distorted_lens_is_undone(tmp_path: Path) -> None:
     read = read_recording(tmp_path / "b.mcap")
     np.testing.assert_allclose(read.arm.position, recording.arm.position, atol=1e-8)
     assert read.arm.pixel_rad == pytest.approx(1.0 / 902.5)
+
+
+@pytest.mark.parametrize("width, height, refused", [(1280, 720, False), (640, 480, True), (480, 270, True)])
+def test_keypoints_outside_the_stated_image_are_refused(
+    tmp_path: Path, width: int, height: int, refused: bool
+) -> None:
+    write_recording(made("first"), tmp_path / "a.mcap")
+    file = open_recording(tmp_path / "a.mcap")
+    (topic,) = file.lenses
+    lens = Intrinsics(width, height, 900.0, 900.0, 0.5 * width, 0.5 * height)
+    file.lenses = {topic: KnownLens(lens)}
+    file.arms[0].position[:, :, 0] += 320.0
+    write_recording(file, tmp_path / "b.mcap")
+    if not refused:
+        assert read_recording(tmp_path / "b.mcap").arm.pixel_rad == pytest.approx(1 / 900)
+        return
+    with pytest.raises(RecordingError, match=f"{width} x {height} pixels; keypoints are at .* another mode"):
+        read_recording(tmp_path / "b.mcap")
+
+
+@pytest.mark.parametrize(
+    "terms, stated, share",
+    [({}, {}, 0.05), ({"k1": -0.1}, {}, 0.01), ({}, {"focal_share": 0.02}, 0.02)],
+    ids=["data sheet", "calibrated", "stated"],
+)
+def test_how_well_a_focal_length_is_known(
+    tmp_path: Path, terms: dict[str, float], stated: dict[str, float], share: float
+) -> None:
+    """By what the file states; kept through metadata and a recording that is written again."""
+    values = (
+        {"width": 1280, "height": 720, "fx": 900.0, "fy": 900.0, "cx": 640.0, "cy": 360.0} | terms | stated
+    )
+    path = tmp_path / "lens.toml"
+    path.write_text("".join(f"{key} = {value}\n" for key, value in values.items()))
+    lens = read_camera_file(path)[""].lens
+    assert lens.focal_share == lens_from_plain(lens_plain(lens)).focal_share == share
+    recording = made("first")
+    arm = replace(recording.arm, focal_share=lens.focal_share)
+    write_recording(replace(recording, arm=arm), tmp_path / "a.mcap")
+    assert read_recording(tmp_path / "a.mcap").arm.focal_share == share
+
+
+@pytest.mark.parametrize("share", [-0.1, 0.9, "much"])
+def test_a_wrong_share_is_refused(tmp_path: Path, share: object) -> None:
+    path = tmp_path / "lens.toml"
+    path.write_text(f"fx = 900\nfy = 900\ncx = 640\ncy = 360\nfocal_share = {json.dumps(share)}\n")
+    with pytest.raises(CalibrationError, match=r"lens\.toml"):
+        read_camera_file(path)
 
 
 def test_keypoints_without_a_lens_are_left_out_and_said(tmp_path: Path) -> None:
