@@ -17,6 +17,7 @@ from ...measurements.timestamps import (
     increasing,
     needs_counting,
     resets_message,
+    strayed,
     unwrapped,
 )
 from ..tables.protocol import ImuTable, SkeletonTable, amount
@@ -68,6 +69,10 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
         )
     table = _rows(table, ~_repeated(table), "rows that repeat the one before were left out")
     if table.t_s is not None:
+        t_s, notes = strayed(table.t_s, "samples")
+        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+        table = _rows(table, np.isfinite(t_s), "samples far from all others were left out")
+    if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
         t_s, more = _unwrap_resets(t_s, table.acc if table.acc is not None else table.gyro, "samples")
         table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
@@ -85,6 +90,10 @@ def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
         table = _frames(table, _timed(table.t_s), "frames without a time were left out")
     if not _frame_count(table):
         raise RecordingError(f"{source} has no usable frames; record or export it again.")
+    if table.t_s is not None:
+        t_s, notes = strayed(table.t_s, "frames")
+        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+        table = _frames(table, np.isfinite(t_s), "frames far from all others were left out")
     if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
         t_s, more = _unwrap_resets(t_s, next(iter(table.position.values())), "frames")

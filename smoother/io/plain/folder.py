@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
-from ...measurements.timestamps import begins_frames, clock_resets, resets_message
+from ...measurements.timestamps import begins_frames, clock_resets, resets_message, strayed
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording, Truth
 from ...runtime.inputs import check_input, crashes_in_subprocess, inside, read_toml
 from ...units import STANDARD_GRAVITY
@@ -254,6 +254,10 @@ def _add_columns(
 
 def _imu(file: RecordingFile, path: Path, name: str, section: ImuKeys) -> ImuSamples:
     t_s, acc, gyro, mag = imu_columns(path)
+    times, strays = strayed(t_s, "samples")
+    file.notes += [f"{path.name}: {note}" for note in strays]
+    there = np.isfinite(times)
+    t_s, acc, gyro, mag = times[there], acc[there], gyro[there], None if mag is None else mag[there]
     t_s, steps = clock_resets(t_s, acc)
     if steps:
         file.notes.append(f"{path.name}: {resets_message(steps, 'samples')}")
@@ -307,9 +311,13 @@ def _skeleton(
 
 def _frame_times(file: RecordingFile, path: Path, t_s: FloatArray, kind: IntArray) -> FloatArray:
     """Times of the rows; behind a clock that was set back they go on, with a note."""
+    is_new = np.append(True, t_s[1:] != t_s[:-1])[: len(t_s)]
+    times, strays = strayed(t_s[is_new], "frames")
+    if strays and np.isfinite(times).all():  # others are left out with the stamps that are far from all
+        file.notes += [f"{path.name}: {note}" for note in strays]
+        t_s = times[np.cumsum(is_new) - 1]
     if not begins_frames(t_s, kind):
         return t_s
-    is_new = np.append(True, t_s[1:] != t_s[:-1])
     times, steps = clock_resets(t_s[is_new])
     if steps:
         file.notes.append(f"{path.name}: {resets_message(steps, 'frames')}")
