@@ -116,6 +116,8 @@ WRAP_TICKS, WRAP_S = 50.0, 1.0
 #: A step is a repeat or a burst's where it is shorter than this part of a tick; stamps with a smaller share
 #: of those are left as they are.
 SHORT_STEP, FEW = 0.25, 0.003
+#: Stamps of packets of two samples and more: at least this share of the steps is short.
+IN_PACKETS = 0.4
 #: A pause is looked at from this many ticks, and this long, s, on.
 PAUSE_TICKS, PAUSE_S = 4.0, 0.08
 #: Stamps that catch up do so within this time, s; the level before a pause is taken over the second.
@@ -210,7 +212,17 @@ def needs_counting(t_s: FloatArray) -> bool:
     if not tick > 0:
         return False
     late = dt > max(PAUSE_TICKS * tick, PAUSE_S)
-    return bool((dt <= 0).mean() > FEW or ((dt < SHORT_STEP * tick).mean() > FEW and late.any()))
+    short = float((dt < SHORT_STEP * tick).mean())
+    return bool((dt <= 0).mean() > FEW or (short > FEW and late.any()) or short > IN_PACKETS)
+
+
+def in_packets(t_s: FloatArray) -> bool:
+    """Whether stamps (N,) are those of packets with several samples, as they arrived, with pauses between."""
+    if len(t_s) < FEWEST:
+        return False
+    dt = np.diff(t_s)
+    short = (dt < SHORT_STEP * _tick(t_s, np.arange(len(t_s)))).mean() > IN_PACKETS
+    return bool(short and ((dt <= 0).mean() > FEW or (dt > PAUSE_S).mean() > FEW))
 
 
 def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | None:

@@ -309,6 +309,8 @@ def _times_message(count: int) -> str:
 SHARED_S, SHARED_PART = 1.0, 0.05
 #: A clock that begins nearer to zero than this, s, counts from the file's own start.
 FROM_ZERO_S = 1.0
+#: A device's clock counts from its start, s; recordings as long as each other to this, s, are one recorder's.
+FROM_START_S, SAME_LENGTH_S = 60.0, 1.0
 
 
 @dataclass
@@ -429,7 +431,15 @@ def count_from_zero(streams: list[Timed]) -> bool:
     first = [float(stream.t_s[0]) for stream in streams]
     kinds = {stream.is_imu for stream in streams}
     one_file = len({stream.source for stream in streams}) == 1 and bool(streams[0].source)
-    return len(kinds) == 2 and not one_file and max(abs(each) for each in first) < FROM_ZERO_S
+    if len(kinds) < 2 or one_file:
+        return False
+    length = [float(stream.t_s[-1] - stream.t_s[0]) for stream in streams]
+    of_camera, of_imu = (
+        max(s for s, stream in zip(length, streams, strict=True) if stream.is_imu is is_imu)
+        for is_imu in (False, True)
+    )
+    starts = FROM_ZERO_S if abs(of_camera - of_imu) < SAME_LENGTH_S else FROM_START_S
+    return max(abs(each) for each in first) < starts
 
 
 def _groups(rows: list[int], streams: list[Timed]) -> list[list[int]]:
