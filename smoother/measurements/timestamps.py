@@ -459,8 +459,10 @@ def _ahead(t_s: FloatArray, usual: float, what: str, notes: list[str]) -> FloatA
         since = float(t_s[at] - t_s[known[0]])
         said = f"The clock of the {what} leaps ahead by {by:.4g} s, {since:.1f} s after the first"
         zones = round(by / _ZONE_S)
-        if (zones and abs(by - zones * _ZONE_S) < max(2 * usual, 0.05)) or t_s[at] < _SET_S < t_s[row]:
-            t_s = t_s + np.where(np.arange(len(t_s)) < row, by, 0.0)
+        was_set = t_s[at] < _SET_S < t_s[row]
+        if was_set or (zones and abs(by - zones * _ZONE_S) < max(2 * usual, 0.05)):
+            is_later = np.arange(len(t_s)) >= row
+            t_s = t_s + (by * ~is_later if was_set else -by * is_later)
             notes.append(f"{said}: it was set, and the {what} continue at the usual interval.")
         elif by > FAR_S:
             gone = np.arange(len(t_s)) < row if row < len(t_s) / 2 else np.arange(len(t_s)) >= row

@@ -433,13 +433,15 @@ def count_from_zero(streams: list[Timed]) -> bool:
     one_file = len({stream.source for stream in streams}) == 1 and bool(streams[0].source)
     if len(kinds) < 2 or one_file:
         return False
-    length = [float(stream.t_s[-1] - stream.t_s[0]) for stream in streams]
-    of_camera, of_imu = (
-        max(s for s, stream in zip(length, streams, strict=True) if stream.is_imu is is_imu)
-        for is_imu in (False, True)
-    )
-    starts = FROM_ZERO_S if abs(of_camera - of_imu) < SAME_LENGTH_S else FROM_START_S
-    return max(abs(each) for each in first) < starts
+    return max(abs(each) for each in first) < (FROM_ZERO_S if of_one_length(streams) else FROM_START_S)
+
+
+def of_one_length(streams: list[Timed]) -> bool:
+    """Whether the longest of the cameras and of the IMUs are as long as each other, as one recorder's are."""
+    length = {stream.is_imu: 0.0 for stream in streams}
+    for stream in streams:
+        length[stream.is_imu] = max(length[stream.is_imu], float(stream.t_s[-1] - stream.t_s[0]))
+    return max(length.values()) - min(length.values()) < SAME_LENGTH_S
 
 
 def _groups(rows: list[int], streams: list[Timed]) -> list[list[int]]:

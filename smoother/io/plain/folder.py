@@ -22,7 +22,7 @@ from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks
 from ...runtime.inputs import check_input, crashes_in_subprocess, inside, read_toml
 from ...units import STANDARD_GRAVITY
 from ..devices.files import add_imu, add_skeleton, rate_note, times_of
-from ..devices.repair import Timed, repaired_imu, repaired_skeleton, shifts
+from ..devices.repair import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
 from ..mcap.messages import nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.decode import JointRows, frames_of, joint_code
@@ -236,8 +236,15 @@ def _add_columns(
     shift, sentences = shifts(streams)
     file.notes += sentences
     described = [*imus.values(), *([camera] if camera is not None else [])]
+    own_starts = count_from_zero(streams) and not of_one_length(streams)
+    if own_starts:
+        file.notes.append(
+            "Camera and IMU both count from about zero and differ in length, so only the motion shows their"
+            " offset and whether they belong together."
+        )
     # what is counted at a rate has no clock at all
-    file.clocks_unrelated = bool(sentences) or any(keys.rate_hz is not None for keys in described)
+    counted = any(keys.rate_hz is not None for keys in described)
+    file.clocks_unrelated = bool(sentences) or own_starts or counted
     moved = iter(shift)
     if file.arms:
         shift_ns = round(next(moved) * 1e9)

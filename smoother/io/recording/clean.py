@@ -207,7 +207,7 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
 def _out_of_packets(stream: ImuSamples) -> tuple[ImuSamples, list[str]]:
     """Samples that were stamped as their packets arrived, on the even times that those show; and a note."""
     stamp = stream.stamp_ns
-    t_s = (stamp - stamp[:1]) * 1e-9
+    t_s = np.asarray((stamp - stamp[:1]) * 1e-9, float)
     even = even_times(t_s) if in_packets(t_s) else None
     if even is None:
         return stream, []
