@@ -116,6 +116,8 @@ WRAP_TICKS, WRAP_S = 50.0, 1.0
 #: A step is a repeat or a burst's where it is shorter than this part of a tick; stamps with a smaller share
 #: of those are left as they are.
 SHORT_STEP, FEW = 0.25, 0.003
+#: Stamps of packets of two samples and more: at least this share of the steps is short.
+IN_PACKETS = 0.4
 #: A pause is looked at from this many ticks, and this long, s, on.
 PAUSE_TICKS, PAUSE_S = 4.0, 0.08
 #: Stamps that catch up do so within this time, s; the level before a pause is taken over the second.
@@ -210,7 +212,17 @@ def needs_counting(t_s: FloatArray) -> bool:
     if not tick > 0:
         return False
     late = dt > max(PAUSE_TICKS * tick, PAUSE_S)
-    return bool((dt <= 0).mean() > FEW or ((dt < SHORT_STEP * tick).mean() > FEW and late.any()))
+    short = float((dt < SHORT_STEP * tick).mean())
+    return bool((dt <= 0).mean() > FEW or (short > FEW and late.any()) or short > IN_PACKETS)
+
+
+def in_packets(t_s: FloatArray) -> bool:
+    """Whether stamps (N,) are those of packets with several samples, as they arrived, with pauses between."""
+    if len(t_s) < FEWEST:
+        return False
+    dt = np.diff(t_s)
+    short = (dt < SHORT_STEP * _tick(t_s, np.arange(len(t_s)))).mean() > IN_PACKETS
+    return bool(short and ((dt <= 0).mean() > FEW or (dt > PAUSE_S).mean() > FEW))
 
 
 def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | None:
@@ -392,6 +404,73 @@ def clock_resets(
             steps.append((by, float(t_s[row - 1] + added[row - 1] - t_s[0])))
             added[row:] += by
     return (t_s + added, steps) if steps else (t_s, [])
+
+
+#: A stamp that is farther than this from where it should be, s and usual intervals, is a leap.
+_LEAP_S, _LEAP_INTERVALS = 1.0, 20.0
+#: More leaps than this are not a clock that strays.
+_MOST_LEAPS = 40
+#: Clocks are set ahead by whole half hours (zones, summer time), s; other leaps from here on are questioned.
+_ZONE_S, _QUESTIONED_S = 1800.0, 600.0
+#: Before this, s since 1970, a clock was not set (1990).
+_SET_S = 631_152_000.0
+
+
+def strayed(t_s: FloatArray, what: str) -> tuple[FloatArray, list[str]]:
+    """Times (n,) of a clock that strays and returns, or leaps ahead: put between, or nan; and notes.
+
+    A pause of the sensor is not told from a clock that was set ahead by minutes or hours: that stays, with a
+    note.
+    """
+    dt = np.diff(t_s)
+    usual = float(np.median(dt[dt > 0])) if (dt > 0).any() else 0.0
+    least = max(_LEAP_S, _LEAP_INTERVALS * usual)
+    leaps = np.flatnonzero(np.abs(dt - usual) > least) + 1
+    if not usual > 0 or not 0 < len(leaps) <= _MOST_LEAPS or _fill_up(t_s, dt, usual, least):
+        return t_s, []
+    t_s, count, row = t_s.copy(), {"placed between the others": 0, "left out": 0}, 0
+    farthest = 0.0
+    while row < len(leaps) - 1:
+        first, last = int(leaps[row]), int(leaps[row + 1])
+        by, back = float(dt[first - 1]) - usual, float(dt[last - 1]) - usual
+        # What the clock drifted and lost meanwhile is small beside the leap.
+        if last - first < 2 or not abs(by + back) < min(0.05 * abs(by), max(5 * usual, 0.1)):
+            row += 1
+            continue
+        step, (low, high, share) = dt[first : last - 1], _REGULAR
+        is_even = ((step > low * usual) & (step < high * usual)).mean() >= share
+        t_s[first:last] = t_s[first:last] - by if is_even else np.nan
+        count["placed between the others" if is_even else "left out"] += last - first
+        farthest = max(farthest, abs(by))
+        row += 2
+    done = " and ".join(f"{many} {what} were {how}" for how, many in count.items() if many)
+    notes = [f"The clock strayed by up to {farthest:.4g} s and returned: {done}."] if done else []
+    return _ahead(t_s, usual, what, notes), notes
+
+
+def _ahead(t_s: FloatArray, usual: float, what: str, notes: list[str]) -> FloatArray:
+    """Times whose leaps ahead, by a clock that was set, are closed; those to another session are nan."""
+    known = np.flatnonzero(np.isfinite(t_s))
+    for later in (np.flatnonzero(np.diff(t_s[known]) > _QUESTIONED_S) + 1).tolist():
+        at, row = int(known[later - 1]), int(known[later])
+        by = float(t_s[row] - t_s[at]) - usual * (row - at)
+        if not by > _QUESTIONED_S:
+            continue
+        since = float(t_s[at] - t_s[known[0]])
+        said = f"The clock of the {what} leaps ahead by {by:.4g} s, {since:.1f} s after the first"
+        zones = round(by / _ZONE_S)
+        was_set = t_s[at] < _SET_S < t_s[row]
+        if was_set or (zones and abs(by - zones * _ZONE_S) < max(2 * usual, 0.05)):
+            is_later = np.arange(len(t_s)) >= row
+            t_s = t_s + (by * ~is_later if was_set else -by * is_later)
+            notes.append(f"{said}: it was set, and the {what} continue at the usual interval.")
+        elif by > FAR_S:
+            gone = np.arange(len(t_s)) < row if row < len(t_s) / 2 else np.arange(len(t_s)) >= row
+            t_s = np.where(gone, np.nan, t_s)
+            notes.append(f"{said}: the {int(gone.sum())} {what} of the shorter part were left out.")
+        else:
+            notes.append(f"{said}: taken for a pause; if the clock was set there, correct it in the file.")
+    return t_s
 
 
 def begins_frames(time: FloatArray, kind: IntArray) -> bool:

@@ -14,11 +14,12 @@ from ...errors import RecordingError
 from ...units import STANDARD_GRAVITY
 from ..tables.columns import ACCELERATION_WORDS, TIME_WORDS, TURNING_WORDS
 from ..tables.imu_checks import WRONG_SCALE, turn_scale
+from ..tables.imu_columns import is_numeric
 from ..tables.joint_columns import JointColumns, find_joint_columns
 from ..tables.protocol import ImuTable
 from ..tables.raw_skeleton import unit_by_arm
 from ..tables.text_table import Sheet
-from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, TIME, plain_unit, unit_of_step
+from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, TIME, from_1970, plain_unit, unit_of_step
 
 
 @dataclass
@@ -77,22 +78,14 @@ def named(sheet: Sheet, column: int) -> str | int:
     return name if name and list(sheet.layout.names).count(name) == 1 else column + 1
 
 
-def is_numeric(sheet: Sheet, column: int) -> bool:
-    """Whether most cells of a column are numbers."""
-    try:
-        return bool(np.isfinite(sheet.numbers(column)).mean() > 0.5)
-    except RecordingError:
-        return False
-
-
 #: |specific force| at rest, within this of one g.
 _REST = 0.25
 #: A sensor's rates, Hz.
 RATES_HZ = (4.0, 4000.0)
 
 
-def described_time_unit(sheet: Sheet, column: int) -> tuple[str, str]:
-    """Unit of a column of times, and why; "" where it is none."""
+def described_time_unit(sheet: Sheet, column: int, least: float) -> tuple[str, str]:
+    """Unit of a column of times, and why; "" where it is none, or fewer than `least` of its steps rise."""
     try:
         values, dates = sheet.times(column)
     except RecordingError:
@@ -101,14 +94,14 @@ def described_time_unit(sheet: Sheet, column: int) -> tuple[str, str]:
         return "iso", "dates"
     step = np.diff(values[np.isfinite(values)])
     step = step[step > 0]
-    if len(step) < (0.3 if sheet.layout.names else 0.95) * (len(values) - 1) or not len(step):
+    if len(step) < least * (len(values) - 1) or not len(step):
         return "", ""
     stated = plain_unit(sheet.unit(column))
     if stated in TIME:
         unit = next(unit for unit, seconds in SECONDS.items() if seconds == TIME[stated])
         return unit, f"stated ({sheet.unit(column)})"
     typical = float(np.median(step))
-    unit = unit_of_step(typical, RATES_HZ, tuple(SECONDS)) or ""
+    unit = unit_of_step(typical, RATES_HZ, "", float(np.nanmedian(values))) or ""
     return unit, unit and f"steps of {typical:g} make {1 / (typical * SECONDS[unit]):.1f} samples per second"
 
 
@@ -292,7 +285,7 @@ def _axes_of(sheet: Sheet) -> list[tuple[str, tuple[int, int, int]]]:
 def _by_magnitude(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | None, ...]:
     """Accelerometer and gyroscope of a table without names: three columns whose length stays near one g."""
     columns = [column for column in range(sheet.layout.width) if is_numeric(sheet, column)]
-    if sheet.layout.width == 4 and described_time_unit(sheet, 0)[0] and set(columns) >= {1, 2, 3}:
+    if sheet.layout.width == 4 and described_time_unit(sheet, 0, 0.95)[0] and set(columns) >= {1, 2, 3}:
         return _of_dates(sheet, guess)
     best, near, least = None, 0.0, np.inf
     for at in range(len(columns) - 2):
@@ -339,14 +332,13 @@ def _time(sheet: Sheet, guess: Guess, used: set[int]) -> FloatArray | None:
     free = [column for column in range(sheet.layout.width) if column not in used]
     timed = [column for column in free if re.search(_TIME, names[column].replace("_", " "))]
     counted = [column for column in free if re.search(_COUNTER, names[column].replace("_", " "))]
-    for column in [*timed, *(free if not sheet.layout.names else [])]:
-        scale, why = described_time_unit(sheet, column)
+    for column in [*timed, *(column for column in free if column not in (*timed, *counted))]:
+        scale, why = described_time_unit(sheet, column, 0.3 if column in timed else 0.95)
         if scale:
             guess.columns["t"] = named(sheet, column)
             guess.keys["time_unit"], guess.reasons["time_unit"] = scale, why
             values, dates = sheet.times(column)
-            factor = 1.0 if dates else SECONDS[scale]
-            return values * factor
+            return values if dates else from_1970(values, scale) * SECONDS[scale]
     rate = _stated_rate(sheet)
     for column in counted:
         if is_numeric(sheet, column) and np.median(np.diff(sheet.numbers(column))) >= 1:
@@ -391,7 +383,7 @@ def guess_skeleton(sheet: Sheet, joints: JointColumns) -> Guess:
     unit = unit_by_arm({joint: sheet.vectors(columns) for joint, columns in axes.items()})
     guess.keys["position_unit"] = unit[0] if unit else "m"
     guess.reasons["position_unit"] = "gives plausible arm lengths" if unit else "NOT KNOWN: no unit fits"
-    scale, why = ("", "") if time is None else described_time_unit(sheet, time)
+    scale, why = ("", "") if time is None else described_time_unit(sheet, time, 0.3)
     if time is not None and scale:
         guess.columns["t"] = named(sheet, time)
         guess.keys["time_unit"], guess.reasons["time_unit"] = scale, why

@@ -141,8 +141,8 @@ def import_files(
     shift, sentences = shifts(streams, imu_starts_at_s)
     if imu_starts_at_s is None and not sentences and count_from_zero(streams):
         sentences = [
-            "Camera and IMU both start at zero, so only the motion shows their offset and whether they"
-            " belong together (or --imu-starts-at S, if known)."
+            "Camera and IMU both count from about zero, so only the motion shows their offset and whether"
+            " they belong together (or --imu-starts-at S, if known)."
         ]
 
     first = skeletons[0] if skeletons else imus[0].paths[0]

@@ -17,6 +17,7 @@ from ...measurements.timestamps import (
     increasing,
     needs_counting,
     resets_message,
+    strayed,
     unwrapped,
 )
 from ..tables.protocol import ImuTable, SkeletonTable, amount
@@ -68,6 +69,10 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
         )
     table = _rows(table, ~_repeated(table), "rows that repeat the one before were left out")
     if table.t_s is not None:
+        t_s, notes = strayed(table.t_s, "samples")
+        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+        table = _rows(table, np.isfinite(t_s), "samples far from all others were left out")
+    if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
         t_s, more = _unwrap_resets(t_s, table.acc if table.acc is not None else table.gyro, "samples")
         table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
@@ -85,6 +90,10 @@ def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
         table = _frames(table, _timed(table.t_s), "frames without a time were left out")
     if not _frame_count(table):
         raise RecordingError(f"{source} has no usable frames; record or export it again.")
+    if table.t_s is not None:
+        t_s, notes = strayed(table.t_s, "frames")
+        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+        table = _frames(table, np.isfinite(t_s), "frames far from all others were left out")
     if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
         t_s, more = _unwrap_resets(t_s, next(iter(table.position.values())), "frames")
@@ -300,6 +309,8 @@ def _times_message(count: int) -> str:
 SHARED_S, SHARED_PART = 1.0, 0.05
 #: A clock that begins nearer to zero than this, s, counts from the file's own start.
 FROM_ZERO_S = 1.0
+#: A device's clock counts from its start, s; recordings as long as each other to this, s, are one recorder's.
+FROM_START_S, SAME_LENGTH_S = 60.0, 1.0
 
 
 @dataclass
@@ -420,7 +431,17 @@ def count_from_zero(streams: list[Timed]) -> bool:
     first = [float(stream.t_s[0]) for stream in streams]
     kinds = {stream.is_imu for stream in streams}
     one_file = len({stream.source for stream in streams}) == 1 and bool(streams[0].source)
-    return len(kinds) == 2 and not one_file and max(abs(each) for each in first) < FROM_ZERO_S
+    if len(kinds) < 2 or one_file:
+        return False
+    return max(abs(each) for each in first) < (FROM_ZERO_S if of_one_length(streams) else FROM_START_S)
+
+
+def of_one_length(streams: list[Timed]) -> bool:
+    """Whether the longest of the cameras and of the IMUs are as long as each other, as one recorder's are."""
+    length = {stream.is_imu: 0.0 for stream in streams}
+    for stream in streams:
+        length[stream.is_imu] = max(length[stream.is_imu], float(stream.t_s[-1] - stream.t_s[0]))
+    return max(length.values()) - min(length.values()) < SAME_LENGTH_S
 
 
 def _groups(rows: list[int], streams: list[Timed]) -> list[list[int]]:

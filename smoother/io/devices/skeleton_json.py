@@ -200,7 +200,9 @@ KINECT_JSON = FileFormat(
 
 
 def _add_frame(rows: _Rows, frame: Mapping[str, Any], count: int, order: list[str]) -> None:
-    name, scale = next(((name, scale) for name, scale in _KINECT_TIMES if name in frame), ("", None))
+    name, scale = next(
+        ((name, scale) for name, scale in (*_KINECT_TIMES, *_TIMES) if name in frame), ("", None)
+    )
     rows.scale = rows.scale or scale
     bodies = frame.get("bodies", frame.get("skeletons", []))
     bodies = bodies if isinstance(bodies, list) else []
@@ -283,6 +285,14 @@ _FRAMES = (
     "pose_data",
     "instance_info",
     "records",
+)
+#: Further names of a frame's time, in a unit that its rate shows.
+_TIMES = tuple(
+    (name, None)
+    for name in (
+        *("time_in_ms", "unix_ms", "unix", "epoch", "kinect_time", "hostTime", "systemTime", "captured_at"),
+        *("Tick", "ticks", "TimeSpan", "relative_time", "relativeTime", "timestamp_ns", "deviceTimestamp"),
+    )
 )
 _POSE_TIMES = (
     ("timestamp_ms", 1e-3), ("timestampMs", 1e-3), ("time_ms", 1e-3), ("timestamp_us", 1e-6),
@@ -402,7 +412,9 @@ def _is_points(value: Any) -> bool:
 def _add(frames: _Frames, key: str, frame: Any, path: Path) -> None:
     time, scale, count = float("nan"), None, float("nan")
     if isinstance(frame, Mapping):
-        name, scale = next(((name, scale) for name, scale in _POSE_TIMES if name in frame), ("", None))
+        name, scale = next(
+            ((name, scale) for name, scale in (*_POSE_TIMES, *_TIMES) if name in frame), ("", None)
+        )
         time = number(frame.get(name))
         count = next((number(frame[name]) for name in _NUMBERS if name in frame), float("nan"))
     digits = re.search(r"\d+(\.\d+)?", key)

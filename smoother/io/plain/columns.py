@@ -28,7 +28,7 @@ from ..tables.table_layout import (
     workbook_text,
 )
 from ..tables.text_table import Sheet, read_sheet, sheet_of_text
-from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, SECONDS
+from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, DATED_S, METRES, SECONDS, from_1970
 
 Column = str | int
 _LAYOUT_KEYS = {"separator", "skip_rows", "columns", "time_unit", "rate_hz"}
@@ -46,7 +46,7 @@ class TableKeys(BaseModel):
     columns : dict, optional
         Name in the file, or number from 1, by what it is.
     time_unit : str
-        "s", "ms", "us", "ns", "iso" (dates), "counter" (samples, with `rate_hz`).
+        "s", "ms", "us", "ns", "ticks of 100 ns", "iso" (dates), "counter" (samples, with `rate_hz`).
     rate_hz : float, Hz, optional
         Of a table without times, or of a counter.
     """
@@ -54,7 +54,7 @@ class TableKeys(BaseModel):
     model_config = ConfigDict(extra="forbid")
     separator: str | None = None
     skip_rows: int | None = Field(None, ge=0)
-    time_unit: Literal["s", "ms", "us", "ns", "iso", "counter"] = "s"
+    time_unit: Literal["s", "ms", "us", "ns", "ticks of 100 ns", "iso", "counter"] = "s"
     rate_hz: float | None = Field(None, gt=0)
 
 
@@ -174,7 +174,15 @@ def times_in(
             f"{sheet.path}: {sheet.name(column)} begins with '{seen}', which is not a time in"
             f" {keys.time_unit}; correct time_unit."
         )
-    return (values if are_dates else values * SECONDS[keys.time_unit]), None
+    if are_dates:
+        return values, None
+    times = from_1970(values, keys.time_unit) * SECONDS[keys.time_unit]
+    if np.isfinite(times).any() and float(np.nanmedian(times)) > DATED_S[1]:
+        raise RecordingError(
+            f"{sheet.path}: in {keys.time_unit} the times of {sheet.name(column)} are later than 2100;"
+            " correct time_unit."
+        )
+    return times, None
 
 
 def described_sheet(path: Path, keys: TableKeys, columns: Mapping[str, Column | list[Column]]) -> Sheet:

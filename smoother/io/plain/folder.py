@@ -17,12 +17,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
-from ...measurements.timestamps import begins_frames, clock_resets, resets_message
+from ...measurements.timestamps import begins_frames, clock_resets, resets_message, strayed
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording, Truth
 from ...runtime.inputs import check_input, crashes_in_subprocess, inside, read_toml
 from ...units import STANDARD_GRAVITY
 from ..devices.files import add_imu, add_skeleton, rate_note, times_of
-from ..devices.repair import Timed, repaired_imu, repaired_skeleton, shifts
+from ..devices.repair import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
 from ..mcap.messages import nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.decode import JointRows, frames_of, joint_code
@@ -236,8 +236,15 @@ def _add_columns(
     shift, sentences = shifts(streams)
     file.notes += sentences
     described = [*imus.values(), *([camera] if camera is not None else [])]
+    own_starts = count_from_zero(streams) and not of_one_length(streams)
+    if own_starts:
+        file.notes.append(
+            "Camera and IMU both count from about zero and differ in length, so only the motion shows their"
+            " offset and whether they belong together."
+        )
     # what is counted at a rate has no clock at all
-    file.clocks_unrelated = bool(sentences) or any(keys.rate_hz is not None for keys in described)
+    counted = any(keys.rate_hz is not None for keys in described)
+    file.clocks_unrelated = bool(sentences) or own_starts or counted
     moved = iter(shift)
     if file.arms:
         shift_ns = round(next(moved) * 1e9)
@@ -254,6 +261,10 @@ def _add_columns(
 
 def _imu(file: RecordingFile, path: Path, name: str, section: ImuKeys) -> ImuSamples:
     t_s, acc, gyro, mag = imu_columns(path)
+    times, strays = strayed(t_s, "samples")
+    file.notes += [f"{path.name}: {note}" for note in strays]
+    there = np.isfinite(times)
+    t_s, acc, gyro, mag = times[there], acc[there], gyro[there], None if mag is None else mag[there]
     t_s, steps = clock_resets(t_s, acc)
     if steps:
         file.notes.append(f"{path.name}: {resets_message(steps, 'samples')}")
@@ -307,9 +318,13 @@ def _skeleton(
 
 def _frame_times(file: RecordingFile, path: Path, t_s: FloatArray, kind: IntArray) -> FloatArray:
     """Times of the rows; behind a clock that was set back they go on, with a note."""
+    is_new = np.append(True, t_s[1:] != t_s[:-1])[: len(t_s)]
+    times, strays = strayed(t_s[is_new], "frames")
+    if strays and np.isfinite(times).all():  # others are left out with the stamps that are far from all
+        file.notes += [f"{path.name}: {note}" for note in strays]
+        t_s = times[np.cumsum(is_new) - 1]
     if not begins_frames(t_s, kind):
         return t_s
-    is_new = np.append(True, t_s[1:] != t_s[:-1])
     times, steps = clock_resets(t_s[is_new])
     if steps:
         file.notes.append(f"{path.name}: {resets_message(steps, 'frames')}")

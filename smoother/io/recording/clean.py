@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import runs
-from ...measurements.timestamps import clock_resets, increasing
+from ...measurements.timestamps import clock_resets, even_times, in_packets, increasing
 from ...recording import JOINTS, JointState
 from ...runtime.store import Store, batches, sampled
 from ...units import STANDARD_GRAVITY
@@ -180,6 +180,7 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
         More than 5 % of the samples would be dropped, the clock was set back, or a unit cannot be.
     """
     store = store or Store()
+    stream, packets = _out_of_packets(stream)
     _refuse_set_back(stream.stamp_ns, stream.acc, stream.topic, source, "samples")
     finite = _finite(stream.acc) & _finite(stream.gyro)
     causes = unusable_samples(stream.stamp_ns, stream.acc, stream.gyro)
@@ -200,7 +201,20 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
         raise RecordingError(
             f"{source}: {stream.topic} has {len(cleaned.stamp_ns)} usable samples, too few; record it again."
         )
-    return cleaned, notes
+    return cleaned, packets + notes
+
+
+def _out_of_packets(stream: ImuSamples) -> tuple[ImuSamples, list[str]]:
+    """Samples that were stamped as their packets arrived, on the even times that those show; and a note."""
+    stamp = stream.stamp_ns
+    t_s = np.asarray((stamp - stamp[:1]) * 1e-9, float)
+    even = even_times(t_s) if in_packets(t_s) else None
+    if even is None:
+        return stream, []
+    return replace(stream, stamp_ns=stamp[0] + np.rint(even.t_s * 1e9).astype(np.int64)), [
+        f"{stream.topic}: stamps are those of packets with several samples; the samples were counted at the"
+        f" even rate of {1 / even.tick_s:.2f} Hz that they show."
+    ]
 
 
 def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[ArmFrames, list[str]]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from ...array_types import FloatArray
+from ...errors import RecordingError
 from .imu_checks import turn_scale
 from .joint_columns import words_of
 from .protocol import ImuTable, shown
-from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
+from .units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, plain_unit, unit_of_step
 
 #: All in lower case; English first.
 TIME_WORDS = ("time", "zeit", "zeitstempel", "temps", "tiempo", "tempo")
@@ -338,3 +340,50 @@ def missing_axes_words(missing: Sequence[MissingAxis]) -> str:
     ]
     more = f" (and {len(missing) - _MOST} more like it)" if len(missing) > _MOST else ""
     return " and ".join(said) + more
+
+
+#: This share of the steps of a column of times rises, and lies within these parts of the usual one.
+_RISES, _EVEN, _EVEN_SHARE = 0.95, (0.3, 3.0), 0.8
+#: Fewer rows than these rise by chance.
+_FEWEST = 8
+
+
+def time_among(
+    columns: Mapping[str, FloatArray], rates_hz: tuple[float, float], source: Path, notes: list[str]
+) -> tuple[str, str]:
+    """The column that is the time, and its unit, among those (n,) that nothing else is known of.
+
+    "" where none rises; a counter of rows is named in a note, and is none.
+
+    Raises
+    ------
+    RecordingError
+        One may be the time, and it is not certain.
+    """
+    for name, values in columns.items():
+        if {"x", "y", "z", "w"} & set(words_of(name)):
+            continue
+        step = np.diff(values[np.isfinite(values)])
+        moved = step[step != 0]
+        if len(values) < _FEWEST or len(moved) < 0.3 * (len(values) - 1) or not (moved > 0).mean() > _RISES:
+            continue
+        usual = float(np.median(moved))
+        unit = unit_of_step(usual, rates_hz, "", float(np.nanmedian(values)))
+        if usual == 1 and (values % 1 == 0)[np.isfinite(values)].all() and np.nanmax(values) < 1e11:
+            notes.append(f"The column {shown(name, 60)} counts rows or packets and is not the time.")
+            continue
+        even = ((step > _EVEN[0] * usual) & (step < _EVEN[1] * usual)).mean() > _EVEN_SHARE
+        if unit is None and not even:
+            continue
+        if unit is None or not even or not (step > 0).all() or not np.isfinite(values).all():
+            raise RecordingError(
+                f"{source} has no time by its name, and its column {shown(name, 60)} rises like one, but it"
+                " is not certain that it is, or in which unit; call it time_s, time_ms, time_us, time_ns or"
+                f" time_ticks, or describe it in a recording.toml (`unocclude import describe {source}`)."
+            )
+        notes.append(
+            f"The column {shown(name, 60)} was taken for the time, in {unit}: it alone rises evenly, with"
+            f" {1 / (usual * SECONDS[unit]):.4g} rows per second."
+        )
+        return name, unit
+    return "", ""

@@ -15,7 +15,7 @@ from .imu_checks import size_notes, with_settled_unit
 from .protocol import FileHead, ImuTable, shown
 from .table_layout import TableLayout, layout_of
 from .text_table import Sheet, read_sheet
-from .units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
+from .units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, TIME, from_1970, plain_unit, time_unit
 
 Columns = tuple[int, int, int]
 
@@ -278,6 +278,14 @@ def unit_summary(sheet: Sheet, *vectors: tuple[Sequence[int] | None, str]) -> st
     return ", ".join(plain_unit(unit) for unit in said)
 
 
+def is_numeric(sheet: Sheet, column: int) -> bool:
+    """Whether most cells of a column are numbers."""
+    try:
+        return bool(np.isfinite(sheet.numbers(column)).mean() > 0.5)
+    except RecordingError:
+        return False
+
+
 def seconds(sheet: Sheet, column: int | None, unit: str = "s") -> FloatArray | None:
     """Times of a column, (n,) in s, dates since 1970; None for no column or one without times.
 
@@ -295,7 +303,14 @@ def seconds(sheet: Sheet, column: int | None, unit: str = "s") -> FloatArray | N
     times, dates = sheet.times(column)
     if not np.isfinite(times).any():
         return None
-    return times if dates else times * TIME.get(plain_unit(sheet.unit(column)), TIME[unit])
+    if dates:
+        return times
+    stated = next((u for u, s in SECONDS.items() if s == TIME.get(plain_unit(sheet.unit(column)))), unit)
+    fits = time_unit(stated, times) or stated
+    note = f"Times are in {fits}, by the rate or the date that they give, not in {stated}."
+    if fits != stated and note not in sheet.notes:
+        sheet.notes.append(note)
+    return from_1970(times, fits) * SECONDS[fits]
 
 
 def packet_counter(sheet: Sheet, column: int | None) -> IntArray | None:

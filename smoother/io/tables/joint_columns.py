@@ -266,6 +266,8 @@ _TIME = (
         "datum",
     ),
     *("elapsed", "elapsed time", "datetime", "date time", "clock", "ticks", "system timestamp", "frame time"),
+    *("time in", "unix", "unix time", "unix timestamp", "epoch", "epoch time", "kinect time", "host time"),
+    *("host timestamp", "system time", "sensor time", "tick", "captured at", "capture time", "time span"),
 )
 _FRAME = ("frame", "frame number", "frame no", "frame index", "frame idx", "frame id", "framenumber", "index")
 _UNIT_WORDS = {
@@ -273,7 +275,7 @@ _UNIT_WORDS = {
     **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds", "millis"), 1e-3),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanosecond", "nanoseconds", "nanos"), 1e-9),
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
-    "ticks": 1e-7,
+    **dict.fromkeys(("ticks", "100ns"), 1e-7),
 }
 
 

@@ -8,25 +8,29 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .columns import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
+from .columns import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS, time_among
 from .imu_checks import holds_gravity, with_settled_unit
 from .imu_columns import (
     Columns,
     ImuFormat,
     angular_velocity,
+    is_numeric,
     named_columns,
     seconds,
     specific_force,
     unit_summary,
 )
-from .protocol import FileHead, ImuTable
+from .protocol import FileHead, ImuTable, shown
 from .table_layout import TableLayout, is_data, split_line
 from .text_table import Sheet
 from .units import (
     ACCELERATION,
     ANGULAR_VELOCITY,
+    SECONDS,
+    SENSOR_RATES,
     TIME,
     acceleration_unit,
+    from_1970,
     plain_unit,
     time_unit,
     turning_unit,
@@ -227,6 +231,9 @@ _TIMES = (
     *("timestamp_nano", "unix_time", "unixtime", "epoch", "seconds_elapsed", "seconds", "elapsed", "ts"),
     *("elapsedrealtime", "elapsedrealtimenanos", "elapsed_realtime_nanos", "time since start in ms"),
     *("datetime", "date", "milliseconds", "nanoseconds", "systemtime", "system_time", "phone_time"),
+    *("time_in", "time in", "unix", "unix timestamp", "unix_timestamp", "kinect_time", "kinecttime"),
+    *("host_time", "hosttime", "captured_at", "capturedat", "capture_time", "timespan", "tick", "ticks"),
+    *("time_in_ms", "time_in_us", "time_in_ns", "time_in_s", "filetime"),
     *TIME_WORDS,
 )
 _ACC = (
@@ -260,7 +267,8 @@ def _is_android(layout: TableLayout) -> bool:
     if not layout.names:
         return layout.width == 4
     vectors = (layout.axes(*stems, signs=_SIGNS) for stems in (_ACC, _GYRO, _WITHOUT_G, _BARE))
-    return _time_column(layout) is not None and any(vector is not None for vector in vectors)
+    there = [vector is not None for vector in vectors]
+    return any(there) if _time_column(layout) is not None else all(there[:2])
 
 
 def _is_headless_android(head: FileHead, layout: TableLayout) -> bool:
@@ -318,24 +326,38 @@ def _time_column(layout: TableLayout) -> int | None:
 
 def _android_times(sheet: Sheet) -> tuple[FloatArray, list[str]]:
     """Times in s, and what was decided about their unit."""
-    column = _time_column(sheet.layout) if sheet.layout.names else 0
-    times, dates = sheet.times(column or 0)
+    column, notes = _time_column(sheet.layout) if sheet.layout.names else 0, list[str]()
+    if column is None:
+        names = enumerate(sheet.layout.names)
+        free = {name: sheet.numbers(at) for at, name in names if is_numeric(sheet, at)}
+        name, unit = time_among(free, SENSOR_RATES, sheet.path, notes)
+        if not name:
+            raise RecordingError(
+                f"{sheet.path} has no column of times: none of {shown(', '.join(sheet.layout.names), 150)} is"
+                " known as one or rises like one; export times as well, or give rate_hz in a recording.toml"
+                f" (`unocclude import describe {sheet.path}` prints one)."
+            )
+        return from_1970(free[name], unit) * SECONDS[unit], notes
+    times, dates = sheet.times(column)
     if dates:
         return times, []
-    label = sheet.layout.labels[column or 0] if sheet.layout.labels else ""
-    stated = plain_unit(sheet.unit(column or 0))
+    label = sheet.layout.labels[column] if sheet.layout.labels else ""
+    stated = TIME.get(plain_unit(sheet.unit(column)))
     suffix = _SUFFIX.search(label)
-    if stated in TIME:
-        return times * TIME[stated], []
     said = {"n": "ns", "u": "us", "m": "ms", "s": "s"}[suffix.group(1)[0]] if suffix else ""
     said = "us" if suffix and suffix.group(1).startswith("micro") else said
-    unit = time_unit(said, times)
-    if unit is None:
+    said = next((unit for unit, seconds in SECONDS.items() if seconds == stated), said)
+    found = time_unit(said, times)
+    if found is None and stated is not None:
+        return times * stated, []  # what was stated is believed where no other unit does better
+    if found is None:
         raise RecordingError(
-            f"{sheet.path} has times in {sheet.name(column or 0)} that are not s, ms, us or ns of a sensor"
-            " at 3 to 2,500 Hz; describe it in a recording.toml (`unocclude import describe` prints one)."
+            f"{sheet.path} has times in {sheet.name(column)} that are not for certain s, ms, us, ns or ticks"
+            " of 100 ns of a sensor at 3 to 2,500 Hz; call the column time_s, time_ms, time_us, time_ns or"
+            " time_ticks, or describe it in a recording.toml (`unocclude import describe` prints one)."
         )
-    return times * TIME[unit], [] if said == unit else [f"Times are in {unit}, by the rate that they give."]
+    notes = [] if said == found else [f"Times are in {found}, by the rate that they give."]
+    return from_1970(times, found) * SECONDS[found], notes
 
 
 def _by_name(sheet: Sheet, kinds: int, columns: Columns, t_s: FloatArray, notes: list[str]) -> list[ImuTable]:

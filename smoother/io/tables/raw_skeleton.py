@@ -15,7 +15,7 @@ from ...recording import CameraFrame, JointState
 from ..markers import without_origin
 from .joint_columns import JointName
 from .protocol import SkeletonTable, shown
-from .units import CAMERA_SECONDS, METRES, unit_of_step
+from .units import CAMERA_RATES, METRES, SECONDS, from_1970, unit_of_step
 
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.
 ARM_M = (0.09, 0.6)
@@ -122,9 +122,7 @@ def _middle(points: list[FloatArray]) -> FloatArray:
 
 #: Body numbers above this do not fit a recording: they are counted from 0 instead.
 _LARGEST_BODY = 2**31 - 1
-#: Frame rates of cameras, Hz: a time in another unit makes none of them.
-_RATES_HZ = (4.0, 260.0)
-_UNIT_OF = {seconds: unit for unit, seconds in CAMERA_SECONDS.items()}
+_UNIT_OF = {seconds: unit for unit, seconds in SECONDS.items()}
 
 
 @dataclass
@@ -239,9 +237,9 @@ def camera_time_scale(time: FloatArray, stated: float | None) -> float | None:
     step = step[step > 0]
     if not len(step):
         return stated
-    units = (_UNIT_OF.get(stated, ""), *CAMERA_SECONDS) if stated else tuple(CAMERA_SECONDS)
-    unit = unit_of_step(float(np.median(step)), _RATES_HZ, units)
-    return stated if unit is None else CAMERA_SECONDS[unit]
+    said = _UNIT_OF.get(stated, "") if stated else ""
+    unit = unit_of_step(float(np.median(step)), CAMERA_RATES, said, float(np.nanmedian(time)))
+    return stated if unit is None else SECONDS[unit]
 
 
 def without_position(state: NDArray[np.int8], position: FloatArray) -> NDArray[np.int8]:
@@ -438,14 +436,14 @@ class RawSkeleton:
             scale = camera_time_scale(self.time, self.time_scale)
             if scale is None:
                 raise RecordingError(
-                    f"{self.path}: its times give no plausible frame rate in s, ms, us or ns; export times of"
-                    " the frames."
+                    f"{self.path}: its times give no certain frame rate in s, ms, us, ns or ticks of 100 ns;"
+                    " export times of the frames with their unit (time_ms)."
                 )
             if scale != self.time_scale:
                 self.notes.append(
                     f"Assumed unit of times: {_UNIT_OF.get(scale, scale)} (gives a camera's frame rate)."
                 )
-            return self.time, scale, None
+            return from_1970(self.time, _UNIT_OF.get(scale, "s")), scale, None
         rate = self.rate_hz or conventions.rate_hz
         if self.rate_hz is None:
             self.notes.append(

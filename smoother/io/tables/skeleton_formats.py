@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -13,12 +14,13 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
+from .columns import time_among
 from .joint_columns import JointColumns, find_joint_columns, words_of
 from .protocol import FileHead, SkeletonTable
 from .raw_skeleton import Conventions, RawSkeleton, unit_by_arm
 from .table_layout import layout_of
 from .text_table import Sheet, read_sheet
-from .units import SECONDS
+from .units import CAMERA_RATES, SECONDS, TIME, plain_unit
 
 #: States (N,) from the cells of a confidence column, numbers or words made numbers.
 StateReader = Callable[[FloatArray], NDArray[np.int8]]
@@ -73,10 +75,10 @@ def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[Ra
         if dates:
             raw.time_scale = 1.0
         elif raw.time_scale is None:
-            raw.time_scale = SECONDS.get(sheet.unit(columns.time))
+            raw.time_scale = TIME.get(plain_unit(sheet.unit(columns.time)))
         if _counts_frames(raw.time) and raw.time_scale is None:
             raw.frame, raw.time = raw.time, None
-    elif columns.frame is not None:
+    elif not _take_time(sheet, columns, raw) and columns.frame is not None:
         raw.frame = sheet.numbers(columns.frame)
     if columns.body is not None:
         raw.body = body_numbers(sheet, columns.body)
@@ -85,6 +87,22 @@ def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[Ra
         raw.state = states_of(values, states)
     raw.notes += sheet.notes
     return raw, columns
+
+
+def _take_time(sheet: Sheet, columns: JointColumns, raw: RawSkeleton) -> bool:
+    """Whether a column of no known name is the time; it is the skeleton's then."""
+    used = {columns.frame, columns.body, *columns.confidence.values()}
+    used |= {at for triple in (*columns.axes.values(), *(each for _, each in columns.rest)) for at in triple}
+    free: dict[str, FloatArray] = {}
+    for at, name in enumerate(sheet.layout.names):
+        if at not in used:
+            with suppress(RecordingError):  # of words, not of times
+                free[name] = sheet.times(at)[0]
+    name, unit = time_among(free, CAMERA_RATES, sheet.path, raw.notes)
+    if not name:
+        return False
+    raw.time, raw.time_scale = free[name], SECONDS[unit]
+    return True
 
 
 def state_numbers(sheet: Sheet, column: int) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,11 +37,11 @@ TIME = {
     **dict.fromkeys(("ms", "milliseconds", "msec", "msecs", "millis"), 1e-3),
     **dict.fromkeys(("us", "usec", "microseconds", "micros"), 1e-6),
     **dict.fromkeys(("ns", "nsec", "nanoseconds", "nanos"), 1e-9),
+    **dict.fromkeys(("100ns", "ticks", "ticksof100ns"), 1e-7),
 }
-#: s in one unit, units in the order in which they are tried.
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-#: s in one unit of cameras' clocks, by the unit in sentences.
-CAMERA_SECONDS = {**SECONDS, "ticks of 100 ns": 1e-7}
+TICKS = "ticks of 100 ns"
+#: s in one unit, by the unit in sentences, in the order in which they are tried.
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, TICKS: 1e-7}
 #: Metres in a unit, by the names that files use.
 METRES = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
@@ -63,7 +62,7 @@ _BRACKETED = re.compile(r"\s*[\(\[]([^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)[\)\]]\s
 #: Units that are spelled behind a name: acc_x_mps2, gyro_x_dps, time_ms.
 _SPELLED = re.compile(
     r"(.*[xyz])_(mps2|ms2|m_s2|ms-2|g|mg|dps|rads|rad_s|radps|deg_s|degs)"
-    r"|(timestamp|time|t|elapsed|epoch)_(s|ms|us|ns)",
+    r"|(timestamp|(?:\w+_)?time(?:_in)?|t|elapsed|epoch|unix)_(s|ms|us|ns|100ns|ticks)",
     re.IGNORECASE,
 )
 #: What is in brackets behind a name and belongs to it: dv[1], Acc (x).
@@ -98,7 +97,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 #: Rates that a sensor may have, Hz: times are of the unit that gives one of these.
-_RATES = (3.0, 2500.0)
+SENSOR_RATES = (3.0, 2500.0)
 #: Sizes that are gravity in m/s^2, in g and in mg.
 _IS_GRAVITY, _IS_ONE_G, _IS_1000_MG = (8.0, 12.0), (0.85, 1.15), (700.0, 1300.0)
 #: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
@@ -109,34 +108,59 @@ _FIELD, _FIELD_SPREAD = (15.0, 120.0), 0.25
 _EXACT = 1e-4
 
 
+#: Frame rates of cameras, Hz.
+CAMERA_RATES = (4.0, 260.0)
+#: The years 1990 and 2100 since 1970, s.
+DATED_S = (631_152_000.0, 4_102_444_800.0)
+#: 1970 as ticks count it, s: since the year 1 (.NET), since 1601 (FILETIME).
+_TICKS_SINCE_S = (62_135_596_800.0, 11_644_473_600.0)
+#: Where two units fit and no date decides, the first is believed at such rates of a sensor, of a camera, Hz.
+_USUAL, _USUAL_CAMERA = (20.0, 1250.0), (7.0, 130.0)
+
+
 def time_unit(stated: str, times: FloatArray) -> str | None:
-    """Unit in which times (n,) give a rate that a sensor may have.
-
-    Parameters
-    ----------
-    stated : str
-        What a column's name says ("ms"), "" = nothing.
-    times : ndarray, shape (n,)
-        As written.
-
-    Returns
-    -------
-    str or None
-        The stated unit where it fits, else s, ms, us or ns; None where none of them does.
-    """
+    """Unit in which times (n,) give a rate that a sensor may have: the stated one where it does."""
     dt = np.diff(times[np.isfinite(times)])
     dt = dt[dt > 0]
     if not len(dt):
         return None
-    return unit_of_step(float(np.minimum(dt, 20 * np.median(dt)).mean()), _RATES, (stated, *SECONDS))
+    step = float(np.minimum(dt, 20 * np.median(dt)).mean())
+    return unit_of_step(step, SENSOR_RATES, stated, float(np.nanmedian(times)))
 
 
-def unit_of_step(step: float, rates_hz: tuple[float, float], units: Sequence[str]) -> str | None:
-    """The first unit in which a step of times makes a rate within bounds; None where none does."""
-    for unit in units:
-        if unit in CAMERA_SECONDS and rates_hz[0] <= 1 / (step * CAMERA_SECONDS[unit]) <= rates_hz[1]:
-            return unit
-    return None
+def unit_of_step(step: float, rates_hz: tuple[float, float], stated: str, at: float) -> str | None:
+    """Unit in which a step of times makes a rate within bounds; None where none does, or it is not clear.
+
+    `at` is one of the times: no unit puts it behind 2100, and one in which it is a date comes before others.
+    """
+    rates = {unit: 1 / (step * seconds) for unit, seconds in SECONDS.items()}
+    fitting = [
+        unit
+        for unit in (TICKS, *rates)  # a date in ticks of .NET would be one of 1990 in ns
+        if rates_hz[0] <= rates[unit] <= rates_hz[1] and (_epoch(at, unit) or at * SECONDS[unit] < DATED_S[1])
+    ]
+    if stated in fitting:
+        return stated
+    dated = [unit for unit in fitting if _epoch(at, unit) is not None]
+    fitting = dated or [unit for unit in rates if unit in fitting]
+    low, high = _USUAL_CAMERA if rates_hz == CAMERA_RATES else _USUAL
+    # Ticks and us are a factor of 10 apart: without a date 8 Hz in one are 80 Hz in the other.
+    unclear = len(fitting) > 1 and not dated and not low <= rates[fitting[0]] <= high
+    return fitting[0] if fitting and not unclear else None
+
+
+def _epoch(at: float, unit: str) -> float | None:
+    """Where times count from, s before 1970, if they are dates of 1990 to 2100 then; None where not."""
+    # Ticks since 1970 are rare, and look like the ns that a phone counts since it was started.
+    starts = _TICKS_SINCE_S if unit == TICKS else (0.0,)
+    fitting = (start for start in starts if DATED_S[0] <= at * SECONDS[unit] - start <= DATED_S[1])
+    return next(fitting, None)
+
+
+def from_1970(times: FloatArray, unit: str) -> FloatArray:
+    """Times (n,) in a unit; ticks that count from the year 1 or 1601 count from 1970 then."""
+    start = _epoch(float(np.nanmedian(times)), unit) if np.isfinite(times).any() else None
+    return times - start / SECONDS[unit] if start else times
 
 
 def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str:

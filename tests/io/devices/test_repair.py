@@ -200,7 +200,11 @@ def test_files_that_each_count_from_zero():
     camera, wrist = Timed("camera", np.arange(0, 20, 1 / 30), False, "a"), Timed("wrist", 0.3 + T, True, "b")
     assert count_from_zero([camera, wrist])
     assert not count_from_zero([camera, replace(wrist, source="a")])  # one file, one clock
-    assert not count_from_zero([camera, replace(wrist, t_s=7.0 + T)])
+    longer = replace(camera, t_s=np.arange(0, len(T) * (T[1] - T[0]) + 15, 1 / 30))
+    assert count_from_zero([longer, replace(wrist, t_s=7.0 + T)])  # from its own start, and of another length
+    of_one = replace(camera, t_s=np.linspace(0, T[-1] - T[0], 600))
+    assert not count_from_zero([of_one, replace(wrist, t_s=7.0 + T)])
+    assert not count_from_zero([longer, replace(wrist, t_s=700.0 + T)])
     assert not count_from_zero([camera]) and not count_from_zero([])
 
 
