@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import gc
-import io
 import os
 import signal
 import sys
 from contextlib import suppress
-from typing import Any
 
 from ..runtime.allocation import keep_freed_memory
 
@@ -24,7 +22,6 @@ def main() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     keep_freed_memory()
     _open_closed_streams()
-    _outlive_readers()
     try:
         from .run import run
 
@@ -56,34 +53,6 @@ def _open_closed_streams() -> None:
         if getattr(sys, name) is None:
             stream = open(number, mode, encoding="utf-8", closefd=False)  # noqa: SIM115 - open to the end
             setattr(sys, name, stream)
-
-
-class _Heard(io.FileIO):
-    """Standard output or error: once its reader is gone (`| head -1`), work goes on and prints to nowhere."""
-
-    def write(self, data: Any) -> int:
-        """Write; a broken pipe becomes the null device."""
-        try:
-            return super().write(data)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
-            return super().write(data)
-
-
-def _outlive_readers() -> None:
-    for name, number in (("stdout", 1), ("stderr", 2)):
-        stream = getattr(sys, name)
-        with suppress(OSError, ValueError, AttributeError):  # a stream of somebody else's
-            if stream.fileno() == number:
-                stream.flush()
-                raw = _Heard(number, "w", closefd=False)
-                if raw.isatty():
-                    continue
-                buffer = io.BufferedWriter(raw)
-                text = io.TextIOWrapper(
-                    buffer, stream.encoding, stream.errors, write_through=name == "stderr"
-                )
-                setattr(sys, name, text)
 
 
 def _flush() -> None:

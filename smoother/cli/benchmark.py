@@ -111,15 +111,13 @@ def _chosen(option: str, text: str, known: tuple[str, ...]) -> list[str]:
 
 
 def _write(run: BenchmarkRun, output: Path, figures: dict[str, object], force: bool) -> None:
-    from ..evaluation.benchmark import gap_rows, markdown
-    from ..runtime.outputs import csv_rows, writing
+    from ..evaluation.benchmark import gap_lines, markdown
+    from ..runtime.outputs import writing
 
     write_json(output / "benchmark.json", figures, force)
-    with writing(output / "benchmark.md", force) as temporary:
-        temporary.write_text(markdown(run), encoding="utf-8", newline="\n")
-    with csv_rows(output / "gaps.csv", force) as write:
-        for row in gap_rows(run):
-            write(row)
+    for name, text in (("benchmark.md", markdown(run)), ("gaps.csv", "\n".join(gap_lines(run)) + "\n")):
+        with writing(output / name, force) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def _show(run: BenchmarkRun) -> None:

@@ -27,6 +27,7 @@ from .output import (
 )
 
 if TYPE_CHECKING:
+    from ..calibration import ArmCalibration
     from ..evaluation.validate import Validation
     from ..result import Recovery
 
@@ -46,6 +47,8 @@ def demo(
     json_file: Json = None,
 ) -> None:
     """Recover a small recording, validate it, write a report."""
+    from calib.motion.motion_calibration import with_given
+
     from .. import smooth
     from ..evaluation.validate import validate
     from ..io import read_recording, write_recovery
@@ -56,12 +59,13 @@ def demo(
 
     folder.mkdir(parents=True, exist_ok=True)
     check_outputs(True, [json_file])
-    source = _recording(folder)
+    source, calibration = _recording(folder)
     recording = read_recording(source)
     say(f"recording: {source}")
     with progress_bar("recovering") as progress:
         config = with_processes(read_config(None), processes)
-        recovery = smooth(recording, None, config, progress, draws=usual_draws(None))
+        recovery = smooth(recording, calibration, config, progress, draws=usual_draws(None))
+    recovery = with_given(recovery, calibration)
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
     left_out = write_recovery([recovery], result, source=source, force=True)
     truth = recording.truth
@@ -83,7 +87,6 @@ def demo(
     print_notes(left_out)
     say("Joints, joint angles and the calibration are in the report.")
     if validation is not None:
-        say_command("smooth", source, "-o", result, "--report", report, "--force")
         say_command("validate", result, "--truth", source)
     say(f"result: {result}")
     say(f"report: {report.resolve()}")
@@ -128,18 +131,23 @@ def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
         )
 
 
-def _recording(folder: Path) -> Path:
-    """The recording beside the source tree, or one simulated on the spot."""
+def _recording(folder: Path) -> tuple[Path, ArmCalibration | None]:
+    """The recording beside the source tree and its calibration, or one simulated on the spot."""
     data = Path(__file__).parents[2] / "data"
     if (data / "demo.mcap").is_file():
-        return data / "demo.mcap"
+        calibration_file = data / "demo_calibration.toml"
+        if not calibration_file.is_file():
+            return data / "demo.mcap", None
+        from .load import load_arm
+
+        return data / "demo.mcap", load_arm(data / "demo.mcap", calibration_file)[1]
     from ..io import write_recording
     from ..simulation import ArmSimulation, simulate_arm
 
     simulated = simulate_arm(ArmSimulation.preset("realistic"), SEED)
     path = folder / "demo.mcap"
     write_recording(simulated.recording, path, force=True)
-    return path
+    return path, simulated.calibration
 
 
 PACKAGES = (

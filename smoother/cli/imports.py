@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -288,13 +287,6 @@ def skeleton_file(text: str) -> tuple[str, Path]:
     return name, Path(rest)
 
 
-#: Names of IMUs that have a meaning; any other name is allowed.
-IMU_NAMES = (
-    *(f"{segment}_{side}" for segment in ("forearm", "upper_arm", "hand") for side in ("left", "right")),
-    *("trunk", "base"),
-)
-
-
 def imu_files(text: str) -> ImuFiles:
     """What `--imu [NAME=]FILE[,FILE]` names."""
     from ..io.devices.files import ImuFiles
@@ -304,9 +296,6 @@ def imu_files(text: str) -> ImuFiles:
         name, _, rest = (part.strip() for part in rest.partition("="))
         if not name or any(mark in name for mark in "/\\,"):
             raise UnoccludeError(f"--imu {text}: give NAME=FILE, as in --imu forearm_right=imu.csv")
-        near = [] if name in IMU_NAMES else get_close_matches(name, IMU_NAMES, 1, 0.9)
-        if near and abs(len(near[0]) - len(name)) <= 1:  # `forearm_right_2` is a name of its own
-            raise UnoccludeError(f"--imu {text}: do you mean {near[0]}={rest}? {name} has no meaning.")
     if not Path(rest).exists() and "#" in rest:
         rest, _, sensor = rest.rpartition("#")
     parts = [rest] if Path(rest).exists() else [part.strip() for part in rest.split(",") if part.strip()]

@@ -78,19 +78,24 @@ def print_symmetry(both: BothArms) -> None:
 
 def write_csv(path: Path, rows: Sequence[Measures], pairs: Sequence[BothArms], force: bool) -> None:
     """One row per measure: recording, side, body, then the fields of a measure; empty where there is none."""
+    import csv
+
     from ..measures import Measure
-    from ..runtime.outputs import csv_rows
+    from ..runtime.outputs import writing
 
     names = [each.name for each in fields(Measure)]
-    with csv_rows(path, force) as write:
-        write(["recording", "side", "body", *names])
+    with writing(path, force) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["recording", "side", "body", *names])
         for one in rows:
             for row in one.rows:
-                write([one.name, one.side, _csv_cell(one.body), *[_csv_cell(getattr(row, n)) for n in names]])
+                writer.writerow(
+                    [one.name, one.side, _csv_cell(one.body), *[_csv_cell(getattr(row, n)) for n in names]]
+                )
         for both in pairs:
             for row in both.rows:
                 cells = [_csv_cell(getattr(row, name)) for name in names]
-                write([both.left.name, "both", _csv_cell(both.left.body), *cells])
+                writer.writerow([both.left.name, "both", _csv_cell(both.left.body), *cells])
 
 
 def _cells(row: Measure) -> tuple[str, ...]:

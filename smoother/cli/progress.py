@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress, Series
     from ..evaluation.reliability import Reliability
 
+#: Characters at which a spreadsheet would take a cell for a formula.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 NO_DIAGNOSIS = (
     "This is not a diagnosis: a clear change is one that the measurement error does not explain; a person"
     " also varies from day to day."
@@ -256,12 +259,17 @@ def _write_csv(path: Path | None, persons: Sequence[PersonProgress], force: bool
     """One row per person, measure and session, with the change since the first."""
     if path is None:
         return
-    from ..runtime.outputs import csv_rows
+    from ..runtime.outputs import writing
 
-    with csv_rows(path, force) as write:
-        write(_COLUMNS)
-        for row in (row for each in persons for series in each.series for row in _rows(series)):
-            write(row)
+    with (
+        writing(path, force) as temporary,
+        open(temporary, "w", encoding="utf-8", errors="backslashreplace", newline="") as file,
+    ):
+        writer = csv.writer(file)
+        writer.writerow(_COLUMNS)
+        for each in persons:
+            for series in each.series:
+                writer.writerows(_rows(series))
 
 
 _COLUMNS = (
@@ -285,7 +293,9 @@ def _rows(series: Series) -> Iterable[list[object]]:
 
 
 def _cell(value: object) -> object:
-    """A cell; empty where the value is missing."""
+    """A cell that no spreadsheet takes for a formula; empty where the value is missing."""
     if isinstance(value, float):
         return "" if value != value else f"{value:.6g}"
+    if isinstance(value, str) and value.startswith(_FORMULA):
+        return f"'{value}"
     return value

@@ -95,16 +95,7 @@ def run(arguments: Sequence[str]) -> int:
     except Exception as error:
         if debugging():
             traceback.print_exc()
-        if _was_interrupted(error):
-            return _fail(STOPPED, FAILED)
         return _fail(*explain(error))
-
-
-def _was_interrupted(error: BaseException | None) -> bool:
-    """Whether a signal caused it: a compiled module that is interrupted while it loads raises ImportError."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 def say_what_can_be_shown() -> None:

@@ -27,10 +27,7 @@ _CONFIG = {"windows": {"processes": 1}}
 #: Frames that the pool counts: a trial is always worth a process.
 _MANY_FRAMES = 1_000_000
 Progress = Callable[[float, str], None]
-CSV_COLUMNS = (
-    *("dataset", "split", "trial", "length_s", "method", "start_s", "end_s"),
-    *("samples", "rms_m", "max_m", "sigma_max_m", "failure"),
-)
+CSV_COLUMNS = "dataset,split,trial,length_s,method,start_s,end_s,samples,rms_m,max_m,sigma_max_m,failure"
 
 
 class BenchmarkTask(NamedTuple):
@@ -349,13 +346,14 @@ def markdown(run: BenchmarkRun) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def gap_rows(run: BenchmarkRun) -> Iterable[list[object]]:
-    """One row per gap, as in `gaps.csv`; the header first."""
-    yield [*CSV_COLUMNS]
+def gap_lines(run: BenchmarkRun) -> Iterable[str]:
+    """One line per gap, as in `gaps.csv`; the header first."""
+    yield CSV_COLUMNS
     for (dataset, split), table in run.tables.items():
         for row in table.rows:
             numbers = (row.figures.position_rms_m, row.figures.position_max_m, row.sigma_max_m)
-            cells: list[object] = [dataset, split, row.recording, f"{row.length_s:g}", row.method]
+            cells = [dataset, split, row.recording, f"{row.length_s:g}", row.method]
             cells += [repr(float(row.gap.start_s)), repr(float(row.gap.end_s)), str(row.figures.samples)]
             cells += ["" if value is None else repr(float(value)) for value in numbers]
-            yield [*cells, row.failure]
+            cells.append('"' + row.failure.replace('"', "'") + '"' if row.failure else "")
+            yield ",".join(cells)

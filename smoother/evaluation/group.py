@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import FloatArray
-from ..runtime.outputs import csv_rows
+from ..runtime.outputs import writing
 from .progress import first_of
 
 #: Measures of a group's table.
@@ -70,10 +71,13 @@ class GroupMeasure:
 
 def write_long(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the long format as CSV: a header, a comma, a point, empty cells where there is nothing."""
-    with csv_rows(path, force=True) as write:
-        write(LONG)
-        for row in rows:
-            write(row.get(name, "") for name in LONG)
+    with (
+        writing(path, force=True) as temporary,
+        open(temporary, "w", newline="", encoding="utf-8") as file,
+    ):
+        table = csv.DictWriter(file, LONG)
+        table.writeheader()
+        table.writerows(rows)
 
 
 def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[GroupMeasure]:

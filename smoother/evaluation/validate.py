@@ -408,14 +408,8 @@ def validate(
     )
 
 
-#: No independent truth is that near; an export rounds to nanometres, m.
-SAME_M = 1e-6
-
-
 def _notes(errors: SampleErrors, figures: Figures) -> list[str]:
     notes = []
-    if figures.position_rms_m is not None and figures.position_rms_m < SAME_M:
-        notes.append("The truth is the result itself (an export of it?): this says nothing about the errors.")
     if not errors.scored.any():
         notes.append("The truth has no position of the IMU (no plate); joints are compared.")
     if not np.isfinite(errors.angle_deg).any():

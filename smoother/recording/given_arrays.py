@@ -13,9 +13,6 @@ from .camera import CameraFrame
 from .imu_stream import ImuStream
 from .joint_tracks import JOINTS, JointState, JointTracks
 
-#: No depth camera sees a person at this distance (millimetres read as metres are hundreds of metres away).
-FARTHEST_M = 100.0
-
 
 def times_of(values: FloatArray, what: str, name: str) -> FloatArray:
     """Times (n,), at least two, that increase; `what` they are for the message."""
@@ -62,12 +59,6 @@ def joints_of(
     for joint, values in states.items():
         state[:, JOINTS.index(joint)] = _rows(values, (len(t),), f"the state of {joint}", name)
     state[~np.isfinite(position).all(axis=2)] = JointState.NOT_TRACKED
-    away_m = np.linalg.norm(position[state == JointState.TRACKED], axis=-1)
-    if away_m.size and (median := float(np.median(away_m))) > FARTHEST_M:
-        raise RecordingError(
-            f"{name}: positions are in metres, and the joints are {median:.0f} m from the camera; divide"
-            " millimetres by 1000"
-        )
     return JointTracks("camera", t, position, state)
 
 

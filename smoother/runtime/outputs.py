@@ -6,7 +6,6 @@ is not locked was left behind.
 
 from __future__ import annotations
 
-import csv
 import errno
 import os
 import re
@@ -16,7 +15,7 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -395,28 +394,3 @@ def _sentence(path: Path, temporary: Path, error: OSError) -> str:
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return f"{path} could not be written: {reason}{where}; write to a folder of your own."
     return f"{path} could not be written: {reason}{where}."
-
-
-#: What a spreadsheet takes for the beginning of a formula, and numbers, which it does not.
-_FORMULA, _NUMBER = ("=", "+", "-", "@"), re.compile(r"[+-]?[\d.]+([eE][+-]?\d+)?")
-
-
-def without_formula(value: object) -> object:
-    """A cell that no spreadsheet runs: a text that begins like a formula is quoted."""
-    if isinstance(value, str):
-        value = value.replace("\r", " ").lstrip()
-    is_formula = isinstance(value, str) and value.startswith(_FORMULA) and not _NUMBER.fullmatch(value)
-    return f"'{value}" if is_formula else value
-
-
-@contextmanager
-def csv_rows(
-    path: str | os.PathLike[str], force: bool = False
-) -> Iterator[Callable[[Iterable[object]], object]]:
-    """Yield a function that writes one row of a CSV file; the file appears whole, as with `writing`."""
-    with (
-        writing(path, force) as temporary,
-        open(temporary, "w", encoding="utf-8", errors="backslashreplace", newline="") as file,
-    ):
-        table = csv.writer(file, lineterminator="\n")
-        yield lambda cells: table.writerow([without_formula(cell) for cell in cells])

@@ -37,8 +37,6 @@ def export_recovery(
         The ending is not a format, the recovery lacks what the format needs, or the file exists.
     """
     path = Path(path)
-    if path.exists() and not force:
-        raise UnoccludeError(f"{path} exists already; give another name, or force=True to overwrite it.")
     ending = path.suffix.lower().removeprefix(".")
     if ending == "mcap":
         from ..result.write import write_recovery
