@@ -360,9 +360,11 @@ def recorded_date(place: Path, kept: KeptRecording) -> str:
 
 
 def stamp(folder: AppFolder, place: Path) -> str:
-    """A hash of all inputs of a recovery: files, settings and templates; it changes with any of them."""
+    """A hash of all inputs of a recovery: files, settings, and the templates that read one of the files."""
     parts: list[Any] = []
-    for path in (*files_of(place), *folder.template_files()):
+    used = {each["format"] for each in described(place)}
+    templates = [path for path in folder.template_files() if f"template:{path.stem}" in used]
+    for path in (*files_of(place), *templates):
         about = path.stat()
         parts.append((path.name, about.st_size, about.st_mtime_ns))
     parts.append(asdict(read_kept(place).choices))

@@ -135,7 +135,7 @@ def explain(error: BaseException) -> tuple[str, int]:
     if hasattr(error, "format_message"):  # typer's errors of use
         return _usage(error), WRONG_USE
     if isinstance(error, UnoccludeError):
-        return str(error), FAILED
+        return str(error).replace("force=True", "--force"), FAILED
     if isinstance(error, OSError):
         return _os_error(error), FAILED
     if is_out_of_memory(error):

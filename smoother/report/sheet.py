@@ -282,8 +282,8 @@ def _sentence(text: str) -> str:
 
 #: General notes on both pages.
 NO_DIAGNOSIS = (
-    "This page measures motion. It is not a diagnosis and does not explain a motion; conclusions are for"
-    " the treating person to draw."
+    "This page measures motion. It is not a diagnosis and does not explain a motion; conclusions are left to"
+    " the treating clinician."
 )
 TERMS = {
     "interval": (

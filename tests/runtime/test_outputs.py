@@ -359,7 +359,7 @@ def test_of_two_on_one_new_name_one_is_told(
 
         monkeypatch.setattr("smoother.runtime.outputs.os.link", refused)
     out = tmp_path / "out"
-    said = r"out was written by another command meanwhile; .*--force"
+    said = r"out was written by another command meanwhile; .*force=True"
     with pytest.raises(UnoccludeError, match=said), writing(out) as slow:
         slow.write_text("slow")
         with writing(out) as quick:
