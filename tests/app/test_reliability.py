@@ -17,11 +17,13 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from local_page import Page
+from local_page import Page, own_table
 from local_program import ROOT, Program, environment
 
 from smoother.app import jobs, runner, serving
 from smoother.app.folder import AppFolder
+from smoother.app.steps import stamp
+from smoother.app.views import in_page_words
 from smoother.errors import UnoccludeError
 
 
@@ -218,3 +220,45 @@ def test_no_command_outlives_its_killed_runner(tmp_path: Path, monkeypatch: pyte
 
     wait_for(is_gone)
     assert not list((tmp_path / "rec").rglob("*.tmp"))
+
+
+def test_a_layout_of_another_recording_makes_nothing_outdated(
+    page: Page, session_files: dict[str, Path], tmp_path: Path
+):
+    """One that reads a file of the recording does."""
+    table = own_table(tmp_path / "eigen.csv", session_files["imu"])
+    mine, other = page.add([session_files["imu"]]), page.add([table])
+    before = [stamp(page.folder, page.folder.of(name)) for name in (mine, other)]
+    columns = {"t": "Zeit"} | {
+        f"{k}{axis}": f"{c}{n}" for k, c in ("aF", "gD") for n, axis in enumerate("xyz", 1)
+    }
+    keys = {"time_unit": "ms", "accelerometer_unit": "g", "gyroscope_unit": "deg/s"}
+    wish = {"file": "eigen.csv", "kind": "imu", "title": "Ours", "columns": columns, "keys": keys}
+    page.ask("POST", f"/api/recordings/{other}/template", json=wish)
+    page.wait(other)
+    after = [stamp(page.folder, page.folder.of(name)) for name in (mine, other)]
+    assert after[0] == before[0] and after[1] != before[1]
+    (file,) = page.ask("GET", f"/api/recordings/{other}/streams")["files"]
+    assert file["error"] == "" and file["guess"]["names"][0] == "Zeit", "its units can be corrected"
+
+
+def test_an_empty_file_is_named(page: Page, tmp_path: Path):
+    (tmp_path / "empty.csv").touch()
+    name = page.add([tmp_path / "empty.csv"], job=True)
+    about = page.ask("GET", f"/api/recordings/{name}")
+    assert about["job"]["state"] == "done" and about["unread"] == ["empty.csv"]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "shown"),
+    [
+        ("files count from zero; give --imu-starts-at S", "First IMU sample after"),
+        ("the skeleton is mirrored (x); run again with --mirror x", "the button that corrects it"),
+        ("several arms; choose one with --side", '"Arm"'),
+        ("unknown columns; run `unocclude import describe sensor.csv` on it", "Describe this table"),
+        ("name it: --imu forearm_right=dot.csv", '"Worn on"'),
+    ],
+)
+def test_the_page_speaks_of_its_own_controls(sentence: str, shown: str):
+    (said,) = in_page_words([sentence])
+    assert shown in said and "--" not in said and "`" not in said

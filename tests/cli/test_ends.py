@@ -1,4 +1,4 @@
-"""How commands end: without a reader, interrupted while libraries load, and with words that fit the caller."""
+"""How commands end: without a reader, interrupted while libraries load, in words that fit the caller."""
 
 from __future__ import annotations
 
@@ -103,3 +103,36 @@ def test_a_wrong_unit_is_named(factor: int, unit: str):
     arm = replace(recording.arm, position=recording.arm.position * factor)
     with pytest.raises(SolveError, match=f"they seem to be {unit}: divide them by {factor}"):
         smooth(replace(recording, arm=arm))
+
+
+def test_a_result_against_its_own_export_says_so():
+    from arms import make_recording, make_recovery
+
+    from smoother.evaluation.validate import validate
+    from smoother.recording import Truth
+
+    recovery = make_recovery(make_recording())
+    own = Truth(recovery.t_s, recovery.position, recovery.quaternion, recovery.answered)
+    said = "The reference is this result itself"
+    assert any(note.startswith(said) for note in validate(recovery, own).notes)
+    other = Truth(recovery.t_s, recovery.position + 0.003, recovery.quaternion, recovery.answered)
+    assert not any(note.startswith(said) for note in validate(recovery, other).notes)
+
+
+def test_the_sentence_on_sigma_has_the_factor_of_the_table():
+    from calib.sigma_factor import LengthFactor, factor_sentences
+
+    (sentence, *_) = factor_sentences([LengthFactor(0.5, 30, False, 0.8, 0.89, 0.95, 1.0)])
+    assert "by 1.00" in sentence and "0.89" not in sentence
+
+
+def test_the_demo_knows_no_true_lever_arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """It recovers as a user's own first recording is recovered."""
+    given: list[object] = []
+
+    def stop(recording: object, calibration: object, *_: object, **__: object) -> None:
+        given.append(calibration)
+        raise UnoccludeError("enough")
+
+    monkeypatch.setattr("smoother.smooth", stop)
+    assert run(["demo", "-o", str(tmp_path / "demo")]) == 1 and given == [None]

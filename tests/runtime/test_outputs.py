@@ -37,7 +37,7 @@ def test_an_output_appears_whole(tmp_path: Path) -> None:
 
 def test_an_older_output_needs_force(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("old")
-    with pytest.raises(UnoccludeError, match="--force"), writing(tmp_path / "out"):
+    with pytest.raises(UnoccludeError, match="force=True"), writing(tmp_path / "out"):
         raise AssertionError("not reached")
     with writing(tmp_path / "out", force=True) as temporary:
         temporary.write_text("new")
