@@ -393,9 +393,9 @@ def validate(
     return Validation(
         **figures,
         notes=(
+            *_same(figures["all"], points),
             *alignment.notes,
             *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
-            *_same(figures["all"], points),
             *_notes(errors, figures["all"]),
             *(angles.notes if angles else ()),
         ),
