@@ -183,11 +183,11 @@ def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:
     if not factors:
         return []
     listed = "; ".join(
-        f"{row.length_s:g} s by {row.factor_95:.2f}"
+        f"{row.length_s:g} s by {row.factor:.2f}"
         f" ({row.count} {'gap' if row.count == 1 else 'gaps'}{', all lengths' if row.pooled else ''})"
         for row in factors
     )
-    sentences = [f"for the 95 % region to hold in hidden gaps sigma has to be multiplied: {listed}"]
+    sentences = [f"for the 95 % region to hold in hidden gaps, multiply sigma: {listed}"]
     fewest = min(factors, key=lambda row: row.level)
     if fewest.level < LEVELS[1]:
         sentences.append(

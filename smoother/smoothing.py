@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TypeVar
 
+import numpy as np
+
 from .calibration import ArmCalibration
 from .cameras import join_cameras
 from .config import Config
@@ -13,7 +15,7 @@ from .errors import SolveError, UnoccludeError
 from .measurements.clock import OFFSET_SIGMA_S, Clock
 from .measurements.outliers import reject_by_camera
 from .measurements.segment import Timeline
-from .recording import FOREARM_JOINTS, Recording
+from .recording import FOREARM_JOINTS, JointState, Recording
 from .recovery.ambiguity import with_ambiguities
 from .recovery.camera_blocks import CameraEvidence, Solved, without_wrong_blocks
 from .recovery.cameras import names_of, with_cameras
@@ -100,6 +102,7 @@ def smooth(
     report, store = progress or (lambda fraction, text: None), store or Store()
     if not any(joint in FOREARM_JOINTS for joint in recording.arm.present):
         raise SolveError(f"{recording.name}: the camera never tracked the forearm")
+    _check_unit(recording)
 
     # 0. Several cameras: where each stands, its clock, and all frames as one stream in the first one's frame.
     recording, rig = join_cameras(recording, store, float(limb_lengths(config.arm).mean[0]))
@@ -135,6 +138,22 @@ def smooth(
     recovery = with_cause(recovery, recording, given, clock)
     recovery = with_gap_verdicts(with_ambiguities(recovery, recording, best.excerpts, given))
     return with_cause(recovery, recording, given, clock)
+
+
+#: No depth camera sees a person beyond this, m.
+_FARTHEST_M = 50.0
+
+
+def _check_unit(recording: Recording) -> None:
+    """Refuse positions that cannot be metres."""
+    tracked = recording.arm.position[recording.arm.state == JointState.TRACKED]
+    distance = float(np.median(np.linalg.norm(tracked, axis=-1))) if len(tracked) else 0.0
+    if distance > _FARTHEST_M:
+        unit, factor = ("millimetres", 1000) if distance > 20 * _FARTHEST_M else ("centimetres", 100)
+        raise SolveError(
+            f"{recording.name}: positions are in metres, and these are {distance:.0f} from the camera; they"
+            f" seem to be {unit}: divide them by {factor}"
+        )
 
 
 def _solved(

@@ -351,7 +351,10 @@ def changed(kept: KeptRecording, wish: dict[str, Any]) -> KeptRecording:
             setattr(kept, key, one_line(wish[key]))
     if kept.date and not _is_date(kept.date):
         raise AppError("The date is written as YYYY-MM-DD.")
-    for key, value in (wish.get("choices") or {}).items():
+    choices = wish.get("choices", {})
+    if not isinstance(choices, dict):
+        raise AppError("The choices are not an object.")
+    for key, value in choices.items():
         if key not in {each.name for each in fields(Choices)}:
             raise AppError(f"There is no choice {str(key)[:40]!r}.")
         setattr(kept.choices, key, value)
@@ -388,9 +391,11 @@ def _check(choices: Choices) -> None:
     )
     good &= isinstance(choices.left_out, list) and all(isinstance(each, str) for each in choices.left_out)
     good &= choices.side in ("", "left", "right")
-    good &= choices.body is None or (isinstance(choices.body, int) and 0 <= choices.body < 10**9)
-    good &= all(_is_time(each) for each in (choices.imu_starts_at_s or 0.0, choices.video_offset_s))
-    good &= isinstance(choices.video_mirrored, bool) and choices.video_turn in (0, 90, 180, 270)
+    good &= choices.body is None or (type(choices.body) is int and 0 <= choices.body < 10**9)
+    good &= choices.imu_starts_at_s is None or _is_time(choices.imu_starts_at_s)
+    good &= _is_time(choices.video_offset_s)
+    good &= isinstance(choices.video_mirrored, bool)
+    good &= type(choices.video_turn) is int and choices.video_turn in (0, 90, 180, 270)
     good &= isinstance(choices.remedy, str) and (
         not choices.remedy or all(_REMEDY.fullmatch(each) for each in remedy_options(choices.remedy))
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..errors import UnoccludeError
 from .folder import AppError, AppFolder, read_json, write_json
 
 #: Jobs that run at a time; a command takes all cores by itself.
@@ -68,8 +70,8 @@ class JobState:
 def latest(folder: Path) -> Path | None:
     """The folder of a recording's latest job; None without any."""
     jobs = folder / "jobs"
-    names = sorted(p.name for p in jobs.iterdir() if (p / "job.json").is_file()) if jobs.is_dir() else []
-    return jobs / names[-1] if names else None
+    whole = [p for p in jobs.iterdir() if (p / "job.json").is_file()] if jobs.is_dir() else []
+    return max((p for p in whole if p.name.isdecimal()), key=lambda p: int(p.name), default=None)
 
 
 def state_of(job: Path, printed: bool = False) -> JobState:
@@ -185,10 +187,16 @@ class JobDesk:
             last = latest(place)
             if last is not None and state_of(last).state in OPEN:
                 raise AppError("This recording is being worked on; wait for it, or cancel it.", 409)
-            number = 1 if last is None else int(last.name) + 1
-            job = place / "jobs" / f"{number:04d}"
-            job.mkdir(parents=True)
-            write_json(job / "job.json", {"kind": kind, "steps": steps, "stamp": stamp})
+            jobs = place / "jobs"
+            jobs.mkdir(exist_ok=True)
+            number = 1 + max((int(p.name) for p in jobs.iterdir() if p.name.isdecimal()), default=0)
+            job = jobs / f"{number:04d}"  # one without job.json was left by a full disk: its number is passed
+            job.mkdir()
+            try:
+                write_json(job / "job.json", {"kind": kind, "steps": steps, "stamp": stamp})
+            except BaseException:
+                shutil.rmtree(job, ignore_errors=True)
+                raise
             self._queue.append(job)
         self.tick()
         return number
@@ -201,9 +209,13 @@ class JobDesk:
                 if over:
                     del self._running[job]
             while self._queue and len(self._running) < AT_A_TIME:
-                job = self._queue.pop(0)
+                job = self._queue[0]
                 if (job / "job.json").is_file() and state_of(job).state == "waiting":
-                    self._running[job] = _start(job)
+                    try:
+                        self._running[job] = _start(job)
+                    except (OSError, UnoccludeError):  # a full disk: it is tried again
+                        return
+                self._queue.pop(0)
 
     def cancel(self, place: Path) -> None:
         """Stop a recording's job, or take it from the queue."""

@@ -14,6 +14,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -28,7 +29,10 @@ _GRACE_S = 10.0
 #: Whoever looks whether a job is locked holds its lock for a moment, s.
 _LOCK_S = 5.0
 #: How a process runs one command of the program.
-_PROGRAM = (sys.executable, "-P", "-c", "from smoother.cli import main; main()")
+_PROGRAM = (
+    *(sys.executable, "-P", "-c"),
+    "from smoother.app.runner import watch_parent; watch_parent(); from smoother.cli import main; main()",
+)
 
 
 def main(folder: Path) -> int:
@@ -107,7 +111,7 @@ def _command(folder: Path, step: dict[str, Any], stop: list[str]) -> int:
             [*_PROGRAM, *step["argv"]],
             cwd=place,
             env=environment,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,  # closed with this process, however it ends; see watch_parent
             stdout=out,
             stderr=err,
             start_new_session=True,  # a signal for it reaches its workers, and none for us does
@@ -124,6 +128,25 @@ def _command(folder: Path, step: dict[str, Any], stop: list[str]) -> int:
         finally:
             if process.poll() is None:
                 end(process, 0.0)
+            if process.stdin is not None:
+                process.stdin.close()
+
+
+def watch_parent() -> None:
+    """In a command: end it and its workers when the process that started it is gone, even by kill -9."""
+    pipe = os.dup(0)
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    os.close(null)
+
+    def watch() -> None:
+        while os.read(pipe, 1):
+            pass
+        for number in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
+            os.killpg(0, number) if hasattr(os, "killpg") else os.kill(os.getpid(), number)
+            time.sleep(_GRACE_S)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _asked_to_stop(folder: Path) -> str:

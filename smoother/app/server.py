@@ -70,7 +70,7 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         async def look() -> None:
             while True:
-                with suppress(OSError):
+                with suppress(OSError, UnoccludeError):
                     await anyio.to_thread.run_sync(desk.tick)
                 await asyncio.sleep(_TICK_S)
 
@@ -165,10 +165,11 @@ async def _body(request: Request) -> dict[str, Any]:
             raise AppError("The request is too long.", 413)
     try:
         values = json.loads(data or b"{}")
-    except ValueError:
+        json.dumps(values, ensure_ascii=False).encode()  # half a character cannot be kept
+    except (ValueError, RecursionError):
         values = None
     if not isinstance(values, dict):
-        raise AppError("The request has no object.")
+        raise AppError("The request is not a JSON object that can be kept.")
     return values
 
 
@@ -310,7 +311,7 @@ def begin(folder: AppFolder, desk: JobDesk, place: Path, kind: str, wish: dict[s
         todo = steps.recover_steps(folder, place, bool(wish.get("anyway")))
     elif kind == "export":
         formats = wish.get("formats", [])
-        todo = steps.export_steps(place, formats if isinstance(formats, list) else [])
+        todo = steps.export_steps(place, [str(each) for each in formats] if isinstance(formats, list) else [])
     else:
         raise AppError("There is no such job.")
     desk.add(place, kind, todo, steps.stamp(folder, place))
@@ -337,6 +338,8 @@ async def _template(request: Request) -> Any:
     kind = wish.get("kind")
     if not isinstance(columns, dict) or not isinstance(keys, dict) or kind not in ("imu", "skeleton"):
         raise AppError("A template defines the columns.")
+    if not all(isinstance(v, str | int | float) for v in (*columns.values(), *keys.values())):
+        raise AppError("A column or key of the template has a value that cannot be.")
     title = one_line(wish.get("title", "")) or "Table"
     text = template_text(title, kind, names, width, columns, keys)
     trial = folder.hidden / f".{secrets.token_hex(8)}.toml"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import os
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..result.draws import USUAL_DRAWS
+from ..runtime.csv_rows import write_rows
 from .folder import AppError, AppFolder, Choices, KeptRecording, read_json, read_kept, remedy_options
 
 Step = dict[str, Any]
@@ -337,11 +337,11 @@ def compare_steps(folder: AppFolder, place: Path, person: str) -> list[Step]:
     lines = [os.path.relpath(path, place) for path, _, _ in mine]
     (place / "list.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     with open(place / "sessions.csv", "w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("file", "person", "session", "date", "task"))
-        for path, kept, date in mine:
-            session = date or kept.name
-            writer.writerow((path.relative_to(base).as_posix(), person, session, date, kept.task))
+        rows = [
+            (path.relative_to(base).as_posix(), person, date or kept.name, date, kept.task)
+            for path, kept, date in mine
+        ]
+        write_rows(file, [("file", "person", "session", "date", "task"), *rows])
     measured = ["batch", "list.txt", "-o", "study", "--measures"]
     shown = ["progress", "study", "--sessions", "sessions.csv", "--person", person]
     shown += ["--report", "progress.html", "--json", "progress.json", "--csv", "progress.csv", "--force"]
@@ -360,9 +360,11 @@ def recorded_date(place: Path, kept: KeptRecording) -> str:
 
 
 def stamp(folder: AppFolder, place: Path) -> str:
-    """A hash of all inputs of a recovery: files, settings and templates; it changes with any of them."""
+    """A hash of all inputs of a recovery: files, settings, and the templates that read one of the files."""
     parts: list[Any] = []
-    for path in (*files_of(place), *folder.template_files()):
+    used = {each["format"] for each in described(place)}
+    templates = [path for path in folder.template_files() if f"template:{path.stem}" in used]
+    for path in (*files_of(place), *templates):
         about = path.stat()
         parts.append((path.name, about.st_size, about.st_mtime_ns))
     parts.append(asdict(read_kept(place).choices))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import asdict
 from importlib.util import find_spec
@@ -103,6 +104,7 @@ def recording(folder: AppFolder, name: str) -> dict[str, Any]:
         "report_at": (place / REPORT).stat().st_mtime_ns if (place / REPORT).is_file() else 0,
         "outdated": bool((place / RESULT).is_file() and _result_stamp(place) not in ("", mine)),
         "exports": [each for each, file in EXPORTS.items() if (place / "exports" / file).is_file()],
+        "unread": [Path(each["file"]).name for each in known if each["error"]],
         "downloads": [file for file in (recording_of(place), *DOWNLOADS) if (place / file).is_file()],
     }
 
@@ -150,6 +152,7 @@ def streams(folder: AppFolder, name: str) -> dict[str, Any]:
             {**stream, "key": sensor_key(each["file"], stream, count)} for stream in each["streams"]
         ]
         each["name"] = Path(each["file"]).name
+        each["error"], each["notes"] = in_page_words(each["error"]), in_page_words(each["notes"])
     return {"files": files}
 
 
@@ -170,6 +173,7 @@ def _job(place: Path, printed: bool = True) -> dict[str, Any] | None:
     if job is None:
         return None
     state = asdict(state_of(job, printed))
+    state["sentence"] = in_page_words(state["sentence"])
     return {**state, "open": state["state"] in OPEN}
 
 
@@ -185,4 +189,35 @@ def _result_stamp(place: Path) -> str:
 
 def _verdict(path: Path) -> dict[str, Any] | None:
     figures = read_json(path)
-    return {key: figures.get(key) for key in (*_SHOWN, "allows")} if "trusted" in figures else None
+    if "trusted" not in figures:
+        return None
+    shown = {key: figures.get(key) for key in (*_SHOWN, "allows")}
+    return {key: value if key == "remedies" else in_page_words(value) for key, value in shown.items()}
+
+
+#: What a sentence of a command calls an option or a command, and where the page has it.
+_PLACES = (
+    (r"`?--(mirror|swap|negate|camera-frame)\b( [a-z]+(,[a-z]+)*)?`?", "the button that corrects it"),
+    (r"`?--imu-starts-at( [A-Z]+)?`?", '"First IMU sample after the camera\'s first frame" (More options)'),
+    (r"`?--side( [A-Za-z]+)?`?", '"Arm" (More options)'),
+    (r"`?--body( [A-Z]+)?`?", '"Person" (More options)'),
+    (r"`?--calibration( [A-Za-z.]+)?`?", "a calibration file dropped with the others"),
+    (r"`?--model( [A-Za-z._]+)?`?", "the model's file dropped with the others"),
+    (r"`?--mirrored`?", '"The video is mirrored"'),
+    (r"`?--turn( [A-Z]+)?`?", '"Rotate the video"'),
+    (r"`?--imu [A-Za-z_]+=[^ `,;]*`?", '"Worn on"'),
+    (r"`?(unocclude )?import describe( [A-Za-z._/]+)?`?", '"Describe this table"'),
+    (r"`?--template( [A-Za-z._]+)?`?", '"Describe this table"'),
+)
+
+
+def in_page_words(value: Any) -> Any:
+    """A command's sentence, or several, with what the page offers in place of the command line's options."""
+    if isinstance(value, list):
+        return [in_page_words(each) for each in value]
+    if isinstance(value, dict):
+        return {key: in_page_words(each) for key, each in value.items()}
+    if isinstance(value, str):
+        for pattern, words in _PLACES:
+            value = re.sub(pattern, words, value)
+    return value

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import signal
 import sys
 from contextlib import suppress
+from typing import Any
 
 from ..runtime.allocation import keep_freed_memory
 
@@ -22,6 +24,7 @@ def main() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     keep_freed_memory()
     _open_closed_streams()
+    _print_without_reader()
     try:
         from .run import run
 
@@ -53,6 +56,27 @@ def _open_closed_streams() -> None:
         if getattr(sys, name) is None:
             stream = open(number, mode, encoding="utf-8", closefd=False)  # noqa: SIM115 - open to the end
             setattr(sys, name, stream)
+
+
+class _Output(io.FileIO):
+    """Standard output; what is printed after its reader went away (| head) goes nowhere."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, 1)
+            os.close(null)
+            return len(data)
+
+
+def _print_without_reader() -> None:
+    """Let a command write its results although nobody reads what it prints."""
+    old = sys.stdout
+    if isinstance(old, io.TextIOWrapper) and not old.isatty():
+        raw = io.BufferedWriter(_Output(1, "wb", closefd=False))
+        sys.stdout = io.TextIOWrapper(raw, old.encoding, old.errors, line_buffering=old.line_buffering)
 
 
 def _flush() -> None:

@@ -111,13 +111,19 @@ def _chosen(option: str, text: str, known: tuple[str, ...]) -> list[str]:
 
 
 def _write(run: BenchmarkRun, output: Path, figures: dict[str, object], force: bool) -> None:
-    from ..evaluation.benchmark import gap_lines, markdown
+    from ..evaluation.benchmark import gap_rows, markdown
+    from ..runtime.csv_rows import write_rows
     from ..runtime.outputs import writing
 
     write_json(output / "benchmark.json", figures, force)
-    for name, text in (("benchmark.md", markdown(run)), ("gaps.csv", "\n".join(gap_lines(run)) + "\n")):
-        with writing(output / name, force) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+    with writing(output / "benchmark.md", force) as temporary:
+        temporary.write_text(markdown(run), encoding="utf-8", newline="
+")
+    with (
+        writing(output / "gaps.csv", force) as temporary,
+        open(temporary, "w", encoding="utf-8", newline="") as file,
+    ):
+        write_rows(file, gap_rows(run))
 
 
 def _show(run: BenchmarkRun) -> None:

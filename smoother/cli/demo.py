@@ -27,7 +27,6 @@ from .output import (
 )
 
 if TYPE_CHECKING:
-    from ..calibration import ArmCalibration
     from ..evaluation.validate import Validation
     from ..result import Recovery
 
@@ -47,8 +46,6 @@ def demo(
     json_file: Json = None,
 ) -> None:
     """Recover a small recording, validate it, write a report."""
-    from calib.motion.motion_calibration import with_given
-
     from .. import smooth
     from ..evaluation.validate import validate
     from ..io import read_recording, write_recovery
@@ -59,13 +56,12 @@ def demo(
 
     folder.mkdir(parents=True, exist_ok=True)
     check_outputs(True, [json_file])
-    source, calibration = _recording(folder)
+    source = _recording(folder)
     recording = read_recording(source)
     say(f"recording: {source}")
     with progress_bar("recovering") as progress:
         config = with_processes(read_config(None), processes)
-        recovery = smooth(recording, calibration, config, progress, draws=usual_draws(None))
-    recovery = with_given(recovery, calibration)
+        recovery = smooth(recording, None, config, progress, draws=usual_draws(None))
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
     left_out = write_recovery([recovery], result, source=source, force=True)
     truth = recording.truth
@@ -86,8 +82,11 @@ def demo(
     say_untrusted_parts(recovery)
     print_notes(left_out)
     say("Joints, joint angles and the calibration are in the report.")
+    by_hand = folder / "by_hand.mcap"
+    say("Without any calibration, as a first recording of your own. The same by hand:")
+    say_command("smooth", source, "-o", by_hand, "--force")
     if validation is not None:
-        say_command("validate", result, "--truth", source)
+        say_command("validate", by_hand, "--truth", source)
     say(f"result: {result}")
     say(f"report: {report.resolve()}")
 
@@ -131,23 +130,17 @@ def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
         )
 
 
-def _recording(folder: Path) -> tuple[Path, ArmCalibration | None]:
-    """The recording beside the source tree and its calibration, or one simulated on the spot."""
-    data = Path(__file__).parents[2] / "data"
-    if (data / "demo.mcap").is_file():
-        calibration_file = data / "demo_calibration.toml"
-        if not calibration_file.is_file():
-            return data / "demo.mcap", None
-        from .load import load_arm
-
-        return data / "demo.mcap", load_arm(data / "demo.mcap", calibration_file)[1]
+def _recording(folder: Path) -> Path:
+    """The recording beside the source tree, or one simulated on the spot."""
+    kept = Path(__file__).parents[2] / "data" / "demo.mcap"
+    if kept.is_file():
+        return kept
     from ..io import write_recording
     from ..simulation import ArmSimulation, simulate_arm
 
-    simulated = simulate_arm(ArmSimulation.preset("realistic"), SEED)
     path = folder / "demo.mcap"
-    write_recording(simulated.recording, path, force=True)
-    return path, simulated.calibration
+    write_recording(simulate_arm(ArmSimulation.preset("realistic"), SEED).recording, path, force=True)
+    return path
 
 
 PACKAGES = (
@@ -286,13 +279,15 @@ def app(
     for name, package in (("uvicorn", "uvicorn"), ("starlette", "starlette")):
         extra_module(name, package, "app")
     from ..app.folder import AppFolder
-    from ..app.serving import serve
+    from ..app.serving import redirect_file, serve
+
+    place = AppFolder(Path.home() / FOLDER if folder is None else folder)
 
     def ready(address: str) -> None:
         print(address, flush=True)
         if not no_browser:
             import webbrowser
 
-            webbrowser.open(address)
+            webbrowser.open(redirect_file(place, address).as_uri())
 
-    serve(AppFolder(Path.home() / FOLDER if folder is None else folder), port, ready)
+    serve(place, port, ready)

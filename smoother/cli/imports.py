@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -287,6 +289,25 @@ def skeleton_file(text: str) -> tuple[str, Path]:
     return name, Path(rest)
 
 
+#: Where an IMU may be worn; it may also have another name.
+_ROLES = (
+    *(
+        f"{segment}_{side}"
+        for segment in ("forearm", "upper_arm", "hand", "wrist")
+        for side in ("left", "right")
+    ),
+    *("forearm", "upper_arm", "hand", "wrist", "trunk", "base"),
+)
+
+
+def _check_role(name: str) -> None:
+    """Refuse a misspelled place of an IMU, which would be taken for a name without meaning."""
+    near = get_close_matches(name.lower(), _ROLES, n=1, cutoff=0.8)
+    parts = set(re.split(r"[_\W\d]+", name.lower())) - {""}
+    if near and not parts <= {part for role in _ROLES for part in role.split("_")} | {"l", "r", "lower"}:
+        raise UnoccludeError(f"--imu {name}=: there is no such place; did you mean {near[0]}?")
+
+
 def imu_files(text: str) -> ImuFiles:
     """What `--imu [NAME=]FILE[,FILE]` names."""
     from ..io.devices.files import ImuFiles
@@ -296,6 +317,7 @@ def imu_files(text: str) -> ImuFiles:
         name, _, rest = (part.strip() for part in rest.partition("="))
         if not name or any(mark in name for mark in "/\\,"):
             raise UnoccludeError(f"--imu {text}: give NAME=FILE, as in --imu forearm_right=imu.csv")
+        _check_role(name)
     if not Path(rest).exists() and "#" in rest:
         rest, _, sensor = rest.rpartition("#")
     parts = [rest] if Path(rest).exists() else [part.strip() for part in rest.split(",") if part.strip()]

@@ -78,24 +78,19 @@ def print_symmetry(both: BothArms) -> None:
 
 def write_csv(path: Path, rows: Sequence[Measures], pairs: Sequence[BothArms], force: bool) -> None:
     """One row per measure: recording, side, body, then the fields of a measure; empty where there is none."""
-    import csv
-
     from ..measures import Measure
+    from ..runtime.csv_rows import write_rows
     from ..runtime.outputs import writing
 
     names = [each.name for each in fields(Measure)]
+    sources = [(one.name, one.side, one.body, one.rows) for one in rows]
+    sources += [(both.left.name, "both", both.left.body, both.rows) for both in pairs]
     with writing(path, force) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["recording", "side", "body", *names])
-        for one in rows:
-            for row in one.rows:
-                writer.writerow(
-                    [one.name, one.side, _csv_cell(one.body), *[_csv_cell(getattr(row, n)) for n in names]]
-                )
-        for both in pairs:
-            for row in both.rows:
-                cells = [_csv_cell(getattr(row, name)) for name in names]
-                writer.writerow([both.left.name, "both", _csv_cell(both.left.body), *cells])
+        write_rows(file, [["recording", "side", "body", *names]])
+        for name, side, body, own in sources:
+            write_rows(
+                file, ([name, side, *map(_csv_cell, (body, *(getattr(r, n) for n in names)))] for r in own)
+            )
 
 
 def _cells(row: Measure) -> tuple[str, ...]:

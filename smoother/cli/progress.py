@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -259,17 +258,17 @@ def _write_csv(path: Path | None, persons: Sequence[PersonProgress], force: bool
     """One row per person, measure and session, with the change since the first."""
     if path is None:
         return
+    from ..runtime.csv_rows import write_rows
     from ..runtime.outputs import writing
 
     with (
         writing(path, force) as temporary,
         open(temporary, "w", encoding="utf-8", errors="backslashreplace", newline="") as file,
     ):
-        writer = csv.writer(file)
-        writer.writerow(_COLUMNS)
+        write_rows(file, [_COLUMNS])
         for each in persons:
             for series in each.series:
-                writer.writerows(_rows(series))
+                write_rows(file, _rows(series))
 
 
 _COLUMNS = (

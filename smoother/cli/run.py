@@ -26,6 +26,7 @@ from ..runtime.printable import printable
 def ending_tidily() -> Iterator[None]:
     """Let SIGTERM and SIGHUP raise KeyboardInterrupt; a second one is not heard meanwhile.
 
+    All, and Ctrl-C, wait until an import is over: a library that is being initialised turns them into errors.
     What is ignored (`nohup`) stays so. Only the main thread can be interrupted.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -33,9 +34,15 @@ def ending_tidily() -> Iterator[None]:
         return
     before: dict[int, Any] = {}
 
-    def end(number: int, _: FrameType | None) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
+        if _imports(frame):
+            waits = threading.Timer(0.02, os.kill, (os.getpid(), number))
+            waits.daemon = True
+            waits.start()
+            return
         for each in before:
-            signal.signal(each, signal.SIG_IGN)
+            if each != signal.SIGINT:
+                signal.signal(each, signal.SIG_IGN)
         if hasattr(signal, "pthread_sigmask") and signal.SIGINT in signal.pthread_sigmask(
             signal.SIG_BLOCK, ()
         ):
@@ -44,15 +51,25 @@ def ending_tidily() -> Iterator[None]:
             return
         raise KeyboardInterrupt
 
-    for name in ("SIGTERM", "SIGHUP", "SIGBREAK"):
+    usual = (signal.SIG_DFL, signal.default_int_handler)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
         number = getattr(signal, name, None)  # Windows has no SIGHUP, others no SIGBREAK
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+        if number is not None and signal.getsignal(number) in usual:
             before[number] = signal.signal(number, end)
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether a frame is inside an import."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
 
 
 OK, FAILED, WRONG_USE = 0, 1, 2
@@ -118,7 +135,7 @@ def explain(error: BaseException) -> tuple[str, int]:
     if hasattr(error, "format_message"):  # typer's errors of use
         return _usage(error), WRONG_USE
     if isinstance(error, UnoccludeError):
-        return str(error), FAILED
+        return str(error).replace("force=True", "--force"), FAILED
     if isinstance(error, OSError):
         return _os_error(error), FAILED
     if is_out_of_memory(error):

@@ -27,7 +27,10 @@ _CONFIG = {"windows": {"processes": 1}}
 #: Frames that the pool counts: a trial is always worth a process.
 _MANY_FRAMES = 1_000_000
 Progress = Callable[[float, str], None]
-CSV_COLUMNS = "dataset,split,trial,length_s,method,start_s,end_s,samples,rms_m,max_m,sigma_max_m,failure"
+CSV_COLUMNS = (
+    *("dataset", "split", "trial", "length_s", "method", "start_s", "end_s", "samples", "rms_m", "max_m"),
+    *("sigma_max_m", "failure"),
+)
 
 
 class BenchmarkTask(NamedTuple):
@@ -346,8 +349,8 @@ def markdown(run: BenchmarkRun) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def gap_lines(run: BenchmarkRun) -> Iterable[str]:
-    """One line per gap, as in `gaps.csv`; the header first."""
+def gap_rows(run: BenchmarkRun) -> Iterable[Sequence[str]]:
+    """One row per gap, as in `gaps.csv`; the header first."""
     yield CSV_COLUMNS
     for (dataset, split), table in run.tables.items():
         for row in table.rows:
@@ -355,5 +358,4 @@ def gap_lines(run: BenchmarkRun) -> Iterable[str]:
             cells = [dataset, split, row.recording, f"{row.length_s:g}", row.method]
             cells += [repr(float(row.gap.start_s)), repr(float(row.gap.end_s)), str(row.figures.samples)]
             cells += ["" if value is None else repr(float(value)) for value in numbers]
-            cells.append('"' + row.failure.replace('"', "'") + '"' if row.failure else "")
-            yield ",".join(cells)
+            yield [*cells, row.failure or ""]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import FloatArray
+from ..runtime.csv_rows import write_rows
 from ..runtime.outputs import writing
 from .progress import first_of
 
@@ -75,9 +75,7 @@ def write_long(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         writing(path, force=True) as temporary,
         open(temporary, "w", newline="", encoding="utf-8") as file,
     ):
-        table = csv.DictWriter(file, LONG)
-        table.writeheader()
-        table.writerows(rows)
+        write_rows(file, [LONG, *([row[key] for key in LONG] for row in rows)])
 
 
 def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[GroupMeasure]:

@@ -386,18 +386,20 @@ def validate(
     }
     figures = {name: errors.figures(chosen) for name, chosen in parts.items()}
     angles = compare_angles(recovery, errors.reference, alignment.landmarks, truth.t_s)
+    points = {
+        joint: {name: errors.joint_figures(joint, chosen) for name, chosen in parts.items()}
+        for joint in errors.joint_distance_m
+    }
     return Validation(
         **figures,
         notes=(
+            *_same(figures["all"], points),
             *alignment.notes,
             *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
             *_notes(errors, figures["all"]),
             *(angles.notes if angles else ()),
         ),
-        points={
-            joint: {name: errors.joint_figures(joint, chosen) for name, chosen in parts.items()}
-            for joint in errors.joint_distance_m
-        },
+        points=points,
         gaps=tuple(_gaps(recovery, errors)),
         angles=angles,
         angle_figures={name: angles.figures(chosen) for name, chosen in parts.items()} if angles else {},
@@ -406,6 +408,19 @@ def validate(
         alignment=alignment,
         measures=compare_measures(recovery, errors.reference, pooled, processes, progress),
     )
+
+
+#: Two measurements of a motion never agree this well, m; an export rounds its values less.
+_SAME_M = 1e-4
+
+
+def _same(figures: Figures, points: dict[str, dict[str, Figures]]) -> list[str]:
+    """Says so where the reference is the result itself."""
+    errors = [one.position_rms_m for one in (figures, *(each["all"] for each in points.values()))]
+    known = [error for error in errors if error is not None]
+    if known and max(known) < _SAME_M:
+        return ["The reference is this result itself, or an export of it: the comparison shows nothing."]
+    return []
 
 
 def _notes(errors: SampleErrors, figures: Figures) -> list[str]:

@@ -96,7 +96,7 @@ def definitions() -> dict[str, MeasureDefinition]:
         by_key[f"{angle}_min_deg"] = MeasureDefinition(f"{words}, smallest", "deg", *ends)
         by_key[f"{angle}_max_deg"] = MeasureDefinition(f"{words}, largest", "deg", *ends)
         for percentile in PERCENTILES:
-            which = "median" if percentile == 50 else f"{percentile} % percentile"
+            which = "median" if percentile == 50 else f"{percentile}th percentile"
             by_key[f"{angle}_p{percentile}_deg"] = MeasureDefinition(f"{words}, {which}", "deg", *ends)
         by_key[f"{angle}_peak_speed_deg_s"] = MeasureDefinition(f"{words}, peak speed", "deg/s", 0.0)
     return by_key | _OF_HAND

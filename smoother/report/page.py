@@ -44,7 +44,7 @@ from .sheet import (
     table,
 )
 from .style import MOST_POINTS, decimate
-from .summary import summary, tone
+from .summary import below, box
 from .traces import angles, coordinates, residuals, uncertainty
 from .truth_comparison import against_truth, calibration_curves, compared, share_inside, timeline
 
@@ -67,7 +67,8 @@ def write_report(
 ) -> None:
     """Write a result as one HTML page that needs no network and no other file.
 
-    It begins with the verdict, the joint angles and the arm in motion; all else is folded under "Details".
+    It begins with the verdict and the arm in motion, then the joint angles; all else is folded under
+    "Details".
 
     Parameters
     ----------
@@ -96,9 +97,10 @@ def write_report(
     Page(
         f"Recovered arm motion: {recovery.name}",
         origin(recovery),
-        summary(recovery, validation),
-        sections(recovery, recording, validation, truth, camera_frame, film),
-        tone=tone([recovery]),
+        below(recovery, validation),
+        sections(recovery, recording, validation, truth, camera_frame),
+        boxes=[box(recovery, validation)],
+        beside=in_motion([(recording, recovery, truth)], _frame(recording, camera_frame), film),
     ).write(path, force)
 
 
@@ -116,18 +118,19 @@ def sections(
     validation: Validation | None,
     truth: Truth | None,
     frame: CameraFrame | None,
-    film: Film | None = None,
 ) -> Iterator[str]:
-    """The sections about one arm, as HTML; parameters as of `write_report`."""
-    frame = frame if recording is None else recording.camera_frame or frame
+    """The sections about one arm below its first screen, as HTML; parameters as of `write_report`."""
+    frame = _frame(recording, frame)
     yield from _first(recovery, recording, truth)
-    if len(recovery):
-        yield in_motion([(recording, recovery, truth)], frame, film)
     yield from folded(details(recovery, recording, validation, truth, frame), below=CONTENTS)
 
 
+def _frame(recording: Recording | None, frame: CameraFrame | None) -> CameraFrame | None:
+    return frame if recording is None else recording.camera_frame or frame
+
+
 def _first(recovery: Recovery, recording: Recording | None, truth: Truth | None) -> Iterator[str]:
-    """What precedes the animation: what to do where the set-up is wrong, and the angles."""
+    """What follows the first screen: what to do where the set-up is wrong, and the angles."""
     if not len(recovery):
         return
     if recovery.estimates.trusted is False:
@@ -394,21 +397,19 @@ def write_arms_report(
     """
     recoveries = [arm[1] for arm in arms]
     marks = [_mark(tag) for tag in arm_tags(recoveries)]
-    paragraphs = []
-    for arm in sorted(arms, key=lambda arm: arm[1].estimates.trusted is not False):  # the worst first
-        paragraphs += [f"{_name(arm[1])}: {text}" for text in summary(arm[1], _of(arm)[0])]
+    frame = next((arm[0].camera_frame for arm in arms if arm[0] is not None), None) or camera_frame
+    worst_first = sorted(arms, key=lambda arm: arm[1].estimates.trusted is not False)
     Page(
         f"Recovered arm motion: {recoveries[0].name}",
         origin(recoveries[0]),
-        paragraphs,
-        _sections(arms, marks, camera_frame, film),
-        tone=tone(recoveries),
+        [f"{_name(arm[1])}: {text}" for arm in worst_first for text in below(arm[1], _of(arm)[0])],
+        _sections(arms, marks, frame),
+        boxes=[box(arm[1], _of(arm)[0], _name(arm[1])) for arm in worst_first],
+        beside=in_motion([(arm[0], arm[1], _of(arm)[1]) for arm in arms], frame, film),
     ).write(path, force)
 
 
-def _sections(
-    arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | None, film: Film | None
-) -> Iterator[str]:
+def _sections(arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | None) -> Iterator[str]:
     links = [
         Html(f'<a href="#arm-{mark}">{escape(_name(arm[1]))}</a>')
         for arm, mark in zip(arms, marks, strict=True)
@@ -424,11 +425,9 @@ def _sections(
         for link, arm in zip(links, arms, strict=True)
     ]
     yield table(("arm", "gaps", "hidden, s", "trusted", "verdict"), rows)
-    frame = next((arm[0].camera_frame for arm in arms if arm[0] is not None), None) or frame
     for arm, mark in zip(arms, marks, strict=True):
         for section in _first(arm[1], arm[0], _of(arm)[1]):
             yield qualified(section.replace("<h2>", f"<h2>{escape(_name(arm[1]))}: ", 1), mark)
-    yield in_motion([(arm[0], arm[1], _of(arm)[1]) for arm in arms], frame, film)
     for number, (arm, mark) in enumerate(zip(arms, marks, strict=True)):
         yield f'<section id="arm-{mark}">'
         inside = details(arm[1], arm[0], *_of(arm), frame)

@@ -82,12 +82,13 @@ def _verdict(progress: PersonProgress) -> Iterator[str]:
                 _label(each, progress) for each in progress.clear if each.change and each.change.word == word
             ]
             if names:
-                more = f" and {len(names) - 4} others" if len(names) > 4 else ""
+                others = len(names) - 4
+                more = f" and {others} other{'s' if others > 1 else ''}" if others > 0 else ""
                 yield f"{word.capitalize()}: {'; '.join(names[:4])}{more}"
         if (compared := len(progress.compared)) >= 10 and clear:
             yield (
                 f"Of {compared} measures about {0.05 * compared:.0f} would be called clear by chance alone;"
-                f" {_standing(progress)} when all are counted together"
+                f" after correction for that, {_standing(progress)}"
             )
     yield NO_DIAGNOSIS
     yield (
@@ -104,9 +105,9 @@ def _standing(progress: PersonProgress) -> str:
         if each.change is not None and each.change.p_together < 0.05
     ]
     if not stand:
-        return "none of them stands"
+        return "none of them remains clear"
     more = " and others" if len(stand) > 3 else ""
-    return f"{'; '.join(stand[:3])}{more} {'stand' if len(stand) > 1 else 'stands'}"
+    return f"{'; '.join(stand[:3])}{more} {'remain' if len(stand) > 1 else 'remains'} clear"
 
 
 def _sections(progress: PersonProgress) -> Iterator[str]:
@@ -134,7 +135,7 @@ def _shown(progress: PersonProgress) -> list[Series]:
 
 def _figures(progress: PersonProgress, shown: Sequence[Series]) -> str:
     caption = (
-        "A dot a session, with its 95 % interval as a line. The pale band is the interval of the first"
+        "One dot per session, with its 95 % interval as a line. The pale band is the interval of the first"
         " session."
     )
     if len(progress.sessions) == 1:

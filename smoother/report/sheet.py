@@ -22,7 +22,7 @@ MOST_ROWS = 500
 #: A page with fewer headings needs no list of contents.
 FEWEST_CONTENTS = 4
 #: Tones of a page's first sentences: what it is about is not to be trusted, or not everywhere.
-ALARM, CARE = "alarm", "care"
+ALARM, CARE, GOOD = "alarm", "care", "good"
 #: Stands for the sections while the page around them is put together.
 _HERE = "<!-- sections -->"
 #: Stands for the list of contents where it is not to follow the first sentences.
@@ -53,6 +53,10 @@ class Page:
         Print it in small type: what is short fits on two pages.
     tone : str
         `ALARM` or `CARE`: the first sentences are in red or amber.
+    boxes : sequence of (str, str, list of str)
+        Tone, large word and sentences of each verdict of the first screen; `verdict` is below it then.
+    beside : str
+        HTML beside the boxes.
     """
 
     title: str
@@ -61,6 +65,8 @@ class Page:
     sections: Iterable[str]
     two_pages: bool = False
     tone: str = ""
+    boxes: Sequence[tuple[str, str, list[str]]] = ()
+    beside: str = ""
 
     def write(self, path: str | os.PathLike[str], force: bool = False) -> None:
         """Write it to a file.
@@ -78,30 +84,48 @@ class Page:
         """
         from .. import __version__
 
-        paragraphs = "".join(f"<p>{escape(_sentence(text))}</p>" for text in self.verdict)
+        below = _paragraphs(self.verdict)
         with (
             writing(path, force) as temporary,
             open(temporary, "w", encoding="utf-8", errors="backslashreplace") as file,
         ):
-            body, contents = _with_anchors(list(self.sections))
+            (beside, *body), contents = _with_anchors([self.beside, *self.sections])
             page = Template(_web("page.html")).substitute(
                 title=escape(self.title),
                 made=escape(self.subtitle),
                 style=_web("style.css"),
-                scripts=_programs(body),
+                scripts=_programs([beside, *body]),
                 content=_HERE,
                 kind=' class="two-pages"' if self.two_pages else "",
                 version=escape(__version__),
             )
             before, after = page.split(_HERE)
-            file.write(
-                f'{before}<div class="summary{f" {self.tone}" if self.tone else ""}">{paragraphs}</div>'
-            )
+            file.write(before)
+            if self.boxes:
+                said = "".join(
+                    _box(tone, _paragraphs(sentences), word) for tone, word, sentences in self.boxes
+                )
+                beside = f'<div class="beside">{beside}</div>' if beside else ""
+                file.write(f'<div class="screen"><div class="said">{said}</div>{beside}</div>{below}')
+            else:
+                file.write(_box(self.tone, below))
             if not any(CONTENTS in section for section in body):
                 file.write(contents)
             for section in body:
                 file.write(f"\n{section.replace(CONTENTS, contents)}")
             file.write(after)
+
+
+def _paragraphs(texts: Iterable[str]) -> str:
+    return "".join(f"<p>{escape(_sentence(text))}</p>" for text in texts)
+
+
+_TONE_SIGNS = {GOOD: "✓ ", CARE: "! ", ALARM: "✕ "}
+
+
+def _box(tone: str, paragraphs: str, word: str = "") -> str:
+    large = f'<p class="large">{_TONE_SIGNS.get(tone, "")}{escape(word)}</p>' if word else ""
+    return f'<div class="summary{f" {tone}" if tone else ""}">{large}{paragraphs}</div>'
 
 
 def _web(name: str) -> str:
@@ -258,8 +282,8 @@ def _sentence(text: str) -> str:
 
 #: General notes on both pages.
 NO_DIAGNOSIS = (
-    "This page measures motion. It is not a diagnosis and does not explain a motion; conclusions are for"
-    " the treating person to draw."
+    "This page measures motion. It is not a diagnosis and does not explain a motion; conclusions are left to"
+    " the treating clinician."
 )
 TERMS = {
     "interval": (

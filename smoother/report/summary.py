@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ..evaluation.coverage import camera_residuals
@@ -15,7 +13,7 @@ from ..measurements.timestamps import pauses
 from ..measurements.visibility import occluded_at
 from ..result import Estimates, Recovery
 from ..result.untrusted import MOST_NAMED, partly_untrusted, untrusted_sentences
-from .sheet import ALARM, CARE, listed
+from .sheet import ALARM, CARE, GOOD, listed
 
 #: A gap in which 95 of 100 errors need not lie below this needs care, m.
 WIDE_M = 0.10
@@ -59,11 +57,40 @@ def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
     return [paragraph for paragraph in paragraphs if paragraph]
 
 
-def tone(recoveries: Sequence[Recovery]) -> str:
-    """The tone of the first sentences: red where a result is not to be trusted, amber where a part is not."""
-    if any(recovery.estimates.trusted is False for recovery in recoveries):
-        return ALARM
-    return CARE if any(partly_untrusted(recovery) for recovery in recoveries) else ""
+def box(recovery: Recovery, validation: Validation | None, arm: str = "") -> tuple[str, str, list[str]]:
+    """Tone, large word and sentences of the first screen: the verdict, and one figure of the error."""
+    said, estimates = summary(recovery, validation), recovery.estimates
+    if not len(recovery):
+        return CARE, f"{arm}: no result" if arm else "No result", said
+    word, _, why = estimates.verdict.rstrip(".").partition(": ")
+    partly, doubt = partly_untrusted(recovery), _camera_doubts(recovery)
+    if estimates.trusted is False:
+        tone, shown = (
+            ALARM,
+            [why, *(text for text in _what_is_wrong(estimates)[1:] if not _is_evidence(text))],
+        )
+    else:
+        gaps = gap_summaries(recovery)
+        trusted = [gap for gap in gaps if gap.trusted is not False]
+        check = estimates.self_check
+        consistent = _consistent(validation) and not doubt
+        figure = check.sentence if check is not None else _how_well(recovery, gaps, trusted, consistent)
+        shown = [why, _untrusted(recovery), figure, doubt]
+        care = partly or why or not consistent
+        tone = CARE if care else GOOD if estimates.trusted else ""
+    word = (word or "Not judged") + (" in part" if partly and not why else "")
+    head = f"{arm}: {word[:1].lower()}{word[1:]}" if arm else word
+    return tone, head, [text for text in shown if text]
+
+
+def _is_evidence(text: str) -> bool:
+    return text.startswith("Evidence: ")
+
+
+def below(recovery: Recovery, validation: Validation | None) -> list[str]:
+    """The sentences of `summary` that the first screen does not have."""
+    shown = {recovery.estimates.verdict, *box(recovery, validation)[2]}
+    return [text for text in summary(recovery, validation) if text not in shown]
 
 
 def _what_is_wrong(estimates: Estimates) -> list[str]:

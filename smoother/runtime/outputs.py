@@ -266,7 +266,8 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
         if error.filename2 is None:  # of another file, by who wrote to the temporary one
             raise UnoccludeError(_sentence(Path(path), temporary, error)) from error
         raise UnoccludeError(
-            f"{path} was written by another command meanwhile; give another name, or --force to overwrite it."
+            f"{path} was written by another command meanwhile; give another name, or force=True to overwrite"
+            " it."
         ) from error
     except OSError as error:
         raise UnoccludeError(_sentence(Path(path), temporary, error)) from error
@@ -288,7 +289,7 @@ def check_output(path: str | os.PathLike[str], force: bool = False) -> None:
         return
     _check_kind(target)
     if target.exists() and not force:
-        raise UnoccludeError(f"{target} exists already; give another name, or --force to overwrite it.")
+        raise UnoccludeError(f"{target} exists already; give another name, or force=True to overwrite it.")
     if target.is_symlink() and not target.exists():
         target = target.resolve()
     if not target.absolute().parent.is_dir():

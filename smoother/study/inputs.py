@@ -24,6 +24,7 @@ from typing import Any
 from ..config import Config
 from ..errors import UnoccludeError
 from ..io.recording.selection import Selection
+from ..runtime.csv_rows import read_cell
 from ..runtime.inputs import check_input
 from ..runtime.outputs import is_temporary
 from .folder import StudyFolder
@@ -527,7 +528,7 @@ def _rows(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
             raise UnoccludeError(f"{path}: its columns are {', '.join(headings) or 'none'}; {_EXPECTED}")
         for cells in reader:
             if any(cell.strip() for cell in cells):
-                row = dict(zip(headings, (cell.strip() for cell in cells), strict=False))
+                row = dict(zip(headings, (read_cell(cell.strip()) for cell in cells), strict=False))
                 yield reader.line_num, {name: row.get(name, "") for name in _HEADINGS}
     except csv.Error as error:
         raise UnoccludeError(f"{path}, line {reader.line_num}: {error}; save it as plain CSV") from error

@@ -30,13 +30,17 @@ def environment() -> dict[str, str]:
 class Program:
     """`unocclude app` as a user starts it; `close` ends it and what it runs."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, stderr: int | None = None) -> None:
+        self.folder, self.stderr = folder, stderr
         self.start()
 
     def start(self) -> None:
         self._process = subprocess.Popen(
-            program_words(self.folder), stdout=subprocess.PIPE, text=True, env=environment()
+            program_words(self.folder),
+            stdout=subprocess.PIPE,
+            stderr=self.stderr,
+            text=True,
+            env=environment(),
         )
         assert self._process.stdout is not None
         timer = threading.Timer(_START_S, self._process.kill)  # a program that hangs says nothing
@@ -67,6 +71,11 @@ class Program:
         """What it printed after the address, once it has ended."""
         assert self._process.stdout is not None
         return self._process.stdout.read()
+
+    def errors(self) -> str:
+        """What it printed on standard error, once it has ended."""
+        assert self._process.stderr is not None
+        return self._process.stderr.read()
 
     def only(self) -> Path:
         (place,) = (path.parent for path in self.folder.glob("*/app.json"))

@@ -69,7 +69,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path, recording: Recordin
     write_recording(recording, tmp_path / "a.mcap")
     write_recording(recording, tmp_path / "b.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-    with pytest.raises(UnoccludeError, match="--force"):
+    with pytest.raises(UnoccludeError, match="force=True"):
         write_recording(recording, tmp_path / "a.mcap")
 
 

@@ -94,7 +94,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in "ab":
         write_recovery(recovery(), tmp_path / f"{name}.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-    with pytest.raises(UnoccludeError, match="--force"):
+    with pytest.raises(UnoccludeError, match="force=True"):
         write_recovery(recovery(), tmp_path / "a.mcap")
 
 

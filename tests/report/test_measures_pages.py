@@ -194,7 +194,7 @@ def test_nothing_known_is_said(tmp_path: Path):
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "Nothing could be measured" in text and "The hand is not known." in text
     measures_page([]).write(tmp_path / "b.html")
-    with pytest.raises(UnoccludeError, match="--force"):
+    with pytest.raises(UnoccludeError, match="force=True"):
         measures_page([]).write(tmp_path / "b.html")
 
 

@@ -74,6 +74,22 @@ def test_a_link_into_what_is_folded_opens_it(player: Browser):
     player.run("history.replaceState(null, '', ' ')")
 
 
+@pytest.mark.parametrize(("width", "height", "beside"), [(1280, 900, True), (390, 844, False)])
+def test_the_first_screen(player: Browser, width: int, height: int, beside: bool):
+    """A large verdict, and the moving arm beside it; on a phone under it."""
+    player.size(width, height, phone=not beside)
+    player.run("scrollTo(0, 0)")
+    box = "document.querySelector('%s').getBoundingClientRect()"
+    verdict, arm = box % ".summary .large", box % ".beside canvas"
+    player.wait(f"{arm}.right <= {width} && {verdict}.height > 0")
+    where = player.run(
+        f"[{verdict}.right < {arm}.left, {verdict}.bottom < {arm}.top, {arm}.bottom < innerHeight]"
+    )
+    assert where == ([True, where[1], True] if beside else [False, True, where[2]])
+    assert player.run("parseFloat(getComputedStyle(document.querySelector('.large')).fontSize)") >= 28
+    assert player.run("document.documentElement.scrollWidth") <= width
+
+
 def test_on_a_phone_view_and_controls_are_on_one_screen(player: Browser):
     player.size(390, 664, phone=True)
     player.run("dispatchEvent(new Event('resize'))")

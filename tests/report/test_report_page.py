@@ -88,8 +88,8 @@ def test_whole_page(tmp_path):
     assert [url for url in page.loaded if not url.startswith("#")] == []
     assert "http" not in own_part(text).lower().replace("http-equiv", "")
     assert page.headings == [
-        "Joint angles",
         "The arm in motion",
+        "Joint angles",
         "For the next recording",
         "Gaps",
         "Errors against the reference",
@@ -222,7 +222,7 @@ def test_existing_page_needs_force(tmp_path):
     _, recovery = occluded()
     path = tmp_path / "r.html"
     path.write_text("mine")
-    with pytest.raises(UnoccludeError, match="--force"):
+    with pytest.raises(UnoccludeError, match="force=True"):
         write_report(recovery, path)
     assert path.read_text() == "mine"
     write_report(recovery, path, force=True)

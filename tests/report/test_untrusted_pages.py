@@ -44,14 +44,14 @@ def page(folder: Path, estimates: Estimates) -> str:
 def first_sentences(text: str) -> list[str]:
     block = re.search(r'<div class="summary[^"]*">(.*?)</div>', text, re.DOTALL)
     assert block is not None
-    return re.findall("<p>(.*?)</p>", block[1])
+    return re.findall('<p(?: class="large")?>(.*?)</p>', block[1])
 
 
 def test_a_sound_page_is_calm_and_has_the_self_check(tmp_path: Path) -> None:
     text = page(tmp_path, SOUND)
-    assert '<div class="summary">' in text
-    said = first_sentences(text)
-    assert said[:2] == ["Usable.", CHECK.sentence]
+    assert '<div class="summary good">' in text
+    assert first_sentences(text) == ["✓ Usable", CHECK.sentence], "one figure of the error"
+    assert text.index("The arm in motion") < text.index("The recording lasts"), "all else is below"
     assert "not to be trusted" not in text.replace("samples that are not to be trusted", "")
     assert "How certain the answer is" in text and "For the next recording" in text
     assert "shown by the motion" in text and "96 %" in text
@@ -61,10 +61,11 @@ def test_an_untrusted_page_is_red_and_withdraws_its_figures(tmp_path: Path) -> N
     text = page(tmp_path, WRONG)
     assert '<div class="summary alarm">' in text
     said = first_sentences(text)
-    assert said[0] == f"Not to be trusted: {CAUSE}."
-    assert said[1] == "Evidence: gravity is 80 degrees off."
-    assert "not shown" in said[2]
-    assert said[3] == WRONG.self_check.sentence if WRONG.self_check else False
+    assert said[0] == "✕ Not to be trusted" and said[1].lower() == f"{CAUSE}.".lower()
+    assert "not shown" in said[-1] and not any(" cm" in each for each in said)
+    below = text[text.index("The arm in motion") :]
+    assert "<p>Evidence: gravity is 80 degrees off.</p>" in below
+    assert WRONG.self_check is not None and f"<p>{WRONG.self_check.sentence}</p>" in below
     for heading in ("How certain the answer is", "Whether sigma is consistent", "For the next recording"):
         assert heading not in text
     assert "is known to about" not in text and "standard deviations, the shaded band" not in text
@@ -81,9 +82,10 @@ def test_a_partly_untrusted_page_names_the_gap(tmp_path: Path) -> None:
     text = page(tmp_path, PARTLY)
     assert '<div class="summary care">' in text
     said = first_sentences(text)
-    assert said[2].startswith("Not to be trusted, and red on this page: gap 2 (")
-    assert "another &lt;person&#x27;s&gt; joints" in said[2]
-    assert "In the other gaps the sensor" in " ".join(said)
+    assert said[0] == "! Usable with care"
+    named = next(each for each in said if each.startswith("Not to be trusted, and red on this page: gap 2 ("))
+    assert "another &lt;person&#x27;s&gt; joints" in named
+    assert "<p>In the other gaps the sensor" in text
     first, second = re.findall("<tr>(.*?)</tr>", text[text.index(">Gaps</h2>") :], re.DOTALL)[1:3]
     assert "not to be trusted" not in first and "<td>–</td>" not in first
     assert "not to be trusted</span> another &lt;person&#x27;s&gt; joints" in second
@@ -135,7 +137,7 @@ def test_several_arms_begin_with_the_one_that_is_wrong(tmp_path: Path) -> None:
     write_arms_report(arms, tmp_path / "arms.html")
     text = (tmp_path / "arms.html").read_text(encoding="utf-8")
     assert '<div class="summary alarm">' in text
-    assert first_sentences(text)[0].startswith("Right arm: Not to be trusted: ")
+    assert first_sentences(text)[0].startswith("✕ Right arm: not to be trusted")
     assert '<span class="word wrong">' in text
 
 

@@ -37,7 +37,7 @@ def test_an_output_appears_whole(tmp_path: Path) -> None:
 
 def test_an_older_output_needs_force(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("old")
-    with pytest.raises(UnoccludeError, match="--force"), writing(tmp_path / "out"):
+    with pytest.raises(UnoccludeError, match="force=True"), writing(tmp_path / "out"):
         raise AssertionError("not reached")
     with writing(tmp_path / "out", force=True) as temporary:
         temporary.write_text("new")
@@ -359,7 +359,7 @@ def test_of_two_on_one_new_name_one_is_told(
 
         monkeypatch.setattr("smoother.runtime.outputs.os.link", refused)
     out = tmp_path / "out"
-    said = r"out was written by another command meanwhile; .*--force"
+    said = r"out was written by another command meanwhile; .*force=True"
     with pytest.raises(UnoccludeError, match=said), writing(out) as slow:
         slow.write_text("slow")
         with writing(out) as quick:

@@ -50,7 +50,7 @@ def test_worst_first_and_links(tmp_path):
     assert links == sorted(links), "by their largest sigma, the one without a gap last"
     assert "4 of 5 recordings were recovered, 1 failed" in text and "f.mcap is &lt;empty&gt;" in text
     assert "4 x: the &lt;b&gt; camera" in text and "30 times real time" in text
-    with pytest.raises(UnoccludeError, match="--force"):
+    with pytest.raises(UnoccludeError, match="force=True"):
         write_study(pa.Table.from_pylist(rows, schema=schema()), page, tmp_path / "out")
 
 

@@ -376,7 +376,7 @@ const one = {
     const open = Boolean(about.job?.open);
     part(view, "head", about.name, () => [
       h("p", {}, h("a", { href: "#/" }, t("back"))), h("h1", { tabindex: -1 }, about.name)]);
-    part(view, "job", jobSeen(about.job), () => jobBox(about.job, `/api/recordings/${view.id}`, () => repeat(view, about)));
+    part(view, "job", jobSeen(about.job), () => jobBox(about.job, `/api/recordings/${view.id}`, () => repeat(view, about), about.unread));
     if (about.job?.open) moveBar(view, about.job);
     const ready = !open && !about.result && about.looked_at.length > 0 && about.job?.state !== "held";
     part(view, "next", [ready, Boolean(view.streams?.length), about.camera_video], () => (ready && isComplete(view.streams, about.camera_video)
@@ -403,7 +403,7 @@ function jobSeen(job) {
   return job && [job.number, job.state, job.state === "running" ? job.step : 0];
 }
 
-function jobBox(job, path, again) {
+function jobBox(job, path, again, unread = []) {
   if (!job) return null;
   const name = t(`step_${job.step_name.split(" ")[0]}`);
   if (job.open) {
@@ -415,8 +415,9 @@ function jobBox(job, path, again) {
   }
   const printed = job.printed ? h("details", {}, h("summary", {}, t("printed")), h("pre", { tabindex: 0 }, job.printed)) : null;
   if (job.state === "done") {
-    say(t("job_done"));
-    return printed;
+    const bad = job.kind === "describe" && unread.length ? `${unread.join(", ")}: ${t("unknown_file")}` : "";
+    say(bad || t("job_done"));
+    return bad ? h("section", { class: "step" }, h("p", { class: "said", id: "ended" }, bad), printed) : printed;
   }
   const text = job.state === "held" ? t("held") : t(`job_${job.state}`, { why: job.sentence });
   say(text);
@@ -502,7 +503,7 @@ function fileBox(view, about, file, open) {
     file.error && !file.guess ? h("p", { class: "said", lang: "en" }, file.error) : null,
     out ? null : file.streams.map((stream) => streamBox(view, about, stream, open)),
     file.notes.map((note) => h("p", { class: "soft small", lang: "en" }, note)),
-    file.guess && !out ? templateForm(view, file, open) : null, tick);
+    file.guess && !out ? (file.error ? templateForm(view, file, open) : h("details", { class: "small" }, h("summary", {}, t("t_title")), templateForm(view, file, open))) : null, tick);
 }
 
 // the video that is used as the camera: what it needs, and how its pictures are stored
@@ -621,7 +622,7 @@ function verdictBox(view, about, verdict, open) {
       onclick: act(async () => {
         await change(view, { choices: { remedy: each } });
         await ask("POST", `/api/recordings/${view.id}/jobs`, { kind: "recover" });
-      }) }, t("remedy_use", { remedy: remedyWords(each) }), " ", h("code", {}, each)))));
+      }) }, t("remedy_use", { remedy: remedyWords(each) })))));
 }
 
 function remedyWords(remedy) {

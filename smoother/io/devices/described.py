@@ -169,6 +169,8 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
         about.format, about.title, about.kind = importer.key, importer.title, importer.kind
         tables = reader.read(path, importer)
         about.streams, about.notes = _streams(path, tables)
+        if any(table.units for table in tables):  # where the units are wrong, the columns can be described
+            about.guess = _guess(path, head)
     except RecordingError as error:
         about.error = str(error)
     return about

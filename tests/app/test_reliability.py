@@ -1,0 +1,264 @@
+"""What a full disk, a killed program, another user and a hostile request do to the local page."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from local_page import Page, own_table
+from local_program import ROOT, Program, environment
+
+from smoother.app import jobs, runner, serving
+from smoother.app.folder import AppFolder
+from smoother.app.steps import stamp
+from smoother.app.views import in_page_words
+from smoother.errors import UnoccludeError
+
+
+def wait_for(true: Any, patience_s: float = 60.0) -> None:
+    end = time.monotonic() + patience_s
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_full_disk_does_not_block_the_next_job(page: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """A job that could not be written, one that an older version left half made, one that could not start."""
+    (tmp_path / "words.csv").write_text("a,b\n1,2\n")
+    name = page.add([tmp_path / "words.csv"])
+    write = jobs.write_json
+
+    def full(of: str) -> None:
+        def fail(path: Path, values: dict[str, Any]) -> None:
+            if path.name == of:
+                raise UnoccludeError(os.strerror(errno.ENOSPC))
+            write(path, values)
+
+        monkeypatch.setattr(jobs, "write_json", fail)
+
+    full("job.json")
+    path = f"/api/recordings/{name}/jobs"
+    assert "space" in page.ask("POST", path, 400, json={"kind": "describe"})["error"]
+    assert list((page.folder.of(name) / "jobs").iterdir()) == []
+    (page.folder.of(name) / "jobs" / "0001").mkdir()
+    full("begun.json")
+    assert page.begin(name, "describe")["job"]["state"] == "waiting"
+    monkeypatch.setattr(jobs, "write_json", write)
+    assert page.wait(name)["job"] == page.wait(name)["job"] | {"number": 2, "state": "done"}
+
+
+def deep(levels: int) -> str:
+    return '{"choices":' + '{"places":' * levels + "1" + "}" * (levels + 1)
+
+
+BODIES: list[str] = [
+    *('{"choices": 1}', '{"choices": null}', '{"choices": [[]]}', "[]", "1", "{", "\0", '"x"', deep(60_000)),
+    *('{"choices": {"places": 1}}', '{"choices": {"places": {"\\ud800": "-"}}}', '{"name": "\\udc00"}'),
+    *('{"choices": {"imu_starts_at_s": []}}', '{"choices": {"imu_starts_at_s": false}}', deep(300)),
+    *('{"choices": {"body": true}}', '{"choices": {"video_turn": []}}', '{"choices": {"remedy": {}}}'),
+    *('{"choices": {"left_out": [["x"]]}}', '{"choices": {"video_offset_s": NaN}}', '{"date": []}'),
+]
+
+
+@pytest.mark.parametrize("body", BODIES, ids=[each[:40] for each in BODIES])
+def test_no_body_is_a_fault_of_the_server(page: Page, body: str):
+    name = page.ask("POST", "/api/recordings", json={"name": "x"})["id"]
+    if body.startswith('{"'):
+        body = '{"revision": 0, ' + body[1:]
+    answer = page.client.patch(f"/api/recordings/{name}", content=body, headers=page.headers)
+    assert answer.status_code == 400 and answer.json()["error"].endswith(".")
+    assert page.ask("GET", f"/api/recordings/{name}")["revision"] == 0
+
+
+VALUES: list[Any] = [1, None, [], {}, [[1]], [{}], "x", True, {"a": {"b": []}}]
+
+
+@pytest.mark.parametrize("value", VALUES, ids=str)
+@pytest.mark.parametrize(
+    ("path", "keys"),
+    [
+        ("{}/jobs", ("kind", "formats", "anyway")),
+        ("{}/template", ("file", "kind", "columns", "keys", "title")),
+        ("loose", ("name",)),
+        ("batch", ("ids", "like")),
+        ("comparisons", ("person",)),
+    ],
+)
+def test_no_value_is_a_fault_of_the_server(
+    page: Page, tmp_path: Path, path: str, keys: tuple[str, ...], value
+):
+    (tmp_path / "eigen.csv").write_text("Zeit;F1;F2;F3\n" + "1;2;3;4\n" * 20)
+    name = page.add([tmp_path / "eigen.csv"])
+    good = {"kind": "export", "file": "eigen.csv", "columns": {"t": "Zeit"}, "keys": {"time_unit": "ms"}}
+    if path.endswith("template"):
+        good["kind"] = "imu"
+    (page.folder.of(name) / "recovered.mcap").touch()
+    address = "/api/" + path.format(f"recordings/{name}")
+    for key in keys:
+        answer = page.client.post(address, json={**good, key: value}, headers=page.headers)
+        assert answer.status_code < 500 and (answer.status_code == 200 or answer.json()["error"])
+
+
+def test_each_start_has_a_secret_of_its_own(tmp_path: Path):
+    """The browser gets a file for its owner alone: its command line shows no token."""
+    folder = AppFolder(tmp_path)
+    seen = []
+    for _ in range(2):
+        program = Program(tmp_path)
+        seen.append(urlsplit(program.address))
+        assert program.close() == 0
+    assert seen[0].query != seen[1].query and seen[0].port == seen[1].port
+    file = serving.redirect_file(folder, "http://127.0.0.1:1/?token=abc")
+    assert (
+        stat.S_IMODE(file.stat().st_mode) == 0o600 and "url=http://127.0.0.1:1/?token=abc" in file.read_text()
+    )
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners and modes of files are POSIX'")
+@pytest.mark.parametrize("how", ["readable", "writable", "foreign", "link", "pipe", "words", "no object"])
+def test_what_another_user_may_have_planted_is_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+):
+    from filelock import FileLock
+
+    folder = AppFolder(tmp_path)
+    about = folder.hidden / "server.json"
+    about.write_text(json.dumps({"token": "planted", "port": 1234}))
+    about.chmod({"readable": 0o644, "writable": 0o620}.get(how, 0o600))
+    if how == "link":
+        about.rename(tmp_path / "x")
+        about.symlink_to(tmp_path / "x")
+    elif how == "pipe":
+        about.unlink()
+        os.mkfifo(about, 0o600)
+    elif how in ("words", "no object"):
+        about.write_text("[" if how == "words" else '["token", "port"]')
+    elif how == "foreign":
+        monkeypatch.setattr(serving.os, "getuid", lambda: os.stat(tmp_path).st_uid + 1)
+    with (
+        FileLock(folder.hidden / "server.lock"),
+        pytest.raises(UnoccludeError, match="another `unocclude app`"),
+    ):
+        serving.serve(folder, None, pytest.fail)
+
+
+def test_connections_that_ask_nothing_are_closed(tmp_path: Path):
+    """Slow heads, idle connections, and more of them than there may be; others are answered meanwhile."""
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (110, limit[1]))  # of the program that is started
+    try:
+        program = Program(tmp_path, stderr=subprocess.PIPE)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+    try:
+        place = ("127.0.0.1", urlsplit(program.address).port)
+        slow = [socket.create_connection(place) for _ in range(250)]
+        end = time.monotonic() + serving.HEAD_S + 30
+        for each in slow:
+            each.setblocking(False)
+        while slow and time.monotonic() < end:
+            for each in list(slow):
+                try:
+                    each.send(b"G")  # a byte now and then, and never a whole head
+                    time.sleep(0.001)
+                    if each.recv(1000) == b"":
+                        raise ConnectionError
+                except BlockingIOError:
+                    continue
+                except OSError:
+                    each.close()
+                    slow.remove(each)
+            time.sleep(0.3)
+        assert not slow
+        with socket.create_connection(place, timeout=30) as asking:
+            asking.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+            assert asking.recv(100).startswith(b"HTTP/1.1 403")
+    finally:
+        code = program.close()
+    errors = program.errors()
+    assert code == 0 and "Traceback" not in errors and len(errors.splitlines()) <= 1
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="groups of processes are POSIX'")
+def test_no_command_outlives_its_killed_runner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    job = tmp_path / "rec" / "jobs" / "0001"
+    job.mkdir(parents=True)
+    words = ["demo", "-o", "demo", "--processes", "2"]
+    (job / "job.json").write_text(json.dumps({"steps": [{"name": "demo", "argv": words}]}))
+    process = subprocess.Popen([sys.executable, "-m", runner.__name__, str(job)], cwd=ROOT, env=environment())
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(1)
+
+    def children() -> list[int]:
+        rows = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout
+        return [int(r.split()[0]) for r in rows.splitlines()[1:] if int(r.split()[1]) == process.pid]
+
+    wait_for(lambda: (job / "progress.json").exists())  # it computes
+    (command,) = children()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+    def is_gone() -> bool:
+        with suppress(ProcessLookupError):
+            os.killpg(command, 0)
+            return False
+        return True
+
+    wait_for(is_gone)
+    assert not list((tmp_path / "rec").rglob("*.tmp"))
+
+
+def test_a_layout_of_another_recording_makes_nothing_outdated(
+    page: Page, session_files: dict[str, Path], tmp_path: Path
+):
+    """One that reads a file of the recording does."""
+    table = own_table(tmp_path / "eigen.csv", session_files["imu"])
+    mine, other = page.add([session_files["imu"]]), page.add([table])
+    before = [stamp(page.folder, page.folder.of(name)) for name in (mine, other)]
+    columns = {"t": "Zeit"} | {
+        f"{k}{axis}": f"{c}{n}" for k, c in ("aF", "gD") for n, axis in enumerate("xyz", 1)
+    }
+    keys = {"time_unit": "ms", "accelerometer_unit": "g", "gyroscope_unit": "deg/s"}
+    wish = {"file": "eigen.csv", "kind": "imu", "title": "Ours", "columns": columns, "keys": keys}
+    page.ask("POST", f"/api/recordings/{other}/template", json=wish)
+    page.wait(other)
+    after = [stamp(page.folder, page.folder.of(name)) for name in (mine, other)]
+    assert after[0] == before[0] and after[1] != before[1]
+    (file,) = page.ask("GET", f"/api/recordings/{other}/streams")["files"]
+    assert file["error"] == "" and file["guess"]["names"][0] == "Zeit", "its units can be corrected"
+
+
+def test_an_empty_file_is_named(page: Page, tmp_path: Path):
+    (tmp_path / "empty.csv").touch()
+    name = page.add([tmp_path / "empty.csv"], job=True)
+    about = page.ask("GET", f"/api/recordings/{name}")
+    assert about["job"]["state"] == "done" and about["unread"] == ["empty.csv"]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "shown"),
+    [
+        ("files count from zero; give --imu-starts-at S", "First IMU sample after"),
+        ("the skeleton is mirrored (x); run again with --mirror x", "the button that corrects it"),
+        ("several arms; choose one with --side", '"Arm"'),
+        ("unknown columns; run `unocclude import describe sensor.csv` on it", "Describe this table"),
+        ("name it: --imu forearm_right=dot.csv", '"Worn on"'),
+    ],
+)
+def test_the_page_speaks_of_its_own_controls(sentence: str, shown: str):
+    (said,) = in_page_words([sentence])
+    assert shown in said and "--" not in said and "`" not in said
