@@ -117,8 +117,7 @@ def _write(run: BenchmarkRun, output: Path, figures: dict[str, object], force: b
 
     write_json(output / "benchmark.json", figures, force)
     with writing(output / "benchmark.md", force) as temporary:
-        temporary.write_text(markdown(run), encoding="utf-8", newline="
-")
+        temporary.write_text(markdown(run), encoding="utf-8", newline="\n")
     with (
         writing(output / "gaps.csv", force) as temporary,
         open(temporary, "w", encoding="utf-8", newline="") as file,
