@@ -148,8 +148,8 @@ Method = Annotated[
     str,
     typer.Option(
         "--method",
-        metavar="motion|magnitudes|joint-likelihood|shakeid|acceleration-distance|all",
-        help="How pairs are compared; `all` prints the result of every method.",
+        metavar="motion|joint-likelihood|all",
+        help="How pairs are compared; `all` prints both results.",
     ),
 ]
 Reach = Annotated[
@@ -217,7 +217,7 @@ def _print_beside(answers: dict[str, list[ImuMatch]]) -> None:
         ]
         for found in zip(*answers.values(), strict=True)
     ]
-    print_table("Every method: body, joint, probability", ("IMU", *answers), rows)
+    print_table("Both methods: body, joint, probability", ("IMU", *answers), rows)
 
 
 Broken = Annotated[
