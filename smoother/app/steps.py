@@ -30,7 +30,6 @@ NO_MODEL = (
 #: Exports by format: the file that is written.
 EXPORTS = {
     "csv": "recovered.csv",
-    "xlsx": "recovered.xlsx",
     "trc": "recovered.trc",
     "mot": "recovered.mot",
     "c3d": "recovered.c3d",

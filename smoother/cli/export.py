@@ -13,21 +13,20 @@ from ..errors import RecordingError
 from .arm_output import warn
 from .load import camera_frame_of, damage, load_recoveries
 from .options import Body, Force, Json, Output, Result, Side, one_side
-from .output import check_outputs, print_notes, progress_bar, say, say_written, write_json
+from .output import check_outputs, print_notes, say, say_written, write_json
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
     from ..io.export.prepare import Export
     from ..recording import Truth
     from ..result import Recovery
-    from ..runtime.pool import Progress
 
 
-FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd", "bids", "opensim")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd", "bids", "opensim")
 ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 #: Endings of files that are none of these.
-NO_FORMATS = ("mcap", "html", "json", "toml", "mat")
+NO_FORMATS = ("mcap", "html", "json", "toml", "mat", "xlsx")
 
 
 def export(
@@ -90,7 +89,7 @@ def export(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write a result for OpenSim, MATLAB, R, Excel and others.
+    """Write a result for OpenSim, MATLAB, R and others.
 
     Several arms give one file each; rrd and bids contain all of them.
 
@@ -128,14 +127,13 @@ def export(
     files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
     # All arms are ready before the first is written.
-    with progress_bar("writing") as progress:
-        exports = (
-            [prepared_rrd(result, recoveries)]
-            if together
-            else _prepared(result, recoveries, format_name, frame, rate, origin or "camera", draws, progress)
-        )
-        for path, ready in zip(files, exports, strict=True):
-            ready.write(path, force)
+    exports = (
+        [prepared_rrd(result, recoveries)]
+        if together
+        else _prepared(result, recoveries, format_name, frame, rate, origin or "camera", draws)
+    )
+    for path, ready in zip(files, exports, strict=True):
+        ready.write(path, force)
     figures = []
     shown = recoveries[:1] if together else recoveries  # of one file for all what is the same in all
     for recovery, path, ready in zip(shown, files, exports, strict=True):
@@ -275,7 +273,6 @@ def _prepared(
     rate: float | None,
     origin: str,
     draws: bool,
-    progress: Progress,
 ) -> list[Export]:
     from .. import __version__
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
@@ -283,7 +280,7 @@ def _prepared(
     wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
     level_down = _level_down(result, recoveries) if wants_up else None
     return [
-        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws, progress)
+        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws)
         for recovery in recoveries
     ]
 

@@ -2,7 +2,7 @@
 // The page of `unocclude app`. All words are in texts.LANGUAGE.json; all text is set as text, never as markup.
 
 const PLACES = ["forearm_right", "forearm_left", "upper_arm_right", "upper_arm_left", "hand_right", "hand_left", "base"];
-const FORMATS = ["csv", "xlsx", "trc", "mot", "c3d", "sto", "parquet", "measures"];
+const FORMATS = ["csv", "trc", "mot", "c3d", "sto", "parquet", "measures"];
 const JOINTS = ["shoulder", "elbow", "wrist", "hand"];
 const THINGS = { shoulder: "joint_shoulder", elbow: "joint_elbow", wrist: "joint_wrist", hand: "joint_hand", left: "left", right: "right", accelerometer: "t_acc", gyroscope: "t_gyro", magnetometer: "t_mag", accelerometers: "t_acc", gyroscopes: "t_gyro" };
 const BUSY_MS = 400, IDLE_MS = 2500;
@@ -654,7 +654,7 @@ function reportSection(view, about) {
 
 function exportSection(view, about, open) {
   const ticks = FORMATS.map((each) => h("label", { class: "tick" }, h("input", { type: "checkbox", value: each, id: `x-${each}`, checked: each === "csv" || about.exports.includes(each), disabled: open || !about.result }), t(`x_${each}`)));
-  const names = { csv: "recovered.csv", xlsx: "recovered.xlsx", trc: "recovered.trc", mot: "recovered.mot", c3d: "recovered.c3d", sto: "recovered.sto", parquet: "recovered.parquet", measures: "measures.csv" };
+  const names = { csv: "recovered.csv", trc: "recovered.trc", mot: "recovered.mot", c3d: "recovered.c3d", sto: "recovered.sto", parquet: "recovered.parquet", measures: "measures.csv" };
   const links = [...about.downloads.map((each) => [`/results/${view.id}/${each}?download`, each]), ...about.exports.map((each) => [`/results/${view.id}/exports/${names[each]}`, names[each]])];
   return h("section", { class: "step" }, h("h2", {}, t("s_export")), h("p", { class: "soft" }, t("export_hint"), about.result ? "" : ` (${t("first")})`),
     h("form", { onsubmit: act(async (event) => {

@@ -10,10 +10,9 @@ from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...recording import Truth
 from ...result import Recovery
-from ...runtime.pool import Progress
 
 #: The formats, and for which of them axes and rate may be chosen.
-FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
 WITH_FRAME = ("trc", "c3d")
 WITH_RATE = ("trc", "mot", "c3d", "opensim")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
@@ -54,7 +53,6 @@ def prepare_export(
     version: str = "unknown",
     origin: str = "camera",
     draws: bool = False,
-    progress: Progress | None = None,
 ) -> Export:
     """Bring one arm into a format, without writing yet.
 
@@ -76,8 +74,6 @@ def prepare_export(
         "camera" or "shoulder" for `trc` and `c3d`; see `marker_table`.
     draws : bool
         For `parquet`: the drawn motions in place of the answer.
-    progress : Progress, optional
-        Told how far the writing of `xlsx` is, which takes seconds; the others are quick.
 
     Returns
     -------
@@ -102,15 +98,6 @@ def prepare_export(
         return _sto(recovery, level_down)
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
-    if format_name == "xlsx":
-        from .csv import check_xlsx, export_xlsx
-
-        check_xlsx(recovery)
-        return Export(
-            len(recovery),
-            lambda path, force: export_xlsx(recovery, path, force, progress),
-            frame="camera",
-        )
     if format_name == "parquet" and draws:
         from .parquet import drawn_rows, export_draws
 
