@@ -269,7 +269,6 @@ _IMPORTS = {
     ),
     "formats": _spec("imports", "import formats"),
     "describe": _spec("imports", "import describe sensor.csv > session/recording.toml"),
-    "bids": _spec("imports", "import bids dataset --subject p12 -o session.mcap"),
     "broad": _spec("imports", "import broad 01_trial.mat -o trial.mcap"),
     "utd-mhad": _spec("imports", "import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap"),
     "strap": _spec("imports", "import strap session.mcap -o with_strap.mcap"),

@@ -29,7 +29,6 @@ export out.mcap --format osim -o out.osim
 export out.mcap --format sto -o out.sto
 export out.mcap --format bids -o bids --subject p1
 export out.mcap --format opensim -o out_opensim
-import bids bids -o from_bids.mcap
 methods out.mcap -o methods.tex --json methods.json
 repair PROJECT/data/demo.mcap -o whole.mcap --json repair.json
 cut PROJECT/data/demo.mcap --from 10 --to 25 -o part.mcap --json cut.json
