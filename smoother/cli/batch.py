@@ -434,7 +434,7 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     import pyarrow.compute as pc
 
     from ..evaluation.summary import trust_word
-    from ..io.recording.json_messages import NOT_PASSED_THROUGH
+    from ..io.recording.carried import NOT_PASSED_THROUGH
 
     columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
     done = rows.filter(pc.equal(rows["status"], "done"))

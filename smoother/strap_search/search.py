@@ -18,7 +18,7 @@ from ..io.mcap.merge import Output
 from ..io.mcap.messages import Topic
 from ..io.media.images import ImageMessage
 from ..io.media.strap import Cameras, StrapFound
-from ..io.recording.json_messages import Passthrough
+from ..io.recording.carried import Passthrough
 from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages

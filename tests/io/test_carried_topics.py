@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from smoother.io.mcap.messages import Topic
-from smoother.io.recording.json_messages import may_copy
+from smoother.io.recording.carried import may_copy
 
 PRIVATE = [
     ("/camera/rgb", "sensor_msgs/msg/Image", "cdr"),
@@ -44,7 +44,6 @@ MOTION = [
     ("/pose", "foxglove.PoseInFrame", "protobuf"),
     ("/lens", "sensor_msgs/msg/CameraInfo", "cdr"),
     ("/skeleton", "unocclude.Skeleton", "protobuf"),
-    ("/json", "whatever.imu", "json"),
 ]
 
 

@@ -20,7 +20,7 @@ from ...result import Recovery, arm_tags
 from ...runtime.outputs import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output, time_batches
-from ..recording.json_messages import Passthrough
+from ..recording.carried import Passthrough
 from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
 from .drawing import common_down
