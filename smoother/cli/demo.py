@@ -18,7 +18,6 @@ from .output import (
     cell,
     centimetres,
     check_outputs,
-    print_notes,
     print_table,
     progress_bar,
     say,
@@ -67,7 +66,7 @@ def demo(
         recovery = smooth(recording, calibration, config, progress, draws=usual_draws(None))
     recovery = with_given(recovery, calibration)
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
-    left_out = write_recovery([recovery], result, source=source, force=True)
+    write_recovery([recovery], result, source=source, force=True)
     truth = recording.truth
     with progress_bar("measuring") as progress:
         validation = None
@@ -84,7 +83,6 @@ def demo(
     say_verdict(recovery)
     print_gaps(recovery, validation)
     say_untrusted_parts(recovery)
-    print_notes(left_out)
     say("Joints, joint angles and the calibration are in the report.")
     if validation is not None:
         say_command("validate", result, "--truth", source)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import RecordingError
+from ..errors import UnoccludeError
 from .arm_output import warn
 from .load import camera_frame_of, damage, load_recoveries
 from .options import Body, Force, Json, Output, Result, Side, one_side
@@ -18,7 +17,6 @@ from .output import check_outputs, print_notes, say, say_written, write_json
 if TYPE_CHECKING:
     from ..array_types import FloatArray
     from ..io.export.prepare import Export
-    from ..recording import Truth
     from ..result import Recovery
 
 
@@ -86,6 +84,15 @@ def export(
         str | None,
         typer.Option("--task", metavar="LABEL", help="For bids: task.  [default: arm]", show_default=False),
     ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            "--recording",
+            metavar="REC.mcap",
+            help="For bids: what the result was made from; its joints and IMUs are the raw data.",
+            show_default=False,
+        ),
+    ] = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -113,12 +120,14 @@ def export(
     _check(format_name, frame, rate, origin)
     if draws and format_name != "parquet":
         raise typer.BadParameter(f"--draws is for parquet, not for {format_name}")
-    if format_name != "bids" and (subject or session or task):
-        raise typer.BadParameter(f"--subject, --session and --task are for bids, not for {format_name}")
+    if format_name != "bids" and (subject or session or task or recording):
+        raise typer.BadParameter(
+            f"--subject, --session, --task and --recording are for bids, not for {format_name}"
+        )
     _check_ending(output, format_name)
     recoveries = load_recoveries(result, one_side(side), body)
     if format_name == "bids":
-        _bids(result, recoveries, output, (subject, session, task), json_file, force)
+        _bids(result, recoveries, output, (subject, session, task), recording, json_file, force)
         return
     if format_name == "opensim":
         _opensim(result, recoveries, output, rate, json_file, force)
@@ -165,24 +174,28 @@ def _bids(
     recoveries: list[Recovery],
     output: Path,
     labels: tuple[str | None, str | None, str | None],
+    source: Path | None,
     json_file: Path | None,
     force: bool,
 ) -> None:
-    """A session of a data set: what the result's file carries of its recording, and the answer."""
+    """A session of a data set: the recording, where it is named, and the answer."""
     from .. import __version__
     from ..io import read_recordings
     from ..io.export.bids import BidsNames, label_of, write_bids
 
     subject, session, task = labels
     names = BidsNames(subject or label_of(recoveries[0].name), session or "", task or "arm")
-    check_outputs(force, [json_file], [result])
+    check_outputs(force, [json_file], [result, source])
     wanted = {(recovery.side, recovery.body) for recovery in recoveries}
-    notes = []
-    try:
-        recordings = [each for each in read_recordings(result) if (each.side, each.body) in wanted]
-    except RecordingError as error:
-        recordings = []
-        notes.append(f"the result carries no recording, so that the data set has the answer alone: {error}")
+    recordings, notes = [], []
+    if source is None:
+        notes.append("the data set has the answer alone; --recording REC.mcap adds what it was made from")
+    else:
+        recordings = [each for each in read_recordings(source) if (each.side, each.body) in wanted]
+        if not recordings:
+            raise UnoccludeError(
+                f"{source} has none of the result's arms; name the recording it was made from"
+            )
     count = write_bids(output, names, recordings, recoveries, __version__, force)
     say(f"written: {output} ({count} motion files of sub-{names.subject})")
     warn(recoveries)
@@ -296,18 +309,10 @@ def _level_down(result: Path, recoveries: list[Recovery]) -> FloatArray | None:
 
 
 def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
-    """All arms for Rerun, with the truth that is in the result's file where it is that of the one arm."""
-    from ..evaluation.truth import read_truth_mcap
+    """All arms for Rerun."""
     from ..io.export.prepare import prepare_rrd
-    from ..io.export.rrd import rerun_module
 
-    rerun_module()  # said before the file is read again
-    axes = camera_frame_of(result)
-    truths: list[Truth | None] = [None] * len(recoveries)
-    if len(recoveries) == 1:
-        with suppress(RecordingError):  # it contains none
-            truths = [read_truth_mcap(result, recoveries[0])]
-    return prepare_rrd(recoveries, truths, None if axes is None else axes.down)
+    return prepare_rrd(recoveries, _level_down(result, recoveries))
 
 
 MARKUPS = ("text", "markdown", "latex")

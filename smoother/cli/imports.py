@@ -404,9 +404,6 @@ def strap(
         str | None,
         typer.Option("--depth-topic", metavar="TOPIC", help="Depth images to take."),
     ] = None,
-    passthrough_images: Annotated[
-        bool, typer.Option("--passthrough-images", help="Also copy the images; they show the patient.")
-    ] = False,
     solving: Solving = AS_USUAL,
     to: Outputs = NO_FILES,
 ) -> None:
@@ -446,7 +443,6 @@ def strap(
         joint_sigma_m=sigma,
         colour_topic=colour,
         depth_topic=depth,
-        passthrough_images=passthrough_images,
         force=to.force,
     )
     sentences = verdict(found)

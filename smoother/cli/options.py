@@ -173,9 +173,6 @@ Result = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="What `smooth` 
 Align = Annotated[
     bool, typer.Option("--align", help="Also align poses given as truth (different frame or clock).")
 ]
-PassthroughImages = Annotated[
-    bool, typer.Option("--passthrough-images", help="Also copy images and depth (they show the person).")
-]
 
 
 def one_side(side: str | None) -> str | None:

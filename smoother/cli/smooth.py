@@ -42,7 +42,6 @@ from .options import (
     Json,
     Orientation,
     Output,
-    PassthroughImages,
     Pictures,
     Processes,
     RecordingPath,
@@ -83,7 +82,6 @@ def smooth(
     boundary_s: BoundaryS = None,
     report: Report = None,
     pictures: Pictures = NO_PICTURES,
-    passthrough_images: PassthroughImages = False,
     max_sigma_m: Annotated[
         float | None,
         typer.Option(
@@ -151,19 +149,16 @@ def smooth(
                 recovery = with_strap_note(recovery)
             results.append((recording, limit_sigma(recovery, max_sigma_m)))
         answers = [recovery for _, recovery in results]
-        left_out = write_recovery(
-            answers, output, source=recording_file, force=force, passthrough_images=passthrough_images
-        )
+        write_recovery(answers, output, source=recording_file, force=force)
         if report is not None:
             write_page(results, report, force, pictures.film(recording_file, answers[0]))
         if json_file is not None:
             figures = [smooth_figures(recording, recovery) for recording, recovery in results]
-            together = arms_figures(answers, figures) | {"not_carried_over": list(left_out)}
+            together = arms_figures(answers, figures)
             write_json(json_file, together, force)
         for recording, recovery in results:
             say_arm(recovery, len(results))
             print_recovery(recording, recovery, verbose)
-        print_notes(left_out)
     say_written(output, report, json_file)
     if strict:
         end_strictly(recovery.estimates.trusted for recovery in answers)

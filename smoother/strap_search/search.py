@@ -18,8 +18,7 @@ from ..io.mcap.merge import Output
 from ..io.mcap.messages import Topic
 from ..io.media.images import ImageMessage
 from ..io.media.strap import Cameras, StrapFound
-from ..io.recording.carried import Passthrough
-from ..io.recording.read import METADATA, open_recording
+from ..io.recording.read import METADATA, is_motion, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
 from ..recording import JOINTS, CameraFrame, JointState
@@ -48,7 +47,6 @@ def import_strap(
     joint_sigma_m: float = 0.008,
     colour_topic: str | None = None,
     depth_topic: str | None = None,
-    passthrough_images: bool = False,
     force: bool = False,
 ) -> StrapFound:
     """Look for the strap in every colour image and write the recording with the joint `strap`.
@@ -69,8 +67,6 @@ def import_strap(
         Noise of the camera's elbow and wrist, per axis.
     colour_topic, depth_topic : str, optional
         Names, or parts of them, where there are several.
-    passthrough_images : bool
-        Copy the images as well (they show patients).
     force : bool
         Overwrite a recording that exists.
 
@@ -106,10 +102,8 @@ def import_strap(
         covariances[row] = covariance.ravel()
     with_strap = replace(arm, position=position, state=state)
 
-    carrying = Passthrough(passthrough_images)
-
     def wanted(topic: Topic) -> bool:
-        return topic.name != skeleton and carrying(topic)
+        return topic.name != skeleton and is_motion(topic)
 
     with writing(path, force) as temporary, Output(temporary) as output:
         metadata = {**file.metadata.get(METADATA, {}), "camera_frame": str(convention)}
@@ -122,7 +116,7 @@ def import_strap(
         ]
         output.interleave(Container(source).chunks(wanted))
         output.write(outgoing)
-    cameras.found.notes += [carrying.sentence] if carrying.sentence else []
+    cameras.found.notes.append("Images and other topics without motion were left out.")
     return cameras.found
 
 

@@ -44,6 +44,7 @@ def dataset(result: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for subject, session in (("p1", "1"), ("p1", "2"), ("p2", "1")):
         done(
             *("export", result, "--format", "bids", "-o", folder, "--subject", subject),
+            *("--recording", result.with_name("rec.mcap")),
             *("--session", session, "--task", "reach"),
         )
     return folder

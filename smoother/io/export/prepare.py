@@ -8,7 +8,6 @@ from pathlib import Path
 
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...recording import Truth
 from ...result import Recovery
 
 #: The formats, and for which of them axes and rate may be chosen.
@@ -119,7 +118,6 @@ def prepare_export(
 
 def prepare_rrd(
     recoveries: Sequence[Recovery],
-    truths: Sequence[Truth | None] | None = None,
     level_down: FloatArray | None = None,
 ) -> Export:
     """All arms of a result as one recording of Rerun, without writing yet; see `rrd.write_rrd`.
@@ -128,8 +126,6 @@ def prepare_rrd(
     ----------
     recoveries : sequence of Recovery
         One for each arm.
-    truths : sequence of Truth or None, optional
-        For each arm.
     level_down : ndarray, shape (3,), optional
         See `rrd.write_rrd`.
 
@@ -148,7 +144,7 @@ def prepare_rrd(
     check_rrd(recoveries)
     return Export(
         sum(len(recovery) for recovery in recoveries),
-        lambda path, force: write_rrd(recoveries, path, truths=truths, level_down=level_down, force=force),
+        lambda path, force: write_rrd(recoveries, path, level_down=level_down, force=force),
         frame="camera",
     )
 

@@ -193,6 +193,11 @@ def open_recording(
     return file
 
 
+def is_motion(topic: Topic) -> bool:
+    """Whether a recording's streams are made of a topic: no image, sound, text or position on Earth is."""
+    return _decoder(topic, Store(), truth=True) is not None
+
+
 def _decoder(topic: Topic, store: Store, truth: bool) -> AnyDecoder | None:
     """What decodes a topic; None where it is not wanted."""
     if topic.name.startswith(RESULT_PREFIX):
