@@ -75,8 +75,6 @@ class Choices:
         The person.
     remedy : str
         Options that undo a wrong set-up, as `check` proposes them ("--mirror x").
-    video_offset_s : float, s
-        From the recording's first sample to the video's first picture.
     video_mirrored : bool
         The video used as the camera is a mirror image.
     video_turn : int
@@ -89,7 +87,6 @@ class Choices:
     side: str = ""
     body: int | None = None
     remedy: str = ""
-    video_offset_s: float = 0.0
     video_mirrored: bool = False
     video_turn: int = 0
 
@@ -389,7 +386,7 @@ def _check(choices: Choices) -> None:
     good &= isinstance(choices.left_out, list) and all(isinstance(each, str) for each in choices.left_out)
     good &= choices.side in ("", "left", "right")
     good &= choices.body is None or (isinstance(choices.body, int) and 0 <= choices.body < 10**9)
-    good &= all(_is_time(each) for each in (choices.imu_starts_at_s or 0.0, choices.video_offset_s))
+    good &= _is_time(choices.imu_starts_at_s or 0.0)
     good &= isinstance(choices.video_mirrored, bool) and choices.video_turn in (0, 90, 180, 270)
     good &= isinstance(choices.remedy, str) and (
         not choices.remedy or all(_REMEDY.fullmatch(each) for each in remedy_options(choices.remedy))

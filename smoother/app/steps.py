@@ -272,10 +272,6 @@ def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[
     kept = read_kept(place)
     words = ["smooth", recording_of(place), "-o", RESULT, "--report", REPORT, "--json", FIGURES, "--force"]
     words += ["--draws", str(USUAL_DRAWS), *_arm_words(place, kept)]
-    files = _used(place, kept.choices)
-    videos = [each for each in files if each["kind"] == "video"]
-    if videos and camera_video(files) is None:
-        words += ["--video", _local(videos[0]), "--video-offset", repr(float(kept.choices.video_offset_s))]
     return [*check_steps(folder, place, strict=not anyway), {"name": "recover", "argv": words}]
 
 

@@ -17,7 +17,6 @@ ADVANCED = "Advanced"
 _SHARED = {
     "Which arm": ("imu", "skeleton", "side", "body"),
     "Correct a wrong set-up": ("mirror", "swap", "negate", "camera-frame", "clock-offset", "clock-sigma"),
-    "Pictures in the report": ("with-images", "video", "video-offset"),
     ADVANCED: (
         *("config", "orientation", "boundary-s", "solve-lever-arms", "processes", "draws", "seed", "anatomy"),
         "body-height",

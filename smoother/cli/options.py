@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
     from ..io.recording.selection import Selection
-    from ..report.film import Film
-    from ..result import Recovery
 
 
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
@@ -242,79 +240,6 @@ class Outputs:
     report: Report = None
     json_file: Json = None
     force: Force = False
-
-
-WithImages = Annotated[
-    bool,
-    typer.Option(
-        "--with-images",
-        help="Show the recording's images beside the arm in the report; anyone who has the page can see the"
-        " person.",
-    ),
-]
-Video = Annotated[
-    Path | None,
-    typer.Option("--video", metavar="FILE", help="The same with the pictures of a video file."),
-]
-VideoOffset = Annotated[
-    float,
-    typer.Option(
-        "--video-offset",
-        metavar="S",
-        help="From the recording's first sample to the first picture of --video, s; negative where the video"
-        " began before.",
-    ),
-]
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Which pictures of the person a report shows, as a group of a command's options.
-
-    Attributes
-    ----------
-    with_images : bool
-        The recording's own.
-    video : Path, optional
-        Those of a file.
-    video_offset : float, s
-        From the recording's first sample to the video's first picture.
-    """
-
-    with_images: WithImages = False
-    video: Video = None
-    video_offset: VideoOffset = 0.0
-
-    def check(self, recording: Path, report: Path | None) -> None:
-        """Refuse options that contradict each other, or have no report, and pictures that are not there.
-
-        Raises
-        ------
-        typer.BadParameter, RecordingError
-            It is so.
-        """
-        if self.with_images and self.video is not None:
-            raise typer.BadParameter("--with-images and --video are two sources of pictures; give one")
-        if (self.with_images or self.video is not None) and report is None:
-            raise typer.BadParameter("pictures are shown in the report; name it with --report OUT.html")
-        if self.video_offset and self.video is None:
-            raise typer.BadParameter("--video-offset is of a video; give it with --video FILE")
-        if self.with_images or self.video is not None:
-            from ..report.film import check_video, image_topic
-
-            image_topic(recording) if self.video is None else check_video(self.video)
-
-    def film(self, recording: Path, recovery: Recovery) -> Film | None:
-        """The pictures; None where none were asked for."""
-        from ..report.film import recorded_film, video_film
-
-        if self.video is not None:
-            return video_film(self.video, self.video_offset, recovery)
-        return recorded_film(recording, recovery) if self.with_images else None
-
-
-#: No pictures.
-NO_PICTURES = Pictures()
 
 
 #: Nothing besides.

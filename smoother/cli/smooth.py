@@ -31,7 +31,6 @@ from .methods import (
     with_strap_note,
 )
 from .options import (
-    NO_PICTURES,
     Anatomy,
     BodyHeight,
     BoundaryS,
@@ -42,7 +41,6 @@ from .options import (
     Json,
     Orientation,
     Output,
-    Pictures,
     Processes,
     RecordingPath,
     Report,
@@ -66,7 +64,6 @@ if TYPE_CHECKING:
 
     from ..evaluation.summary import GapSummary
     from ..recording import Recording
-    from ..report.film import Film
     from ..result import Recovery
 
 
@@ -81,7 +78,6 @@ def smooth(
     orientation: Orientation = None,
     boundary_s: BoundaryS = None,
     report: Report = None,
-    pictures: Pictures = NO_PICTURES,
     max_sigma_m: Annotated[
         float | None,
         typer.Option(
@@ -124,7 +120,6 @@ def smooth(
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     motions = drawn_motions(draws, seed, names[0])
-    pictures.check(recording_file, report)
     source.check()
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, source.calibration_file, config_file])
@@ -151,7 +146,7 @@ def smooth(
         answers = [recovery for _, recovery in results]
         write_recovery(answers, output, source=recording_file, force=force)
         if report is not None:
-            write_page(results, report, force, pictures.film(recording_file, answers[0]))
+            write_page(results, report, force)
         if json_file is not None:
             figures = [smooth_figures(recording, recovery) for recording, recovery in results]
             together = arms_figures(answers, figures)
@@ -164,17 +159,15 @@ def smooth(
         end_strictly(recovery.estimates.trusted for recovery in answers)
 
 
-def write_page(
-    results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool, film: Film | None = None
-) -> None:
+def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool) -> None:
     """The report of an arm, or of several on one page."""
     from ..report import write_arms_report, write_report
 
     if len(results) > 1:
-        write_arms_report(results, path, film=film, force=force)
+        write_arms_report(results, path, force=force)
     else:
         ((recording, recovery),) = results
-        write_report(recovery, path, recording=recording, film=film, force=force)
+        write_report(recovery, path, recording=recording, force=force)
 
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:

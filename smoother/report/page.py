@@ -24,11 +24,9 @@ from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
 from . import tables
 from .chart import NOT_TRUSTED, badge
-from .film import Film
 from .forearm import mount
 from .method_comparison import sections as of_comparison
 from .method_comparison import verdict
-from .person import persons, words_of
 from .player import flat_views, player, points
 from .sheet import (
     CONTENTS,
@@ -62,7 +60,6 @@ def write_report(
     validation: Validation | None = None,
     truth: Truth | None = None,
     camera_frame: CameraFrame | None = None,
-    film: Film | None = None,
     force: bool = False,
 ) -> None:
     """Write a result as one HTML page that needs no network and no other file.
@@ -83,8 +80,6 @@ def write_report(
         The reference, drawn beside the answer.
     camera_frame : CameraFrame, optional
         The directions of the camera's axes, where the recording is not at hand.
-    film : Film, optional
-        Pictures of the person, beside the arm: they are in the page then.
     force : bool
         Overwrite a page that exists.
 
@@ -97,7 +92,7 @@ def write_report(
         f"Recovered arm motion: {recovery.name}",
         origin(recovery),
         summary(recovery, validation),
-        sections(recovery, recording, validation, truth, camera_frame, film),
+        sections(recovery, recording, validation, truth, camera_frame),
         tone=tone([recovery]),
     ).write(path, force)
 
@@ -116,13 +111,12 @@ def sections(
     validation: Validation | None,
     truth: Truth | None,
     frame: CameraFrame | None,
-    film: Film | None = None,
 ) -> Iterator[str]:
     """The sections about one arm, as HTML; parameters as of `write_report`."""
     frame = frame if recording is None else recording.camera_frame or frame
     yield from _first(recovery, recording, truth)
     if len(recovery):
-        yield in_motion([(recording, recovery, truth)], frame, film)
+        yield in_motion([(recovery, truth)], frame)
     yield from folded(details(recovery, recording, validation, truth, frame), below=CONTENTS)
 
 
@@ -189,40 +183,33 @@ def details(
 
 
 def in_motion(
-    arms: Sequence[tuple[Recording | None, Recovery, Truth | None]],
+    arms: Sequence[tuple[Recovery, Truth | None]],
     frame: CameraFrame | None,
-    film: Film | None = None,
 ) -> str:
     """The section in which the arms move; "" where none has an answer.
 
     Parameters
     ----------
-    arms : sequence of (Recording or None, Recovery, Truth or None)
+    arms : sequence of (Recovery, Truth or None)
         In one camera frame and on one clock.
     frame : CameraFrame, optional
         The directions of the camera's axes.
-    film : Film, optional
-        Pictures of the person, beside the arms.
     """
-    reference = _REFERENCE if any(truth is not None for *_, truth in arms) else ""
-    joint = "wrist" if any("wrist" in recovery.joints for _, recovery, _ in arms) else "sensor"
-    colours = _colours([recovery for _, recovery, _ in arms])
+    reference = _REFERENCE if any(truth is not None for _, truth in arms) else ""
+    joint = "wrist" if any("wrist" in recovery.joints for recovery, _ in arms) else "sensor"
+    colours = _colours([recovery for recovery, _ in arms])
     ellipse = f", the ellipse about the {joint} contains it in 95 of 100 cases"
-    if not any(recovery.trusted.any() for _, recovery, _ in arms):
+    if not any(recovery.trusted.any() for recovery, _ in arms):
         ellipse = ""
-    people = persons([(recording, recovery) for recording, recovery, _ in arms], frame)
     return player(
         "The arm in motion" if len(arms) == 1 else "The arms in motion",
         Html(
             f"The arm is {colours}. The thin grey skeleton is the camera's own, the square is the"
-            f" sensor{ellipse}.{reference} {escape(words_of(people))} Axes are the"
-            f" camera's{_directions(frame)}."
-            f"{escape(film.words) if film else ''} On paper: the whole path, and the arm at some instants."
+            f" sensor{ellipse}.{reference} Axes are the"
+            f" camera's{_directions(frame)}. On paper: the whole path, and the arm at some instants."
         ),
-        [(recovery, truth) for _, recovery, truth in arms],
+        arms,
         frame,
-        people,
-        None if film is None else film.plain(),
     )
 
 
@@ -369,7 +356,6 @@ def write_arms_report(
     path: str | os.PathLike[str],
     *,
     camera_frame: CameraFrame | None = None,
-    film: Film | None = None,
     force: bool = False,
 ) -> None:
     """Write the results of several arms as one HTML page: a summary of each, then arm by arm.
@@ -382,8 +368,6 @@ def write_arms_report(
         The page to write.
     camera_frame : CameraFrame, optional
         The directions of the camera's axes, where no recording is at hand.
-    film : Film, optional
-        Pictures of the person, beside the arms: they are in the page then.
     force : bool
         Overwrite a page that exists.
 
@@ -401,13 +385,13 @@ def write_arms_report(
         f"Recovered arm motion: {recoveries[0].name}",
         origin(recoveries[0]),
         paragraphs,
-        _sections(arms, marks, camera_frame, film),
+        _sections(arms, marks, camera_frame),
         tone=tone(recoveries),
     ).write(path, force)
 
 
 def _sections(
-    arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | None, film: Film | None
+    arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | None
 ) -> Iterator[str]:
     links = [
         Html(f'<a href="#arm-{mark}">{escape(_name(arm[1]))}</a>')
@@ -428,7 +412,7 @@ def _sections(
     for arm, mark in zip(arms, marks, strict=True):
         for section in _first(arm[1], arm[0], _of(arm)[1]):
             yield qualified(section.replace("<h2>", f"<h2>{escape(_name(arm[1]))}: ", 1), mark)
-    yield in_motion([(arm[0], arm[1], _of(arm)[1]) for arm in arms], frame, film)
+    yield in_motion([(arm[1], _of(arm)[1]) for arm in arms], frame)
     for number, (arm, mark) in enumerate(zip(arms, marks, strict=True)):
         yield f'<section id="arm-{mark}">'
         inside = details(arm[1], arm[0], *_of(arm), frame)

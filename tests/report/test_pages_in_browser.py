@@ -89,23 +89,6 @@ def test_on_a_phone_view_and_controls_are_on_one_screen(player: Browser):
     )
 
 
-def test_the_body_hides_the_arm_and_can_be_switched_off(player: Browser):
-    grey = """(() => {
-      const canvas = document.querySelector("canvas");
-      const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-      let grey = 0;
-      for (let i = 0; i < data.length; i += 4)
-        grey += data[i] > 190 && data[i] < 225 && Math.abs(data[i] - data[i + 2]) < 14;
-      return grey; })()"""
-    people = player.run("JSON.parse(document.querySelector('.player script').textContent).people")
-    assert len(people) == 1 and people[0]["measured"] == []
-    assert "silhouette by usual body proportions" in player.run("document.body.textContent")
-    shown = player.run(grey)
-    assert shown > 10_000
-    player.run("document.querySelector('input[value=body]').click()")
-    player.wait(f"{grey} < {shown / 4}")
-
-
 def now(browser: Browser) -> float:
     """The time of the slider, s."""
     return float(browser.run("Number(document.querySelector('[data-do=seek]').value)"))

@@ -554,14 +554,13 @@ function streamBox(view, about, stream, open) {
 function furtherChoices(view, about, files, open) {
   const choices = about.choices;
   const number = (key, label, value) => labelled(label, h("input", { type: "number", step: "any", id: `c-${key}`, disabled: open, value: value ?? "",
-    onchange: act((event) => change(view, { choices: { [key]: event.target.value === "" ? (key === "video_offset_s" ? 0 : null) : Number(event.target.value) } })) }));
+    onchange: act((event) => change(view, { choices: { [key]: event.target.value === "" ? null : Number(event.target.value) } })) }));
   const several = new Set(files.flatMap((each) => each.streams.filter((s) => s.kind === "skeleton").map((s) => s.body))).size > 1;
   return h("details", {}, h("summary", {}, t("more_choices")), h("div", { class: "row" },
     labelled(t("which_arm"), select([["", t("all_arms")], ["left", t("left")], ["right", t("right")]], choices.side,
       act((event) => change(view, { choices: { side: event.target.value } })), { id: "c-side", disabled: open })),
     several || choices.body !== null ? number("body", t("body"), choices.body) : null,
-    number("imu_starts_at_s", t("starts_at"), choices.imu_starts_at_s),
-    files.some((each) => each.kind === "video" && each.name !== about.camera_video?.file) ? number("video_offset_s", t("video_offset"), choices.video_offset_s) : null));
+    number("imu_starts_at_s", t("starts_at"), choices.imu_starts_at_s)));
 }
 
 // least and largest value in each column, as a band; holes where there is none

@@ -3,7 +3,7 @@
    Drag turns, two fingers or Ctrl with the wheel come closer, arrows turn by keyboard, a double click resets. */
 var View3D = (() => {
   const LIGHT = { ink: "#1b1b1b", soft: "#666", paper: "#fff", faint: "#dfe3e6", seen: "#0072b2",
-    recovered: "#d55e00", untrusted: "#b00020", ghost: "#8a8a8a", truth: "#111", body: "#c3c9cf", limb: "#aab2b9" };
+    recovered: "#d55e00", untrusted: "#b00020", ghost: "#8a8a8a", truth: "#111" };
   const add = (a, b, s = 1) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -128,23 +128,6 @@ var View3D = (() => {
       this.pen.lineWidth = 3;
       this.pen.strokeText(words, at, y + dy);
       this.pen.fillText(words, at, y + dy);
-    }
-
-    /* What is drawn inside comes out as one, so much of it: what lies below shines through evenly. */
-    layer(alpha, draw) {
-      const below = this.pen, sheet = (this._sheet ||= document.createElement("canvas"));
-      sheet.width = this.canvas.width;
-      sheet.height = this.canvas.height;
-      this.pen = sheet.getContext("2d");
-      this.pen.setTransform(below.getTransform());
-      this.pen.lineCap = this.pen.lineJoin = "round";
-      draw();
-      this.pen = below;
-      below.save();
-      below.setTransform(1, 0, 0, 1, 0, 0);
-      below.globalAlpha = alpha;
-      below.drawImage(sheet, 0, 0);
-      below.restore();
     }
 
     /* Outline of the ellipsoid p + factor L ball, L lower triangular (xx, yx, yy, zx, zy, zz). */
