@@ -24,7 +24,6 @@ from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
 from . import tables
 from .chart import NOT_TRUSTED, badge
-from .forearm import mount
 from .method_comparison import sections as of_comparison
 from .method_comparison import verdict
 from .player import flat_views, player, points
@@ -305,15 +304,13 @@ def _consistency(recovery: Recovery, truth: Truth | None) -> str:
 
 
 def _mounting(recovery: Recovery, estimates: ArmEstimates | None) -> str:
-    """Sensor mounting on the arm: drawn, as tables, and what stayed open."""
-    plot = mount(estimates)
+    """Sensor mounting on the arm: as tables, and what stayed open."""
     about = tables.calibration(recovery.calibration, recovery.estimates)
     if estimates is not None:
         about += tables.camera(estimates)
         if estimates.not_determined:
             about += f"<p>What the recording did not determine:</p>{bullets(estimates.not_determined)}"
-    heading = "Sensor mounting on the arm"
-    return (_figure(heading, f"{_CALIBRATION} {_DRAWN}", plot) or headed(heading, _CALIBRATION)) + about
+    return headed("Sensor mounting on the arm", _CALIBRATION) + about
 
 
 _CAMERAS = (
@@ -335,10 +332,6 @@ _ERRORS = (
 _CALIBRATION = (
     "Where the joints lie as seen from the sensor, and the length of the upper arm: as given and improved by"
     " the recording, or as estimated from the recording where nothing was given."
-)
-_DRAWN = (
-    "The dark square is the sensor (drawn 2 cm large) with its axes x, y, z; the ellipse about each joint"
-    " contains it in 95 of 100 cases, and so does ±."
 )
 _REJECTED = (
     "Tracked camera samples that were not used, by joint, one colour per reason; pale ticks were used,"

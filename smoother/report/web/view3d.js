@@ -209,59 +209,5 @@ var View3D = (() => {
     }
   }
 
-  /* A scene that stands still: items of points, lines and faces, a legend that switches them. */
-  function scene(box) {
-    const { view, items, axes, ball } = JSON.parse(box.querySelector('script[type="application/json"]').textContent);
-    const space = new View3D(box, view), off = new Set(), tip = box.querySelector(".tip");
-    for (const item of items) {
-      const flat = unpack(item.points);
-      item.at = Array.from({ length: flat.length / 3 }, (_, i) => [flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]]);
-    }
-    let targets = [];
-    space.draw = (v) => {
-      targets = [];
-      const points = [];
-      if (ball) {
-        const [x, y, , k] = v.project([0, 0, 0]);
-        v.pen.beginPath();
-        v.pen.arc(x, y, ball * k * 1.035, 0, 7);
-        v.pen.fillStyle = v.colours.faint;
-        v.pen.fill();
-      } else if (view.grid !== false) v.floor(view.low, null);
-      for (const item of items) {
-        if (off.has(item.name)) continue;
-        if (item.kind === "face") {
-          v.pen.beginPath();
-          item.at.forEach((p, i) => { const [x, y] = v.project(p); if (i) v.pen.lineTo(x, y); else v.pen.moveTo(x, y); });
-          v.pen.fillStyle = v.colour(item.colour);
-          v.pen.globalAlpha = 0.3;
-          v.pen.fill();
-          v.pen.globalAlpha = 1;
-        } else if (item.kind === "line") v.line(item.at, item.colour, item.size, { dash: item.dash ? [3, 4] : null });
-        else item.at.forEach((p, i) => {
-          if (Number.isNaN(p[0]) || (ball && v.hides(ball, p))) return;
-          points.push([v.project(p)[2], p, Array.isArray(item.colour) ? item.ramp[item.colour[i]] : item.colour, item, i]);
-        });
-      }
-      points.sort((p, q) => p[0] - q[0]);
-      for (const [, p, colour, item, i] of points) {
-        v.dot(p, colour, item.size_m ? item.size_m * v.project(p)[3] : item.size, item.symbol);
-        if (item.words) targets.push([...v.project(p), item.words[i]]);
-      }
-      if (axes) v.triad(ball ? [0, 0, 0] : view.axes_at, ball ? 1.3 : view.axes_length, axes, ball);
-    };
-    for (const input of box.querySelectorAll(".legend input"))
-      input.addEventListener("change", () => { if (input.checked) off.delete(input.value); else off.add(input.value); space.redraw(); });
-    space.canvas.addEventListener("pointermove", (e) => {
-      const near = targets.find(([x, y]) => Math.hypot(x - e.offsetX, y - e.offsetY) < 9);
-      tip.style.display = near ? "block" : "none";
-      if (!near) return;
-      tip.textContent = near[4];
-      tip.style.left = Math.min(near[0] + 10, space.w - 180) + "px";
-      tip.style.top = space.canvas.offsetTop + near[1] + 8 + "px";
-    });
-    space.now();
-  }
-  addEventListener("DOMContentLoaded", () => document.querySelectorAll(".space.still").forEach(scene));
   return Object.assign(View3D, { unpack, add, dot, cross, unit });
 })();
