@@ -383,9 +383,7 @@ def write_arms_report(
     ).write(path, force)
 
 
-def _sections(
-    arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | None
-) -> Iterator[str]:
+def _sections(arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | None) -> Iterator[str]:
     links = [
         Html(f'<a href="#arm-{mark}">{escape(_name(arm[1]))}</a>')
         for arm, mark in zip(arms, marks, strict=True)
