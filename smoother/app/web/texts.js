@@ -1,8 +1,8 @@
-{
+"use strict";
+// All words of the page by key; {name} is filled in.
+const words = {
   "skip": "Skip to the content",
   "stays": "Runs on this computer. No file leaves it.",
-  "language": "Language",
-  "sentences": "",
   "title": "Recordings",
   "drop_title": "Drop the files of a recording here",
   "drop_hint": "The camera's file (positions of shoulder, elbow and wrist, or a video) and the motion sensor's (IMU), as your devices export them; or one MCAP file. If you drop several folders, you are asked whether they are one recording.",
@@ -196,4 +196,4 @@
   "undo_negate": "the sign of the {what} is reversed",
   "undo_camera-frame": "the camera's axes are {what}",
   "why": "Why it was not recognised"
-}
+};
