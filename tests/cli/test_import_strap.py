@@ -94,11 +94,7 @@ def test_what_is_said(session):
     assert figures["reasons"]["elbow or wrist is not tracked"] > 0
     assert figures["colour_topic"] == "/colour/image" and figures["depth_topic"] == "/depth/image"
     page = (folder / "s.html").read_text(encoding="utf-8")
-    assert (
-        "Brightness along the forearm" in page
-        and "As the camera saw it" in page
-        and "Found and rejected" in page
-    )
+    assert "Found and rejected" in page
 
 
 def test_a_depth_topic_that_is_not_there(session, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
