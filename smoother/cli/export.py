@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd", "bids", "opensim")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "sto", "rrd", "bids")
 ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 #: Endings of files that are none of these.
-NO_FORMATS = ("mcap", "html", "json", "toml", "mat", "xlsx")
+NO_FORMATS = ("osim", "mcap", "html", "json", "toml", "mat", "xlsx")
 
 
 def export(
@@ -104,13 +104,11 @@ def export(
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
     before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
-    straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
-    and the markers of trc, for its Inverse Kinematics. sto: orientations of all IMUs for its OpenSense,
-    rows without one left out. bids: a session of a Motion-BIDS data set, the folder OUTPUT, which is begun
-    or added to: camera and IMUs as they were recorded, the recovered arm as a derivative. opensim: the
-    folder OUTPUT, one per arm, with osim, trc, mot and sto, and set-ups that OpenSim's Scale, Inverse
-    Kinematics and OpenSense run as they are. rrd: a recording of Rerun with its views, all arms in one
-    file; `unocclude view` opens it (needs `pip install '.[view]'`).
+    straight line bridges a stretch without an answer. sto: orientations of all IMUs for OpenSim's
+    OpenSense, rows without one left out. bids: a session of a Motion-BIDS data set, the folder OUTPUT,
+    which is begun or added to: camera and IMUs as they were recorded, the recovered arm as a derivative.
+    rrd: a recording of Rerun with its views, all arms in one file; `unocclude view` opens it (needs
+    `pip install '.[view]'`).
 
     Stretches that are not to be trusted are printed to stderr and marked in the file: column or channel
     `trusted`, dark red in rrd.
@@ -129,9 +127,6 @@ def export(
     if format_name == "bids":
         _bids(result, recoveries, output, (subject, session, task), recording, json_file, force)
         return
-    if format_name == "opensim":
-        _opensim(result, recoveries, output, rate, json_file, force)
-        return
     together = format_name == "rrd"
     files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
@@ -146,8 +141,7 @@ def export(
     figures = []
     shown = recoveries[:1] if together else recoveries  # of one file for all what is the same in all
     for recovery, path, ready in zip(shown, files, exports, strict=True):
-        rows = "" if format_name == "osim" else f" ({ready.rows} row{'s' if ready.rows != 1 else ''})"
-        say(f"written: {path}{rows}")
+        say(f"written: {path} ({ready.rows} row{'s' if ready.rows != 1 else ''})")
         figures.append(
             {
                 "file": str(path),
@@ -202,33 +196,6 @@ def _bids(
     print_notes([*(note for recovery in recoveries for note in damage(recovery.notes)), *notes])
     figures = {"folder": str(output), "subject": names.subject, "session": names.session, "task": names.task}
     write_json(json_file, figures | {"motion_files": count, "notes": notes}, force)
-
-
-def _opensim(
-    result: Path,
-    recoveries: list[Recovery],
-    output: Path,
-    rate: float | None,
-    json_file: Path | None,
-    force: bool,
-) -> None:
-    """One folder per arm, which OpenSim runs as it is."""
-    from ..io.export.opensim_setup import check_opensim_folder, opensim_files, write_opensim
-
-    folders = output_names(output, recoveries)
-    check_outputs(force, [json_file], [result])
-    for folder in folders:
-        check_opensim_folder(folder, force)
-    level_down = _level_down(result, recoveries)
-    arms = [opensim_files(recovery, rate, level_down) for recovery in recoveries]
-    figures = []
-    for recovery, folder, (files, notes) in zip(recoveries, folders, arms, strict=True):
-        write_opensim(files, folder, force)
-        say(f"written: {folder} ({', '.join(files)})")
-        figures.append({"folder": str(folder), "files": list(files), "side": recovery.side, "notes": notes})
-    warn(recoveries)
-    print_notes(note for _, notes in arms for note in notes)
-    write_json(json_file, {"folders": figures}, force)
 
 
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:

@@ -80,9 +80,9 @@ def test_files_to_calibration_report_and_json(session: Path, tmp_path: Path, cap
     page = report.read_text()
     for part in (
         "What to record next",
-        "The panel in space",
-        "data:image/png;base64",
-        "Where the markers miss",
+        "The answer",
+        "R_K_E",
+        "What stayed open",
     ):
         assert part in page
     assert run(command) == 1  # report and JSON exist

@@ -25,10 +25,8 @@ export out.mcap --format trc -o camera.trc --frame camera --rate 50 --origin sho
 export out.mcap --format mot -o out.mot
 export out.mcap --format c3d -o out.c3d
 export out.mcap --format parquet -o out.parquet
-export out.mcap --format osim -o out.osim
 export out.mcap --format sto -o out.sto
 export out.mcap --format bids -o bids --subject p1 --recording PROJECT/data/demo.mcap
-export out.mcap --format opensim -o out_opensim
 methods out.mcap -o methods.tex --json methods.json
 repair PROJECT/data/demo.mcap -o whole.mcap --json repair.json
 cut PROJECT/data/demo.mcap --from 10 --to 25 -o part.mcap --json cut.json

@@ -11,9 +11,9 @@ from ...errors import UnoccludeError
 from ...result import Recovery
 
 #: The formats, and for which of them axes and rate may be chosen.
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "sto", "rrd")
 WITH_FRAME = ("trc", "c3d")
-WITH_RATE = ("trc", "mot", "c3d", "opensim")
+WITH_RATE = ("trc", "mot", "c3d")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
 DEFAULT_FRAME = {"trc": "opensim", "c3d": "camera", "sto": "opensim"}
 
@@ -91,8 +91,6 @@ def prepare_export(
     if format_name in WITH_FRAME:
         chosen = frame or DEFAULT_FRAME[format_name]
         return _markers(recovery, format_name, chosen, rate_hz, level_down, version, origin)
-    if format_name == "osim":
-        return _osim(recovery)
     if format_name == "sto":
         return _sto(recovery, level_down)
     if format_name == "rrd":
@@ -158,22 +156,6 @@ def _mot(recovery: Recovery, rate_hz: float | None) -> Export:
         lambda path, force: write_mot(table, path, recovery, force),
         table.rate_hz,
         notes=table.notes,
-    )
-
-
-def _osim(recovery: Recovery) -> Export:
-    from .osim import arm_measures, write_osim
-
-    measures = arm_measures(recovery)
-    notes: tuple[str, ...] = ()
-    if not measures.turns:
-        notes = (
-            "the calibration has no forearm axes (R_F_A): pro_sup is locked at 0, and the marker imu is left"
-            " out of the model.",
-        )
-    name = f"{measures.side or 'right'}_arm"
-    return Export(
-        1, lambda path, force: write_osim(measures, path, name, force), frame="opensim", notes=notes
     )
 
 

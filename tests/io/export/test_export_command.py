@@ -207,8 +207,8 @@ def test_the_formats_are_known_by_one_list():
     from smoother.io.export import prepare as exports
     from smoother.io.export.markers import FRAMES
 
-    ours = (*FORMATS, "osim", "sto", "rrd")  # which have tests of their own, as the folders have
-    assert export.FORMATS == (*exports.FORMATS, "bids", "opensim") == (*ours, "bids", "opensim")
+    ours = (*FORMATS, "sto", "rrd")  # which have tests of their own, as the folder has
+    assert export.FORMATS == (*exports.FORMATS, "bids") == (*ours, "bids")
     assert export.FRAMES == FRAMES
     with pytest.raises(UnoccludeError, match="'xls' is not available"):
         exports.prepare_export(made(), "xls")
