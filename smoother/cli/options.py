@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
@@ -246,10 +246,46 @@ class Outputs:
 NO_FILES = Outputs()
 
 
+#: Settings of simulations that have an option of their own; `--set` takes all.
+DAILY = (
+    *("protocol", "repetitions", "duration_s", "side", "imus", "cameras", "rgb"),
+    *("poses", "tilt_deg", "camera_tilt_deg", "people", "sensors"),
+)
+_SET = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Any setting, as --set imu_rate_hz=100; may be given again. `--set list` prints all.",
+    ),
+]
+
+
+def parsed_settings(given: Iterable[str], settings: Mapping[str, FieldInfo]) -> dict[str, str]:
+    """What `--set KEY=VALUE` sets, by name; `list` prints the settings and ends."""
+    found = {}
+    for text in given:
+        if text == "list":
+            from .output import print_table
+
+            rows = [
+                (name, _shown(field.get_default()), field.description) for name, field in settings.items()
+            ]
+            print_table("Settings", ("key", "default", "what it is"), rows)
+            raise typer.Exit
+        key, mark, value = text.partition("=")
+        name = key.strip().replace("-", "_")
+        if not mark or name not in settings:
+            why = f"there is no setting '{key.strip()}'" if mark else f"'{text}' is not KEY=VALUE"
+            raise typer.BadParameter(f"--set: {why}; `--set list` prints all")
+        found[name] = value.strip()
+    return found
+
+
 def with_groups(
     command: Callable[..., None], settings: Mapping[str, FieldInfo] | None = None
 ) -> Callable[..., None]:
-    """The command with the options of its groups in the groups' places, and one for every setting.
+    """The command with the options of its groups in the groups' places, and `--set` for its settings.
 
     Parameters
     ----------
@@ -257,7 +293,8 @@ def with_groups(
         Parameters whose type is a dataclass are replaced by its fields, which are annotated as options, or
         groups again.
     settings : mapping of str to FieldInfo, optional
-        Of a simulation, which the command takes as `**settings`; None where it is not given.
+        Of a simulation, which the command takes as `**settings`, None where it is not given; those of
+        `DAILY` have options of their own.
 
     Returns
     -------
@@ -271,10 +308,17 @@ def with_groups(
     options += [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
         for name, field in (settings or {}).items()
-        if name not in taken
+        if name in DAILY and name not in taken
     ]
+    if settings is not None:
+        options.append(
+            inspect.Parameter("set_", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_SET)
+        )
 
     def run(**values: Any) -> None:
+        if settings is not None:
+            given = parsed_settings(values.pop("set_") or (), settings)
+            values |= {name: None for name in settings if name not in values and name not in taken} | given
         mine = {each.name: _taken(each.name, each.annotation, values) for each in own}
         command(**mine, **values)
 

@@ -182,8 +182,8 @@ def test_five_spots_that_make_two_panels(tmp_path: Path, capsys):
         "extent = [[-0.05, -0.3], [0.45, 0.3]]\n"
     )
     done(
-        *("simulate", "panel", "-o", tmp_path / "s", "--seed", "2", "--panel", config, "--extra-markers"),
-        "0.4,-0.25",
+        *("simulate", "panel", "-o", tmp_path / "s", "--seed", "2", "--panel", config, "--set"),
+        "extra_markers=0.4,-0.25",
     )
     options = [*pose(tmp_path), *known(tmp_path)]
     refused(options, tmp_path, capsys, "more than one way", picture=True)

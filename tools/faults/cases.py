@@ -110,7 +110,7 @@ class Workshop:
     def with_long(self) -> Path:
         """The folder, with a recording that is long enough for temporary files."""
         words = ["simulate", "arm", "-o", f"{self.folder}/long.mcap", "--seed", "4", "--protocol", "random"]
-        _quiet([*words, "--duration-s", "240", "--imu-rate-hz", "200"])
+        _quiet([*words, "--duration-s", "240", "--set", "imu_rate_hz=200"])
         return self.folder
 
     @cached_property

@@ -55,14 +55,14 @@ validate out.mcap --truth a.mcap --align --json aligned.json
 #: What is done to each simulated recording; the options of `simulate arm` by the group's name.
 _SIMULATED = {
     "clean": "--preset clean --protocol random --duration-s 15 --seed 1",
-    "white": "--preset white --protocol random --duration-s 20 --seed 2 --imu-rate-hz 100",
+    "white": "--preset white --protocol random --duration-s 20 --seed 2 --set imu_rate_hz=100",
     "white, protocol behind": "--preset white --protocol behind --repetitions 1 --seed 3",
     "realistic, left": "--preset realistic --protocol random --duration-s 20 --seed 4 --side left"
-    " --camera-frame optical",
+    " --set camera_frame=optical",
     "azure": "--preset azure --protocol random --duration-s 25 --seed 5",
-    "strap tracked": "--preset white --protocol random --duration-s 15 --seed 6 --strap",
+    "strap tracked": "--preset white --protocol random --duration-s 15 --seed 6 --set strap=true",
     "inferred joints, outliers": "--preset realistic --protocol random --duration-s 18 --seed 7"
-    " --occluded-state inferred --outliers 0.02 --frozen-gaps 0.3",
+    " --set occluded_state=inferred --set outliers=0.02 --set frozen_gaps=0.3",
     "arm at rest": "--preset white --protocol hang --duration-s 15 --seed 8",
     "upper-arm IMU": "--preset realistic --protocol random --duration-s 20 --seed 9 --imus wrist,upper-arm",
     "trunk IMU": "--preset realistic --protocol random --duration-s 20 --seed 10"

@@ -152,8 +152,17 @@ def test_simulated_mocap_beside_its_recording(tmp_path, side):
 
     done(
         *("simulate", "arm", "-o", tmp_path / "sim.mcap", "--mocap", "--side", side, "--seed", 3),
-        *("--protocol", "random", "--duration-s", 6, "--marker-noise-m", 0, "--mocap-rate-hz", 100),
-        *("--mocap-offset-s", -1.5, "--mocap-skew-ppm", 0, "--json", tmp_path / "j.json"),
+        *(
+            "--protocol",
+            "random",
+            "--duration-s",
+            6,
+            "--set",
+            "marker_noise_m=0",
+            "--set",
+            "mocap_rate_hz=100",
+        ),
+        *("--set", "mocap_offset_s=-1.5", "--set", "mocap_skew_ppm=0", "--json", tmp_path / "j.json"),
     )
     names = {"sim.mcap", "sim.c3d", "sim.trc", "sim_markers.toml", "sim_calibration.toml", "j.json"}
     assert {path.name for path in tmp_path.iterdir()} == names
