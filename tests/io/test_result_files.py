@@ -17,7 +17,14 @@ from made_results import ZERO, assert_same, recovery
 from mcap.reader import make_reader
 
 from smoother.errors import RecordingError, UnoccludeError
-from smoother.io import export_csv, open_recording, read_recovery, write_recording, write_recovery
+from smoother.io import (
+    export_csv,
+    open_recording,
+    read_recording,
+    read_recovery,
+    write_recording,
+    write_recovery,
+)
 from smoother.io.result import messages as draw_messages
 from smoother.io.wire.schemas import message_class
 from smoother.result import Draws, Recovery
@@ -122,6 +129,8 @@ def test_of_the_recording_only_axes_and_metadata_are_kept(tmp_path: Path) -> Non
     write_recovery(recovery(), tmp_path / "two.mcap", source=tmp_path / "plain.mcap")
     again = open_recording(tmp_path / "two.mcap")
     assert again.camera_frame == source.camera_frame and not again.imus and not again.arms
+    with pytest.raises(RecordingError, match="is a result; name the recording"):
+        read_recording(tmp_path / "two.mcap")
 
 
 def test_a_file_without_result(tmp_path: Path) -> None:
