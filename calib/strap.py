@@ -203,13 +203,8 @@ class Sighting:
         Of the strap in the image.
     along : float
         Part of the way from elbow to wrist, of the seen point.
-    in_profile : float
-        Part of the way at which the dark place is in the profile: the strap's surface, as seen from the
-        side, is not over the same place of the line.
     contrast, width_m, off_line_m : float
         How dark, how wide, how far from the elbow-wrist line.
-    profile : ndarray, shape (SAMPLES,)
-        Brightness along the line.
     """
 
     reason: str
@@ -218,11 +213,9 @@ class Sighting:
     surface: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     pixel: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     along: float = float("nan")
-    in_profile: float = float("nan")
     contrast: float = float("nan")
     width_m: float = float("nan")
     off_line_m: float = float("nan")
-    profile: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def found(self) -> bool:
@@ -285,15 +278,14 @@ def find_strap(
         return Sighting("the forearm is not inside the image")
     at, contrast, width = _dark_stretch(profile, part, strap_width_m / length)
     if not np.isfinite(at):
-        return Sighting("no dark stretch with two edges", contrast=contrast, profile=profile)
+        return Sighting("no dark stretch with two edges", contrast=contrast)
     if contrast < CONTRAST:
-        return Sighting("nothing on the forearm is dark enough", contrast=contrast, profile=profile)
+        return Sighting("nothing on the forearm is dark enough", contrast=contrast)
     if not WIDTHS_M[0] < width * length < WIDTHS_M[1]:
         return Sighting(
             "the dark stretch is not as wide as a strap",
             contrast=contrast,
             width_m=width * length,
-            profile=profile,
         )
     place = elbow + at * (wrist - elbow)
     pixel, _ = camera.pixels(place[None])
@@ -303,9 +295,7 @@ def find_strap(
             "no depth at the strap",
             pixel=pixel[0],
             along=at,
-            in_profile=at,
             contrast=contrast,
-            profile=profile,
         )
     along = float((surface - elbow) @ y)
     off, reason = _criteria(surface, *joints)
@@ -319,11 +309,9 @@ def find_strap(
         surface,
         pixel[0],
         along / length,
-        in_profile=at,
         contrast=contrast,
         width_m=width * length,
         off_line_m=off,
-        profile=profile,
     )
 
 

@@ -289,13 +289,6 @@ class AccelerometerCalibration:
         """Corrected samples (N, 3) of raw ones (N, 3), m/s^2."""
         return (raw - self.offset) @ self.matrix.T
 
-    def sigma_towards(self, up: FloatArray, gravity: float) -> FloatArray:
-        """Standard deviation of the corrected length with these directions (N, 3) up, m/s^2 (N,)."""
-        raw = gravity * np.linalg.solve(self.matrix, up.T).T + self.offset
-        p = np.concatenate([self.offset, self.matrix[_ROWS, _COLUMNS]])
-        rows = _jacobian(p, raw, gravity) / (2.0 * gravity)
-        return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", rows, self.covariance, rows)))
-
 
 def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibration:
     """Fit offset and matrix to the rests' means.

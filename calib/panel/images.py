@@ -382,34 +382,6 @@ def drawn_spots(infrared: FloatArray, blobs: Blobs, markers: tuple[int, ...] = (
     return bytes(packed.tobytes())
 
 
-def drawn_depth(
-    depth_m: FloatArray, pixels: FloatArray, along_x: NDArray, along_y: NDArray, inliers: NDArray
-) -> bytes:
-    """PNG of the depth about the panel with the pixels that were used coloured by group."""
-    import cv2
-
-    near, far = np.nanpercentile(depth_m[pixels[:, 1].astype(int), pixels[:, 0].astype(int)], [2, 98])
-    low, high = near - 0.3, far + 0.6
-    shade = np.where(np.isfinite(depth_m), np.clip((high - depth_m) / (high - low), 0, 1), 0)
-    picture = cv2.cvtColor((40 + 160 * shade).astype(np.uint8), cv2.COLOR_GRAY2BGR)
-    picture[~np.isfinite(depth_m)] = 0
-    at = pixels.astype(int)
-    for chosen, colour in (
-        (inliers, (178, 114, 0)),
-        (inliers & along_x, (0, 94, 213)),
-        (inliers & along_y, (115, 158, 0)),
-        (~inliers, (60, 60, 230)),
-    ):
-        rows = at[chosen]
-        picture[rows[:, 1], rows[:, 0]] = (
-            0.5 * picture[rows[:, 1], rows[:, 0]] + 0.5 * np.array(colour)
-        ).astype(np.uint8)
-    factor = max(1, -(-LEAST_WIDTH // depth_m.shape[1]))
-    large = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
-    _, packed = cv2.imencode(".png", large)
-    return bytes(packed.tobytes())
-
-
 def grey(infrared: FloatArray) -> NDArray[np.uint8]:
     """An infrared image in 256 shades, so that both the room and the spots are to be seen."""
     top = max(float(np.percentile(infrared, 98)) * 4, 1e-9)

@@ -75,8 +75,6 @@ class Choices:
         The person.
     remedy : str
         Options that undo a wrong set-up, as `check` proposes them ("--mirror x").
-    video_offset_s : float, s
-        From the recording's first sample to the video's first picture.
     video_mirrored : bool
         The video used as the camera is a mirror image.
     video_turn : int
@@ -89,7 +87,6 @@ class Choices:
     side: str = ""
     body: int | None = None
     remedy: str = ""
-    video_offset_s: float = 0.0
     video_mirrored: bool = False
     video_turn: int = 0
 
@@ -393,7 +390,6 @@ def _check(choices: Choices) -> None:
     good &= choices.side in ("", "left", "right")
     good &= choices.body is None or (type(choices.body) is int and 0 <= choices.body < 10**9)
     good &= choices.imu_starts_at_s is None or _is_time(choices.imu_starts_at_s)
-    good &= _is_time(choices.video_offset_s)
     good &= isinstance(choices.video_mirrored, bool)
     good &= type(choices.video_turn) is int and choices.video_turn in (0, 90, 180, 270)
     good &= isinstance(choices.remedy, str) and (

@@ -42,8 +42,7 @@ from .jobs import OPEN, JobDesk, latest, state_of
 
 WEB = Path(__file__).parent / "web"
 #: Files of the page, and what they are.
-_PAGE = {"app.js": "text/javascript", "app.css": "text/css"}
-LANGUAGES = ("en", "de")
+_PAGE = {"app.js": "text/javascript", "texts.js": "text/javascript", "app.css": "text/css"}
 #: Bytes of a request's JSON at most.
 _LONGEST_JSON = 1_000_000
 #: Bytes of an upload written at a time, and bytes that stay free on the disk.
@@ -88,7 +87,6 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
         routes=[
             Route("/", _page),
             Route("/{name}", _asset),
-            Route("/texts/{language}.json", _texts),
             Route("/api/state", _answer(_state)),
             Route("/api/recordings", _answer(_add), methods=["POST"]),
             Route("/api/loose", _answer(_take_up), methods=["POST"]),
@@ -182,13 +180,6 @@ async def _asset(request: Request) -> Response:
     if name not in _PAGE:
         return JSONResponse({"error": "There is no such page."}, 404)
     return FileResponse(WEB / name, media_type=_PAGE[name])
-
-
-async def _texts(request: Request) -> Response:
-    language = request.path_params["language"]
-    if language not in LANGUAGES:
-        return JSONResponse({"error": "There is no such language."}, 404)
-    return FileResponse(WEB / f"texts.{language}.json", media_type="application/json")
 
 
 async def _state(request: Request) -> Any:

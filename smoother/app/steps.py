@@ -30,7 +30,6 @@ NO_MODEL = (
 #: Exports by format: the file that is written.
 EXPORTS = {
     "csv": "recovered.csv",
-    "xlsx": "recovered.xlsx",
     "trc": "recovered.trc",
     "mot": "recovered.mot",
     "c3d": "recovered.c3d",
@@ -273,10 +272,6 @@ def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[
     kept = read_kept(place)
     words = ["smooth", recording_of(place), "-o", RESULT, "--report", REPORT, "--json", FIGURES, "--force"]
     words += ["--draws", str(USUAL_DRAWS), *_arm_words(place, kept)]
-    files = _used(place, kept.choices)
-    videos = [each for each in files if each["kind"] == "video"]
-    if videos and camera_video(files) is None:
-        words += ["--video", _local(videos[0]), "--video-offset", repr(float(kept.choices.video_offset_s))]
     return [*check_steps(folder, place, strict=not anyway), {"name": "recover", "argv": words}]
 
 

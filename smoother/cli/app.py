@@ -17,49 +17,16 @@ ADVANCED = "Advanced"
 _SHARED = {
     "Which arm": ("imu", "skeleton", "side", "body"),
     "Correct a wrong set-up": ("mirror", "swap", "negate", "camera-frame", "clock-offset", "clock-sigma"),
-    "Pictures in the report": ("with-images", "video", "video-offset"),
     ADVANCED: (
         *("config", "orientation", "boundary-s", "solve-lever-arms", "processes", "draws", "seed", "anatomy"),
         "body-height",
-        *("passthrough-images", "live", "latency", "gaps-per-run", "scheduler", "retry-failed", "time-limit"),
+        *("live", "latency", "gaps-per-run", "scheduler", "retry-failed", "time-limit"),
         *("memory-limit", "hash-names", "keep-paths", "outside", "skeleton-format", "imu-format", "wait"),
-        *("one-session", "port", "web-port", "lsl-out", "gravity", "mocap-sigma-mm", "panel-topic"),
+        *("one-session", "port", "lsl-out", "gravity", "mocap-sigma-mm", "panel-topic"),
         *("base-topic", "colour-topic", "depth-topic", "sound-clocks", "motion-clocks", "audio-topic"),
         *("audio-rate-hz", "sound-start", "tone-hz", "distance-m", "resolution-ms"),
     ),
 }
-
-
-#: Options of `simulate`, by group; its other settings are advanced.
-_SIMULATED = {
-    "Movement": ("protocol", "repetitions", "duration-s", "side", "speed", "strap"),
-    "Occlusions": (
-        *("occlusion-lengths-s", "occlusion-every-s", "end-gap-s", "occluded-state", "belly"),
-        *("shoulder-lost", "frozen-gaps", "swapped-gaps"),
-    ),
-    "Camera": (
-        *("frame-rate-hz", "noise-m", "joint-bias-m", "latency-s", "dropped-frames", "outliers", "outlier-m"),
-        *("camera-frame", "distance-m"),
-    ),
-    "IMUs": (
-        *("imus", "imu-rate-hz", "accelerometer-noise", "gyroscope-noise", "accelerometer-bias"),
-        *("gyroscope-bias", "wobble-deg", "upper-wobble-deg", "wrist-deg", "trunk-turn-deg"),
-    ),
-    "Several cameras": ("cameras", "camera-clock-s", "camera-clock-ppm", "camera-blind", "camera-fault"),
-    "Motion capture (with --mocap)": (
-        *("mocap-rate-hz", "mocap-offset-s", "mocap-skew-ppm", "marker-noise-m", "marker-lost"),
-    ),
-}
-
-
-#: Options of `simulate` that are shown first.
-_SIMULATED_FIRST = (
-    *("output", "calibration-out", "preset", "seed", "mocap", "arms", "json", "force", "mcap", "panel"),
-    *("people", "sensors", "on-table", "hanging", "in-time", "clocks-apart-s", "tissue-deg", "every"),
-    *("rounds", "minutes", "motion-s", "noise-db", "poses", "rest-s", "long-rest-s", "offset", "scale"),
-    *("cross", "noise", "hard-iron", "soft-iron", "field", "tilt-deg", "magnetometer", "camera-tilt-deg"),
-    "help",
-)
 
 
 #: Commands whose --imu and --skeleton name what they read, and not one of several.
@@ -76,14 +43,11 @@ def group_of(command: str, option: str) -> str:
     option : str
         Its long name without the dashes.
     """
-    simulated = command.startswith("simulate ")
-    if simulated and option in _SIMULATED_FIRST:
-        return ""
     if command in _OWN_STREAMS and option in _SHARED["Which arm"]:
         return ""
-    groups = _SIMULATED if simulated else _SHARED
-    named = next((group for group, names in groups.items() if option in names), "")
-    return named or (ADVANCED if simulated else "")
+    if command.startswith("simulate "):
+        return ""
+    return next((group for group, names in _SHARED.items() if option in names), "")
 
 
 class GroupedCommand(TyperCommand):
@@ -93,7 +57,7 @@ class GroupedCommand(TyperCommand):
         """Write arguments, then the options of every group, those that are rarely needed last."""
         command = ctx.command_path.partition(" ")[2]
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "": []}
-        for group in (*_SHARED, *_SIMULATED):
+        for group in _SHARED:
             groups.setdefault(group, [])
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
@@ -136,7 +100,7 @@ class CommandSpec:
     cls : str
         The command's class in the module, where it is not typer's.
     has_settings : bool
-        The settings that the module's `NAME_settings()` gives become options too.
+        `--set` takes the settings that the module's `NAME_settings()` gives.
     """
 
     module: str
@@ -269,7 +233,6 @@ _IMPORTS = {
     ),
     "formats": _spec("imports", "import formats"),
     "describe": _spec("imports", "import describe sensor.csv > session/recording.toml"),
-    "bids": _spec("imports", "import bids dataset --subject p12 -o session.mcap"),
     "broad": _spec("imports", "import broad 01_trial.mat -o trial.mcap"),
     "utd-mhad": _spec("imports", "import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap"),
     "strap": _spec("imports", "import strap session.mcap -o with_strap.mcap"),

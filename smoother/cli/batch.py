@@ -23,7 +23,6 @@ from .options import (
     Calibration,
     ConfigFile,
     Json,
-    PassthroughImages,
     Processes,
     Strict,
 )
@@ -121,7 +120,6 @@ def _clock(seconds: float) -> str:
 #: Rows of the tables that are printed at the end.
 MOST_WORST, MOST_FAILURES = 10, 25
 #: Sentences on topics that were left out that are printed at the end.
-MOST_LEFT_OUT = 3
 #: Rows that `--json` holds at most; all of them are among the results.
 MOST_JSON = 10_000
 #: Hours of recording take minutes; what takes half a day hangs.
@@ -183,7 +181,6 @@ def batch(
     ] = False,
     json_file: Json = None,
     arm: ArmSelection = ANY_ARM,
-    passthrough_images: PassthroughImages = False,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Retry failed recordings too.")
     ] = False,
@@ -264,7 +261,7 @@ def batch(
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
         config=read_config(config_file),
-        choice=InputSelection(**arm.reading(), passthrough_images=passthrough_images),
+        choice=InputSelection(**arm.reading()),
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,
@@ -434,7 +431,6 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     import pyarrow.compute as pc
 
     from ..evaluation.summary import trust_word
-    from ..io.recording.json_messages import NOT_PASSED_THROUGH
 
     columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
     done = rows.filter(pc.equal(rows["status"], "done"))
@@ -459,10 +455,6 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     _print_untrusted(figures)
     texts = rows.filter(pc.equal(rows["status"], "done"))["note_texts"].to_pylist()
     notes = [note for each in texts for note in each or []]
-    left_out = list(dict.fromkeys(note for note in notes if note.startswith(NOT_PASSED_THROUGH)))
-    print_notes(left_out[:MOST_LEFT_OUT])
-    if len(left_out) > MOST_LEFT_OUT:
-        say(f".. and other topics in {len(left_out) - MOST_LEFT_OUT} recordings; the results have them all")
     damaged = damage(notes)
     print_notes(damaged[:MOST_FAILURES])
     if len(damaged) > MOST_FAILURES:

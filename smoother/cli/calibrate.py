@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -74,8 +74,7 @@ def write_answer(
     answer: Answer,
     output: Path | None,
     to: Outputs,
-    calibration: Any,
-    *inputs: Any,
+    title: str,
     notes: Iterable[str] = (),
 ) -> None:
     """Write what a calibration found to all its outputs.
@@ -87,18 +86,19 @@ def write_answer(
         The calibration file, which is added to.
     to : Outputs
         The page, and the figures with the notes.
-    calibration, *inputs
-        For the page: see `report.calibration_page`.
+    title : str
+        Of the page.
     notes : iterable of str
         What must be known of the input.
     """
     from calib.file import write_calibration
 
+    notes = list(dict.fromkeys(notes))
     if to.report is not None:
         from ..report.calibration_page import calibration_page
 
-        calibration_page(calibration, *inputs).write(to.report, to.force)
-    write_json(to.json_file, {**answer.figures, "notes": list(dict.fromkeys(notes))}, to.force)
+        calibration_page(title, answer, notes).write(to.report, to.force)
+    write_json(to.json_file, {**answer.figures, "notes": notes}, to.force)
     if output is not None:
         write_calibration(output, answer.table)
 
@@ -240,7 +240,7 @@ def imu(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
     answer = imu_answer(calibration)
-    write_answer(answer, output, to, calibration, str(recording_file), stream, notes=notes)
+    write_answer(answer, output, to, f"Accelerometer and gyroscope of {stream.name}", notes)
     if rows := noise_rows(calibration):
         print_table("Noise", ("figure", "x", "y", "z"), rows)
     say_answer(answer, notes, output, to.json_file, to.report)
@@ -268,7 +268,7 @@ def magnetometer(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
     answer = magnetometer_answer(calibration, stream.name)
-    write_answer(answer, output, to, calibration, str(recording_file), stream, notes=notes)
+    write_answer(answer, output, to, f"Magnetometer of {stream.name}", notes)
     say_answer(answer, notes, output, to.json_file, to.report)
 
 
@@ -343,7 +343,7 @@ def forearm(
         config=config,
     )
     answer = forearm_answer(calibration)
-    write_answer(answer, output, to, calibration, recording, notes=recording.notes)
+    write_answer(answer, output, to, f"Forearm from a held pose: {recording.name}", recording.notes)
     lengths = calibration.measured.lengths.items()
     cells = [
         (MEASURES[name], f"{1e3 * length.value_m:.1f} +- {1e3 * length.sigma_m:.1f}")
@@ -388,7 +388,7 @@ def cameras(
     set_up = calibrate_cameras(recordings)
     answer = cameras_answer(set_up)
     notes = [note for recording in recordings for note in recording.notes]
-    write_answer(answer, output, to, set_up, notes=notes)
+    write_answer(answer, output, to, "Poses of the cameras", notes)
     rows = [
         (
             name,

@@ -73,7 +73,7 @@ def panel(
         views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file, notes)
         calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
     answer = panel_answer(calibration)
-    write_answer(answer, output, to, calibration, views, notes=notes)
+    write_answer(answer, output, to, "Camera from motion capture, by the marker panel", notes)
     print_panel(calibration)
     say_answer(answer, notes, output, to.report, to.json_file)
 
@@ -219,7 +219,7 @@ def world(
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
     answer = world_answer(calibration)
-    write_answer(answer, output, to, calibration, notes)
+    write_answer(answer, output, to, "Camera from base IMU, by the panel", notes)
     print_tables(answer.table.tables)
     say_answer(answer, (), output, to.report, to.json_file)
 
@@ -430,7 +430,7 @@ def clock(
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
     calibration = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
     answer = clock_answer(calibration)
-    write_answer(answer, output, to, calibration, notes=notes)
+    write_answer(answer, output, to, f"Clocks: {calibration.session}", notes)
     print_clocks(calibration)
     say_answer(answer, notes, output, to.json_file, to.report)
 

@@ -18,7 +18,6 @@ from .output import (
     cell,
     centimetres,
     check_outputs,
-    print_notes,
     print_table,
     progress_bar,
     say,
@@ -63,7 +62,7 @@ def demo(
         config = with_processes(read_config(None), processes)
         recovery = smooth(recording, None, config, progress, draws=usual_draws(None))
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
-    left_out = write_recovery([recovery], result, source=source, force=True)
+    write_recovery([recovery], result, source=source, force=True)
     truth = recording.truth
     with progress_bar("measuring") as progress:
         validation = None
@@ -80,7 +79,6 @@ def demo(
     say_verdict(recovery)
     print_gaps(recovery, validation)
     say_untrusted_parts(recovery)
-    print_notes(left_out)
     say("Joints, joint angles and the calibration are in the report.")
     by_hand = folder / "by_hand.mcap"
     say("Without any calibration, as a first recording of your own. The same by hand:")

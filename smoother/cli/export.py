@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import RecordingError
+from ..errors import UnoccludeError
 from .arm_output import warn
 from .load import camera_frame_of, damage, load_recoveries
 from .options import Body, Force, Json, Output, Result, Side, one_side
-from .output import check_outputs, print_notes, progress_bar, say, say_written, write_json
+from .output import check_outputs, print_notes, say, say_written, write_json
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
     from ..io.export.prepare import Export
-    from ..recording import Truth
     from ..result import Recovery
-    from ..runtime.pool import Progress
 
 
-FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd", "bids", "opensim")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "sto", "rrd", "bids")
 ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 #: Endings of files that are none of these.
-NO_FORMATS = ("mcap", "html", "json", "toml", "mat")
+NO_FORMATS = ("osim", "mcap", "html", "json", "toml", "mat", "xlsx")
 
 
 def export(
@@ -86,10 +83,19 @@ def export(
         str | None,
         typer.Option("--task", metavar="LABEL", help="For bids: task.  [default: arm]", show_default=False),
     ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            "--recording",
+            metavar="REC.mcap",
+            help="For bids: what the result was made from; its joints and IMUs are the raw data.",
+            show_default=False,
+        ),
+    ] = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write a result for OpenSim, MATLAB, R, Excel and others.
+    """Write a result for OpenSim, MATLAB, R and others.
 
     Several arms give one file each; rrd and bids contain all of them.
 
@@ -97,13 +103,11 @@ def export(
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
     before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
-    straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
-    and the markers of trc, for its Inverse Kinematics. sto: orientations of all IMUs for its OpenSense,
-    rows without one left out. bids: a session of a Motion-BIDS data set, the folder OUTPUT, which is begun
-    or added to: camera and IMUs as they were recorded, the recovered arm as a derivative. opensim: the
-    folder OUTPUT, one per arm, with osim, trc, mot and sto, and set-ups that OpenSim's Scale, Inverse
-    Kinematics and OpenSense run as they are. rrd: a recording of Rerun with its views, all arms in one
-    file; `unocclude view` opens it (needs `pip install '.[view]'`).
+    straight line bridges a stretch without an answer. sto: orientations of all IMUs for OpenSim's
+    OpenSense, rows without one left out. bids: a session of a Motion-BIDS data set, the folder OUTPUT,
+    which is begun or added to: camera and IMUs as they were recorded, the recovered arm as a derivative.
+    rrd: a recording of Rerun with its views, all arms in one file; `unocclude view` opens it (needs
+    `pip install '.[view]'`).
 
     Stretches that are not to be trusted are printed to stderr and marked in the file: column or channel
     `trusted`, dark red in rrd.
@@ -113,33 +117,30 @@ def export(
     _check(format_name, frame, rate, origin)
     if draws and format_name != "parquet":
         raise typer.BadParameter(f"--draws is for parquet, not for {format_name}")
-    if format_name != "bids" and (subject or session or task):
-        raise typer.BadParameter(f"--subject, --session and --task are for bids, not for {format_name}")
+    if format_name != "bids" and (subject or session or task or recording):
+        raise typer.BadParameter(
+            f"--subject, --session, --task and --recording are for bids, not for {format_name}"
+        )
     _check_ending(output, format_name)
     recoveries = load_recoveries(result, one_side(side), body)
     if format_name == "bids":
-        _bids(result, recoveries, output, (subject, session, task), json_file, force)
-        return
-    if format_name == "opensim":
-        _opensim(result, recoveries, output, rate, json_file, force)
+        _bids(result, recoveries, output, (subject, session, task), recording, json_file, force)
         return
     together = format_name == "rrd"
     files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
     # All arms are ready before the first is written.
-    with progress_bar("writing") as progress:
-        exports = (
-            [prepared_rrd(result, recoveries)]
-            if together
-            else _prepared(result, recoveries, format_name, frame, rate, origin or "camera", draws, progress)
-        )
-        for path, ready in zip(files, exports, strict=True):
-            ready.write(path, force)
+    exports = (
+        [prepared_rrd(result, recoveries)]
+        if together
+        else _prepared(result, recoveries, format_name, frame, rate, origin or "camera", draws)
+    )
+    for path, ready in zip(files, exports, strict=True):
+        ready.write(path, force)
     figures = []
     shown = recoveries[:1] if together else recoveries  # of one file for all what is the same in all
     for recovery, path, ready in zip(shown, files, exports, strict=True):
-        rows = "" if format_name == "osim" else f" ({ready.rows} row{'s' if ready.rows != 1 else ''})"
-        say(f"written: {path}{rows}")
+        say(f"written: {path} ({ready.rows} row{'s' if ready.rows != 1 else ''})")
         figures.append(
             {
                 "file": str(path),
@@ -166,57 +167,34 @@ def _bids(
     recoveries: list[Recovery],
     output: Path,
     labels: tuple[str | None, str | None, str | None],
+    source: Path | None,
     json_file: Path | None,
     force: bool,
 ) -> None:
-    """A session of a data set: what the result's file carries of its recording, and the answer."""
+    """A session of a data set: the recording, where it is named, and the answer."""
     from .. import __version__
     from ..io import read_recordings
     from ..io.export.bids import BidsNames, label_of, write_bids
 
     subject, session, task = labels
     names = BidsNames(subject or label_of(recoveries[0].name), session or "", task or "arm")
-    check_outputs(force, [json_file], [result])
+    check_outputs(force, [json_file], [result, source])
     wanted = {(recovery.side, recovery.body) for recovery in recoveries}
-    notes = []
-    try:
-        recordings = [each for each in read_recordings(result) if (each.side, each.body) in wanted]
-    except RecordingError as error:
-        recordings = []
-        notes.append(f"the result carries no recording, so that the data set has the answer alone: {error}")
+    recordings, notes = [], []
+    if source is None:
+        notes.append("the data set has the answer alone; --recording REC.mcap adds what it was made from")
+    else:
+        recordings = [each for each in read_recordings(source) if (each.side, each.body) in wanted]
+        if not recordings:
+            raise UnoccludeError(
+                f"{source} has none of the result's arms; name the recording it was made from"
+            )
     count = write_bids(output, names, recordings, recoveries, __version__, force)
     say(f"written: {output} ({count} motion files of sub-{names.subject})")
     warn(recoveries)
     print_notes([*(note for recovery in recoveries for note in damage(recovery.notes)), *notes])
     figures = {"folder": str(output), "subject": names.subject, "session": names.session, "task": names.task}
     write_json(json_file, figures | {"motion_files": count, "notes": notes}, force)
-
-
-def _opensim(
-    result: Path,
-    recoveries: list[Recovery],
-    output: Path,
-    rate: float | None,
-    json_file: Path | None,
-    force: bool,
-) -> None:
-    """One folder per arm, which OpenSim runs as it is."""
-    from ..io.export.opensim_setup import check_opensim_folder, opensim_files, write_opensim
-
-    folders = output_names(output, recoveries)
-    check_outputs(force, [json_file], [result])
-    for folder in folders:
-        check_opensim_folder(folder, force)
-    level_down = _level_down(result, recoveries)
-    arms = [opensim_files(recovery, rate, level_down) for recovery in recoveries]
-    figures = []
-    for recovery, folder, (files, notes) in zip(recoveries, folders, arms, strict=True):
-        write_opensim(files, folder, force)
-        say(f"written: {folder} ({', '.join(files)})")
-        figures.append({"folder": str(folder), "files": list(files), "side": recovery.side, "notes": notes})
-    warn(recoveries)
-    print_notes(note for _, notes in arms for note in notes)
-    write_json(json_file, {"folders": figures}, force)
 
 
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
@@ -274,7 +252,6 @@ def _prepared(
     rate: float | None,
     origin: str,
     draws: bool,
-    progress: Progress,
 ) -> list[Export]:
     from .. import __version__
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
@@ -282,7 +259,7 @@ def _prepared(
     wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
     level_down = _level_down(result, recoveries) if wants_up else None
     return [
-        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws, progress)
+        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws)
         for recovery in recoveries
     ]
 
@@ -298,18 +275,10 @@ def _level_down(result: Path, recoveries: list[Recovery]) -> FloatArray | None:
 
 
 def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
-    """All arms for Rerun, with the truth that is in the result's file where it is that of the one arm."""
-    from ..evaluation.truth import read_truth_mcap
+    """All arms for Rerun."""
     from ..io.export.prepare import prepare_rrd
-    from ..io.export.rrd import rerun_module
 
-    rerun_module()  # said before the file is read again
-    axes = camera_frame_of(result)
-    truths: list[Truth | None] = [None] * len(recoveries)
-    if len(recoveries) == 1:
-        with suppress(RecordingError):  # it contains none
-            truths = [read_truth_mcap(result, recoveries[0])]
-    return prepare_rrd(recoveries, truths, None if axes is None else axes.down)
+    return prepare_rrd(recoveries, _level_down(result, recoveries))
 
 
 def methods(

@@ -96,25 +96,6 @@ def broad(
     _finish(import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed), output, json_file, force)
 
 
-def bids(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The data set.", show_default=False)],
-    output: Output,
-    subject: Annotated[str, typer.Option("--subject", metavar="LABEL", help="Where there are several.")] = "",
-    session: Annotated[str, typer.Option("--session", metavar="LABEL", help="Likewise.")] = "",
-    task: Annotated[str, typer.Option("--task", metavar="LABEL", help="Likewise.")] = "",
-    json_file: Json = None,
-    force: Force = False,
-) -> None:
-    """Import a session of a Motion-BIDS data set."""
-    from ..io.plain.bids import open_bids
-
-    check_mcap(output)
-    check_outputs(force, [output, json_file])
-    if not folder.is_dir():
-        raise UnoccludeError(f"{folder} is not a folder; name the one that contains dataset_description.json")
-    _finish(open_bids(folder, subject, session, task), output, json_file, force)
-
-
 def utd_mhad(
     inertial: Annotated[
         Path, typer.Argument(metavar="INERTIAL.mat", help="aA_sS_tT_inertial.mat", show_default=False)
@@ -445,9 +426,6 @@ def strap(
         str | None,
         typer.Option("--depth-topic", metavar="TOPIC", help="Depth images to take."),
     ] = None,
-    passthrough_images: Annotated[
-        bool, typer.Option("--passthrough-images", help="Also copy the images; they show the patient.")
-    ] = False,
     solving: Solving = AS_USUAL,
     to: Outputs = NO_FILES,
 ) -> None:
@@ -487,7 +465,6 @@ def strap(
         joint_sigma_m=sigma,
         colour_topic=colour,
         depth_topic=depth,
-        passthrough_images=passthrough_images,
         force=to.force,
     )
     sentences = verdict(found)

@@ -16,7 +16,7 @@ import typer
 
 from .app import GroupedCommand
 from .live_arms import check_arms, further_streams, receivers_of, sides_of, streams_of_arms, together
-from .live_dashboard import Aside, Dashboard, Lines, Table
+from .live_lines import Aside, Lines
 from .options import Calibration, ConfigFile, Force, Json, Side, one_side
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
 
@@ -167,15 +167,12 @@ def run_sessions(sessions: Sequence[LiveSession], stop_request: StopRequest) -> 
     from ..streams.session import run_together
 
     if sys.stdout.isatty():
-        keys = "q ends, s ends and smooths" if stop_request.has_keys else "Ctrl-C ends"
-        dashboard: Dashboard = Table(f"unocclude live ({keys})")
-    else:
-        dashboard = Lines()
-    with dashboard:
-        if not sessions[0].source.speed:
-            return [each.figures() for each in run_together(sessions, stop_request, dashboard.show)]
-        with Aside(dashboard) as aside:
-            return [each.figures() for each in run_together(sessions, stop_request, aside.show)]
+        say("q ends, s ends and smooths" if stop_request.has_keys else "Ctrl-C ends")
+    lines = Lines()
+    if not sessions[0].source.speed:
+        return [each.figures() for each in run_together(sessions, stop_request, lines.show)]
+    with Aside(lines) as aside:
+        return [each.figures() for each in run_together(sessions, stop_request, aside.show)]
 
 
 def print_source(source: Source, calibration: SessionCalibration) -> None:
@@ -225,12 +222,11 @@ def smooth_recording(arguments: Sequence[str]) -> None:
     app(list(arguments), prog_name="unocclude", standalone_mode=False)
 
 
-_FOXGLOVE, _PAGE = "--foxglove", "--page"
-_PORTS = {_FOXGLOVE: 8765, _PAGE: 8766}
+_FOXGLOVE, _PORT = "--foxglove", 8765
 
 
 class LiveCommand(GroupedCommand):
-    """Lets `--foxglove` and `--page` stand alone: the port is then the usual one."""
+    """Lets `--foxglove` stand alone: the port is then the usual one."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Give one that no number follows its port."""
@@ -238,8 +234,8 @@ class LiveCommand(GroupedCommand):
         for place, arg in enumerate(args):
             complete.append(arg)
             follows = args[place + 1] if place + 1 < len(args) else "-"
-            if arg in _PORTS and follows.startswith("-"):
-                complete.append(str(_PORTS[arg]))
+            if arg == _FOXGLOVE and follows.startswith("-"):
+                complete.append(str(_PORT))
         return list(super().parse_args(ctx, complete))
 
 
@@ -319,17 +315,7 @@ def live(
             metavar="[PORT]",
             min=0,
             max=65535,
-            help=f"Show it in Foxglove, on local port {_PORTS[_FOXGLOVE]} (0: a free one).",
-        ),
-    ] = None,
-    page: Annotated[
-        int | None,
-        typer.Option(
-            _PAGE,
-            metavar="[PORT]",
-            min=0,
-            max=65535,
-            help=f"Show it to the patient in a browser, on local port {_PORTS[_PAGE]} or another.",
+            help=f"Show it in Foxglove, on local port {_PORT} (0: a free one).",
         ),
     ] = None,
     lsl_out: Annotated[
@@ -409,7 +395,7 @@ def live(
         calibrations = [SessionCalibration.of(file, info) for info in infos]
         for source, calibration in zip(sources, calibrations, strict=True):
             print_source(source, calibration)
-        receivers = receivers_of(infos, page, foxglove, lsl_out, lsl_network, stack)
+        receivers = receivers_of(infos, foxglove, lsl_out, lsl_network, stack)
         recording = None
         if record is not None:
             growing = SessionRecording(record, infos[0], force, infos[1:])

@@ -95,7 +95,6 @@ def check_arms(infos: Sequence[SourceInfo], replay: Path | None) -> None:
 
 def receivers_of(
     infos: Sequence[SourceInfo],
-    page: int | None,
     foxglove: int | None,
     lsl_out: str | None,
     lsl_network: bool,
@@ -106,13 +105,6 @@ def receivers_of(
 
     info, *others = infos
     shared: list[SharedReceiver] = []
-    if page is not None:
-        from ..streams.page_server import LivePage
-
-        live_page = LivePage(info, page, others)
-        stack.callback(live_page.close)
-        say(f"page: {live_page.address}")
-        shared.append(live_page)
     if foxglove is not None:
         from ..streams.foxglove import FoxgloveServer
 

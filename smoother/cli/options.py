@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
     from ..io.recording.selection import Selection
-    from ..report.film import Film
-    from ..result import Recovery
 
 
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
@@ -173,9 +171,6 @@ Result = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="What `smooth` 
 Align = Annotated[
     bool, typer.Option("--align", help="Also align poses given as truth (different frame or clock).")
 ]
-PassthroughImages = Annotated[
-    bool, typer.Option("--passthrough-images", help="Also copy images and depth (they show the person).")
-]
 
 
 def one_side(side: str | None) -> str | None:
@@ -247,87 +242,50 @@ class Outputs:
     force: Force = False
 
 
-WithImages = Annotated[
-    bool,
-    typer.Option(
-        "--with-images",
-        help="Show the recording's images beside the arm in the report; anyone who has the page can see the"
-        " person.",
-    ),
-]
-Video = Annotated[
-    Path | None,
-    typer.Option("--video", metavar="FILE", help="The same with the pictures of a video file."),
-]
-VideoOffset = Annotated[
-    float,
-    typer.Option(
-        "--video-offset",
-        metavar="S",
-        help="From the recording's first sample to the first picture of --video, s; negative where the video"
-        " began before.",
-    ),
-]
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Which pictures of the person a report shows, as a group of a command's options.
-
-    Attributes
-    ----------
-    with_images : bool
-        The recording's own.
-    video : Path, optional
-        Those of a file.
-    video_offset : float, s
-        From the recording's first sample to the video's first picture.
-    """
-
-    with_images: WithImages = False
-    video: Video = None
-    video_offset: VideoOffset = 0.0
-
-    def check(self, recording: Path, report: Path | None) -> None:
-        """Refuse options that contradict each other, or have no report, and pictures that are not there.
-
-        Raises
-        ------
-        typer.BadParameter, RecordingError
-            It is so.
-        """
-        if self.with_images and self.video is not None:
-            raise typer.BadParameter("--with-images and --video are two sources of pictures; give one")
-        if (self.with_images or self.video is not None) and report is None:
-            raise typer.BadParameter("pictures are shown in the report; name it with --report OUT.html")
-        if self.video_offset and self.video is None:
-            raise typer.BadParameter("--video-offset is of a video; give it with --video FILE")
-        if self.with_images or self.video is not None:
-            from ..report.film import check_video, image_topic
-
-            image_topic(recording) if self.video is None else check_video(self.video)
-
-    def film(self, recording: Path, recovery: Recovery) -> Film | None:
-        """The pictures; None where none were asked for."""
-        from ..report.film import recorded_film, video_film
-
-        if self.video is not None:
-            return video_film(self.video, self.video_offset, recovery)
-        return recorded_film(recording, recovery) if self.with_images else None
-
-
-#: No pictures.
-NO_PICTURES = Pictures()
-
-
 #: Nothing besides.
 NO_FILES = Outputs()
+
+
+#: Settings of simulations that have an option of their own; `--set` takes all.
+DAILY = (
+    *("protocol", "repetitions", "duration_s", "side", "imus", "cameras", "rgb"),
+    *("poses", "tilt_deg", "camera_tilt_deg", "people", "sensors"),
+)
+_SET = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Any setting, as --set imu_rate_hz=100; may be given again. `--set list` prints all.",
+    ),
+]
+
+
+def parsed_settings(given: Iterable[str], settings: Mapping[str, FieldInfo]) -> dict[str, str]:
+    """What `--set KEY=VALUE` sets, by name; `list` prints the settings and ends."""
+    found = {}
+    for text in given:
+        if text == "list":
+            from .output import print_table
+
+            rows = [
+                (name, _shown(field.get_default()), field.description) for name, field in settings.items()
+            ]
+            print_table("Settings", ("key", "default", "what it is"), rows)
+            raise typer.Exit
+        key, mark, value = text.partition("=")
+        name = key.strip().replace("-", "_")
+        if not mark or name not in settings:
+            why = f"there is no setting '{key.strip()}'" if mark else f"'{text}' is not KEY=VALUE"
+            raise typer.BadParameter(f"--set: {why}; `--set list` prints all")
+        found[name] = value.strip()
+    return found
 
 
 def with_groups(
     command: Callable[..., None], settings: Mapping[str, FieldInfo] | None = None
 ) -> Callable[..., None]:
-    """The command with the options of its groups in the groups' places, and one for every setting.
+    """The command with the options of its groups in the groups' places, and `--set` for its settings.
 
     Parameters
     ----------
@@ -335,7 +293,8 @@ def with_groups(
         Parameters whose type is a dataclass are replaced by its fields, which are annotated as options, or
         groups again.
     settings : mapping of str to FieldInfo, optional
-        Of a simulation, which the command takes as `**settings`; None where it is not given.
+        Of a simulation, which the command takes as `**settings`, None where it is not given; those of
+        `DAILY` have options of their own.
 
     Returns
     -------
@@ -349,10 +308,17 @@ def with_groups(
     options += [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
         for name, field in (settings or {}).items()
-        if name not in taken
+        if name in DAILY and name not in taken
     ]
+    if settings is not None:
+        options.append(
+            inspect.Parameter("set_", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_SET)
+        )
 
     def run(**values: Any) -> None:
+        if settings is not None:
+            given = parsed_settings(values.pop("set_") or (), settings)
+            values |= {name: None for name in settings if name not in values and name not in taken} | given
         mine = {each.name: _taken(each.name, each.annotation, values) for each in own}
         command(**mine, **values)
 

@@ -246,7 +246,7 @@ def _identity(path: Path) -> set[object]:
 
 
 #: Endings of files of other formats than MCAP; those of `unocclude export` first.
-_OTHER_ENDINGS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "sto")
+_OTHER_ENDINGS = ("csv", "trc", "mot", "c3d", "parquet", "sto")
 _NO_RESULT = ("html", "json", "toml", "txt", "mat", "bag", "rrd", "osim", "npz")
 
 

@@ -125,10 +125,10 @@ def _say_verdicts(about: RecordingInfo) -> None:
 
 def print_missing(about: RecordingInfo) -> None:
     """Print what is missing for recovering first, then in short what it can do without."""
-    if "smooth" in about.missing:
-        say(f"cannot be recovered: {about.missing['smooth']}")
-    elif about.result:
+    if about.result:
         say("contains a result: use validate or export")
+    elif "smooth" in about.missing:
+        say(f"cannot be recovered: {about.missing['smooth']}")
     else:
         for arm in about.arms:
             of = f"{arm.label}: " if len(about.arms) > 1 else ""
@@ -139,7 +139,7 @@ def print_missing(about: RecordingInfo) -> None:
     for step, reason in about.missing.items():
         if step != "smooth":
             say(f"{step}: {reason}")
-    if about.optional:
+    if about.optional and not about.result:
         lacks = ", ".join(f"{what} ({use})" for what, use in about.optional.items())
         say(f"not in the file, not needed to recover: {lacks}")
 
@@ -148,8 +148,8 @@ Method = Annotated[
     str,
     typer.Option(
         "--method",
-        metavar="motion|magnitudes|joint-likelihood|shakeid|acceleration-distance|all",
-        help="How pairs are compared; `all` prints the result of every method.",
+        metavar="motion|joint-likelihood|all",
+        help="How pairs are compared; `all` prints both results.",
     ),
 ]
 Reach = Annotated[
@@ -217,7 +217,7 @@ def _print_beside(answers: dict[str, list[ImuMatch]]) -> None:
         ]
         for found in zip(*answers.values(), strict=True)
     ]
-    print_table("Every method: body, joint, probability", ("IMU", *answers), rows)
+    print_table("Both methods: body, joint, probability", ("IMU", *answers), rows)
 
 
 Broken = Annotated[

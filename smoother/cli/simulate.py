@@ -1,7 +1,8 @@
-"""`unocclude simulate arm`, `people`, `strap`: recordings of arms with truth; every setting is an option."""
+"""`unocclude simulate arm`, `people`, `strap`: recordings of arms with truth; every setting by --set."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -87,7 +88,12 @@ Mocap = Annotated[
     ),
 ]
 PresetName = Annotated[
-    str, typer.Option("--preset", metavar="white|realistic|azure|clean", help="Set of errors to start from.")
+    str,
+    typer.Option(
+        "--preset",
+        metavar="white|realistic|azure|clean|FILE.toml",
+        help="Errors to start from: a name, or a file of settings.",
+    ),
 ]
 
 
@@ -114,7 +120,8 @@ def arm(
 ) -> None:
     """An arm with a wrist IMU before a depth camera.
 
-    Omitted settings come from the preset. The defaults shown are those of `white`.
+    Omitted settings come from the preset; a file has settings by key, and `preset` for the one it starts
+    from. The defaults shown are those of `white`.
     """
     from pydantic import ValidationError
 
@@ -122,13 +129,12 @@ def arm(
     from ..simulation import ArmSimulation, MocapSimulation, capture, simulate_arm, simulate_both_arms
     from .config import describe
 
-    names = preset_names()
-    if preset not in names:
-        raise typer.BadParameter(f"there is no preset '{preset}'; presets: {', '.join(names)}")
-    changes = {name: parsed_setting(name, value) for name, value in settings.items() if value is not None}
+    start, own = read_preset(preset, arm_settings())
+    given = {name: parsed_setting(name, value) for name, value in settings.items() if value is not None}
+    changes = own | given
     try:
         mocap_config = MocapSimulation(**taken(changes, MocapSimulation))
-        config = ArmSimulation.preset(preset, **changes)
+        config = ArmSimulation.preset(start, **changes)
     except ValidationError as error:
         raise typer.BadParameter(f"setting {describe(error)}") from error
     if not mocap and mocap_config != MocapSimulation():
@@ -181,11 +187,23 @@ def arm(
     say_written(*outputs)
 
 
-def preset_names() -> list[str]:
-    """Names of the presets."""
+def read_preset(name: str, settings: Mapping[str, FieldInfo]) -> tuple[str, dict[str, Any]]:
+    """The named preset that `--preset` starts from, and the settings of a file."""
+    from ..runtime.inputs import read_toml
     from ..simulation import Preset
 
-    return [preset.value for preset in Preset]
+    own: dict[str, Any] = {}
+    if name.endswith(".toml"):
+        path, own = Path(name), read_toml(Path(name))
+        name = str(own.pop("preset", Preset.WHITE))
+        if unknown := sorted(set(own) - set(settings)):
+            raise typer.BadParameter(
+                f"{path}: there is no setting {', '.join(unknown)}; `--set list` prints all"
+            )
+    names = [preset.value for preset in Preset]
+    if name not in names:
+        raise typer.BadParameter(f"there is no preset '{name}'; presets: {', '.join(names)}, or a FILE.toml")
+    return name, own
 
 
 def taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
@@ -216,14 +234,13 @@ def arm_settings() -> dict[str, FieldInfo]:
 
 def parsed_setting(name: str, value: Any) -> Any:
     """A list of numbers for the settings that are one, the value as it is for the others."""
-    if not isinstance(arm_settings()[name].get_default(), tuple):
+    known = arm_settings().get(name)
+    if known is None or not isinstance(known.get_default(), tuple):
         return value
     try:
         return tuple(float(part) for part in str(value).split(",") if part.strip())
     except ValueError:
-        raise typer.BadParameter(
-            f"--{name.replace('_', '-')} takes numbers, as 0.5,1; not '{value}'"
-        ) from None
+        raise typer.BadParameter(f"setting {name} takes numbers, as 0.5,1; not '{value}'") from None
 
 
 #: Settings of an arm that each person draws for themselves, or that a crowd has no use for.
@@ -253,14 +270,14 @@ def people(
     from ..simulation import ArmSimulation, PeopleSimulation, simulate_people
     from .config import describe
 
-    if preset not in preset_names():
-        raise typer.BadParameter(f"there is no preset '{preset}'; presets: {', '.join(preset_names())}")
-    changes = {name: value for name, value in settings.items() if value is not None}
+    start, own = read_preset(preset, people_settings())
+    changes = own | {
+        name: parsed_setting(name, value) for name, value in settings.items() if value is not None
+    }
     try:
         crowd = PeopleSimulation(**taken(changes, PeopleSimulation))
         usual = {"protocol": "random", "duration_s": 20.0}
-        parsed = {name: parsed_setting(name, value) for name, value in changes.items()}
-        config = ArmSimulation.preset(preset, **(usual | parsed))
+        config = ArmSimulation.preset(start, **(usual | changes))
         check_mcap(output)
         check_outputs(force, [output, json_file])
         simulated = simulate_people(crowd, config, seed)

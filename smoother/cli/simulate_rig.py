@@ -228,7 +228,7 @@ def panel(
 
 
 def panel_settings() -> dict[str, FieldInfo]:
-    """The simulation's settings that are options."""
+    """The simulation's settings."""
     from ..simulation.panel import PanelSimulation
 
     hidden = ("markers", "extent")  # in the panel's own file
@@ -296,16 +296,14 @@ def _configured(panel_file: Path | None, changes: dict[str, Any]) -> PanelSimula
 
 
 def _numbers(name: str, text: str) -> tuple[Any, ...]:
-    """Numbers with commas between them; points (`--extra-markers`) with semicolons between them."""
+    """Numbers with commas between them; points (`extra_markers`) with semicolons between them."""
     kind = int if name == "hidden_markers" else float
     try:
         if name == "extra_markers":
             return tuple(tuple(float(x) for x in point.split(",")) for point in text.split(";"))
         return tuple(kind(part) for part in text.split(",") if part.strip())
     except ValueError:
-        raise typer.BadParameter(
-            f"--{name.replace('_', '-')} takes numbers, as 1.2,1.9; not '{text}'"
-        ) from None
+        raise typer.BadParameter(f"setting {name} takes numbers, as 1.2,1.9; not '{text}'") from None
 
 
 def _definition(config: PanelSimulation) -> dict[str, Any]:

@@ -31,7 +31,6 @@ from .methods import (
     with_strap_note,
 )
 from .options import (
-    NO_PICTURES,
     Anatomy,
     BodyHeight,
     BoundaryS,
@@ -42,8 +41,6 @@ from .options import (
     Json,
     Orientation,
     Output,
-    PassthroughImages,
-    Pictures,
     Processes,
     RecordingPath,
     Report,
@@ -67,7 +64,6 @@ if TYPE_CHECKING:
 
     from ..evaluation.summary import GapSummary
     from ..recording import Recording
-    from ..report.film import Film
     from ..result import Recovery
 
 
@@ -82,8 +78,6 @@ def smooth(
     orientation: Orientation = None,
     boundary_s: BoundaryS = None,
     report: Report = None,
-    pictures: Pictures = NO_PICTURES,
-    passthrough_images: PassthroughImages = False,
     max_sigma_m: Annotated[
         float | None,
         typer.Option(
@@ -126,7 +120,6 @@ def smooth(
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     motions = drawn_motions(draws, seed, names[0])
-    pictures.check(recording_file, report)
     source.check()
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, source.calibration_file, config_file])
@@ -151,35 +144,30 @@ def smooth(
                 recovery = with_strap_note(recovery)
             results.append((recording, limit_sigma(recovery, max_sigma_m)))
         answers = [recovery for _, recovery in results]
-        left_out = write_recovery(
-            answers, output, source=recording_file, force=force, passthrough_images=passthrough_images
-        )
+        write_recovery(answers, output, source=recording_file, force=force)
         if report is not None:
-            write_page(results, report, force, pictures.film(recording_file, answers[0]))
+            write_page(results, report, force)
         if json_file is not None:
             figures = [smooth_figures(recording, recovery) for recording, recovery in results]
-            together = arms_figures(answers, figures) | {"not_carried_over": list(left_out)}
+            together = arms_figures(answers, figures)
             write_json(json_file, together, force)
         for recording, recovery in results:
             say_arm(recovery, len(results))
             print_recovery(recording, recovery, verbose)
-        print_notes(left_out)
     say_written(output, report, json_file)
     if strict:
         end_strictly(recovery.estimates.trusted for recovery in answers)
 
 
-def write_page(
-    results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool, film: Film | None = None
-) -> None:
+def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool) -> None:
     """The report of an arm, or of several on one page."""
     from ..report import write_arms_report, write_report
 
     if len(results) > 1:
-        write_arms_report(results, path, film=film, force=force)
+        write_arms_report(results, path, force=force)
     else:
         ((recording, recovery),) = results
-        write_report(recovery, path, recording=recording, film=film, force=force)
+        write_report(recovery, path, recording=recording, force=force)
 
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:

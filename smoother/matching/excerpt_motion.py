@@ -166,15 +166,14 @@ class ImuMotion:
         Low-passed entry by entry; 0 where there are no samples.
     acceleration : ndarray, shape (N, 3), m/s^2
         In {E}, without gravity.
-    force, rate : ndarray, shape (N,), m/s^2 and rad/s
-        Lengths of specific force and angular rate.
+    rate : ndarray, shape (N,), rad/s
+        Length of the angular rate.
     there : ndarray of bool, shape (N,)
         Where the sensor has samples.
     """
 
     R_E_A: FloatArray
     acceleration: FloatArray
-    force: FloatArray
     rate: FloatArray
     there: BoolArray
 
@@ -281,7 +280,7 @@ def imu_motion(imu: ImuStream, t: FloatArray) -> ImuMotion:
     """An IMU's motion at grid times (N,)."""
     n = len(t)
     R, acceleration = np.zeros((n, 9)), np.zeros((n, 3))
-    sizes, there = np.zeros((n, 2)), np.zeros(n, bool)
+    rate, there = np.zeros(n), np.zeros(n, bool)
     near = slice(*np.searchsorted(imu.t_s, [t[0] - CONTEXT_S, t[-1] + CONTEXT_S]))
     samples = imu.select(near)
     # heading and tilt start anew after a pause: the longest part without one is read
@@ -292,12 +291,12 @@ def imu_motion(imu: ImuStream, t: FloatArray) -> ImuMotion:
         values = _levelled(samples)
         passed, there = _low_passed(samples.t_s, values, np.ones(len(samples), bool), t)
         passed[~there] = 0.0
-        R, acceleration, sizes = passed[:, :9], passed[:, 9:12], passed[:, 12:]
-    return ImuMotion(R.reshape(n, 3, 3), acceleration, sizes[:, 0], sizes[:, 1], there)
+        R, acceleration, rate = passed[:, :9], passed[:, 9:12], passed[:, 12]
+    return ImuMotion(R.reshape(n, 3, 3), acceleration, rate, there)
 
 
 def _levelled(imu: ImuStream) -> FloatArray:
-    """(N, 14): `R_E_A`, acceleration in {E} without gravity, |specific force|, |rate|."""
+    """(N, 13): `R_E_A`, acceleration in {E} without gravity, |rate|."""
     from vqf import offlineVQF
 
     step = float(imu.t_s[-1] - imu.t_s[0]) / (len(imu) - 1)
@@ -305,8 +304,7 @@ def _levelled(imu: ImuStream) -> FloatArray:
     answer = offlineVQF(gyro, acc, None, step)
     R = Rotation.from_quat(answer["quat6D"][:, [1, 2, 3, 0]]).as_matrix()
     level = np.einsum("nij,nj->ni", R, acc) - [0.0, 0.0, GRAVITY]
-    sizes = [np.linalg.norm(values, axis=1)[:, None] for values in (acc, gyro)]
-    return np.hstack([R.reshape(-1, 9), level, *sizes])
+    return np.hstack([R.reshape(-1, 9), level, np.linalg.norm(gyro, axis=1)[:, None]])
 
 
 def _low_passed(

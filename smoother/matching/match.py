@@ -12,7 +12,7 @@ from ..array_types import BoolArray, FloatArray, IntArray
 from ..errors import UnoccludeError
 from ..recording import ImuStream
 from .excerpt_motion import GRID_HZ, SHORTEST_S, Limb, MatchExcerpt, read_excerpts
-from .published import accumulated_distance, joint_likelihood, magnitudes, shakeid
+from .joint_likelihood import joint_likelihood
 from .rigid_fit import rigid_evidence
 
 #: A limb that an IMU cannot be on costs this.
@@ -100,10 +100,7 @@ Measure = Callable[[list[MatchExcerpt], int, "FloatArray | None", FloatArray], t
 #: All methods by name; ours first.
 METHODS: dict[str, Measure] = {
     "motion": rigid_evidence,
-    "magnitudes": magnitudes,
     "joint-likelihood": joint_likelihood,
-    "shakeid": shakeid,
-    "acceleration-distance": accumulated_distance,
 }
 
 

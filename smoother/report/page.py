@@ -24,11 +24,8 @@ from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
 from . import tables
 from .chart import NOT_TRUSTED, badge
-from .film import Film
-from .forearm import mount
 from .method_comparison import sections as of_comparison
 from .method_comparison import verdict
-from .person import persons, words_of
 from .player import flat_views, player, points
 from .sheet import (
     CONTENTS,
@@ -62,7 +59,6 @@ def write_report(
     validation: Validation | None = None,
     truth: Truth | None = None,
     camera_frame: CameraFrame | None = None,
-    film: Film | None = None,
     force: bool = False,
 ) -> None:
     """Write a result as one HTML page that needs no network and no other file.
@@ -84,8 +80,6 @@ def write_report(
         The reference, drawn beside the answer.
     camera_frame : CameraFrame, optional
         The directions of the camera's axes, where the recording is not at hand.
-    film : Film, optional
-        Pictures of the person, beside the arm: they are in the page then.
     force : bool
         Overwrite a page that exists.
 
@@ -100,7 +94,7 @@ def write_report(
         below(recovery, validation),
         sections(recovery, recording, validation, truth, camera_frame),
         boxes=[box(recovery, validation)],
-        beside=in_motion([(recording, recovery, truth)], _frame(recording, camera_frame), film),
+        beside=in_motion([(recovery, truth)], _frame(recording, camera_frame)),
     ).write(path, force)
 
 
@@ -192,40 +186,33 @@ def details(
 
 
 def in_motion(
-    arms: Sequence[tuple[Recording | None, Recovery, Truth | None]],
+    arms: Sequence[tuple[Recovery, Truth | None]],
     frame: CameraFrame | None,
-    film: Film | None = None,
 ) -> str:
     """The section in which the arms move; "" where none has an answer.
 
     Parameters
     ----------
-    arms : sequence of (Recording or None, Recovery, Truth or None)
+    arms : sequence of (Recovery, Truth or None)
         In one camera frame and on one clock.
     frame : CameraFrame, optional
         The directions of the camera's axes.
-    film : Film, optional
-        Pictures of the person, beside the arms.
     """
-    reference = _REFERENCE if any(truth is not None for *_, truth in arms) else ""
-    joint = "wrist" if any("wrist" in recovery.joints for _, recovery, _ in arms) else "sensor"
-    colours = _colours([recovery for _, recovery, _ in arms])
+    reference = _REFERENCE if any(truth is not None for _, truth in arms) else ""
+    joint = "wrist" if any("wrist" in recovery.joints for recovery, _ in arms) else "sensor"
+    colours = _colours([recovery for recovery, _ in arms])
     ellipse = f", the ellipse about the {joint} contains it in 95 of 100 cases"
-    if not any(recovery.trusted.any() for _, recovery, _ in arms):
+    if not any(recovery.trusted.any() for recovery, _ in arms):
         ellipse = ""
-    people = persons([(recording, recovery) for recording, recovery, _ in arms], frame)
     return player(
         "The arm in motion" if len(arms) == 1 else "The arms in motion",
         Html(
             f"The arm is {colours}. The thin grey skeleton is the camera's own, the square is the"
-            f" sensor{ellipse}.{reference} {escape(words_of(people))} Axes are the"
-            f" camera's{_directions(frame)}."
-            f"{escape(film.words) if film else ''} On paper: the whole path, and the arm at some instants."
+            f" sensor{ellipse}.{reference} Axes are the"
+            f" camera's{_directions(frame)}. On paper: the whole path, and the arm at some instants."
         ),
-        [(recovery, truth) for _, recovery, truth in arms],
+        arms,
         frame,
-        people,
-        None if film is None else film.plain(),
     )
 
 
@@ -321,15 +308,13 @@ def _consistency(recovery: Recovery, truth: Truth | None) -> str:
 
 
 def _mounting(recovery: Recovery, estimates: ArmEstimates | None) -> str:
-    """Sensor mounting on the arm: drawn, as tables, and what stayed open."""
-    plot = mount(estimates)
+    """Sensor mounting on the arm: as tables, and what stayed open."""
     about = tables.calibration(recovery.calibration, recovery.estimates)
     if estimates is not None:
         about += tables.camera(estimates)
         if estimates.not_determined:
             about += f"<p>What the recording did not determine:</p>{bullets(estimates.not_determined)}"
-    heading = "Sensor mounting on the arm"
-    return (_figure(heading, f"{_CALIBRATION} {_DRAWN}", plot) or headed(heading, _CALIBRATION)) + about
+    return headed("Sensor mounting on the arm", _CALIBRATION) + about
 
 
 _CAMERAS = (
@@ -352,10 +337,6 @@ _CALIBRATION = (
     "Where the joints lie as seen from the sensor, and the length of the upper arm: as given and improved by"
     " the recording, or as estimated from the recording where nothing was given."
 )
-_DRAWN = (
-    "The dark square is the sensor (drawn 2 cm large) with its axes x, y, z; the ellipse about each joint"
-    " contains it in 95 of 100 cases, and so does ±."
-)
 _REJECTED = (
     "Tracked camera samples that were not used, by joint, one colour per reason; pale ticks were used,"
     " gaps are shaded. A long line in one colour means that the camera was mistaken for that long;"
@@ -372,7 +353,6 @@ def write_arms_report(
     path: str | os.PathLike[str],
     *,
     camera_frame: CameraFrame | None = None,
-    film: Film | None = None,
     force: bool = False,
 ) -> None:
     """Write the results of several arms as one HTML page: a summary of each, then arm by arm.
@@ -385,8 +365,6 @@ def write_arms_report(
         The page to write.
     camera_frame : CameraFrame, optional
         The directions of the camera's axes, where no recording is at hand.
-    film : Film, optional
-        Pictures of the person, beside the arms: they are in the page then.
     force : bool
         Overwrite a page that exists.
 
@@ -405,7 +383,7 @@ def write_arms_report(
         [f"{_name(arm[1])}: {text}" for arm in worst_first for text in below(arm[1], _of(arm)[0])],
         _sections(arms, marks, frame),
         boxes=[box(arm[1], _of(arm)[0], _name(arm[1])) for arm in worst_first],
-        beside=in_motion([(arm[0], arm[1], _of(arm)[1]) for arm in arms], frame, film),
+        beside=in_motion([(arm[1], _of(arm)[1]) for arm in arms], frame),
     ).write(path, force)
 
 

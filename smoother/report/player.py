@@ -168,8 +168,6 @@ def player(
     caption: Html,
     arms: Sequence[tuple[Recovery, Truth | None]],
     frame: CameraFrame | None,
-    people: Sequence[dict[str, Any]] = (),
-    pictures: dict[str, Any] | None = None,
 ) -> str:
     """A heading, the player and a caption; "" where no arm has an answer.
 
@@ -183,10 +181,6 @@ def player(
         Arms in one camera frame and on one clock, each with its reference.
     frame : CameraFrame, optional
         The directions of the camera's axes.
-    people : sequence of dict
-        Grey bodies about the arms, as `person.persons` gives them.
-    pictures : dict, optional
-        Of the person, as `film.Film.plain` gives them.
 
     Returns
     -------
@@ -199,19 +193,15 @@ def player(
     played = [played_arm(recovery, truth, MOST_BYTES / len(arms)) for recovery, truth in arms]
     first = arms[0][0]
     points = np.concatenate([_extent(recovery) for recovery, _ in arms])
-    ends = [point for person in people for point in person["extent"]]
-    points = np.concatenate([points, np.repeat(np.reshape(ends, (-1, 3)), len(points) // 40 + 1, axis=0)])
     up = upwards(frame, first.gravity_direction)
     view = view_of(points, up, seen_from(points, up, frame))
     at = [float(first.t_s[row]) for hidden in (True, False) for row in instants(first, hidden)]
     values: dict[str, Any] = {"view": view, "arms": played, "axes": list(axis_names(frame)), "instants": at}
-    values |= {"people": list(people), "pictures": pictures}
-    view["zoom"] = 1.0 if people else 1.15
-    film = '<img class="film" alt="What the camera saw at the time of the slider" hidden>' if pictures else ""
+    view["zoom"] = 1.15
     return (
         f'<div class="together">{headed(heading)}<div class="space player"><div class="stage">'
         f'<canvas tabindex="0" role="img" aria-label="The arm in space, at the time of the slider"></canvas>'
-        f"{film}</div>{_controls(played, bool(people), bool(pictures))}{data_block(values)}</div>"
+        f"</div>{_controls(played)}{data_block(values)}</div>"
         f'<p class="caption">{caption}</p></div>'
     )
 
@@ -314,21 +304,17 @@ def _extent(recovery: Recovery) -> FloatArray:
     return np.concatenate([recovery.position[rows], *joints])
 
 
-def _controls(arms: Sequence[dict[str, Any]], people: bool, pictures: bool) -> str:
+def _controls(arms: Sequence[dict[str, Any]]) -> str:
     """Slider with the gaps marked on it, buttons, legend, and what the keys do."""
     sound = any("sigma" in arm or not arm["untrusted"] for arm in arms)
     colour = "var(--seen)" if sound else "var(--untrusted)"
     switches = [("path", f"path of the {arms[0]['tip']}", colour), ("trail", "last 2 s", colour)]
-    if people:
-        switches.append(("body", "body", "var(--body)"))
     if any("sigma" in arm for arm in arms):
         switches.append(("sigma", "95 % region", "var(--recovered)"))
     if any("camera" in arm for arm in arms):
         switches.append(("camera", "camera's skeleton", "var(--ghost)"))
     if any("truth" in arm for arm in arms):
         switches.append(("reference", "reference", "var(--truth)"))
-    if pictures:
-        switches.append(("film", "video", "var(--soft)"))
     speeds = "".join(
         f'<option value="{speed}"{" selected" if speed == "1" else ""}>{speed} x</option>'
         for speed in ("0.1", "0.25", "0.5", "1", "2", "5", "10")

@@ -1,29 +1,19 @@
-"""What is in space, for the page's own canvas: packed numbers, the view, items that stand still."""
+"""What is in space, for the page's own canvas: packed numbers, and the view."""
 
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..array_types import FloatArray
 from ..linalg import unit
 from ..recording import CameraFrame
-from .sheet import data_block, headed
 
 #: Largest number of the packed values, and the one that marks a missing value.
 _LARGEST, _NOTHING = 32000, -32768
-#: Shades of a colour scale.
-_SHADES = 64
-#: Colour scales, from low to high: dark blue to yellow, and blue over white to red.
-_SCALES = {
-    "cividis": ("#00204c", "#31446b", "#666870", "#958f78", "#cbba69", "#ffea46"),
-    "blue-red": ("#2166ac", "#92c5de", "#d9d9d9", "#f4a582", "#b2182b"),
-}
 
 
 def packed(values: FloatArray) -> dict[str, Any]:
@@ -78,112 +68,7 @@ def view_of(points: FloatArray, up: FloatArray, eye: FloatArray, aspect: float =
     }
 
 
-def cloud(
-    points: FloatArray,
-    name: str,
-    colour: str,
-    size: float,
-    *,
-    symbol: str = "circle",
-    words: Sequence[str] | None = None,
-) -> dict[str, Any]:
-    """Points (n, 3) of one colour; `words` appear under the pointer."""
-    item = {"kind": "points", "name": name, "colour": colour, "size": size, "symbol": symbol}
-    return item | {"points": packed(points)} | ({} if words is None else {"words": list(words)})
-
-
-def shaded_cloud(
-    points: FloatArray, name: str, values: ArrayLike, scale: str, limits: tuple[float, float], size_m: float
-) -> dict[str, Any]:
-    """Points (n, 3) coloured by a value each, on a colour scale between limits; sizes as in space."""
-    low, high = limits
-    share = (np.asarray(values, float) - low) / max(high - low, 1e-12)
-    shade = np.clip(np.rint(share * (_SHADES - 1)), 0, _SHADES - 1).astype(int)
-    ramp = _ramp(_SCALES[scale])
-    item = {"kind": "points", "name": name, "size_m": size_m, "colour": shade.tolist(), "ramp": ramp}
-    return item | {"points": packed(points), "limits": limits}
-
-
-def polyline(
-    points: FloatArray, name: str, colour: str, width: float, *, dash: bool = False
-) -> dict[str, Any]:
-    """A line (n, 3); nan breaks it."""
-    item = {"kind": "line", "name": name, "colour": colour, "size": width, "dash": dash}
-    return item | {"points": packed(points)}
-
-
-def face(corners: FloatArray, name: str, colour: str) -> dict[str, Any]:
-    """A flat, translucent face (n, 3)."""
-    return {"kind": "face", "name": name, "colour": colour, "points": packed(corners)}
-
-
-def space(
-    heading: str,
-    caption: str,
-    items: Sequence[dict[str, Any]],
-    view: dict[str, Any],
-    *,
-    axes: Sequence[str] | None = None,
-    ball: float | None = None,
-    unit_of_values: str = "",
-) -> str:
-    """A heading, a caption and what is in space, to be turned; its legend switches names off and on.
-
-    Parameters
-    ----------
-    heading, caption : str
-        Above it.
-    items : sequence of dict
-        As `cloud`, `shaded_cloud`, `polyline` and `face` give them.
-    view : dict
-        As `view_of` gives it; with axes also `axes_at` and `axes_length`, unless there is a ball.
-    axes : sequence of str, optional
-        Names of the axes, drawn at their origin.
-    ball : float, optional
-        Radius of an opaque ball about zero: what lies behind it does not shine through.
-    unit_of_values : str
-        Of the values that give points their colour.
-
-    Returns
-    -------
-    html : str
-        The section.
-    """
-    first = {item["name"]: item for item in reversed(items)}
-    names = list(dict.fromkeys(item["name"] for item in items if item["name"]))
-    legend = "".join(_legend(first[name]) for name in names)
-    ramps = "".join(_scale(item, unit_of_values) for item in items if "ramp" in item)
-    values = {"view": view, "items": list(items), "axes": axes and list(axes), "ball": ball}
-    return (
-        f'<div class="together">{headed(heading, caption)}<div class="space still">'
-        f'<canvas tabindex="0" role="img" aria-label="{escape(heading)}"></canvas>'
-        f'<div class="legend">{legend}{ramps}</div>'
-        f'<div class="tip"></div>{data_block(values)}</div></div>'
-    )
-
-
 def switch(name: str, words: str, colour: str) -> str:
     """A box of a legend that switches something off and on; the colour is a CSS one."""
     swatch = f'<span class="swatch" style="background:{escape(colour)}"></span>'
     return f'<label><input type="checkbox" checked value="{escape(name)}">{swatch}{escape(words)}</label>'
-
-
-def _legend(item: dict[str, Any]) -> str:
-    colour = item["ramp"][_SHADES // 2] if "ramp" in item else item["colour"]
-    return switch(item["name"], item["name"], "var(--truth)" if colour == "#111111" else colour)
-
-
-def _scale(item: dict[str, Any], words: str) -> str:
-    low, high = item["limits"]
-    shades = ", ".join(item["ramp"][::9])
-    return (
-        f'<span>{low:.3g} <span class="ramp" style="background:linear-gradient(90deg, {shades})"></span>'
-        f" {high:.3g} {escape(words)}</span>"
-    )
-
-
-def _ramp(colours: Sequence[str]) -> list[str]:
-    rgb = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in colours])
-    at = np.linspace(0, len(colours) - 1, _SHADES)
-    shades = np.stack([np.interp(at, np.arange(len(colours)), channel) for channel in rgb.T], axis=1)
-    return ["#" + "".join(f"{int(value):02x}" for value in shade.round()) for shade in shades]

@@ -92,8 +92,6 @@ JOINT_COLOURS = {
     "hand": "#E69F00",
     "strap": "#56B4E9",
 }
-#: Of the axes of a sensor, a panel or a camera.
-AXIS_COLOURS = {"x": "#c1272d", "y": "#2a7f3f", "z": "#1f4fa8"}
 #: More shaded gaps than this make a page slow.
 MOST_SHADES = 400
 

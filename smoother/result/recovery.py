@@ -405,7 +405,7 @@ class Recovery:
         Parameters
         ----------
         path : path-like
-            Ending in .csv, .parquet, .trc, .mot, .c3d, .osim, .rrd or .mcap.
+            Ending in .csv, .parquet, .trc, .mot, .c3d, .rrd or .mcap.
         force : bool
             Overwrite a file that exists.
         frame : str, optional

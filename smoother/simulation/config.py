@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from enum import StrEnum
+from importlib.resources import files
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,42 +21,9 @@ class Preset(StrEnum):
     AZURE = "azure"  # the joints of an Azure Kinect as measured by motion capture, the rest as in REALISTIC
 
 
-_CLEAN = {
-    "noise_m": 0.0,
-    "accelerometer_noise": 0.0,
-    "gyroscope_noise": 0.0,
-    "accelerometer_bias": 0.0,
-    "gyroscope_bias": 0.0,
-    "accelerometer_walk": 0.0,
-    "gyroscope_walk": 0.0,
-}
-_REALISTIC = {
-    "noise_depth_m": 0.004,
-    "noise_correlated_m": 0.008,
-    "noise_correlated_s": 0.3,
-    "joint_bias_m": 0.008,
-    "latency_s": 0.020,
-    "frame_jitter_s": 0.001,
-    "dropped_frames": 0.02,
-    "imu_scale": 0.003,
-    "imu_misalignment_deg": 0.2,
-}
-_REALISTIC_ARM = {
-    "wobble_deg": 2.3,
-    "shoulder_lost": 0.05,
-    "upper_wobble_deg": 4.0,
-    "upper_clock_s": 0.035,
-    "upper_clock_ppm": 30.0,
-}
-# Measured: the constant errors' sizes and, for shoulder, elbow and wrist, those of the slow ones (memory of
-# 0.5 to 0.7 s). The hand is treated as the wrist; the strap, not a joint of the skeleton, is as in REALISTIC.
-_AZURE: dict[str, Any] = _REALISTIC | {
-    "noise_correlated_m": 0.0,
-    "noise_correlated_s": 0.6,
-    "joint_slow_m": (0.017, 0.023, 0.054, 0.054, 0.014),
-    "joint_bias_m": 0.0,
-    "joint_off_m": (0.013, 0.017),
-}
+_PRESETS: dict[str, dict[str, Any]] = tomllib.loads(
+    files(__package__).joinpath("presets.toml").read_text(encoding="utf-8")
+)
 
 _Size = Annotated[float, Field(ge=0)]
 
@@ -110,12 +79,7 @@ class SensorErrors(BaseModel):
 
     @classmethod
     def _changes(cls, name: Preset) -> dict[str, Any]:
-        return {
-            Preset.CLEAN: _CLEAN,
-            Preset.WHITE: {},
-            Preset.REALISTIC: _REALISTIC,
-            Preset.AZURE: _AZURE,
-        }[name]
+        return _PRESETS.get(name, {})
 
     @classmethod
     def preset(cls, name: Preset | str, **changes: Any) -> Self:
@@ -250,7 +214,7 @@ class ArmSimulation(SensorErrors):
 
     @classmethod
     def _changes(cls, name: Preset) -> dict[str, Any]:
-        extra = _REALISTIC_ARM if name in (Preset.REALISTIC, Preset.AZURE) else {}
+        extra = _PRESETS["arm"] if name in (Preset.REALISTIC, Preset.AZURE) else {}
         return {**super()._changes(name), **extra}
 
 

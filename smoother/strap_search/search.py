@@ -18,8 +18,7 @@ from ..io.mcap.merge import Output
 from ..io.mcap.messages import Topic
 from ..io.media.images import ImageMessage
 from ..io.media.strap import Cameras, StrapFound
-from ..io.recording.json_messages import Passthrough
-from ..io.recording.read import METADATA, open_recording
+from ..io.recording.read import METADATA, is_motion, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
 from ..recording import JOINTS, CameraFrame, JointState
@@ -31,8 +30,6 @@ TOGETHER_S = 0.02
 DIRECTION_RAD = np.radians(30.0)
 #: Images of one kind are kept packed until their partners came, at most this many.
 AHEAD = 64
-#: Pictures and brightness profiles kept for a report.
-PICTURES, PROFILES = 4, 600
 #: A level optical camera's axes from {K} by the convention of {K}.
 _OPTICAL = {CameraFrame.OPTICAL: np.eye(3), CameraFrame.KINECT: np.diag([-1.0, -1.0, 1.0])}
 _STRAP, _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("strap", "elbow", "wrist"))
@@ -48,7 +45,6 @@ def import_strap(
     joint_sigma_m: float = 0.008,
     colour_topic: str | None = None,
     depth_topic: str | None = None,
-    passthrough_images: bool = False,
     force: bool = False,
 ) -> StrapFound:
     """Look for the strap in every colour image and write the recording with the joint `strap`.
@@ -69,8 +65,6 @@ def import_strap(
         Noise of the camera's elbow and wrist, per axis.
     colour_topic, depth_topic : str, optional
         Names, or parts of them, where there are several.
-    passthrough_images : bool
-        Copy the images as well (they show patients).
     force : bool
         Overwrite a recording that exists.
 
@@ -106,10 +100,8 @@ def import_strap(
         covariances[row] = covariance.ravel()
     with_strap = replace(arm, position=position, state=state)
 
-    carrying = Passthrough(passthrough_images)
-
     def wanted(topic: Topic) -> bool:
-        return topic.name != skeleton and carrying(topic)
+        return topic.name != skeleton and is_motion(topic)
 
     with writing(path, force) as temporary, Output(temporary) as output:
         metadata = {**file.metadata.get(METADATA, {}), "camera_frame": str(convention)}
@@ -122,7 +114,7 @@ def import_strap(
         ]
         output.interleave(Container(source).chunks(wanted))
         output.write(outgoing)
-    cameras.found.notes += [carrying.sentence] if carrying.sentence else []
+    cameras.found.notes.append("Images and other topics without motion were left out.")
     return cameras.found
 
 
@@ -133,7 +125,7 @@ def _locate_all(
     depths: deque[ImageMessage] = deque(maxlen=AHEAD)
     waiting: deque[ImageMessage] = deque(maxlen=AHEAD)
     estimates: dict[int, tuple[FloatArray, FloatArray]] = {}
-    rows: list[tuple[float, FloatArray, FloatArray, float, float, str]] = []
+    rows: list[tuple[float, FloatArray, FloatArray, float, str]] = []
     first: int | None = None
 
     def add_image(colour: ImageMessage) -> None:
@@ -148,8 +140,7 @@ def _locate_all(
         if not sighting.reason and row is not None:
             estimates[row] = place, covariance
         sigma = np.sqrt(np.diag(covariance))
-        rows.append((t, place, sigma, sighting.along, sighting.in_profile, sighting.reason))
-        _keep_samples(cameras.found, t, colour, sighting, len(rows))
+        rows.append((t, place, sigma, sighting.along, sighting.reason))
 
     for role, image in cameras.images():
         if role == "depth":
@@ -164,10 +155,9 @@ def _locate_all(
         add_image(waiting.popleft())
     results = cameras.found
     if rows:
-        t_s, place, sigma, along, in_profile, reasons = zip(*rows, strict=True)
+        t_s, place, sigma, along, reasons = zip(*rows, strict=True)
         results.t_s, results.position, results.sigma_m = np.array(t_s), np.array(place), np.array(sigma)
-        results.along, results.in_profile = np.array(along), np.array(in_profile)
-        results.reasons = list(reasons)
+        results.along, results.reasons = np.array(along), list(reasons)
     return estimates
 
 
@@ -212,25 +202,6 @@ def _locate(
     )
     place = sighting.core + R_K_A @ mounted.from_core
     return place, sighting.covariance + mounted.sigma_m**2 * np.eye(3), sighting
-
-
-def _keep_samples(
-    results: StrapFound, t: float, colour: ImageMessage, sighting: Sighting, count: int
-) -> None:
-    """Keep a few pictures, and profiles decimated so that memory stays flat."""
-    if len(sighting.profile) and count % (1 + count // PROFILES) == 0:
-        results.profiles.append((t, sighting.profile[::4]))
-        if len(results.profiles) > 2 * PROFILES:
-            results.profiles = results.profiles[::2]
-    if sighting.found and len(results.pictures) < PICTURES and count % 20 == 1:
-        import cv2
-
-        picture = cv2.cvtColor(grey_of(colour), cv2.COLOR_GRAY2BGR)
-        at = tuple(np.rint(sighting.pixel).astype(int).tolist())
-        cv2.circle(picture, at, 12, (0, 94, 213), 2)
-        size = 120
-        x, y = (min(max(at[i] - size, 0), max(picture.shape[1 - i] - 2 * size, 0)) for i in (0, 1))
-        results.pictures.append(np.asarray(picture[y : y + 2 * size, x : x + 2 * size], np.uint8))
 
 
 def grey_of(image: ImageMessage) -> NDArray[np.uint8]:

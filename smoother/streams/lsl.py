@@ -32,7 +32,7 @@ Item = TypeVar("Item")
 _SETTINGS = (
     *("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg"),
 )  # fmt: skip
-#: The library writes lines of its log to the terminal, into the dashboard; -3 is the least.
+#: The library writes lines of its log to the terminal; -3 is the least.
 _NO_LOG = "[log]\nlevel = -3\n"
 
 

@@ -169,10 +169,6 @@ class OneArmReceiver:
         """As `Receiver`."""
         self.shared.send(output, frames, gap, events, self.number)
 
-    def marks(self) -> list[str]:
-        """What was marked since the last call; whoever asks first is told."""
-        return list(getattr(self.shared, "marks", list)())
-
     def close(self) -> None:
         """As `Receiver`."""
         self.shared.close()
@@ -229,7 +225,7 @@ class LiveSession:
         stopped : callable
             True where it is to end.
         show : callable
-            Given what a dashboard shows, after every step.
+            Given what is shown, after every step.
 
         Returns
         -------
@@ -244,13 +240,13 @@ class LiveSession:
         return run_together([self], stopped, show)[0]
 
     def advance(self) -> SessionView:
-        """Take in what arrived, and answer; what a dashboard shows of it."""
+        """Take in what arrived, and answer; what is shown of it."""
         arrivals = self._mended(self.source.arrivals())
         if self.recording is not None:
             self.recording.take(arrivals, self._arm)
         self._add(arrivals)
         now_s = self.source.now_s()
-        events = [*arrivals.events, *self._counted(arrivals), *self._look(now_s), *self._marked(now_s)]
+        events = [*arrivals.events, *self._counted(arrivals), *self._look(now_s)]
         output = self.engine.step(now_s)
         if self.recording is not None:
             self.recording.shown(output, self._arm)
@@ -263,14 +259,6 @@ class LiveSession:
         if self.recording is not None:
             self.recording.wait()
             self.figures.event(self.source.now_s(), self.recording.events())
-
-    def _marked(self, now_s: float) -> list[str]:
-        """What somebody marked, who looks at the session."""
-        marks = [text for receiver in self.receivers for text in getattr(receiver, "marks", list)()]
-        if self.recording is not None:
-            for text in marks:
-                self.recording.mark(text, now_s)
-        return [f"marked: {text}" for text in marks]
 
     def wait(self) -> None:
         """Until something comes, and the last step is long enough ago."""
@@ -343,7 +331,7 @@ def run_together(
     stopped : callable
         True where they are to end.
     show : callable
-        Given what a dashboard shows of each, after every step.
+        Given what is shown of each, after every step.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How a session's streams are doing, for its dashboard while it lasts and its summary afterwards."""
+"""How a session's streams are doing, for who watches it while it lasts and its summary afterwards."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ _MOST_EVENTS = 200
 
 @dataclass(frozen=True)
 class StreamView:
-    """A stream as the dashboard shows it.
+    """A stream as it is shown.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class SessionFigures:
         return self._gap(output)
 
     def view(self, now_s: float) -> SessionView:
-        """What the dashboard shows."""
+        """What is shown."""
         return SessionView(
             0.0 if self._output is None else self._last_s - self._first_s,
             StreamView.of(self.imu, now_s),

@@ -21,7 +21,6 @@ from ..io.mcap.messages import nanoseconds
 from ..io.recording.read import METADATA, RESULT_PREFIX
 from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
-from ..io.wire.schemas import message_class
 from ..live.answers import LiveOutput
 from ..recording import JOINTS
 from ..runtime.outputs import check_output, umask
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
 
 #: What came is written after this long, s: a killed program loses no more.
 _FLUSH_S = 1.0
-#: What was shown and what was marked; readers of recordings leave both alone.
-SHOWN_TOPIC, MARKS_TOPIC = "/live/forearm", "/live/marks"
+#: What was shown; readers of recordings leave it alone.
+SHOWN_TOPIC = "/live/forearm"
 _SHOWN_EACH_S = 0.03
 
 
@@ -158,20 +157,6 @@ class SessionRecording:
         data = [message.data for message in arm.messages.estimate(now, wanted)]
         self._write([self._stream(arm.shown_topic, "foxglove.Odometry", data, output.now_s)], output.now_s)
 
-    def mark(self, text: str, t_s: float) -> None:
-        """Write what somebody marked, on `/live/marks`.
-
-        Raises
-        ------
-        UnoccludeError
-            The disk is full.
-        """
-        line = message_class("foxglove.Log")()
-        line.timestamp.FromNanoseconds(round(t_s * 1e9) + self._info.origin_ns)
-        line.level, line.message, line.name = line.INFO, text, "mark"
-        data = [line.SerializeToString(deterministic=True)]
-        self._write([self._stream(MARKS_TOPIC, "foxglove.Log", data, t_s)], t_s)
-
     def _stream(self, topic: str, schema: str, data: list[bytes], t_s: float) -> OutputStream:
         time_ns = np.full(len(data), round(t_s * 1e9) + self._info.origin_ns)
         return OutputStream(self._output.channel(topic, schema), time_ns, lambda part: data[part])
@@ -275,10 +260,6 @@ class Recorder:
     def shown(self, output: LiveOutput, number: int = 0) -> None:
         """Write what was shown of an arm."""
         self._put(lambda: self.recording.shown(output, number))
-
-    def mark(self, text: str, t_s: float) -> None:
-        """Write a mark."""
-        self._put(lambda: self.recording.mark(text, t_s))
 
     def events(self) -> list[str]:
         """What became of the recording since the last call."""

@@ -329,14 +329,11 @@ def figures_of(recording: Recording, recovery: Recovery) -> Row:
 _SUMMED = ("samples", "answered", "gaps", "gaps_untrusted", "occluded_s")
 
 
-def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Sequence[str] = ()) -> Row:
-    """The columns on a recording's arms: of several the worst, or their sum, and each by itself.
-
-    `left_out`: sentences on topics that did not go into the result; they join the notes.
-    """
+def figures_of_arms(results: Sequence[tuple[Recording, Recovery]]) -> Row:
+    """The columns on a recording's arms: of several the worst, or their sum, and each by itself."""
     arms = [figures_of(recording, recovery) for recording, recovery in results]
     if len(arms) == 1:
-        texts = list(dict.fromkeys([*arms[0]["note_texts"], *left_out]))
+        texts = list(dict.fromkeys(arms[0]["note_texts"]))
         return arms[0] | {"arms": 1, "note_texts": texts, "notes": len(texts)}
     together = dict(arms[0])
     for name, value in arms[0].items():
@@ -347,7 +344,7 @@ def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Seq
             together[name] = all(values) if values else None
         elif isinstance(value, int | float) or value is None:
             together[name] = max(values, default=None)
-    texts = list(dict.fromkeys([*(note for arm in arms for note in arm["note_texts"]), *left_out]))
+    texts = list(dict.fromkeys(note for arm in arms for note in arm["note_texts"]))
     said = [(recovery.arm_label, recovery.estimates.verdict) for _, recovery in results]
     together["verdict"] = " ".join(f"{label.capitalize()}: {verdict}" for label, verdict in said if verdict)
     checks = [(label, arm["self_check"]) for (label, _), arm in zip(said, arms, strict=True)]

@@ -34,13 +34,12 @@ _BLOCK = 1 << 20
 
 @dataclass(frozen=True)
 class InputSelection:
-    """What to take of a recording that has several of it, and what to carry over; see `smooth --help`."""
+    """What to take of a recording that has several of it; see `smooth --help`."""
 
     imu: str | None = None
     skeleton: str | None = None
     side: str | None = None
     body: int | None = None
-    passthrough_images: bool = False
 
     @property
     def selection(self) -> Selection:

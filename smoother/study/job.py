@@ -403,14 +403,13 @@ def _recover_in(
     output = folder.output(job.name)
     staged = folder.staged(str(job.row(DONE, input_hash)["id"]))
     try:
-        images = settings.choice.passthrough_images
         answers = [recovery for _, recovery in results]
         measured = measured_arms(answers) if settings.measures else {}
         # the result is that of `smooth --draws 0`
         answers = [replace(recovery, draws=None) for recovery in answers]
         if settings.hash_names:
             answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
-        left_out = write_recovery(answers, staged, source=job.source, passthrough_images=images)
+        write_recovery(answers, staged, source=job.source)
         about = os.stat(staged)
         row = job.row(
             DONE,
@@ -420,7 +419,7 @@ def _recover_in(
             output_hash=file_hash(staged),
             output_bytes=about.st_size,
             output_mtime_ns=about.st_mtime_ns,
-            **figures_of_arms(results, left_out),
+            **figures_of_arms(results),
             **({"measures": None} | measured),
             recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
             seconds=time.perf_counter() - began,

@@ -26,7 +26,7 @@ def stranger(tmp_path: Path) -> TestClient:
     return TestClient(make_app(folder, JobDesk(folder), TOKEN, PORT), base_url=HOST)
 
 
-@pytest.mark.parametrize("path", ["/", "/app.js", "/texts/en.json", "/api/state", "/results/a/report.html"])
+@pytest.mark.parametrize("path", ["/", "/app.js", "/texts.js", "/api/state", "/results/a/report.html"])
 def test_without_the_token_nothing_is_shown(stranger: TestClient, path: str):
     for query in ("", "?token=", "?token=secret-tokem", f"?token={TOKEN}"[:-1]):
         answer = stranger.get(path + query)

@@ -62,7 +62,7 @@ def test_a_video_is_the_camera_where_there_is_no_other(
         assert "phone.mp4: video, MediaPipe" in about["job"]["printed"]
         assert about["check"]["pairing"]["proved"] is True
         recover = recover_steps(page.folder, page.folder.of(name))[-1]["argv"]
-        assert "--video" not in recover, "a film that is the camera is no picture beside it"
+        assert "--video" not in recover
         again = page.add([film["video"], film["imu"]])
         assert page.ask("GET", f"/api/recordings/{again}")["camera_video"]["model"] == model.name
         page.change(again, choices={"video_mirrored": True, "video_turn": 90})
@@ -72,7 +72,7 @@ def test_a_video_is_the_camera_where_there_is_no_other(
         assert words[words.index("--model") + 1].endswith(f"models/{model.name}")
 
 
-def test_a_video_beside_a_skeleton_is_a_picture(
+def test_a_video_beside_a_skeleton_is_not_the_camera(
     page: Page, film: dict[str, Path], session_files: dict[str, Path]
 ):
     name = page.add([film["video"], session_files["imu"], session_files["skeleton"]])

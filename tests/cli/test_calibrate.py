@@ -81,11 +81,7 @@ def test_sound_and_broadcast_chain(folder: Path, tmp_path: Path, capsys: pytest.
     assert table["valid_for"] == "this session alone" and table["session"] == "beep.wav, times.csv"
     assert len(table["links"]) == 3
     text = page.read_text(encoding="utf-8")
-    assert (
-        "The beep that ends at" in text
-        and "Residuals: broadcast" in text
-        and "For the next recording" in text
-    )
+    assert all(words in text for words in ("What to record next", "Links", "Beeps", "What stayed open"))
 
 
 def test_sound_in_a_recording(tmp_path: Path):
@@ -139,7 +135,7 @@ def test_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert link["offset_s"] == pytest.approx(simulated.parameters["clock_offset_s"], abs=5e-3)
     assert 2e-4 < link["sigma_s"] < 5e-3
     assert "the skew of camera-arm is not measured" in capsys.readouterr().out
-    assert "The clock in the motion" in (tmp_path / "m.html").read_text(encoding="utf-8")
+    assert "Links" in (tmp_path / "m.html").read_text(encoding="utf-8")
 
 
 def test_missed_receptions_are_told_in_any_spelling(tmp_path):
@@ -249,7 +245,7 @@ def test_imu_alone_to_file_figures_and_page(tmp_path, capsys):
         held.gyroscope, found["gyroscope"]["offset"]
     )
     html = page.read_text(encoding="utf-8")
-    assert "Which directions were covered" in html and "For the next recording" in html
+    assert "accelerometer matrix" in html and f"{matrix[0][0]:.6g}" in html and "What to record next" in html
 
 
 def test_magnetometer_is_added_and_the_rest_is_kept(tmp_path, capsys):
@@ -265,7 +261,7 @@ def test_magnetometer_is_added_and_the_rest_is_kept(tmp_path, capsys):
     assert np.array_equal(after.accelerometer[0], before.accelerometer[0])
     length = np.linalg.norm(after.apply(turning).mag, axis=1)
     assert np.sqrt(np.mean((length - 1.0) ** 2)) < 0.02  # 1 % of noise
-    assert "Coverage of the sphere" in page.read_text(encoding="utf-8")
+    assert "magnetometer offset" in page.read_text(encoding="utf-8")
     capsys.readouterr()
 
 

@@ -182,7 +182,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("live") / "rec.mcap"
     done(
         *("simulate", "arm", "--preset", "realistic", "--protocol", "random", "--duration-s", 20),
-        *("--occlusion-lengths-s", 1, "--seed", 2, "-o", path),
+        *("--set", "occlusion_lengths_s=1", "--seed", 2, "-o", path),
     )
     return path
 

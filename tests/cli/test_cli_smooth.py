@@ -283,7 +283,7 @@ def results(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("format_name", ["csv", "trc", "mot", "osim", "parquet"])
+@pytest.mark.parametrize("format_name", ["csv", "trc", "mot", "parquet"])
 def test_export_warns_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], format_name: str) -> None:
     results(tmp_path)
     words = {

@@ -386,20 +386,29 @@ def test_every_option_is_shown_once_and_rare_ones_last(words: tuple[str, ...]):
     assert not found or "Options:\n" not in rare
 
 
-def test_the_settings_of_a_simulation_are_in_groups():
-    text = shown("simulate", "arm")
-    first = text.partition("Options:\n")[2].partition("\n\n")[0]
-    assert sum(line.startswith("  -") for line in first.splitlines()) < 12
-    for group in ("Movement", "Occlusions", "Camera", "IMUs", "Several cameras", "Motion capture"):
-        assert f"\n{group}" in text
-    assert "--tremor-rad" in text.partition("Advanced:\n")[2]
+def test_settings_of_a_simulation_by_key_and_from_a_file(tmp_path: Path, capsys) -> None:
+    done("simulate", "arm", "-o", tmp_path / "none.mcap", "--set", "list")
+    said = capsys.readouterr().out
+    assert "imu_rate_hz" in said and "tremor_rad" in said and not (tmp_path / "none.mcap").exists()
+    (tmp_path / "mine.toml").write_text('preset = "clean"\nimu_rate_hz = 50\nocclusion_lengths_s = [0.5]\n')
+    usual = ("--protocol", "random", "--duration-s", 4, "--seed", 3, "-o")
+    done("simulate", "arm", "--preset", tmp_path / "mine.toml", *usual, tmp_path / "a.mcap")
+    by_key = ("--set", "imu-rate-hz=50", "--set", "occlusion_lengths_s=0.5")
+    done("simulate", "arm", "--preset", "clean", *by_key, *usual, tmp_path / "b.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    (tmp_path / "wrong.toml").write_text("warp = 9\n")
+    assert (
+        run(["simulate", "arm", "--preset", str(tmp_path / "wrong.toml"), "-o", str(tmp_path / "c.mcap")])
+        == 2
+    )
+    assert "there is no setting warp" in capsys.readouterr().err
 
 
 def test_the_groups_name_options_that_exist():
     options = {
         max(option.opts, key=len).lstrip("-") for command in LEAVES.values() for option in command.params
     } | {"help"}
-    tables = (*help_page._SHARED.values(), *help_page._SIMULATED.values(), help_page._SIMULATED_FIRST)
+    tables = tuple(help_page._SHARED.values())
     missing = {name for table in tables for name in table} - options
     assert not missing, missing
 

@@ -23,7 +23,7 @@ def session(tmp_path_factory) -> Path:
     """A folder with a simulated recording, its calibration, and what `smooth` makes of them."""
     folder = tmp_path_factory.mktemp("session")
     done(
-        *("simulate", "arm", "--repetitions", "1", "--seed", "5", "--imu-rate-hz", "100"),
+        *("simulate", "arm", "--repetitions", "1", "--seed", "5", "--set", "imu_rate_hz=100"),
         *("-o", folder / "rec.mcap", "--calibration-out", folder / "cal.toml", "--json", folder / "sim.json"),
     )
     done(
@@ -43,7 +43,7 @@ def test_simulate(session):
 def test_same_seed_same_file(session, tmp_path):
     done(
         *("simulate", "arm", "-o", tmp_path / "again.mcap", "--repetitions", 1, "--seed", 5),
-        *("--imu-rate-hz", 100),
+        *("--set", "imu_rate_hz=100"),
     )
     assert (tmp_path / "again.mcap").read_bytes() == (session / "rec.mcap").read_bytes()
 

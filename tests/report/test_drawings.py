@@ -1,87 +1,17 @@
-"""Drawings of pages: the forearm and its sensor, the grey person, the strap in the picture."""
+"""What a page tells of samples that were set aside, and of an answer that the camera contradicts."""
 
 from __future__ import annotations
 
-from base64 import b64decode
 from dataclasses import replace
-from types import SimpleNamespace
 
-import cv2
-import numpy as np
-import pytest
 from arms import make_recording, make_recovery
-from scipy.spatial.transform import Rotation
-from test_player import unpacked
 
-from calib.motion.motion_calibration import ArmEstimates, found_in
-from smoother.calibration import ArmCalibration, LeverArm
 from smoother.measurements.visibility import Reason
-from smoother.recording import JOINTS, CameraFrame, JointState, JointTracks
+from smoother.recording import JOINTS
 from smoother.report import write_report
-from smoother.report.forearm import directions, ellipse, mount
-from smoother.report.person import persons, words_of
-from smoother.report.strap import brightness, side_by_side
 from smoother.report.summary import summary
 from smoother.report.truth_comparison import timeline
 from smoother.result import Estimates
-
-
-def an_arm(levers: dict[str, list[float]], turn: Rotation | None = None) -> ArmEstimates:
-    turn = turn or Rotation.identity()
-    recovery = make_recovery(make_recording(4.0))
-    calibration = ArmCalibration(
-        "right",
-        {joint: LeverArm(turn.apply(place), np.full(3, 0.004)) for joint, place in levers.items()},
-    )
-    found = found_in(replace(recovery, calibration=calibration))
-    assert found is not None
-    return found
-
-
-WHOLE = {"elbow": [-0.035, -0.20, 0.0], "wrist": [-0.035, 0.05, 0.0], "hand": [-0.03, 0.13, 0.0]}
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_drawing_does_not_turn_with_the_sensors_axes(seed):
-    turn = Rotation.random(random_state=seed)
-    found = an_arm(WHOLE, turn)
-    along, away = directions(found)
-    np.testing.assert_allclose(turn.inv().apply([along, away]), [[0, 1, 0], [1, 0, 0]], atol=1e-12)
-    figure = mount(found)
-    elbow = next(trace for trace in figure.data if trace.name == "elbow")
-    np.testing.assert_allclose([elbow.x[0], elbow.y[0]], [-20.0, -3.5], atol=1e-9)
-    texts = [note.text for note in figure.layout.annotations]
-    assert "25.0 ± 1.1 cm" in texts
-    assert "3.5 ± 0.8 cm from the forearm's axis" in texts
-    assert "8.0 cm" in texts
-
-
-@pytest.mark.parametrize(
-    "levers",
-    [
-        {"wrist": [0.0, 0.05, 0.01]},
-        {"strap": [0.0, 0.0, 0.0]},
-        {"elbow": [0.0, -0.2, 0.0], "wrist": [0.0, 0.05, 0.0]},
-    ],
-)
-def test_odd_mountings(levers):
-    found = an_arm(levers)
-    along, away = directions(found)
-    assert np.linalg.norm(along) == pytest.approx(1) and np.linalg.norm(away) == pytest.approx(1)
-    assert along @ away == pytest.approx(0, abs=1e-12)
-    assert mount(found) is not None
-
-
-def test_nothing_to_draw():
-    assert mount(None) is None
-    assert mount(an_arm({})) is None
-
-
-def test_ellipse_holds_95_of_100_cases_of_two_coordinates():
-    lever = LeverArm(np.array([0.1, 0.2, 0.0]), np.array([0.01, 0.02, 0.03]))
-    edge = ellipse(lever, np.eye(3)[:2])
-    np.testing.assert_allclose(edge.max(axis=0), [12.448, 24.896], atol=0.04)
-    np.testing.assert_allclose(edge.min(axis=0), [7.552, 15.104], atol=0.04)
 
 
 def test_the_page_tells_what_was_set_aside(tmp_path):
@@ -114,105 +44,3 @@ def test_an_answer_that_the_camera_contradicts_is_doubted():
     text = " ".join(summary(recovery, None))
     assert "Result and camera disagree more than stated: of the wrist samples" in text
     assert "95 of 100 cases" not in text
-
-
-@pytest.fixture(scope="module")
-def pair():
-    recording = replace(make_recording(12.0), camera_frame=CameraFrame.KINECT)
-    return recording, make_recovery(recording)
-
-
-def points(person: dict) -> dict[str, np.ndarray]:
-    values = unpacked(person["points"]).reshape(person["count"], len(person["names"]), 3)
-    return {name: values[:, k] for k, name in enumerate(person["names"])}
-
-
-def test_a_silhouette_stands_upright_on_the_arms_side_and_says_what_it_is(pair):
-    recording, recovery = pair
-    (person,) = persons([(recording, recovery)], CameraFrame.KINECT)
-    found = points(person)
-    shoulder = np.array([0.0, 0.3, 2.1])
-    # half a step of 16 bits, and the shoulder does not move
-    np.testing.assert_allclose(found["shoulder_right"], np.tile(shoulder, (person["count"], 1)), atol=1e-3)
-    # Kinect: x to the camera's left, where a person who faces it has the right arm, y up, z away
-    across = found["shoulder_right"] - found["shoulder_left"]
-    np.testing.assert_allclose(
-        across / (0.22 * person["stature"]), np.tile([1.0, 0, 0], (len(across), 1)), atol=0.01
-    )
-    assert (found["head"][:, 1] > 0.3 + 0.1).all() and (found["hip_left"][:, 1] < 0.3 - 0.3).all()
-    assert (found["nose"][:, 2] < found["head"][:, 2]).all()
-    assert person["other"] == "left" and (found["wrist"][:, 1] < found["elbow"][:, 1]).all()
-    assert person["measured"] == [] and person["step"] == pytest.approx(0.1, rel=0.02)
-    assert "silhouette" in words_of([person]) and "facing the camera" in words_of([person])
-
-
-def test_the_other_arm_and_both_shoulders_are_the_skeletons_where_it_has_them(pair):
-    recording, recovery = pair
-    t = recording.arm.t_s
-    position = np.full((len(t), len(JOINTS), 3), np.nan)
-    position[:, JOINTS.index("shoulder")] = [-0.3, 0.3, 1.9]
-    position[:, JOINTS.index("elbow")] = [-0.4, 0.1, 1.8]
-    position[:, JOINTS.index("wrist")] = np.stack([0 * t - 0.4, 0.2 * np.sin(t), 1.6 + 0 * t], axis=1)
-    state = np.where(np.isfinite(position).all(axis=2), JointState.TRACKED, JointState.NOT_TRACKED).astype(
-        np.int8
-    )
-    away = (t > 5) & (t < 8)
-    state[away] = JointState.NOT_TRACKED
-    other = JointTracks("camera", t, position, state)
-    (person,) = persons([(replace(recording, opposite=other), recovery)], CameraFrame.KINECT)
-    found, at = points(person), person["start"] + person["step"] * np.arange(person["count"])
-    seen = (at > 1) & (at < 4.8)
-    np.testing.assert_allclose(found["wrist"][seen, 1], 0.2 * np.sin(at[seen]), atol=2e-3)
-    assert np.isnan(found["wrist"][(at > 5.6) & (at < 7.4)]).all(), "what was not tracked is not drawn"
-    np.testing.assert_allclose(
-        found["shoulder_left"][seen], np.tile([-0.3, 0.3, 1.9], (seen.sum(), 1)), atol=2e-3
-    )
-    assert person["measured"] == ["both shoulders", "left arm"]
-    # turned with the shoulders: left to right is (0.3, 0, 0.2), so that it faces (0.2, 0, -0.3)
-    facing = found["nose"][seen] - found["head"][seen]
-    np.testing.assert_allclose(facing[:, 0] / facing[:, 2], -0.2 / 0.3, atol=0.05)
-    assert (facing[:, 2] < 0).all()
-    assert "As measured: both shoulders and left arm." in words_of([person])
-
-
-def test_two_arms_of_one_person_are_one_body_and_shoulders_in_one_place_are_not_believed(pair):
-    _, recovery = pair
-    left = {name: values - np.array([0.35, 0.0, 0.0]) for name, values in recovery.joints.items()}
-    (person,) = persons([(None, recovery), (None, replace(recovery, side="left", joints=left))], None)
-    assert person["other"] == "" and person["measured"] == ["both shoulders"]
-    (same,) = persons([(None, recovery), (None, replace(recovery, side="left"))], None)
-    assert same["measured"] == [] and np.isfinite(same["extent"]).all()
-    assert len(persons([(None, recovery), (None, replace(recovery, body=2))], None)) == 2
-    assert persons([(None, replace(recovery, joints={}))], None) == [] and words_of([]) == ""
-
-
-def test_what_the_camera_did_not_see_stays_empty():
-    t = np.array([0.0, 0.1, 0.2, 1.2, 1.3, 1.4])
-    table = np.tile(10.0 * np.arange(1, 7), (5, 1))
-    (start, end), png = side_by_side(t, table)
-    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert picture.shape == (5, 15, 4)
-    np.testing.assert_allclose([start, end], [-0.05, 1.45])
-    at = start + (np.arange(15) + 0.5) * (end - start) / 15
-    empty = picture[0, :, 3] == 0
-    np.testing.assert_array_equal(empty, (at > 0.35) & (at < 1.05))
-    np.testing.assert_array_equal(picture[0, [0, 1, 2, 12, 13, 14], 0], 10 * np.arange(1, 7))
-
-
-def test_dots_lie_on_the_dark_line():
-    part = np.linspace(0.05, 1.03, 100)
-    profile = np.where(np.abs(part - 0.62) < 0.05, 20.0, 200.0)
-    found = SimpleNamespace(
-        profiles=[(0.1 * k, profile) for k in range(5)],
-        reasons=["", "", "no depth image", "", ""],
-        t_s=0.1 * np.arange(5),
-        along=np.full(5, 0.8),  # of the seen surface: elsewhere, for a camera from the side
-        in_profile=np.full(5, 0.62),
-    )
-    drawn = brightness(found)
-    image, dots = drawn.layout.images[0], drawn.data[0]
-    assert len(dots.x) == 4
-    grey = cv2.imdecode(np.frombuffer(b64decode(image.source.split(",")[1]), np.uint8), cv2.IMREAD_UNCHANGED)
-    share = (image.y - np.asarray(dots.y, float)) / image.sizey  # from the picture's top
-    rows = (share * grey.shape[0]).astype(int)
-    assert (grey[rows, 0, 0] == 20).all()

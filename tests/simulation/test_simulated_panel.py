@@ -165,7 +165,7 @@ def test_settings_that_cannot_be():
         simulate_panel(PanelSimulation.ideal(distance_m=(0.4, 0.4), width=96, height=80), 0)
 
 
-SMALL = ["--width", "128", "--height", "106", "--focal-px", "91", "--distortion=0,0,0,0,0"]
+SMALL = [*("--set", "width=128", "--set", "height=106", "--set", "focal_px=91"), "--set=distortion=0,0,0,0,0"]
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +218,7 @@ def test_folder_and_recording_hold_the_session(tmp_path: Path):
     folder, mcap = tmp_path / "session", tmp_path / "session.mcap"
     done(
         *("simulate", "panel", "-o", folder, "--mcap", mcap, "--poses", "2", "--seed", "3", *SMALL),
-        "--magnetometer",
+        *("--set", "magnetometer=true"),
     )
     truth = tomllib.loads((folder / "truth.toml").read_text())
     lens = tomllib.loads((folder / "intrinsics.toml").read_text())
@@ -264,7 +264,7 @@ def test_folder_and_recording_hold_the_session(tmp_path: Path):
 
 def test_folder_is_whole_or_not_there(tmp_path: Path, capsys: pytest.CaptureFixture):
     folder = tmp_path / "session"
-    said = refused(capsys, "simulate", "panel", "-o", folder, *SMALL, "--distance-m", "0.35,0.36")
+    said = refused(capsys, "simulate", "panel", "-o", folder, *SMALL, "--set", "distance_m=0.35,0.36")
     assert "does not fit" in said
     assert list(tmp_path.iterdir()) == []
     arguments = ["simulate", "panel", "-o", str(folder), *SMALL]

@@ -1,25 +1,20 @@
-"""Both arms in one program: one skeleton, a tracker an arm, one page, one recording."""
+"""Both arms in one program: one skeleton, a tracker an arm, one recording."""
 
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import Browser, chromium
 from live_engine import CameraEcho
 
 import smoother.live.smoother
 from smoother.cli.run import run
 from smoother.io import read_recording
-from smoother.live.answers import LiveState
-from smoother.streams.arrivals import FrameRows
 from smoother.streams.foxglove import LiveMessages, topics_of
-from smoother.streams.page_server import LivePage
 from smoother.streams.replay import Replay
-from smoother.streams.session import LiveSession, OneArmReceiver, run_together
+from smoother.streams.session import LiveSession, run_together
 
 SIDES = ("right", "left")
 WAIT_S = 20.0
@@ -132,7 +127,7 @@ def test_what_a_person_gets_wrong(both, capsys):
 
 
 def test_topics_end_in_the_side(both):
-    from test_live_page import INFO, answer
+    from live_answers import INFO, answer
 
     output = answer(1.0, 40.0)
     assert output.now is not None
@@ -141,49 +136,3 @@ def test_topics_end_in_the_side(both):
     assert "/unocclude/forearm/right" in {message.topic for message in right}
     assert not list(LiveMessages(INFO, "/right").estimate(output.now, topics_of("/left")))
     assert topics_of("/right").keys() & topics_of("/left").keys() == {"/unocclude/gaps", "/unocclude/log"}
-
-
-@pytest.mark.skipif(chromium() is None, reason="Chromium is not installed")
-def test_the_page_shows_both_and_counts_the_one_that_is_chosen():
-    from dataclasses import replace
-
-    from test_live_page import INFO, answer
-
-    page, program = LivePage(INFO, 0, [replace(INFO, side="left")]), chromium()
-    assert program is not None
-    browser = Browser(program)
-    receivers = [OneArmReceiver(page, number) for number in (0, 1)]
-
-    def shown(right_deg: float, left_deg: float, value: str) -> None:
-        until = time.monotonic() + WAIT_S
-        while browser.run("document.getElementById('value').textContent") != value:
-            receivers[0].send(answer(1.0, right_deg), FrameRows.none(), None, ("the IMU is plausible again",))
-            receivers[1].send(answer(1.0, left_deg, LiveState.GAP), FrameRows.none(), None, ())
-            assert time.monotonic() < until, value
-            time.sleep(0.02)
-
-    try:
-        browser.size(1280, 800, phone=False)
-        browser.call("Page.navigate", url=page.address)
-        browser.wait("document.body?.dataset?.angles && document.getElementById('angle')?.options.length")
-        titles = "[...document.getElementById('angle').options].map((option) => option.text)"
-        assert browser.run(titles)[::3] == ["Elbow flexion, right", "Elbow flexion, left"]
-        shown(20.0, 50.0, "20°")
-        assert browser.run("document.getElementById('light').textContent") == "seen"
-        assert "right arm: the IMU is plausible again" in browser.run(
-            "document.getElementById('events').textContent"
-        )
-        browser.run(
-            "document.getElementById('angle').selectedIndex = 3;"
-            "document.getElementById('angle').dispatchEvent(new Event('change'))"
-        )
-        shown(20.0, 45.0, "45°")  # a value of its own, so that it is the chosen arm's
-        assert browser.run("document.getElementById('light').textContent") == "recovered"
-        # into the target of 60 to 90 degrees, twice; the right arm does not count
-        for left in (70.0, 50.0, 75.0):
-            shown(65.0, left, f"{left:.0f}°")
-        assert browser.run("document.getElementById('repetitions').textContent") == "2"
-        assert not browser.complaints()
-    finally:
-        browser.close()
-        page.close()

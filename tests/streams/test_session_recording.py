@@ -22,7 +22,6 @@ from smoother.streams.arrivals import Arrivals
 from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession
 from smoother.streams.session_recording import (
-    MARKS_TOPIC,
     SHOWN_TOPIC,
     Recorder,
     SessionRecording,
@@ -222,32 +221,14 @@ def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
 
 
-def test_what_was_shown_and_marked_is_kept(original, tmp_path):
+def test_what_was_shown_is_kept(original, tmp_path):
     source = Replay(original, speed=0.0)
     recorder = Recorder(SessionRecording(tmp_path / "session.mcap", source.info), patient=True)
-
-    class Marking:
-        sent = False
-
-        def send(self, output, frames, gap, events):
-            self.output = output
-
-        def marks(self):
-            is_time = (
-                not self.sent and getattr(self, "output", None) is not None and self.output.now is not None
-            )
-            self.sent |= is_time
-            return ["tired"] if is_time else []
-
-    session = LiveSession(source, CameraEcho(), recording=recorder, receivers=[Marking()])
-    figures = session.run(lambda: False, lambda _: None)
+    LiveSession(source, CameraEcho(), recording=recorder).run(lambda: False, lambda _: None)
     recorder.close()
-    assert [sentence for _, sentence in figures.events if "tired" in sentence] == ["marked: tired"]
     with open(tmp_path / "session.mcap", "rb") as file:
         messages = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
     shown = [message for topic, message in messages if topic == SHOWN_TOPIC]
-    marks = [message for topic, message in messages if topic == MARKS_TOPIC]
-    assert len(marks) == 1 and b"tired" in marks[0].data
     seconds = (shown[-1].log_time - shown[0].log_time) / 1e9
     assert 20 < len(shown) / seconds < 40
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))

@@ -15,7 +15,7 @@ first 2 s, with four wrists and four upper arms to choose from. `scenes`: simula
 four nameless IMUs, one of them on the table; half of the scenes random motion, half a clinical protocol; in
 half of them everybody moves in time. Both print a table of methods and how often pairs of a stated
 probability are right. `assigned` is the share that is right where each worn IMU has to be on a limb (in `utd`
-on one of the four wrists), which is what the published methods answer. Reported are trials 3 and 4 and seeds
+on one of the four wrists), which is what the published method answers. Reported are trials 3 and 4 and seeds
 from 0 on; `--develop` takes those that the constants were set on: trials 1 and 2, seeds from 1000 on.
 """
 
@@ -309,7 +309,7 @@ def match_utd(method: str, trials: tuple[int, ...], first_s: float | None) -> li
         limbs = [limb for body, one in enumerate(group) for limb in limbs_of(one.arm, body, one.side)]
         imus = [one.imu for one in group]
         pairs = pair_evidence(imus, limbs, CameraFrame.KINECT.down, method)
-        # the question of the published methods: which of the four wrists, each IMU being on one
+        # the question of the published method: which of the four wrists, each IMU being on one
         wrists = [k for k, limb in enumerate(limbs) if limb.segment == "wrist"]
         assigned = assign(pairs.limb[:, wrists], np.full(len(imus), NEVER))
         for body, match in enumerate(decide(imus, limbs, pairs)):

@@ -414,7 +414,7 @@ def _processor_s() -> float:
 PATIENCE_S = 3.0
 #: After this a command is given up, s.
 LIMIT_S = 1800.0
-EXPORTS = ("csv", "xlsx", "parquet", "trc", "mot", "c3d", "sto")
+EXPORTS = ("csv", "parquet", "trc", "mot", "c3d", "sto")
 
 
 @dataclass(frozen=True)

@@ -202,9 +202,6 @@ def seeds() -> dict[str, list[bytes]]:
     texts = plain_texts()
     tables = [texts["recording"].partition("[truth]")[0], texts["skeleton"], texts["imu"]]
     short = "\0".join("\n".join(text.split("\n")[:20]) for text in tables).encode()
-    point = {"x": 1.0, "y": 2.0, "z": 3.0}
-    imu = {"timestamp": {"sec": 1, "nsec": 2}, "linear_acceleration": point, "angular_velocity": point}
-    body = {"body": 1, "joints": [{"name": "wrist_right", "state": "TRACKED", "position": point}]}
     devices = device_seeds()
     return {
         "container": containers,
@@ -213,7 +210,6 @@ def seeds() -> dict[str, list[bytes]]:
         "result": [wrapped(answer, 5, **plain), wrapped(answer, 5, **plain, use_chunking=False)],
         "cdr": [b"\x29" + _cdr_imu(), b"\x01" + _CDR + struct.pack("<I", 0)],
         "protobuf": [bytes([len(data) // 8 + 1]) + data for data in messages.values()],
-        "json": [b"\x20" + json.dumps(value).encode() for value in (imu, body)],
         "trc": [trc],
         "c3d": [c3d],
         "csv": [short],

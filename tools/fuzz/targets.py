@@ -64,14 +64,13 @@ def _fed(data: bytes, encoding: str, schemas: tuple[str, ...]) -> None:
     """Messages of each schema, cut from the input by its first byte."""
     from smoother.io.mcap.messages import Topic, TopicMessages
     from smoother.io.recording.decode import plain_decoder, skeleton_decoder
-    from smoother.io.recording.json_messages import json_decoder
 
     size = max(data[0], 1) * 8 if data else 1
     start = np.arange(1, max(len(data), 2), size)
     stop = np.minimum(start + size, len(data))
     for schema in schemas:
         topic = Topic("/imu/forearm", schema, "", b"", encoding)
-        decoder = plain_decoder(topic) or skeleton_decoder(topic) or json_decoder(topic)
+        decoder = plain_decoder(topic) or skeleton_decoder(topic)
         assert decoder is not None, schema
         decoder.feed(TopicMessages(np.arange(len(start)), data, start, np.maximum(stop, start)))
         if hasattr(decoder, "arms"):
@@ -90,11 +89,6 @@ def cdr(data: bytes) -> None:
 def protobuf(data: bytes) -> None:
     """Our messages and Foxglove's."""
     _fed(data, "protobuf", ("unocclude.Imu", "unocclude.Skeleton", "foxglove.PoseInFrame"))
-
-
-def json_messages(data: bytes) -> None:
-    """Messages in JSON."""
-    _fed(data, "json", ("unocclude.Imu", "unocclude.Skeleton", "foxglove.PoseInFrame"))
 
 
 #: Inputs longer than this teach nothing more, bytes.
@@ -233,7 +227,6 @@ _READERS: dict[str, Callable[[bytes], None]] = {
     "media": media,
     "cdr": cdr,
     "protobuf": protobuf,
-    "json": json_messages,
     "trc": trc,
     "c3d": c3d,
     "csv": csv,

@@ -24,11 +24,8 @@ export out.mcap --format trc -o camera.trc --frame camera --rate 50 --origin sho
 export out.mcap --format mot -o out.mot
 export out.mcap --format c3d -o out.c3d
 export out.mcap --format parquet -o out.parquet
-export out.mcap --format osim -o out.osim
 export out.mcap --format sto -o out.sto
-export out.mcap --format bids -o bids --subject p1
-export out.mcap --format opensim -o out_opensim
-import bids bids -o from_bids.mcap
+export out.mcap --format bids -o bids --subject p1 --recording PROJECT/data/demo.mcap
 methods out.mcap -o methods.tex --json methods.json
 repair PROJECT/data/demo.mcap -o whole.mcap --json repair.json
 cut PROJECT/data/demo.mcap --from 10 --to 25 -o part.mcap --json cut.json
@@ -57,14 +54,14 @@ validate out.mcap --truth a.mcap --align --json aligned.json
 #: What is done to each simulated recording; the options of `simulate arm` by the group's name.
 _SIMULATED = {
     "clean": "--preset clean --protocol random --duration-s 15 --seed 1",
-    "white": "--preset white --protocol random --duration-s 20 --seed 2 --imu-rate-hz 100",
+    "white": "--preset white --protocol random --duration-s 20 --seed 2 --set imu_rate_hz=100",
     "white, protocol behind": "--preset white --protocol behind --repetitions 1 --seed 3",
     "realistic, left": "--preset realistic --protocol random --duration-s 20 --seed 4 --side left"
-    " --camera-frame optical",
+    " --set camera_frame=optical",
     "azure": "--preset azure --protocol random --duration-s 25 --seed 5",
-    "strap tracked": "--preset white --protocol random --duration-s 15 --seed 6 --strap",
+    "strap tracked": "--preset white --protocol random --duration-s 15 --seed 6 --set strap=true",
     "inferred joints, outliers": "--preset realistic --protocol random --duration-s 18 --seed 7"
-    " --occluded-state inferred --outliers 0.02 --frozen-gaps 0.3",
+    " --set occluded_state=inferred --set outliers=0.02 --set frozen_gaps=0.3",
     "arm at rest": "--preset white --protocol hang --duration-s 15 --seed 8",
     "upper-arm IMU": "--preset realistic --protocol random --duration-s 20 --seed 9 --imus wrist,upper-arm",
     "trunk IMU": "--preset realistic --protocol random --duration-s 20 --seed 10"

@@ -1,19 +1,19 @@
 "use strict";
-// The page of `unocclude app`. All words are in texts.LANGUAGE.json; all text is set as text, never as markup.
+// The page of `unocclude app`. All words are in texts.js; all text is set as text, never as markup.
 
 const PLACES = ["forearm_right", "forearm_left", "upper_arm_right", "upper_arm_left", "hand_right", "hand_left", "base"];
-const FORMATS = ["csv", "xlsx", "trc", "mot", "c3d", "sto", "parquet", "measures"];
+const FORMATS = ["csv", "trc", "mot", "c3d", "sto", "parquet", "measures"];
 const JOINTS = ["shoulder", "elbow", "wrist", "hand"];
 const THINGS = { shoulder: "joint_shoulder", elbow: "joint_elbow", wrist: "joint_wrist", hand: "joint_hand", left: "left", right: "right", accelerometer: "t_acc", gyroscope: "t_gyro", magnetometer: "t_mag", accelerometers: "t_acc", gyroscopes: "t_gyro" };
 const BUSY_MS = 400, IDLE_MS = 2500;
 const SVG = "http://www.w3.org/2000/svg";
-let words = {}, english = {}, timer = 0, shownView = null, uploads = null;
+let timer = 0, shownView = null, uploads = null;
 const main = document.getElementById("main");
 
 // ---- small helpers
 
 function t(key, values = {}) {
-  const text = words[key] ?? english[key] ?? key;
+  const text = words[key] ?? key;
   return text.replace(/\{(\w+)\}/g, (whole, name) => (name in values ? values[name] : whole));
 }
 
@@ -79,9 +79,9 @@ function act(work) {
   };
 }
 
-// a number as the page's language writes it
+// a number as English writes it
 function num(value, digits = 1) {
-  return value.toLocaleString(words.locale, { maximumFractionDigits: digits });
+  return value.toLocaleString("en", { maximumFractionDigits: digits });
 }
 
 function size(bytes) {
@@ -317,7 +317,7 @@ function recordingTable(view, state) {
     h("td", { "data-head": t("col_name") }, h("a", { href: `#/r/${each.id}` }, each.name)),
     h("td", { "data-head": t("col_person") }, each.person),
     h("td", { "data-head": t("col_date") }, each.date),
-    h("td", { "data-head": t("col_verdict") }, verdictChip(each), each.verdict && each.verdict !== "Usable." ? h("div", { class: "small soft", lang: "en" }, each.verdict) : null)));
+    h("td", { "data-head": t("col_verdict") }, verdictChip(each), each.verdict && each.verdict !== "Usable." ? h("div", { class: "small soft" }, each.verdict) : null)));
   return h("div", { class: "wide" }, h("table", { class: "list" },
     h("thead", {}, h("tr", {}, heads.map((each) => h("th", { scope: "col" }, t(each))))), h("tbody", {}, rows)));
 }
@@ -410,7 +410,7 @@ function jobBox(job, path, again, unread = []) {
     const text = job.state === "waiting" ? t("waiting") : t("step_of", { at: job.step + 1, n: job.steps, what: name });
     say(text);
     return h("section", { class: "step working" }, h("p", { id: "doing" }, text),
-      h("progress", { id: "bar", max: 1, "aria-label": text }), h("p", { class: "soft small", id: "detail", lang: "en" }),
+      h("progress", { id: "bar", max: 1, "aria-label": text }), h("p", { class: "soft small", id: "detail" }),
       h("button", { type: "button", id: "cancel", onclick: act(() => ask("POST", `${path}/cancel`)) }, t("cancel")));
   }
   const printed = job.printed ? h("details", {}, h("summary", {}, t("printed")), h("pre", { tabindex: 0 }, job.printed)) : null;
@@ -497,12 +497,12 @@ function fileBox(view, about, file, open) {
       return change(view, { choices: { left_out: event.target.checked ? [...others, file.name] : others } });
     }) }), " ", t("leave_out"));
   return h("div", { class: "file" },
-    h("h3", {}, file.name, " ", file.title ? h("span", { class: "soft", lang: "en" }, file.title) : h("span", { class: "soft" }, t("unknown_file"))),
+    h("h3", {}, file.name, " ", file.title ? h("span", { class: "soft" }, file.title) : h("span", { class: "soft" }, t("unknown_file"))),
     file.name === about.camera_video?.file ? filmBox(view, about, open)
       : ["video", "model", "calibration", "description"].includes(file.kind) ? h("p", {}, t(`kind_${file.kind}`)) : null,
-    file.error && !file.guess ? h("p", { class: "said", lang: "en" }, file.error) : null,
+    file.error && !file.guess ? h("p", { class: "said" }, file.error) : null,
     out ? null : file.streams.map((stream) => streamBox(view, about, stream, open)),
-    file.notes.map((note) => h("p", { class: "soft small", lang: "en" }, note)),
+    file.notes.map((note) => h("p", { class: "soft small" }, note)),
     file.guess && !out ? (file.error ? templateForm(view, file, open) : h("details", { class: "small" }, h("summary", {}, t("t_title")), templateForm(view, file, open))) : null, tick);
 }
 
@@ -519,7 +519,7 @@ function filmBox(view, about, open) {
         act((event) => change(view, { choices: { video_turn: Number(event.target.value) } })), { id: "c-turn", disabled: open })))];
 }
 
-// a joint or a measure as streams name it ("wrist right", "wrist_right", "accelerometer"), in the page's language
+// a joint or a measure as streams name it ("wrist right", "wrist_right", "accelerometer"), in words
 function thing(name) {
   return name.replace(/_/g, " ").split(" ").map((each) => (THINGS[each] ? t(THINGS[each]) : each)).join(" ");
 }
@@ -555,14 +555,13 @@ function streamBox(view, about, stream, open) {
 function furtherChoices(view, about, files, open) {
   const choices = about.choices;
   const number = (key, label, value) => labelled(label, h("input", { type: "number", step: "any", id: `c-${key}`, disabled: open, value: value ?? "",
-    onchange: act((event) => change(view, { choices: { [key]: event.target.value === "" ? (key === "video_offset_s" ? 0 : null) : Number(event.target.value) } })) }));
+    onchange: act((event) => change(view, { choices: { [key]: event.target.value === "" ? null : Number(event.target.value) } })) }));
   const several = new Set(files.flatMap((each) => each.streams.filter((s) => s.kind === "skeleton").map((s) => s.body))).size > 1;
   return h("details", {}, h("summary", {}, t("more_choices")), h("div", { class: "row" },
     labelled(t("which_arm"), select([["", t("all_arms")], ["left", t("left")], ["right", t("right")]], choices.side,
       act((event) => change(view, { choices: { side: event.target.value } })), { id: "c-side", disabled: open })),
     several || choices.body !== null ? number("body", t("body"), choices.body) : null,
-    number("imu_starts_at_s", t("starts_at"), choices.imu_starts_at_s),
-    files.some((each) => each.kind === "video" && each.name !== about.camera_video?.file) ? number("video_offset_s", t("video_offset"), choices.video_offset_s) : null));
+    number("imu_starts_at_s", t("starts_at"), choices.imu_starts_at_s)));
 }
 
 // least and largest value in each column, as a band; holes where there is none
@@ -615,9 +614,9 @@ function verdictBox(view, about, verdict, open) {
   const kind = verdict.trusted === false ? "said" : /with care/i.test(verdict.verdict) ? "said care" : "said good";
   const rest = [...new Set([...(verdict.reasons || []), ...(verdict.cautions || [])])].filter((each) => each !== verdict.cause && !verdict.verdict.includes(each));
   return h("div", {}, h("p", {}, trustChip(verdict.trusted, verdict.verdict)),
-    verdict.verdict === "Usable." ? null : h("p", { class: kind, lang: "en" }, verdict.verdict),
-    rest.length ? h("ul", { lang: "en" }, rest.map((each) => h("li", {}, each))) : null,
-    verdict.allows?.sentence ? h("p", { lang: "en" }, t("allows", { what: verdict.allows.sentence })) : null,
+    verdict.verdict === "Usable." ? null : h("p", { class: kind }, verdict.verdict),
+    rest.length ? h("ul", {}, rest.map((each) => h("li", {}, each))) : null,
+    verdict.allows?.sentence ? h("p", {}, t("allows", { what: verdict.allows.sentence })) : null,
     (verdict.remedies || []).filter((each) => each !== about.choices.remedy).map((each) => h("p", {}, h("button", { type: "button", class: "remedy", disabled: open,
       onclick: act(async () => {
         await change(view, { choices: { remedy: each } });
@@ -655,7 +654,7 @@ function reportSection(view, about) {
 
 function exportSection(view, about, open) {
   const ticks = FORMATS.map((each) => h("label", { class: "tick" }, h("input", { type: "checkbox", value: each, id: `x-${each}`, checked: each === "csv" || about.exports.includes(each), disabled: open || !about.result }), t(`x_${each}`)));
-  const names = { csv: "recovered.csv", xlsx: "recovered.xlsx", trc: "recovered.trc", mot: "recovered.mot", c3d: "recovered.c3d", sto: "recovered.sto", parquet: "recovered.parquet", measures: "measures.csv" };
+  const names = { csv: "recovered.csv", trc: "recovered.trc", mot: "recovered.mot", c3d: "recovered.c3d", sto: "recovered.sto", parquet: "recovered.parquet", measures: "measures.csv" };
   const links = [...about.downloads.map((each) => [`/results/${view.id}/${each}?download`, each]), ...about.exports.map((each) => [`/results/${view.id}/exports/${names[each]}`, names[each]])];
   return h("section", { class: "step" }, h("h2", {}, t("s_export")), h("p", { class: "soft" }, t("export_hint"), about.result ? "" : ` (${t("first")})`),
     h("form", { onsubmit: act(async (event) => {
@@ -701,8 +700,8 @@ function templateForm(view, file, open) {
     guess.kind === "skeleton" ? (isLong ? "rows" : "skeleton") : "imu", () => body.replaceChildren(...parts[kind.value]()), { name: "kind", disabled: open });
   body.append(...parts[kind.value]());
   form.append(h("div", {}, h("p", {}, h("strong", {}, t("t_title")), " ", h("span", { class: "soft" }, t("t_hint"))),
-    guess.unsure.map((each) => h("p", { class: "said care", lang: "en" }, each)),
-    file.error ? h("details", { class: "small" }, h("summary", {}, t("why")), h("p", { lang: "en" }, file.error)) : null,
+    guess.unsure.map((each) => h("p", { class: "said care" }, each)),
+    file.error ? h("details", { class: "small" }, h("summary", {}, t("why")), h("p", {}, file.error)) : null,
     h("div", { class: "wide", tabindex: 0 }, h("table", { class: "sample" },
       guess.names.length ? h("thead", {}, h("tr", {}, guess.names.map((each) => h("th", { scope: "col" }, each)))) : "",
       h("tbody", {}, guess.rows.map((row) => h("tr", {}, row.map((cell) => h("td", {}, cell))))))),
@@ -787,21 +786,8 @@ function show(moved) {
   return refresh();
 }
 
-async function speak(language) {
-  const get = async (name) => (await fetch(`/texts/${name}.json`)).json();
-  english = await get("en");
-  words = { ...(language === "en" ? english : await get(language)), locale: language };
-  document.documentElement.lang = language;
-  document.getElementById("language").value = language;
-  for (const node of document.querySelectorAll("[data-text]")) node.textContent = t(node.dataset.text);
-  return show(false);
-}
-
 history.replaceState(null, "", `/${location.hash}`); // the token is in a cookie now
 window.addEventListener("hashchange", () => show(true));
 for (const name of ["dragover", "drop"]) window.addEventListener(name, (event) => event.preventDefault());
-document.getElementById("language").addEventListener("change", (event) => {
-  localStorage.setItem("language", event.target.value);
-  speak(event.target.value);
-});
-speak(localStorage.getItem("language") || (navigator.language.startsWith("de") ? "de" : "en"));
+for (const node of document.querySelectorAll("[data-text]")) node.textContent = t(node.dataset.text);
+show(false);

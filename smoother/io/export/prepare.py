@@ -8,14 +8,12 @@ from pathlib import Path
 
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...recording import Truth
 from ...result import Recovery
-from ...runtime.pool import Progress
 
 #: The formats, and for which of them axes and rate may be chosen.
-FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet", "osim", "sto", "rrd")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "sto", "rrd")
 WITH_FRAME = ("trc", "c3d")
-WITH_RATE = ("trc", "mot", "c3d", "opensim")
+WITH_RATE = ("trc", "mot", "c3d")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
 DEFAULT_FRAME = {"trc": "opensim", "c3d": "camera", "sto": "opensim"}
 
@@ -54,7 +52,6 @@ def prepare_export(
     version: str = "unknown",
     origin: str = "camera",
     draws: bool = False,
-    progress: Progress | None = None,
 ) -> Export:
     """Bring one arm into a format, without writing yet.
 
@@ -76,8 +73,6 @@ def prepare_export(
         "camera" or "shoulder" for `trc` and `c3d`; see `marker_table`.
     draws : bool
         For `parquet`: the drawn motions in place of the answer.
-    progress : Progress, optional
-        Told how far the writing of `xlsx` is, which takes seconds; the others are quick.
 
     Returns
     -------
@@ -96,21 +91,10 @@ def prepare_export(
     if format_name in WITH_FRAME:
         chosen = frame or DEFAULT_FRAME[format_name]
         return _markers(recovery, format_name, chosen, rate_hz, level_down, version, origin)
-    if format_name == "osim":
-        return _osim(recovery)
     if format_name == "sto":
         return _sto(recovery, level_down)
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
-    if format_name == "xlsx":
-        from .csv import check_xlsx, export_xlsx
-
-        check_xlsx(recovery)
-        return Export(
-            len(recovery),
-            lambda path, force: export_xlsx(recovery, path, force, progress),
-            frame="camera",
-        )
     if format_name == "parquet" and draws:
         from .parquet import drawn_rows, export_draws
 
@@ -132,7 +116,6 @@ def prepare_export(
 
 def prepare_rrd(
     recoveries: Sequence[Recovery],
-    truths: Sequence[Truth | None] | None = None,
     level_down: FloatArray | None = None,
 ) -> Export:
     """All arms of a result as one recording of Rerun, without writing yet; see `rrd.write_rrd`.
@@ -141,8 +124,6 @@ def prepare_rrd(
     ----------
     recoveries : sequence of Recovery
         One for each arm.
-    truths : sequence of Truth or None, optional
-        For each arm.
     level_down : ndarray, shape (3,), optional
         See `rrd.write_rrd`.
 
@@ -161,7 +142,7 @@ def prepare_rrd(
     check_rrd(recoveries)
     return Export(
         sum(len(recovery) for recovery in recoveries),
-        lambda path, force: write_rrd(recoveries, path, truths=truths, level_down=level_down, force=force),
+        lambda path, force: write_rrd(recoveries, path, level_down=level_down, force=force),
         frame="camera",
     )
 
@@ -175,22 +156,6 @@ def _mot(recovery: Recovery, rate_hz: float | None) -> Export:
         lambda path, force: write_mot(table, path, recovery, force),
         table.rate_hz,
         notes=table.notes,
-    )
-
-
-def _osim(recovery: Recovery) -> Export:
-    from .osim import arm_measures, write_osim
-
-    measures = arm_measures(recovery)
-    notes: tuple[str, ...] = ()
-    if not measures.turns:
-        notes = (
-            "the calibration has no forearm axes (R_F_A): pro_sup is locked at 0, and the marker imu is left"
-            " out of the model.",
-        )
-    name = f"{measures.side or 'right'}_arm"
-    return Export(
-        1, lambda path, force: write_osim(measures, path, name, force), frame="opensim", notes=notes
     )
 
 

@@ -17,7 +17,7 @@ from ...angles.definitions import ELBOW_FLEXION
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import UnoccludeError
 from ...linalg import median_rate_hz
-from ...recording import JOINTS, JointState, JointTracks, Truth
+from ...recording import JOINTS, JointState, JointTracks
 from ...result import Recovery
 from ...result.frame_residuals import BATCH_ROWS
 from ...result.untrusted import untrusted_sentences
@@ -30,7 +30,6 @@ TIMELINE = "time"
 #: sample.
 PICTURES_HZ = 30.0
 _NAMES = [JOINTS[i] for i in CHAIN]
-_TRUTH: Color = (0.0, 0.62, 0.45, 1.0)
 #: Of bones and joints, m.
 _BONE_M, _JOINT_M, _THIN_M, _TRAIL_M = 0.010, 0.016, 0.004, 0.004
 _AXES = "xyz"
@@ -56,22 +55,17 @@ class RerunArm:
         The arm.
     name : str
         In entity paths.
-    truth : Truth, optional
-        Its times from the recovery's origin.
     number : int, optional
         Which of several arms it is: its curves get a colour and its name. None for the only one.
     """
 
-    def __init__(
-        self, rr: Any, recovery: Recovery, name: str, truth: Truth | None = None, number: int | None = None
-    ):
+    def __init__(self, rr: Any, recovery: Recovery, name: str, number: int | None = None):
         self.rr = rr
         self.recovery = recovery
         self.name = name
         self.label = "" if number is None else f"{name} "
         self.color_name = list(ARM_COLORS)[(number or 0) % len(ARM_COLORS)]
         self.color = ARM_COLORS[self.color_name]
-        self.truth = truth
         self.space = f"scene/camera/{name}"
         joints = recovery.joints
         #: The point whose place and sigma are shown.
@@ -95,9 +89,6 @@ class RerunArm:
             self._angle_curves(some, [angle for angle in self.angles if angle is not ELBOW_FLEXION])
         for frames in self.recovery.frame_batches():
             self._before(frames)
-        if self.truth is not None:
-            for start in range(0, len(self.truth), BATCH_ROWS):
-                self._truth(self.truth, slice(start, start + BATCH_ROWS))
         self._gaps()
 
     def _known_angles(self) -> list[JointAngle]:
@@ -153,19 +144,6 @@ class RerunArm:
             for axis, name in enumerate(_AXES):
                 self._curve(f"wrist_{name}", "camera", frames.t_s, places[:, wrist, axis : axis + 1])
 
-    def _truth(self, truth: Truth, rows: slice) -> None:
-        t_s = truth.t_s[rows]
-        step = max(round(median_rate_hz(truth.t_s) / PICTURES_HZ), 1) if len(truth) > 1 else 1
-        known = [truth.joints[name][rows][::step] for name in _NAMES if name in truth.joints]
-        places = np.stack([*known, truth.position[rows][::step]], axis=1)
-        shade = np.full(places.shape[:2], packed(_TRUTH))
-        self._bones("truth", t_s[::step], places[:, :-1], shade[:, 0], _THIN_M)
-        self._dots("truth/joints", t_s[::step], places, shade, _JOINT_M / 2)
-        point = truth.joints.get(self.point) if self.point != "imu" else truth.position
-        if point is not None:
-            for axis, name in enumerate(_AXES):
-                self._curve(f"{self.point}_{name}", "truth", t_s, point[rows, axis : axis + 1])
-
     def _curves(self, batch: Recovery) -> None:
         """Place with its 2 sigma lines, and sigma, at every sample."""
         point, covariance = self.point_of(batch)
@@ -216,9 +194,6 @@ class RerunArm:
                     colors=[packed(CAMERA)], marker_sizes=[1.5], names=[f"{self.label}camera"]
                 )
                 log(f"{of}/camera", dots, static=True)
-            if self.truth is not None and curve.startswith(self.point):
-                line = rr.SeriesLines(colors=[packed(_TRUTH)], widths=[1.0], names=["truth"])
-                log(f"{of}/truth", line, static=True)
         names = [f"{self.label}{self.point} {axis}" for axis in _AXES]
         lines = rr.SeriesLines(names=names, widths=[1.5] * 3, colors=_AXIS_COLORS)
         log(f"curves/sigma/{self.name}", lines, static=True)
@@ -414,7 +389,6 @@ def write_rrd(
     recoveries: Sequence[Recovery],
     path: str | os.PathLike[str],
     *,
-    truths: Sequence[Truth | None] | None = None,
     level_down: FloatArray | None = None,
     force: bool = False,
 ) -> None:
@@ -426,8 +400,6 @@ def write_rrd(
         One for each arm, of one camera.
     path : path-like
         The file to write.
-    truths : sequence of Truth or None, optional
-        For each arm, times counted from its origin.
     level_down : ndarray, shape (3,), optional
         Down in the camera's axes if the camera is level, where no arm's method found gravity. Without
         either the picture is in the camera's axes.
@@ -446,10 +418,8 @@ def write_rrd(
     down = common_down(results, level_down)
     R_W_K = np.eye(3) if down is None else world_axes(down)
     arms = [
-        RerunArm(rr, recovery, name, truth, number if len(results) > 1 else None)
-        for number, (recovery, name, truth) in enumerate(
-            zip(results, _names(results), truths or [None] * len(results), strict=True)
-        )
+        RerunArm(rr, recovery, name, number if len(results) > 1 else None)
+        for number, (recovery, name) in enumerate(zip(results, _names(results), strict=True))
     ]
     with writing(path, force) as temporary:
         stream = rr.RecordingStream("unocclude", recording_id=_identity(results), send_properties=False)
@@ -489,5 +459,5 @@ def _notes(recoveries: Sequence[Recovery]) -> str:
         lines += [f"- {note}" for note in recovery.notes]
     lines.append("Blue: the camera saw the forearm. Orange: recovered. Grey: the camera's own joints.")
     lines.append("Dark red: the answer is not to be trusted.")
-    lines.append("Green: the truth, where there is one. Ellipsoid: 2 sigma. Trail: 2 s.")
+    lines.append("Ellipsoid: 2 sigma. Trail: 2 s.")
     return "\n\n".join(line for line in lines if line)

@@ -54,8 +54,6 @@ class StrapFound:
         Of the sensor in {K}; nan where rejected.
     along : ndarray, shape (n,)
         Part of the way from elbow to wrist.
-    in_profile : ndarray, shape (n,)
-        The same at which the dark place is in the brightness profile.
     reasons : list of str
         "" where it was found.
     """
@@ -65,9 +63,6 @@ class StrapFound:
     sigma_m: FloatArray
     along: FloatArray
     reasons: list[str]
-    in_profile: FloatArray = field(default_factory=lambda: np.zeros(0))
-    profiles: list[tuple[float, FloatArray]] = field(default_factory=list)
-    pictures: list[NDArray[np.uint8]] = field(default_factory=list)
     topics: tuple[str, str] = ("", "")
     notes: list[str] = field(default_factory=list)
 

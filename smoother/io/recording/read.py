@@ -35,7 +35,6 @@ from .decode import (
     plain_decoder,
     skeleton_decoder,
 )
-from .json_messages import JsonSkeleton, JsonStream, json_decoder
 from .keypoints import KeypointDecoder, keypoint_decoder, lenses_from_plain, with_lenses
 from .select import select_recording, select_recordings
 from .selection import OTHER_SIDE, FileReading, Selection, choose_imu
@@ -118,10 +117,8 @@ SWAPPED_SIDES = "--swap left,right"
 #: Of the notes in a file's metadata this many are repeated, and this much of each.
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
-AnyDecoder = (
-    ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder | JsonStream | JsonSkeleton
-)
-SKELETONS = (SkeletonDecoder, MarkerDecoder, JsonSkeleton)
+AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
+SKELETONS = (SkeletonDecoder, MarkerDecoder)
 
 
 def open_recording(
@@ -183,6 +180,7 @@ def open_recording(
         for t in container.topics
     ]
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
+    _refuse_json(file, container.topics)
     sort_arrivals(file, file.metadata.get(METADATA, {}), store)
     drop_timestamp_outliers(file, store)
     angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
@@ -195,27 +193,60 @@ def open_recording(
     return file
 
 
+def is_motion(topic: Topic) -> bool:
+    """Whether a recording's streams are made of a topic: no image, sound, text or position on Earth is."""
+    return _decoder(topic, Store(), truth=True) is not None
+
+
 def _decoder(topic: Topic, store: Store, truth: bool) -> AnyDecoder | None:
     """What decodes a topic; None where it is not wanted."""
     if topic.name.startswith(RESULT_PREFIX):
         return None
-    decoder = (
-        plain_decoder(topic, store)
-        or skeleton_decoder(topic, store)
-        or keypoint_decoder(topic, store)
-        or json_decoder(topic, store)
+    decoder = plain_decoder(topic, store) or skeleton_decoder(topic, store) or keypoint_decoder(topic, store)
+    is_reference = isinstance(decoder, PoseDecoder) or (
+        topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SKELETONS)
     )
-    is_pose = isinstance(decoder, PoseDecoder) or (isinstance(decoder, JsonStream) and decoder.kind == "pose")
-    is_reference = is_pose or (topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SKELETONS))
     return None if is_reference and not truth else decoder
+
+
+#: Schemas of motion by the last part of their name, and the fields that show it in a JSON schema.
+_JSON_MOTION = {
+    "imu": (b'"linear_acceleration"', b'"angular_velocity"'),
+    "skeleton": (b'"joints"',),
+    "magneticfield": (b'"magnetic_field"',),
+    "posestamped": (b'"pose"', b'"orientation"'),
+    "poseinframe": (b'"pose"', b'"orientation"'),
+}
+
+
+def _refuse_json(file: RecordingFile, topics: list[Topic]) -> None:
+    """Name topics of motion in JSON; refuse the file where nothing else has what they have."""
+    found = {
+        topic.label: kind for topic in topics if topic.encoding == "json" and (kind := _json_kind(topic))
+    }
+    if not found:
+        return
+    sentence = (
+        f"{', '.join(found)}: JSON messages are not read; record or convert them as protobuf or ROS 2's CDR."
+    )
+    kinds = found.values()
+    if ("imu" in kinds and not file.imus) or ("skeleton" in kinds and not file.arms):
+        raise RecordingError(f"{file.path}: {sentence}")
+    file.notes.append(sentence)
+
+
+def _json_kind(topic: Topic) -> str:
+    """What a topic in JSON holds by its schema's name, or by the fields that its JSON schema names."""
+    name = topic.schema.replace("/", ".").rpartition(".")[2].lower()
+    text = topic.schema_data[:20_000]
+    by_fields = (kind for kind, fields in _JSON_MOTION.items() if all(field in text for field in fields))
+    return name if name in _JSON_MOTION else next(by_fields, "")
 
 
 def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecoder | None]) -> bool:
     """Whether these and an IMU are among the topics that had messages."""
     decoders = [decoder[id(topic)] for topic in topics]
-    is_imu = any(
-        isinstance(d, ImuDecoder) or (isinstance(d, JsonStream) and d.kind == "imu") for d in decoders
-    )
+    is_imu = any(isinstance(d, ImuDecoder) for d in decoders)
     return is_imu and set(only) <= {topic.name for topic in topics}
 
 

@@ -299,6 +299,8 @@ def wanted_arms(
         There is none; the message lists those that are there.
     """
     if not file.arms and not file.frames_without_body:
+        if any(name.partition("/")[0] == "unocclude.result" for name in file.metadata):
+            raise RecordingError(f"{file.path} is a result; name the recording that it was made from.")
         raise RecordingError(
             f"{file.path} has no skeleton (unocclude.Skeleton, or MarkerArray of the Azure Kinect driver); "
             f"it has {topics_of(file)}; record the body tracking as well."

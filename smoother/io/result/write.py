@@ -20,8 +20,8 @@ from ...result import Recovery, arm_tags
 from ...runtime.outputs import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output, time_batches
-from ..recording.json_messages import Passthrough
-from ..recording.read import METADATA, RESULT_PREFIX, open_recording
+from ..recording.read import METADATA, open_recording
+from ..recording.streams import RecordingFile
 from ..recording.write import CAMERA
 from .drawing import common_down
 from .streams import AXES, RecoveryStreams
@@ -35,8 +35,7 @@ def write_recovery(
     *,
     source: str | os.PathLike[str] | None = None,
     force: bool = False,
-    passthrough_images: bool = False,
-) -> tuple[str, ...]:
+) -> None:
     """Write the recovered motion of one arm, or of several, to an MCAP file.
 
     Topics: `/unocclude/forearm` (Odometry: pose of the IMU in the camera frame, velocity in its own
@@ -60,17 +59,9 @@ def write_recovery(
     path : path-like
         The file to write.
     source : path-like, optional
-        The recording; its topics of motion are copied as they are.
+        The recording: frames are called as there, and its camera's axes are kept.
     force : bool
         Overwrite a file that exists.
-    passthrough_images : bool
-        Copy all other topics as well: images in any form (they show patients), sound, texts, positions on
-        Earth and whatever is not known.
-
-    Returns
-    -------
-    notes : tuple of str
-        Sentences for the user: which topics were left out.
 
     Raises
     ------
@@ -81,12 +72,13 @@ def write_recovery(
     check_output(path, force)
     if source is not None and os.path.exists(path) and os.path.samefile(source, path):
         raise UnoccludeError(f"{path} is the recording itself; give another name to write to.")
-    carrying = Passthrough(passthrough_images)
     frames: dict[str, str] = {}
+    about: dict[str, str] = {}
     shift = 0
     level_down = None
     if source is not None:
         file = open_recording(source, only={recovery.arm.name for recovery in results})
+        about = _about(file)
         frames = {arm.topic: arm.frame_id for arm in file.arms if arm.frame_id}
         level_down = file.level_down
         shift = file.imus[0].log_shift_ns if file.imus else 0
@@ -100,18 +92,22 @@ def write_recovery(
             output.metadata(RESULT + suffix, recovery_values(recovery, _version()))
             frame_id = frames.get(recovery.arm.name, CAMERA)
             streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift, down))
-        if source is not None:
-            container = Container(source)
-            output.interleave(
-                container.chunks(lambda topic: not topic.name.startswith(RESULT_PREFIX) and carrying(topic))
-            )
         for batch in time_batches([axis for each in streams for axis in each.axes()]):
             rows = [batch.rows[AXES * i : AXES * (i + 1)] for i in range(len(streams))]
             outgoing = [each.batch(*mine) for each, mine in zip(streams, rows, strict=True)]
             output.write(list(chain.from_iterable(outgoing)), batch.until_ns)
-        if source is not None and METADATA in container.metadata:  # wherever in the source it stands
-            output.metadata(METADATA, container.metadata[METADATA])
-    return (carrying.sentence,) if carrying.sentence else ()
+        if about:
+            output.metadata(METADATA, about)
+
+
+def _about(file: RecordingFile) -> dict[str, str]:
+    """The recording's metadata, wherever in the file it stands, and the camera's axes."""
+    container = Container(file.path)
+    for _ in container.by_topic(lambda topic: False):
+        pass  # metadata is met on the way
+    implied = next((arm.camera_frame for arm in file.arms if arm.camera_frame is not None), None)
+    axes = {} if implied is None else {"camera_frame": str(implied)}
+    return axes | container.metadata.get(METADATA, {})
 
 
 def _version() -> str:

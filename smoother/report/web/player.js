@@ -1,7 +1,7 @@
 "use strict";
 /* The arms in motion: a list of arms on one grid of times each, moved by the time that all plots share. */
 (() => {
-  const { unpack, add, dot, cross, unit } = View3D;
+  const { unpack, add } = View3D;
   const REGION = Math.sqrt(7.8147); // of the ellipsoid that contains 95 of 100 cases, in sigmas
   const TRAIL_S = 2, AROUND_S = 15, MOST_PATH = 2500, LONG_S = 90;
 
@@ -40,80 +40,9 @@
     chain(track, t) { return this.names.map((_, k) => this.at(track, k, t)); }
   }
 
-  /* A grey person; where it hides the arm, the arm is drawn before it and shines through. */
-  class Person {
-    constructor(plain) {
-      Object.assign(this, plain);
-      this.values = unpack(plain.points);
-      this.width = plain.points.offset.length;
-    }
-    at(t) {
-      const x = Math.max(0, Math.min(this.count - 1, (t - this.start) / this.step)), i = Math.floor(x);
-      const j = Math.min(i + 1, this.count - 1), s = x - i, points = {};
-      this.names.forEach((name, k) => {
-        const p = [0, 1, 2].map((c) => this.values[i * this.width + 3 * k + c] * (1 - s) + this.values[j * this.width + 3 * k + c] * s);
-        if (!Number.isNaN(p[0])) points[name] = p;
-      });
-      return points;
-    }
-    /* Ellipsoids that hide: centre, axes and half lengths. */
-    parts(p) {
-      const h = this.stature, middle = mean(p.shoulder_left, p.shoulder_right), hips = mean(p.hip_left, p.hip_right);
-      const right = unit(add(p.shoulder_right, p.shoulder_left, -1)), up = unit(add(middle, hips, -1));
-      const axes = [right, up, cross(right, up)];
-      return [
-        { at: p.head, axes, half: [0.046 * h, 0.066 * h, 0.056 * h] },
-        { at: mean(middle, hips), axes, half: [0.125 * h, 0.17 * h, 0.065 * h] },
-      ];
-    }
-    draw(v, p) {
-      const h = this.stature, pen = v.pen;
-      const thick = (points, m, colour) => v.line(points, colour, Math.max(2, m * h * v.project(points[0])[3]));
-      const hips = [p.hip_left, p.hip_right], shoulders = [p.shoulder_left, p.shoulder_right];
-      const other = this.other && p.elbow ? [p["shoulder_" + this.other], p.elbow, p.wrist, p.hand].filter(Boolean) : null;
-      const trunk = () => {
-        const inner = shoulders.map((q, k) => add(add(q, add(shoulders[1 - k], q, -1), 0.06), add(hips[k], q, -1), 0.03));
-        const outline = [inner[0], inner[1], hips[1], hips[0], inner[0], inner[1]];
-        v.line(outline, "body", Math.max(2, 0.055 * h * v.project(p.neck)[3]));
-        pen.beginPath();
-        outline.forEach((q, k) => { const [x, y] = v.project(q); if (k) pen.lineTo(x, y); else pen.moveTo(x, y); });
-        pen.fillStyle = v.colour("body");
-        pen.fill();
-        thick([mean(...shoulders), p.neck, p.head], 0.055, "body");
-      };
-      const head = () => {
-        const [x, y, , k] = v.project(p.head), [a, b] = v.project(add(p.head, add(p.head, p.neck, -1), 1));
-        pen.beginPath();
-        pen.ellipse(x, y, 0.066 * h * k, 0.05 * h * k, Math.atan2(b - y, a - x), 0, 7);
-        pen.fillStyle = v.colour("body");
-        pen.fill();
-        pen.strokeStyle = v.colours.paper;
-        pen.lineWidth = 1.5;
-        pen.stroke();
-        const nose = v.project(p.nose);
-        if (nose[2] > v.project(p.head)[2] - 0.02 * h) v.dot(p.nose, "soft", Math.max(3, 0.016 * h * k));
-      };
-      const limb = () => { if (other) { thick(other, 0.042, "paper"); thick(other, 0.036, "limb"); } };
-      const depth = (q) => v.project(q)[2];
-      const steps = [[depth(mean(...hips)), trunk], [depth(p.head), head]];
-      if (other) steps.push([depth(other[1]), limb]);
-      steps.sort((q, r) => q[0] - r[0]);
-      for (const [, step] of steps) step();
-    }
-  }
-  const mean = (a, b) => add([a[0] / 2, a[1] / 2, a[2] / 2], b, 0.5);
-  function hidden(v, q, parts) {
-    const d = unit(add(add(v.center, v.eye, v.far), q, -1));
-    return parts.some(({ at, axes, half }) => {
-      const o = add(q, at, -1), p = axes.map((axis, k) => dot(o, axis) / half[k]), e = axes.map((axis, k) => dot(d, axis) / half[k]);
-      const a = dot(e, e), b = dot(p, e), c = dot(p, p) - 1, root = b * b - a * c;
-      return root > 0 && -b + Math.sqrt(root) > 0;
-    });
-  }
-
   function player(box) {
-    const { view, arms: plain, axes, instants, people: bodies, pictures } = JSON.parse(box.querySelector('script[type="application/json"]').textContent);
-    const arms = plain.map((each) => new Arm(each)), people = (bodies || []).map((each) => new Person(each));
+    const { view, arms: plain, axes, instants } = JSON.parse(box.querySelector('script[type="application/json"]').textContent);
+    const arms = plain.map((each) => new Arm(each));
     const from = Math.min(...arms.map((arm) => arm.start)), to = Math.max(...arms.map((arm) => arm.end));
     const several = arms.length > 1;
     const gaps = arms.flatMap((arm) => arm.gaps.map(([start, end]) => [start, end, several ? arm.name + ", " : ""]));
@@ -152,20 +81,11 @@
       flush();
     }
 
-    const PIECES = 16, WIDTH = 7;
-    function skeleton(v, arm, s, alpha = 1, parts = [], behind = null) {
+    const WIDTH = 7;
+    function skeleton(v, arm, s, alpha = 1) {
       const joints = arm.chain("joints", s), colour = arm.colour(s), there = joints.filter(Boolean);
-      if (behind === null) v.line(there, colour, WIDTH, { alpha });
-      else for (let k = 1; k < there.length; k++) { // what the body hides in one go, the rest in another
-        const along = (share) => add(there[k - 1], add(there[k], there[k - 1], -1), share / PIECES);
-        let run = [];
-        for (let i = 0; i <= PIECES; i++) {
-          const mine = i < PIECES && hidden(v, along(i + 0.5), parts) === behind;
-          if (mine) run.push(...(run.length ? [] : [along(i)]), along(i + 1));
-          else { if (run.length) v.line(run, colour, WIDTH); run = []; }
-        }
-      }
-      for (const p of there) if (behind === null || hidden(v, p, parts) === behind) v.dot(p, colour, 10, "circle", alpha);
+      v.line(there, colour, WIDTH, { alpha });
+      for (const p of there) v.dot(p, colour, 10, "circle", alpha);
       return joints;
     }
 
@@ -178,7 +98,7 @@
       if (v.paper) for (const s of instants) skeleton(v, arm, s, 0.3);
     }
 
-    function drawArm(v, arm, parts) {
+    function drawArm(v, arm) {
       if (shown("camera") && arm.tracks.camera) {
         const joints = arm.chain("camera", t), bits = arm.seen ? arm.seen[Math.round(arm.index(t))] : 255;
         joints.forEach((p, k) => {
@@ -188,7 +108,7 @@
           v.dot(p, "ghost", sure ? 8 : 5, sure ? "circle" : "x", 0.75);
         });
       }
-      const joints = skeleton(v, arm, t, 1, parts, parts.length ? false : null), sensor = arm.at("sensor", 0, t), end = arm.end_point(t);
+      const joints = skeleton(v, arm, t), sensor = arm.at("sensor", 0, t), end = arm.end_point(t);
       if (sensor) {
         const [x, y] = v.project(sensor);
         v.pen.fillStyle = v.colours.ink;
@@ -208,30 +128,10 @@
     }
 
     space.draw = (v) => {
-      const upright = people.length && shown("body") ? people.map((each) => [each, each.at(t)]) : [];
-      const parts = upright.flatMap(([each, p]) => each.parts(p));
-      v.floor(view.low, upright.length && v.w < 560 ? null : axes);
+      v.floor(view.low, axes);
       for (const arm of arms) drawPaths(v, arm);
-      if (upright.length) {
-        for (const arm of arms) skeleton(v, arm, t, 1, parts, true);
-        v.layer(0.72, () => { for (const [each, p] of upright) each.draw(v, p); });
-      }
-      for (const arm of arms) drawArm(v, arm, parts);
+      for (const arm of arms) drawArm(v, arm);
     };
-
-    /* The picture that was taken last. */
-    const film = box.querySelector(".film");
-    let picture = -1;
-    function showFilm() {
-      if (!film) return;
-      let low = 0, high = pictures.times.length;
-      while (low < high) { const k = (low + high) >> 1; if (pictures.times[k] <= t) low = k + 1; else high = k; }
-      const next = low - 1 >= 0 && t - pictures.times[low - 1] < pictures.longest ? low - 1 : -1;
-      film.hidden = !shown("film");
-      film.style.visibility = next < 0 ? "hidden" : "visible";
-      if (next >= 0 && next !== picture) film.src = "data:image/jpeg;base64," + pictures.jpeg[next];
-      picture = next < 0 ? picture : next;
-    }
 
     function describe() {
       const now = gaps.flatMap(([start, end, of], k) => (t >= start && t <= end ? `${of}gap ${k + 1} of ${gaps.length}` : []));
@@ -251,7 +151,6 @@
       t = Math.max(from, Math.min(to, next));
       if (source !== slider) slider.value = t;
       describe();
-      showFilm();
       space.redraw();
     }
     unocclude.onTime(show);
@@ -287,7 +186,7 @@
     find("next").addEventListener("click", () => jump(1));
     find("previous").addEventListener("click", () => jump(-1));
     slider.addEventListener("input", () => seek(Number(slider.value), slider));
-    for (const input of box.querySelectorAll(".legend input")) input.addEventListener("change", () => { showFilm(); space.redraw(); });
+    for (const input of box.querySelectorAll(".legend input")) input.addEventListener("change", () => space.redraw());
     const views = { camera: space.home, side: { yaw: space.home.yaw + Math.PI / 2, pitch: 0.1 }, behind: { yaw: space.home.yaw + Math.PI, pitch: 0.15 }, top: { yaw: view.top_yaw || 0, pitch: 1.55 } };
     for (const name in views) find(name).addEventListener("click", () => space.look(views[name].yaw, views[name].pitch));
     for (const name of ["next", "previous"]) find(name).disabled = !gaps.length;

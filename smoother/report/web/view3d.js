@@ -3,7 +3,7 @@
    Drag turns, two fingers or Ctrl with the wheel come closer, arrows turn by keyboard, a double click resets. */
 var View3D = (() => {
   const LIGHT = { ink: "#1b1b1b", soft: "#666", paper: "#fff", faint: "#dfe3e6", seen: "#0072b2",
-    recovered: "#d55e00", untrusted: "#b00020", ghost: "#8a8a8a", truth: "#111", body: "#c3c9cf", limb: "#aab2b9" };
+    recovered: "#d55e00", untrusted: "#b00020", ghost: "#8a8a8a", truth: "#111" };
   const add = (a, b, s = 1) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -130,23 +130,6 @@ var View3D = (() => {
       this.pen.fillText(words, at, y + dy);
     }
 
-    /* What is drawn inside comes out as one, so much of it: what lies below shines through evenly. */
-    layer(alpha, draw) {
-      const below = this.pen, sheet = (this._sheet ||= document.createElement("canvas"));
-      sheet.width = this.canvas.width;
-      sheet.height = this.canvas.height;
-      this.pen = sheet.getContext("2d");
-      this.pen.setTransform(below.getTransform());
-      this.pen.lineCap = this.pen.lineJoin = "round";
-      draw();
-      this.pen = below;
-      below.save();
-      below.setTransform(1, 0, 0, 1, 0, 0);
-      below.globalAlpha = alpha;
-      below.drawImage(sheet, 0, 0);
-      below.restore();
-    }
-
     /* Outline of the ellipsoid p + factor L ball, L lower triangular (xx, yx, yy, zx, zy, zz). */
     ellipsoid(p, l, factor, colour) {
       const columns = [[l[0], l[1], l[3]], [0, l[2], l[4]], [0, 0, l[5]]];
@@ -226,59 +209,5 @@ var View3D = (() => {
     }
   }
 
-  /* A scene that stands still: items of points, lines and faces, a legend that switches them. */
-  function scene(box) {
-    const { view, items, axes, ball } = JSON.parse(box.querySelector('script[type="application/json"]').textContent);
-    const space = new View3D(box, view), off = new Set(), tip = box.querySelector(".tip");
-    for (const item of items) {
-      const flat = unpack(item.points);
-      item.at = Array.from({ length: flat.length / 3 }, (_, i) => [flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]]);
-    }
-    let targets = [];
-    space.draw = (v) => {
-      targets = [];
-      const points = [];
-      if (ball) {
-        const [x, y, , k] = v.project([0, 0, 0]);
-        v.pen.beginPath();
-        v.pen.arc(x, y, ball * k * 1.035, 0, 7);
-        v.pen.fillStyle = v.colours.faint;
-        v.pen.fill();
-      } else if (view.grid !== false) v.floor(view.low, null);
-      for (const item of items) {
-        if (off.has(item.name)) continue;
-        if (item.kind === "face") {
-          v.pen.beginPath();
-          item.at.forEach((p, i) => { const [x, y] = v.project(p); if (i) v.pen.lineTo(x, y); else v.pen.moveTo(x, y); });
-          v.pen.fillStyle = v.colour(item.colour);
-          v.pen.globalAlpha = 0.3;
-          v.pen.fill();
-          v.pen.globalAlpha = 1;
-        } else if (item.kind === "line") v.line(item.at, item.colour, item.size, { dash: item.dash ? [3, 4] : null });
-        else item.at.forEach((p, i) => {
-          if (Number.isNaN(p[0]) || (ball && v.hides(ball, p))) return;
-          points.push([v.project(p)[2], p, Array.isArray(item.colour) ? item.ramp[item.colour[i]] : item.colour, item, i]);
-        });
-      }
-      points.sort((p, q) => p[0] - q[0]);
-      for (const [, p, colour, item, i] of points) {
-        v.dot(p, colour, item.size_m ? item.size_m * v.project(p)[3] : item.size, item.symbol);
-        if (item.words) targets.push([...v.project(p), item.words[i]]);
-      }
-      if (axes) v.triad(ball ? [0, 0, 0] : view.axes_at, ball ? 1.3 : view.axes_length, axes, ball);
-    };
-    for (const input of box.querySelectorAll(".legend input"))
-      input.addEventListener("change", () => { if (input.checked) off.delete(input.value); else off.add(input.value); space.redraw(); });
-    space.canvas.addEventListener("pointermove", (e) => {
-      const near = targets.find(([x, y]) => Math.hypot(x - e.offsetX, y - e.offsetY) < 9);
-      tip.style.display = near ? "block" : "none";
-      if (!near) return;
-      tip.textContent = near[4];
-      tip.style.left = Math.min(near[0] + 10, space.w - 180) + "px";
-      tip.style.top = space.canvas.offsetTop + near[1] + 8 + "px";
-    });
-    space.now();
-  }
-  addEventListener("DOMContentLoaded", () => document.querySelectorAll(".space.still").forEach(scene));
   return Object.assign(View3D, { unpack, add, dot, cross, unit });
 })();

@@ -1,4 +1,4 @@
-"""Recordings of other programs: ROS 1 bags, MCAP with JSON and XCDR2 messages, XDF."""
+"""Recordings of other programs: ROS 1 bags, MCAP with XCDR2 messages, XDF."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ import ros_bags as ros
 import skeleton_files as made
 from importers import streams, turning
 from library_files import ZERO, write_bag
-from made_recordings import swing
 from mcap.writer import Writer
 from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
 from smoother.io import open_recording
-from smoother.io.recording.json_messages import stamp_ns
 from smoother.io.tables.columns import find_sensors
 from smoother.io.tables.joint_columns import AZURE, KINECT_V2
 from smoother.recording import CameraFrame, JointState
@@ -55,80 +53,28 @@ def test_ros1_bag_that_is_cut_off(tmp_path: Path) -> None:
         streams(path, "rosbag1")
 
 
-def json_mcap(path: Path, dates: bool) -> tuple[np.ndarray, np.ndarray]:
-    """An MCAP file with JSON messages of an IMU and a skeleton; acc (n, 3) and wrist (F, 3)."""
-    t = np.arange(0, 4, 0.01)
-    gyro = swing(t)[2]
-    frames = np.arange(0.005, 4, 1 / 30)
-    elbow, wrist, _ = swing(frames)
-    acc = np.tile([0.1, 9.8, 0.2], (len(t), 1))
-
-    def stamp(ns: int) -> Any:
-        day = np.datetime64(ns, "ns").astype(str)
-        return f"{day}Z" if dates else {"sec": ns // 10**9, "nsec": ns % 10**9}
-
+@pytest.mark.parametrize(
+    ("schema", "fields"),
+    [
+        ("sensor_msgs/msg/Imu", {}),
+        ("unocclude.Skeleton", {}),
+        ("mine", {"linear_acceleration": {}, "angular_velocity": {}}),
+    ],
+)
+def test_mcap_with_json_is_refused_by_its_topic(tmp_path: Path, schema: str, fields: dict[str, Any]) -> None:
+    path = tmp_path / "a.mcap"
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()
-        channels = {}
-        for topic, name in (("/imu", "sensor_msgs/Imu"), ("/skeleton", "unocclude.Skeleton")):
-            schema = writer.register_schema(name=name, encoding="jsonschema", data=b'{"type": "object"}')
-            channels[topic] = writer.register_channel(topic=topic, message_encoding="json", schema_id=schema)
-        events = [(int(ZERO + round(x * 1e9)), "/imu", at) for at, x in enumerate(t)]
-        events += [(int(ZERO + round(x * 1e9)), "/skeleton", at) for at, x in enumerate(frames)]
-        for ns, topic, at in sorted(events):
-            xyz = dict(zip("xyz", map(float, acc[at]), strict=True))
-            if topic == "/imu":
-                turn = dict(zip("xyz", map(float, gyro[at]), strict=True))
-                where = {"stamp": stamp(ns), "frame_id": "wrist"}
-                message: dict[str, Any] = {
-                    "header": where,
-                    "linear_acceleration": xyz,
-                    "angular_velocity": turn,
-                }
-            else:
-                joints = [
-                    {
-                        "name": f"{name}_right",
-                        "position": dict(zip("xyz", map(float, rows[at]), strict=True)),
-                        "state": s,
-                    }
-                    for name, rows, s in (("elbow", elbow, 2), ("wrist", wrist, "TRACKED"))
-                ]
-                message = {"timestamp": stamp(ns), "body": 1, "joints": joints}
-            data = json.dumps(message).encode() if at != 7 else b'{"header": 3'  # one message is damaged
-            writer.add_message(channels[topic], log_time=ns + 10**6, data=data, publish_time=ns)
+        text = json.dumps({"type": "object", "properties": fields}).encode()
+        number = writer.register_schema(name=schema, encoding="jsonschema", data=text)
+        channel = writer.register_channel(topic="/wrist", message_encoding="json", schema_id=number)
+        writer.add_message(channel, log_time=ZERO, data=b"{}", publish_time=ZERO)
         writer.finish()
-    return np.delete(acc, 7, axis=0), np.delete(wrist, 7, axis=0)
-
-
-@pytest.mark.parametrize("dates", [True, False])
-def test_mcap_with_json(tmp_path: Path, dates: bool) -> None:
-    path = tmp_path / "a.mcap"
-    acc, wrist = json_mcap(path, dates)
-    file = open_recording(path)
-    assert_array_equal(file.imus[0].acc, acc)
-    assert file.imus[0].stamp_ns[1] - file.imus[0].stamp_ns[0] == 10_000_000
-    assert file.imus[0].log_shift_ns == 10**6
-    assert sum("1 messages are damaged" in note for note in file.notes) == 2
-    (body,), (imu,) = streams(path, "mcap")
-    assert imu.name == "imu"
-    assert_array_equal(body.position["wrist_right"], wrist)
-    assert (body.state["elbow_right"] == JointState.TRACKED).all()
-
-
-@pytest.mark.parametrize(
-    ("message", "wanted"),
-    [
-        ({"header": {"stamp": {"sec": 2, "nanosec": 5}}}, 2_000_000_005),
-        ({"header": {"stamp": {"secs": 2, "nsecs": 5}}}, 2_000_000_005),
-        ({"timestamp": "1970-01-01T00:00:02.5Z"}, 2_500_000_000),
-        ({"timestamp": 2.5}, 2_500_000_000),
-        ({}, 0),
-    ],
-)
-def test_stamps_in_json(message: dict[str, Any], wanted: int) -> None:
-    assert stamp_ns(message) == wanted
+    with pytest.raises(RecordingError, match=r"a\.mcap: /wrist: JSON messages are not read"):
+        open_recording(path)
+    with pytest.raises(RecordingError, match="/wrist: JSON messages are not read"):
+        streams(path, "mcap")
 
 
 class Xcdr2:

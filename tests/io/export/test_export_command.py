@@ -17,7 +17,7 @@ from smoother.cli import export
 from smoother.errors import UnoccludeError
 from smoother.io import prepare_export, read_recovery, write_recovery
 
-FORMATS = ("csv", "xlsx", "trc", "mot", "c3d", "parquet")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +152,17 @@ def test_simulated_mocap_beside_its_recording(tmp_path, side):
 
     done(
         *("simulate", "arm", "-o", tmp_path / "sim.mcap", "--mocap", "--side", side, "--seed", 3),
-        *("--protocol", "random", "--duration-s", 6, "--marker-noise-m", 0, "--mocap-rate-hz", 100),
-        *("--mocap-offset-s", -1.5, "--mocap-skew-ppm", 0, "--json", tmp_path / "j.json"),
+        *(
+            "--protocol",
+            "random",
+            "--duration-s",
+            6,
+            "--set",
+            "marker_noise_m=0",
+            "--set",
+            "mocap_rate_hz=100",
+        ),
+        *("--set", "mocap_offset_s=-1.5", "--set", "mocap_skew_ppm=0", "--json", tmp_path / "j.json"),
     )
     names = {"sim.mcap", "sim.c3d", "sim.trc", "sim_markers.toml", "sim_calibration.toml", "j.json"}
     assert {path.name for path in tmp_path.iterdir()} == names
@@ -207,8 +216,8 @@ def test_the_formats_are_known_by_one_list():
     from smoother.io.export import prepare as exports
     from smoother.io.export.markers import FRAMES
 
-    ours = (*FORMATS, "osim", "sto", "rrd")  # which have tests of their own, as the folders have
-    assert export.FORMATS == (*exports.FORMATS, "bids", "opensim") == (*ours, "bids", "opensim")
+    ours = (*FORMATS, "sto", "rrd")  # which have tests of their own, as the folder has
+    assert export.FORMATS == (*exports.FORMATS, "bids") == (*ours, "bids")
     assert export.FRAMES == FRAMES
     with pytest.raises(UnoccludeError, match="'xls' is not available"):
         exports.prepare_export(made(), "xls")
@@ -219,38 +228,6 @@ def test_the_example_of_the_help(tmp_path, monkeypatch):
     write_recovery(made(), "recovered.mcap")
     done("export", "recovered.mcap", "--format", "trc", "-o", "recovered.trc")
     assert len(read_recovery("recovered.mcap")[0]) == len(read_trc(Path("recovered.trc"))[2])
-
-
-def test_a_workbook_holds_what_the_table_does(results, tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    for ending in ("csv", "xlsx"):
-        done("export", results / "right.mcap", "--format", ending, "-o", tmp_path / f"a.{ending}")
-    book = openpyxl.load_workbook(tmp_path / "a.xlsx", read_only=True)
-    assert book.sheetnames == ["motion", "columns", "about"]
-    heads, *rows = book["motion"].iter_rows(values_only=True)
-    lines = (tmp_path / "a.csv").read_text().splitlines()
-    assert list(heads) == lines[0].split(",") and len(rows) == len(lines) - 1
-    for row, line in zip(rows[::97], lines[1::97], strict=True):
-        for mine, theirs in zip(row, line.split(","), strict=True):
-            assert (mine is None) == (theirs == "")
-            assert mine is None or mine == pytest.approx(float(theirs), abs=1e-6)
-    columns = {row[0]: row[1] for row in book["columns"].iter_rows(min_row=2, values_only=True)}
-    assert list(columns) == list(heads) and columns["vx"] == "m/s" and columns["sigma_deg"] == "deg"
-    about = dict(book["about"].iter_rows(min_row=2, values_only=True))
-    assert about["arm"] == "right arm"
-
-
-def test_a_workbook_says_how_far_it_is(tmp_path, monkeypatch):
-    from smoother.io.export import prepare as exports
-
-    told = []
-    monkeypatch.setattr("smoother.io.export.csv._SHEET_ROWS", 50)
-    recovery = made()
-    exports.prepare_export(recovery, "xlsx", progress=lambda share, text: told.append(share)).write(
-        tmp_path / "a.xlsx", False
-    )
-    assert told[0] == 0.0 and told == sorted(told) and told[-1] > 0.5
-    assert len(told) == -(-len(recovery) // 50)
 
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "exports.md"

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import make_truth
 from commands import done
 from results import made, without_answer
 
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
-from smoother.io import prepare_export, read_recovery, write_recording, write_recovery
+from smoother.io import prepare_export, read_recovery, write_recovery
 from smoother.io.export.rrd import rerun_module, write_rrd
 
 
@@ -44,11 +43,11 @@ def seconds(table: dict[str, list]) -> np.ndarray:
 
 def test_everything_is_there_and_right(rerun, tmp_path):
     recovery = made("right")
-    write_rrd([recovery], tmp_path / "a.rrd", truths=[make_truth(recovery.t_s)])
+    write_rrd([recovery], tmp_path / "a.rrd")
     tables = columns(tmp_path / "a.rrd")
     space, curves = "/scene/camera/right", "/curves/wrist_{}/right"
     wanted = {f"{space}/{name}" for name in ("after", "after/joints", "before", "trail", "two_sigma")}
-    wanted |= {f"{space}/truth/joints", "/curves/elbow_flexion/right/two_sigma", "/curves/sigma/right"}
+    wanted |= {"/curves/elbow_flexion/right/two_sigma", "/curves/sigma/right"}
     wanted |= {f"{curves.format(axis)}/{line}" for axis in "xyz" for line in ("after", "two_sigma", "camera")}
     assert wanted | {"/gaps/right"} <= set(tables)
     wrist = recovery.joints["wrist"]
@@ -118,18 +117,6 @@ def test_a_strap_alone_and_no_gravity(rerun, tmp_path):
     tables = columns(tmp_path / "a.rrd")
     assert "/curves/imu_x/arm/after" in tables
     assert "/curves/elbow_flexion/arm/after" not in tables
-
-
-def test_the_truth_in_a_result_is_shown(rerun, tmp_path):
-    from arms import make_recording
-
-    write_recording(make_recording(), tmp_path / "rec.mcap")
-    write_recovery(made("right"), tmp_path / "out.mcap", source=tmp_path / "rec.mcap")
-    done("export", tmp_path / "out.mcap", "--format", "rrd", "-o", tmp_path / "a.rrd")
-    assert "/scene/camera/right/truth/joints" in columns(tmp_path / "a.rrd")
-    write_recovery(made("right"), tmp_path / "bare.mcap")
-    done("export", tmp_path / "bare.mcap", "--format", "rrd", "-o", tmp_path / "b.rrd")
-    assert "/scene/camera/right/truth/joints" not in columns(tmp_path / "b.rrd")
 
 
 def test_size_against_the_result(rerun, tmp_path):

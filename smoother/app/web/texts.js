@@ -1,8 +1,8 @@
-{
+"use strict";
+// All words of the page by key; {name} is filled in.
+const words = {
   "skip": "Skip to the content",
   "stays": "Runs on this computer. No file leaves it.",
-  "language": "Language",
-  "sentences": "",
   "title": "Recordings",
   "drop_title": "Drop the files of a recording here",
   "drop_hint": "The camera's file (positions of shoulder, elbow and wrist, or a video) and the motion sensor's (IMU), as your devices export them; or one MCAP file. If you drop several folders, you are asked whether they are one recording.",
@@ -70,7 +70,7 @@
   "missing_imu": "There is no IMU yet. Drop the sensor's file.",
   "kind_imu": "IMU",
   "kind_skeleton": "Skeleton",
-  "kind_video": "A video, shown in the report. Anyone who has the report can see the person.",
+  "kind_video": "A video. It is not used, as another file has the skeleton.",
   "kind_model": "The model of MediaPipe's pose landmarker, used for videos in this and later recordings.",
   "film_is": "This video is the camera: MediaPipe finds the arm in it. This takes at least about as long as the video.",
   "film_model": "Found with the model {name}.",
@@ -118,7 +118,6 @@
   "right": "right",
   "body": "Person (the camera's number)",
   "starts_at": "First IMU sample after the camera's first frame, s",
-  "video_offset": "Video begins after the recording, s",
   "more_choices": "More options",
   "t_title": "Describe this table",
   "t_hint": "Choose what its columns are. The layout is saved, and the next table with these columns is read automatically.",
@@ -183,7 +182,6 @@
   "export": "Export",
   "export_hint": "The result in other formats:",
   "x_csv": "CSV: a table",
-  "x_xlsx": "Excel workbook",
   "x_trc": "TRC: markers for OpenSim",
   "x_mot": "MOT: joint angles",
   "x_c3d": "C3D: motion capture",
@@ -198,4 +196,4 @@
   "undo_negate": "the sign of the {what} is reversed",
   "undo_camera-frame": "the camera's axes are {what}",
   "why": "Why it was not recognised"
-}
+};

@@ -1,4 +1,4 @@
-"""What a session shows while it lasts: a table on a terminal, a line now and then elsewhere."""
+"""What a session shows while it lasts: a line now and then, and one for whatever happens."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 from ..runtime.printable import printable
 from .output import say
@@ -14,25 +14,10 @@ from .output import say
 if TYPE_CHECKING:
     from ..streams.session_figures import SessionView, StreamView
 
-#: How often the table is drawn, and a line printed, s.
-_DRAWN_S, _LINE_S = 0.25, 2.0
+#: How often a line is printed, s.
+_LINE_S = 2.0
 #: How often there may be something new to show, and how long a terminal is waited for in the end, s.
 _LOOKED_S, _PATIENCE_S = 0.05, 2.0
-
-
-class Dashboard(Protocol):
-    """Shows a session."""
-
-    def __enter__(self) -> Dashboard:
-        """Begin."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End; what was shown last stays."""
-
-    def show(self, *views: SessionView) -> None:
-        """Show the session of each arm as it is now."""
 
 
 class Lines:
@@ -41,14 +26,6 @@ class Lines:
     def __init__(self) -> None:
         self._last = -math.inf
         self._events: dict[str, int] = {}
-
-    def __enter__(self) -> Lines:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
 
     def show(self, *views: SessionView) -> None:
         """Print what happened since, and the line if it is time."""
@@ -64,51 +41,19 @@ class Lines:
                 print(f"{view.seconds:8.1f} s  {arm}{'; '.join(words(view))}", flush=True)
 
 
-class Table:
-    """A table that is drawn anew four times per second."""
-
-    def __init__(self, title: str) -> None:
-        from rich.live import Live
-
-        from .output import console
-
-        self._title = printable(title)
-        self._live = Live(console=console(), auto_refresh=False)
-        self._last = -math.inf
-
-    def __enter__(self) -> Table:
-        self._live.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._live.__exit__(kind, error, trace)
-
-    def show(self, *views: SessionView) -> None:
-        """Draw it if it is time."""
-        if time.monotonic() - self._last > _DRAWN_S:
-            from rich.console import Group
-
-            self._last = time.monotonic()
-            titles = [f"{self._title}: {view.side} arm" if len(views) > 1 else self._title for view in views]
-            shown = [drawn(title, view) for title, view in zip(titles, views, strict=True)]
-            self._live.update(shown[0] if len(shown) == 1 else Group(*shown), refresh=True)
-
-
 class Aside:
     """Shows a session from a thread of its own: a slow terminal delays no answer.
 
     Parameters
     ----------
-    dashboard : Dashboard
+    lines : Lines
     """
 
-    def __init__(self, dashboard: Dashboard) -> None:
-        self._dashboard = dashboard
+    def __init__(self, lines: Lines) -> None:
+        self._lines = lines
         self._views: tuple[SessionView, ...] = ()
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="dashboard", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="lines", daemon=True)
 
     def __enter__(self) -> Aside:
         self._thread.start()
@@ -127,32 +72,9 @@ class Aside:
     def _work(self) -> None:
         while not self._closing.wait(_LOOKED_S):
             if self._views:
-                self._dashboard.show(*self._views)
+                self._lines.show(*self._views)
         if self._views:
-            self._dashboard.show(*self._views)
-
-
-def drawn(title: str, view: SessionView) -> Any:
-    """The table: one row per stream, then the answer, then what happened."""
-    from rich.console import Group
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    streams = RichTable("stream", "rate", "missing", "late", "delay", "", title=title, title_justify="left")
-    for stream in (view.imu, view.skeleton, *view.further):
-        rate = f"{stream.rate_hz:.1f} /s"
-        delay = milliseconds(delay_s(view, stream))
-        lost = Text("nothing comes", style="bold red") if stream.is_lost else Text("")
-        streams.add_row(
-            Text(printable(stream.name)), rate, str(stream.missing), str(stream.late), delay, lost
-        )
-    lines: list[Any] = [streams]
-    style = {"visible": "green", "gap": "bold yellow"}.get(str(view.output and view.output.state), "bold")
-    state, *rest = words(view)
-    lines.append(Text(f" {state}", style=style))
-    lines.append(Text(f" {';  '.join(rest[2 + len(view.further) :])}"))
-    lines += [Text(f" {when:7.1f} s  {printable(sentence)}", style="dim") for when, sentence in view.events]
-    return Group(*lines)
+            self._lines.show(*self._views)
 
 
 def words(view: SessionView) -> list[str]:
