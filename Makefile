@@ -41,7 +41,7 @@ lock: $(READY) ## renew requirements.lock from pyproject.toml
 	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \
 	  --no-emit-index-url --no-emit-find-links --no-annotate --group test --group tools --group docs pyproject.toml -o requirements.lock
 
-fuzz: $(READY) ## fuzz every reader of files for MINUTES=10; needs atheris (pip install atheris)
+fuzz: $(READY) ## damage files for MINUTES=10 and read them
 	OMP_NUM_THREADS=1 $(BIN)/python -m tools.fuzz --minutes $(or $(MINUTES),10)
 
 audit: $(READY) ## ask the advisory database for known faults of the locked packages

@@ -2,8 +2,8 @@
 
 Simulates recordings (80 Hz IMU, 30 Hz camera, an occlusion of 2 s about every 10 s) and runs `unocclude
 smooth` on them, file to file, with nothing calibrated: how many times faster than real time, how much memory,
-how far off in the gaps; where the time goes and how each part grows with the length; and beside it, on the
-same recordings, one plain graph over the whole, `rts` and `linear-drift`. On the shortest recording also what
+how far off in the gaps; and beside it, on the same recordings, one plain graph over the whole, `rts` and
+`linear-drift`. On the shortest recording also what
 a person waits for, command by command. Let nothing else run meanwhile.
 """
 
@@ -29,12 +29,9 @@ from tools.benchmark.whole import METHODS, Beside, exactness_of_file, run_method
 
 from . import tables
 from .isolated import Stopped, isolated
-from .profile import READ, WRITE, profile
 from .whole import Made, against, end_to_end, help_seconds, make, waited
 
-MEASURES = ("whole", "parts", "rest", "beside", "waiting")
-#: Numerical libraries on one thread, so that idle ones do not spin processor time away.
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+MEASURES = ("whole", "beside", "waiting")
 
 
 def main() -> None:
@@ -42,7 +39,7 @@ def main() -> None:
     options = _options()
     _as_installed()
     cores = options.processes or len(os.sched_getaffinity(0))
-    figures: dict[str, Any] = {"machine": _machine(cores), "whole": [], "parts": {}, "rest": [], "beside": {}}
+    figures: dict[str, Any] = {"machine": _machine(cores), "whole": [], "beside": {}}
     figures |= {"against": {}, "waiting": []}
     print("\n".join(_heading(figures["machine"], options)), flush=True)
     lengths_s: dict[float, float] = {}
@@ -72,12 +69,6 @@ def _measure(
     if "whole" in options.only:
         _say(f"{made.minutes:g} min: the command")
         figures["whole"] += _whole(made, result, options)
-    if "parts" in options.only:
-        _say(f"{made.minutes:g} min: its parts")
-        figures["parts"][made.minutes] = isolated(profile, made.path, result, options.processes, False).parts
-    if "rest" in options.only and made.minutes in options.rest:
-        _say(f"{made.minutes:g} min: its parts on one process, GTSAM listened to")
-        figures["rest"].append(_rest(made, result, cores, figures["whole"]))
     if "waiting" in options.only and made.minutes == options.minutes[0]:
         _say(f"{made.minutes:g} min: every command")
         figures["waiting"] = [asdict(each) for each in waited(made, folder)]
@@ -89,11 +80,6 @@ def _print(figures: dict[str, Any], lengths_s: dict[float, float], cores: int) -
     lines = [f"`unocclude --help`: {figures['help_s']:.2f} s (aim: {tables.AIM_HELP_S:g})"]
     if figures["whole"]:
         lines += tables.whole(figures["whole"])
-    if figures["parts"]:
-        title = f"Where the command's time goes on {cores} processes"
-        lines += tables.growth(figures["parts"], lengths_s, title)
-    for each in figures["rest"]:
-        lines += tables.rest(each, cores)
     for minutes, found in figures["beside"].items():
         command_s = _command_s(minutes, figures["whole"])
         lines += tables.beside(minutes, found, command_s, lengths_s[minutes])
@@ -123,18 +109,11 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--runs", type=int, default=5, help="of each, with --against")
     parser.add_argument("--long", action="store_true", help="10 minutes and 6 hours as well")
-    parser.add_argument(
-        "--images", action="store_true", help="the same recordings once more with an image a frame"
-    )
-    parser.add_argument("--image-kb", type=float, default=10.0, help="size of an image")
     parser.add_argument("--without-truth", action="store_true", help="leave the true motion out of the files")
     parser.add_argument("--preset", default="white", help="errors of the simulation: white, realistic, clean")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=0, help="worker processes; 0 = one per core")
     parser.add_argument("--only", nargs="+", choices=MEASURES, default=MEASURES, help="measure only this")
-    parser.add_argument(
-        "--rest", type=float, nargs="*", default=[6, 60], help="lengths to listen to on one process"
-    )
     parser.add_argument("--beside", type=float, nargs="*", default=[6, 30], help="lengths for other methods")
     parser.add_argument("--limit-s", type=float, default=600.0, help="stop another method after this")
     parser.add_argument("--limit-gb", type=float, default=8.0, help="or at this much memory")
@@ -181,53 +160,23 @@ def _heading(machine: dict[str, Any], options: argparse.Namespace) -> list[str]:
 
 def _recordings(folder: Path, options: argparse.Namespace) -> Iterator[Made]:
     """One recording after the other, each taken away when the next one is made."""
-    image_kb = options.image_kb if options.images else None
     for minutes in options.minutes:
-        made: Made = isolated(
-            make, folder, minutes, options.preset, options.seed, not options.without_truth, image_kb
-        )
+        made: Made = isolated(make, folder, minutes, options.preset, options.seed, not options.without_truth)
         yield made
         for path in folder.iterdir():
             path.unlink()
 
 
 def _whole(made: Made, result: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
-    found = []
-    for path in (made.path, made.with_images):
-        if path is None:
-            continue
-        run = end_to_end(path, result, options.processes)
-        exact = isolated(exactness_of_file, result, made.truth)
-        found.append(
-            {
-                "minutes": made.minutes,
-                "images": path is made.with_images,
-                "length_s": made.length_s,
-                "file_mb": path.stat().st_size / 1e6,
-                **asdict(run),
-                "exact": asdict(exact),
-            }
-        )
-    return found
+    run = end_to_end(made.path, result, options.processes)
+    exact = isolated(exactness_of_file, result, made.truth)
+    about = {"minutes": made.minutes, "length_s": made.length_s, "file_mb": made.path.stat().st_size / 1e6}
+    return [about | asdict(run) | {"exact": asdict(exact)}]
 
 
 def _command_s(minutes: float, whole: list[dict[str, Any]]) -> float | None:
-    """Seconds of the command on the recording of this length, without images."""
-    return next((r["seconds"] for r in whole if r["minutes"] == minutes and not r["images"]), None)
-
-
-def _rest(made: Made, result: Path, cores: int, whole: list[dict[str, Any]]) -> dict[str, Any]:
-    spent = isolated(profile, made.path, result, 1, True, environment=ONE_THREAD)
-    end_to_end_s = _command_s(made.minutes, whole)
-    known = spent.parts.get(READ, 0.0) + spent.parts.get(WRITE, 0.0) + sum(spent.gtsam.values()) / cores
-    rest_s = float("nan") if end_to_end_s is None else end_to_end_s - known
-    return {
-        "minutes": made.minutes,
-        "end_to_end_s": end_to_end_s,
-        "rest_s": rest_s,
-        "rest_share": rest_s / known,
-        "spent": asdict(spent),
-    }
+    """Seconds of the command on the recording of this length."""
+    return next((r["seconds"] for r in whole if r["minutes"] == minutes), None)
 
 
 def _beside(made: Made, kept: Path, options: argparse.Namespace) -> dict[str, Any]:

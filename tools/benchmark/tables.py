@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from .profile import PARTS, READ, WRITE
 from .whole import PATIENCE_S
 
 #: What the project aims at; printed beside.
@@ -44,7 +43,7 @@ def whole(runs: list[dict[str, Any]]) -> list[str]:
     """End to end, memory and exactness by length."""
     rows = [
         (
-            f"{run['minutes']:g} min{', images' if run['images'] else ''}",
+            f"{run['minutes']:g} min",
             number(run["file_mb"]),
             number(run["length_s"] / run["seconds"], 0),
             number(run["seconds"]),
@@ -92,49 +91,6 @@ def against(ratios: dict[float, dict[str, float]], python: str) -> list[str]:
     ]
     title = f"`unocclude smooth` of {python} over ours, ratio of medians (above 1: ours needs less)"
     return table(title, ("length", "time", "CPU time", "peak", "worker's peak"), rows)
-
-
-def growth(spent: dict[float, dict[str, float]], lengths_s: dict[float, float], title: str) -> list[str]:
-    """Seconds per minute of recording by part and length: level where a part is linear."""
-    names = [*PARTS, *dict.fromkeys(n for parts in spent.values() for n in parts if n not in PARTS)]
-    lengths = list(spent)
-    rows = []
-    for name in names:
-        values = [60.0 * spent[m].get(name, 0.0) / lengths_s[m] for m in lengths]
-        if any(values):
-            rows.append((name, *(number(v, 3) for v in values), _grows(values)))
-    totals = [60.0 * sum(spent[m].values()) / lengths_s[m] for m in lengths]
-    rows.append(("all", *(number(v, 3) for v in totals), _grows(totals)))
-    head = f"{title}, in seconds per minute of recording (level = linear in length)"
-    return table(head, ("part", *(f"{m:g} min" for m in lengths), "last / one before"), rows)
-
-
-def _grows(values: list[float]) -> str:
-    """The longest recording's seconds per minute against the next shorter one's; not of next to nothing."""
-    return number(values[-1] / values[-2], 2) if len(values) > 1 and values[-2] >= LEAST_S else "-"
-
-
-def rest(measured: dict[str, Any], cores: int) -> list[str]:
-    """What the command takes beyond reading, writing and GTSAM's own time."""
-    m, spent = measured, measured["spent"]
-    gtsam = sum(spent["gtsam"].values())
-    lines = [
-        "",
-        f"Beyond file and GTSAM, {m['minutes']:g} min"
-        " (GTSAM: processor seconds of optimising and linearising on one process)",
-        f"  read {number(spent['parts'].get(READ), 2)} s + write {number(spent['parts'].get(WRITE), 2)} s,"
-        f" GTSAM {'  '.join(f'{kind} {number(s, 2)} s' for kind, s in spent['gtsam'].items())},"
-        f" / {cores} cores = {number(gtsam / cores, 2)} s",
-        f"  end to end {number(m['end_to_end_s'], 2)} s: rest {number(m['rest_s'], 2)} s,"
-        f" {number(m['rest_share'], 2)} of reading, writing and GTSAM together (aim: {AIM_REST_SHARE:g})",
-        f"  on one process, CPU: all {number(spent['cpu_s'], 1)} s, GTSAM"
-        f" {number(100 * gtsam / spent['cpu_s'], 0)} %; outside GTSAM, by function:",
-    ]
-    most = sorted(spent["functions"].items(), key=lambda each: -each[1])[:FUNCTIONS]
-    lines += [f"    {number(100 * s / spent['cpu_s'], 1):>5} %  {name}" for name, s in most]
-    if spent["missing"]:
-        lines.append(f"  not found, so their time is in the part around them: {', '.join(spent['missing'])}")
-    return lines
 
 
 def waiting(commands: list[dict[str, Any]], minutes: float) -> list[str]:
