@@ -228,9 +228,8 @@ def _sensors(
         importer = reader.format_of(path, "imu")
         tables = [t for t in reader.read(path, importer) if isinstance(t, ImuTable)]
         if files.sensor:
-            tables = [t for t in tables if t.name.lower() == files.sensor.lower()] or _no_sensor(
-                path, files, tables
-            )
+            named = [_of_name(path, name.strip("# /"), tables) for name in files.sensor.split(",")]
+            tables = [table for at, table in enumerate(named) if table not in named[:at]]
         if not tables:
             raise RecordingError(f"{path} ({importer.title}) has no IMU; name it with --skeleton alone.")
         tables = [repaired_imu(table, str(path)) for table in tables]
@@ -256,9 +255,13 @@ def _sensors(
     return [(files.name or (t.name if len(whole) > 1 else ""), t, report) for t in whole]
 
 
-def _no_sensor(path: Path, files: ImuFiles, tables: list[ImuTable]) -> list[ImuTable]:
+def _of_name(path: Path, name: str, tables: list[ImuTable]) -> ImuTable:
+    """The sensor of a name, or the IMU that was put together of it."""
+    for table in tables:
+        if name.lower() in (each.lower().strip("/ ") for each in (table.name, *table.made_of)):
+            return table
     listed = ", ".join(table.name or "one without a name" for table in tables)
-    raise RecordingError(f"{path} has no sensor {files.sensor}; it has {listed}.")
+    raise RecordingError(f"{path} has no sensor {name}; it has {listed}.")
 
 
 def _named(

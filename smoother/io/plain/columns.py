@@ -63,7 +63,7 @@ class ImuKeys(TableKeys):
 
     file: str | list[str]
     columns: dict[str, Column] | list[dict[str, Column]] | None = None
-    accelerometer_unit: Literal["m/s^2", "g", "mg"] = "m/s^2"
+    accelerometer_unit: Literal["m/s^2", "g", "mg", "cm/s^2", "mm/s^2"] = "m/s^2"
     gyroscope_unit: Literal["rad/s", "deg/s", "mdps"] = "rad/s"
 
     @property

@@ -35,6 +35,7 @@ from .decode import (
     plain_decoder,
     skeleton_decoder,
 )
+from .inertial import settle_imus
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
 from .keypoints import KeypointDecoder, keypoint_decoder, lenses_from_plain, with_lenses
 from .select import select_recording, select_recordings
@@ -336,6 +337,7 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> No
             file.poses.append(stream)
         elif isinstance(stream, FieldSamples):
             fields.append(stream)
+    settle_imus(file, store)
     join_truth_joints(file, store)
     for field in fields:
         join_field(file, field, store)

@@ -49,6 +49,8 @@ class ImuTable:
     gyro_unit_assumed : bool
         The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may
         settle it.
+    made_of : tuple of str
+        Streams of the file that contain a half each; () for a sensor that the file has whole.
     """
 
     name: str
@@ -62,6 +64,7 @@ class ImuTable:
     units: str = ""
     notes: list[str] = field(default_factory=list)
     gyro_unit_assumed: bool = False
+    made_of: tuple[str, ...] = ()
 
 
 @dataclass
