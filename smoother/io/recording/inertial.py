@@ -20,6 +20,8 @@ from .streams import ImuSamples, RecordingFile, without_outlying
 
 #: A half whose stamps run back for a larger share of its samples is not joined.
 _MOST_BACK = 0.05
+#: Fewer samples do not show a unit.
+_FEWEST = 100
 
 
 def settle_imus(file: RecordingFile, store: Store) -> None:
@@ -60,7 +62,7 @@ def _only_sensor(imu: ImuSamples) -> str:
         return ""
     name, values = ("gyroscope", imu.gyro) if silent["gyroscope"] else ("accelerometer", imu.acc)
     # what does not vary either is made up, and no sensor's
-    return name if len(values) > 1 and (np.ptp(sampled(values), axis=0) != 0).any() else ""
+    return name if len(values) >= _FEWEST and (np.ptp(sampled(values), axis=0) != 0).any() else ""
 
 
 def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile, store: Store) -> ImuTable:
@@ -90,7 +92,7 @@ def shown_units(t_s: FloatArray, acc: FloatArray, gyro: FloatArray) -> tuple[str
     """
     some_acc, some_gyro = sampled(acc), sampled(gyro)
     finite = np.isfinite(some_acc).all(axis=1) & np.isfinite(some_gyro).all(axis=1)
-    if not finite.any():
+    if finite.sum() < _FEWEST:
         return "m/s^2", "rad/s"
     rest, fast = rest_size(some_acc[finite], some_gyro[finite])
     tables = (ImuTable("", t_s[rows], acc[rows], gyro[rows]) for rows in batches(len(t_s)))
@@ -103,12 +105,12 @@ def scale_to_si(name: str, acc: FloatArray, gyro: FloatArray, acc_unit: str, gyr
     """Scale samples of these units in place, with a sentence each."""
     said = []
     for sensor, values, unit, factor, why in (
-        ("accelerometer", acc, acc_unit, ACCELERATION[acc_unit], "as gravity shows, not m/s^2"),
-        ("gyroscope", gyro, gyro_unit, ANGULAR_VELOCITY[gyro_unit], "as the motion shows, not rad/s"),
+        ("accelerometer", acc, acc_unit, ACCELERATION[acc_unit], "as gravity shows, not in m/s^2"),
+        ("gyroscope", gyro, gyro_unit, ANGULAR_VELOCITY[gyro_unit], "as the motion shows, not in rad/s"),
     ):
         if factor == 1.0:
             continue
         for rows in batches(len(values)):
             values[rows] = values[rows] * factor
-        said.append(f"{name}: the {sensor} is in {unit}, {why} as its type states; it was converted.")
+        said.append(f"{name}: the {sensor} is in {unit}, {why} as stated; it was converted.")
     return said
