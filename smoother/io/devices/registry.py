@@ -95,6 +95,8 @@ def unknown_file(head: FileHead) -> RecordingError:
             f"{head.path} is a video; `unocclude import video {head.path} --model FILE.task` takes it as the"
             " camera, and `smooth --video` shows it in the report."
         )
+    if head.trouble:
+        return RecordingError(head.trouble)
     if what := no_table(head.raw, head.text):
         return RecordingError(f"{head.path} {what}")
     return RecordingError(

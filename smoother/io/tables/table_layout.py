@@ -272,15 +272,24 @@ def _stripped_to(cells: list[str], least: int) -> list[str]:
 SEPARATOR = "\t"
 #: Rows at a sheet's beginning by which it is chosen.
 _LOOKED_AT = 60
-#: Bytes that a workbook may have when it is unpacked; a file of a few kB can claim any number.
-_LARGEST = 4_000_000_000
+#: Bytes that a workbook may have when it is unpacked, and this many times its own beyond the next: a sheet
+#: of Excel's last row with ten columns has 370 MB, packed to a tenth; a file of a few kB can claim any number.
+_LARGEST, _MOST_PACKED, _SMALL = 400_000_000, 100, 10_000_000
+#: Bytes of the parts that are kept in memory: texts of cells, and the rest but sheets and pictures.
+_MOST_TEXTS, _MOST_OTHERS = 40_000_000, 10_000_000
+#: More columns are no table of a sensor or a skeleton's; a longer line, characters, is no row of one.
+MOST_COLUMNS, LONGEST_LINE = 10_000, 1 << 20
 #: This many texts are kept for the next reader of the same workbook.
 _KEPT = 4
 
 
+#: A zip's entry of a workbook: 26 bytes behind its mark is the name.
+_OF_WORKBOOK = re.compile(rb"PK\x03\x04.{26}(?:xl/|\[Content_Types\])", re.DOTALL)
+
+
 def is_workbook(raw: bytes) -> bool:
     """Whether a file's beginning is that of an Excel workbook (.xlsx)."""
-    return raw.startswith(b"PK\x03\x04") and (b"[Content_Types]" in raw or b"xl/" in raw[:4000])
+    return raw.startswith(b"PK\x03\x04") and bool(_OF_WORKBOOK.search(raw))
 
 
 def workbook_text(path: Path, rows: int | None = None) -> str:
@@ -315,9 +324,7 @@ def _text(path: Path, rows: int | None, mtime_ns: int, size: int) -> str:
     except UnoccludeError as error:
         raise RecordingError(f"{path} is an Excel workbook; {error}, or save it as CSV") from error
     try:
-        with zipfile.ZipFile(path) as parts:
-            if sum(part.file_size for part in parts.infolist()) > _LARGEST:
-                raise RecordingError(f"{path} is a workbook of more than 4 GB unpacked; save it as CSV.")
+        _check_size(path)
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
             sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
@@ -326,7 +333,8 @@ def _text(path: Path, rows: int | None, mtime_ns: int, size: int) -> str:
             for sheet in sheets:
                 sheet.reset_dimensions()  # some programs state the wrong ones
             sheet = max(sheets, key=_numbers)
-            return "\n".join(_line(row) for row in islice(sheet.iter_rows(values_only=True), rows)) + "\n"
+            lines = (_line(path, row) for row in islice(sheet.iter_rows(values_only=True), rows))
+            return "\n".join(lines) + "\n"
         finally:
             book.close()
     except RecordingError:
@@ -338,17 +346,59 @@ def _text(path: Path, rows: int | None, mtime_ns: int, size: int) -> str:
         ) from error
 
 
+def unpacked_size(path: Path) -> int:
+    """Bytes of a workbook's parts as its directory states them, which no part exceeds when it is read."""
+    with zipfile.ZipFile(path) as parts:
+        return sum(part.file_size for part in parts.infolist())
+
+
+def _check_size(path: Path) -> None:
+    with zipfile.ZipFile(path) as parts:
+        sizes = {part.filename.lstrip("/"): part.file_size for part in parts.infolist()}
+    texts = sum(size for name, size in sizes.items() if name.endswith("sharedStrings.xml"))
+    loose = ("xl/worksheets/", "xl/media/", "xl/drawings/", "xl/charts/")
+    others = sum(size for name, size in sizes.items() if not name.startswith(loose)) - texts
+    total = sum(sizes.values())
+    packed = path.stat().st_size
+    if total > min(_LARGEST, _SMALL + _MOST_PACKED * packed) or texts > _MOST_TEXTS or others > _MOST_OTHERS:
+        raise RecordingError(
+            f"{path} is a workbook of {total / 1e6:,.0f} MB unpacked (from {packed / 1e6:,.1f} MB), which is"
+            " more than is read; save the sheet with the measurements as CSV."
+        )
+
+
 def _numbers(sheet: Any) -> int:
     """How many numbers the first rows of a sheet contain."""
     rows = islice(sheet.iter_rows(values_only=True), _LOOKED_AT)
     return sum(isinstance(value, int | float) for row in rows for value in row)
 
 
-def _line(row: tuple[Any, ...]) -> str:
+def _line(path: Path, row: tuple[Any, ...]) -> str:
     cells = [_cell(value) for value in row]
     while cells and not cells[-1]:
         cells.pop()
-    return SEPARATOR.join(cells)
+    line = SEPARATOR.join(cells)
+    check_lines(path, [line])
+    return line
+
+
+def check_lines(path: Path, lines: Sequence[str]) -> None:
+    """Refuse lines that no table has, before they are parted: a million columns would take all memory."""
+    longest = max(map(len, lines), default=0)
+    if longest > LONGEST_LINE:
+        raise RecordingError(
+            f"{path} has a line of {longest:,} characters, and rows of tables with up to {LONGEST_LINE:,} are"
+            " read; export it with one row per line."
+        )
+    for line in lines if longest > MOST_COLUMNS else ():
+        columns = 1 + max(line.count(mark) for mark in SEPARATORS[:-1])
+        if line.count(" ") > MOST_COLUMNS:
+            columns = max(columns, len(line.split()))
+        if columns > MOST_COLUMNS:
+            raise RecordingError(
+                f"{path} has a row of {columns:,} columns, and tables with up to {MOST_COLUMNS:,} are read;"
+                " export the columns of the sensor or the skeleton alone."
+            )
 
 
 def _cell(value: Any) -> str:

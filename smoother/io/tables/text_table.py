@@ -15,7 +15,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from .protocol import HEAD_BYTES, amount, decode, no_table, shown
-from .table_layout import TableLayout, is_workbook, layout_of, split_line, workbook_text
+from .table_layout import TableLayout, check_lines, is_workbook, layout_of, split_line, workbook_text
 
 _DATE = re.compile(
     r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)[-/.](\d{4}))[ T_]+"
@@ -414,7 +414,7 @@ def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> She
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
     text = workbook_text(path) if is_workbook(raw[:HEAD_BYTES]) else decode(raw)
-    if refused := no_table(raw[:HEAD_BYTES], text if len(text) < HEAD_BYTES else ""):
+    if refused := no_table(raw[:HEAD_BYTES], text[:HEAD_BYTES]):
         raise RecordingError(f"{path} {refused}")
     if not text.strip():
         what = "is empty" if not raw.strip() else "is not text"
@@ -453,6 +453,7 @@ def sheet_of_text(
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")
+    check_lines(path, lines)
     layout = layout or layout_of(lines)
     if layout is None:
         seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
