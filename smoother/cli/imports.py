@@ -364,6 +364,8 @@ def describe(
         return
     text = toml_of(path, guess, name)
     say(f"# {len(sheet):,} rows, {sheet.layout.width} columns, parted by {sheet.layout.separator!r}")
+    for sentence in sheet.notes:
+        say(f"# {sentence}")
     for sentence in guess.unsure:
         say(f"# unsure: {sentence}")
     say(text)

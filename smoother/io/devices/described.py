@@ -185,6 +185,7 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
         with _beginning(path, head) as (short, notes):
             about.streams, about.notes = _streams(path, reader.read(short, importer))
             about.notes += notes
+            reader.forget(short)
     except RecordingError as error:
         about.error = str(error)
     return about

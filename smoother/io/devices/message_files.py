@@ -16,7 +16,7 @@ from ...linalg import interpolate
 from ...recording import JOINTS, CameraFrame
 from ...runtime.store import Store
 from ..mcap.messages import nanoseconds, seconds
-from ..recording.inertial import settle_imus
+from ..recording.inertial import LEFT_OUT, settle_imus
 from ..recording.read import open_recording
 from ..recording.streams import ArmFrames, ImuSamples, RecordingFile
 from ..tables.columns import find_sensors, imu_of, joint_label, stem_of, with_halves_joined
@@ -40,7 +40,7 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
     for arm in file.arms:
         by_body.setdefault((arm.topic, arm.body), []).append(arm)
     tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
-    tables += [*_imu_tables(file), *file.halves]
+    tables += _imu_tables(file) or file.halves
     if not tables:
         listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
         raise RecordingError(
@@ -48,7 +48,7 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
             f" {shown(listed or 'none', 150)});"
             " record sensor_msgs/Imu and the body tracking's MarkerArray."
         )
-    tables[0].notes += file.notes
+    tables[0].notes += [note for note in file.notes if file.imus or not note.endswith(LEFT_OUT)]
     for table in tables:
         if isinstance(table, SkeletonTable) and file.camera_frame is not None:
             table.frame = file.camera_frame
@@ -173,7 +173,7 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
     streams = [_imu(topic, np.array(rows), fields) for topic, rows in sorted(imus.items())]
     file = RecordingFile(path, imus=streams)
     settle_imus(file, Store())
-    tables += [*_imu_tables(file), *file.halves]
+    tables += _imu_tables(file) or file.halves
     if not tables:
         listed = ", ".join(
             sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in reader.connections})
@@ -182,7 +182,7 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
             f"{path} has no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)});"
             " record the IMU's topic and the body tracking's."
         )
-    tables[0].notes += file.notes
+    tables[0].notes += [note for note in file.notes if file.imus or not note.endswith(LEFT_OUT)]
     angles = sorted({c.topic for c in reader.connections if c.msgtype == _JOINT_STATE})
     if angles:
         tables[0].notes.append(

@@ -18,6 +18,8 @@ from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, unit_of_rest
 from .clean import GYRO_LIMIT, rest_size
 from .streams import ImuSamples, RecordingFile, without_outlying
 
+#: How a note on a half ends.
+LEFT_OUT = "; it was left out."
 #: A half whose stamps run back for a larger share of its samples is not joined.
 _MOST_BACK = 0.05
 #: Fewer samples do not show a unit.
@@ -37,7 +39,7 @@ def settle_imus(file: RecordingFile, store: Store) -> None:
         tables = [_half(imu, kinds[id(imu)], origin, file, store) for imu in halves]
         joined, alone, why = with_halves_joined(tables, str(file.path))
         file.halves = [replace(half, t_s=half.t_s + origin / 1e9) for half in alone if half.t_s is not None]
-        file.notes += [f"{each}: its other sensor reads zero throughout; it was left out." for each in why]
+        file.notes += [f"{each}: its other sensor reads zero throughout{LEFT_OUT}" for each in why]
         for table in joined:
             assert table.t_s is not None and table.acc is not None and table.gyro is not None
             file.notes += table.notes

@@ -273,7 +273,7 @@ SEPARATOR = "\t"
 #: Rows at a sheet's beginning by which it is chosen.
 _LOOKED_AT = 60
 #: Bytes that a workbook may have when it is unpacked, and this many times its own beyond the next: a sheet
-#: of Excel's last row with ten columns has 370 MB, packed to a tenth; a file of a few kB can claim any number.
+#: of Excel's last row with ten columns has 370 MB, packed to a tenth; a file of some kB can claim any number.
 _LARGEST, _MOST_PACKED, _SMALL = 400_000_000, 100, 10_000_000
 #: Bytes of the parts that are kept in memory: texts of cells, and the rest but sheets and pictures.
 _MOST_TEXTS, _MOST_OTHERS = 40_000_000, 10_000_000
@@ -283,8 +283,8 @@ MOST_COLUMNS, LONGEST_LINE = 10_000, 1 << 20
 _KEPT = 4
 
 
-#: A zip's entry of a workbook: 26 bytes behind its mark is the name.
-_OF_WORKBOOK = re.compile(rb"PK\x03\x04.{26}(?:xl/|\[Content_Types\])", re.DOTALL)
+#: A zip's entry of a workbook: its name is some 26 bytes behind the mark.
+_OF_WORKBOOK = re.compile(rb"PK\x03\x04.{6,26}(?:xl/|\[Content_Types\])", re.DOTALL)
 
 
 def is_workbook(raw: bytes) -> bool:

@@ -414,7 +414,7 @@ def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> She
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
     text = workbook_text(path) if is_workbook(raw[:HEAD_BYTES]) else decode(raw)
-    if refused := no_table(raw[:HEAD_BYTES], text[:HEAD_BYTES]):
+    if refused := no_table(raw[:HEAD_BYTES], text if len(text) < HEAD_BYTES else ""):
         raise RecordingError(f"{path} {refused}")
     if not text.strip():
         what = "is empty" if not raw.strip() else "is not text"
