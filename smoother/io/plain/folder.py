@@ -42,6 +42,7 @@ from ..recording.streams import (
 )
 from ..tables.imu_checks import paired
 from ..tables.protocol import HEAD_BYTES, ImuTable, SkeletonTable, Tables, read_head, shown
+from ..tables.table_layout import is_data
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES
 from .columns import (
     LAYOUT_KEYS,
@@ -358,7 +359,7 @@ def _contained(path: Path, kind: str, keys: TableKeys) -> Tables:
 
 
 def is_plain_text(path: Path) -> bool:
-    """Whether a file begins with UTF-8, as the tables of this program are written."""
+    """Whether a file begins with UTF-8 and rows right below the names, as this program writes tables."""
     if not path.is_file():
         return True  # what is missing is said where it is read
     with path.open("rb") as file:
@@ -366,10 +367,13 @@ def is_plain_text(path: Path) -> bool:
     if marked_encoding(raw) not in (None, "utf-8-sig") or b"\0" in raw:
         return False
     try:
-        codecs.getincrementaldecoder("utf-8")().decode(raw)
+        lines = [
+            line for line in codecs.getincrementaldecoder("utf-8")().decode(raw).splitlines() if line.strip()
+        ]
     except UnicodeDecodeError:
         return False
-    return True
+    below = lines[1].split(",") if len(lines) > 2 else []
+    return not any(below) or any(is_data(cell.strip()) for cell in below)
 
 
 def _imu(file: RecordingFile, path: Path, name: str, section: ImuKeys) -> ImuSamples:

@@ -31,6 +31,8 @@ _NUMBER = re.compile(
 _STAMP = re.compile(
     r"\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d(:\d\d([.,:_]\d+)?)?"
 )
+#: This many lines may be between the names and the rows; cells of them that state no unit.
+_BELOW_NAMES, _NO_UNIT = 3, ("", "-", "--", "n/a", "none", "no_units", "nounits", "unitless")
 _SEP_LINE = re.compile(r'"?sep=.{0,3}', re.IGNORECASE)
 
 
@@ -169,6 +171,8 @@ def _layout_of(lines: tuple[str, ...]) -> TableLayout | None:
     while first > 0 and _is_sparse_row(split_line(lines[first - 1], separator), width):
         first -= 1
     header, units_line = _header(lines, first, separator, width)
+    if header >= 0 and _is_numbering(split_line(lines[first], separator)):
+        first = next((at for at in range(first + 1, len(lines)) if lines[at].strip()), first)
     written = _stripped(split_line(lines[header], separator)) if header >= 0 else []
     if written:
         written[0] = re.sub(r"^(#+|%+|//+)\s*", "", written[0])
@@ -180,7 +184,7 @@ def _layout_of(lines: tuple[str, ...]) -> TableLayout | None:
     width = max(len(written), min(width, data_width) if written else width)
     names = tuple(written + [""] * (width - len(written))) if written else ()
     under = split_line(lines[units_line], separator) if units_line >= 0 else []
-    under += [""] * (width - len(under))
+    under = ["" if cell.lower() in _NO_UNIT else cell for cell in under] + [""] * (width - len(under))
     parts = [split_unit(name) for name in names]
     return TableLayout(
         separator,
@@ -231,15 +235,38 @@ def _is_sparse_row(cells: list[str], width: int) -> bool:
 
 
 def _header(lines: tuple[str, ...], first: int, separator: str, width: int) -> tuple[int, int]:
-    """Indices of the header and of the line of units; -1 where there is none."""
-    above = [at for at in range(first - 1, -1, -1) if lines[at].strip()][:2]
-    if not above:
-        return -1, -1
-    if len(above) == 2 and _is_units_line(split_line(lines[above[0]], separator)):
-        if _is_header(split_line(lines[above[1]], separator), width):
-            return above[1], above[0]
-        return -1, above[0]
-    return (above[0] if _is_header(split_line(lines[above[0]], separator), width) else -1), -1
+    """Indices of the header and of the line of units; -1 where there is none.
+
+    Below the names there may be lines of units, dashes, or the same few words over and over (x, y, z).
+    """
+    rows = ((at, split_line(lines[at], separator)) for at in range(first - 1, -1, -1))
+    above = list(islice(((at, cells) for at, cells in rows if any(cells)), 1 + _BELOW_NAMES))
+    headers = [at for at, cells in above if _is_header(cells, width) and not _is_units_line(cells)]
+    units = -1
+    for at, cells in above if len(above) > 1 else ():
+        if _is_units_line(cells):
+            units = at if units < 0 or _is_blank(lines[units], separator) else units
+        elif at not in headers or not (_repeats(cells) and at != headers[-1]):
+            return (at if at in headers else -1), units
+    if units >= 0 or not above:
+        return -1, units
+    return (above[0][0] if _is_header(above[0][1], width) else -1), -1
+
+
+def _repeats(cells: list[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return len(filled) >= 4 and 2 * len(set(filled)) <= len(filled)
+
+
+def _is_blank(line: str, separator: str) -> bool:
+    """Whether a line of units states none."""
+    return all(cell.lower() in _NO_UNIT for cell in split_line(line, separator))
+
+
+def _is_numbering(cells: list[str]) -> bool:
+    """Whether a line counts the columns."""
+    counted = [str(at) for at in range(len(cells) + 1)]
+    return len(cells) >= 4 and cells in (counted[:-1], counted[1:])
 
 
 def _is_units_line(cells: list[str]) -> bool:
