@@ -176,6 +176,11 @@ _DISTORTION = (
     *("distortion", "dist", "D"),
 )
 _SIZE = ("size", "resolution", "image_size", "img_size", "imageSize")
+#: Switches: of Pose2Sim and Anipose, of OpenCV's calibration sample.
+_IS_FISHEYE = ("fisheye", "fisheye_model")
+_MODEL = ("camera_model", "distortion_model", "projection_model", "camera_type", "lens_type")
+#: In their values: lenses of ROS, Kalibr, COLMAP, OpenCV's omnidir (xi) and others that are no pinholes.
+_OTHER_LENSES = ("equi", "fisheye", "omni", "fov", "ds", "eucm", "kannala", "kb4", "mei", "spherical")
 #: How well a calibration with a board places cameras, unless its file states it: rad and m.
 PLACE_RAD, PLACE_M = float(np.radians(0.3)), 0.01
 
@@ -318,15 +323,18 @@ def _camera(path: Path, name: str, table: Mapping[str, Any], before: CameraFile 
     return CameraFile(lens, R, t_m)
 
 
+def is_no_pinhole(table: Mapping[str, Any]) -> bool:
+    """Whether a camera's table names a lens with another projection, whatever its coefficients are."""
+    said = any(str(table.get(key, 0)).lower() in ("true", "1", "1.0") for key in _IS_FISHEYE)
+    model = " ".join(str(table.get(key, "")) for key in _MODEL).lower()
+    return said or "xi" in table or any(word in model for word in _OTHER_LENSES)
+
+
 def _lens(where: str, table: Mapping[str, Any]) -> Intrinsics:
-    model = " ".join(str(table.get(key, "")) for key in ("camera_model", "distortion_model")).lower()
     distortion = _numbers(next((table[name] for name in _DISTORTION if name in table), []))
     if not distortion.size:
         distortion = np.array([float(table.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")])
-    fisheye = table.get("fisheye") in (True, "true") or any(
-        word in model for word in ("equi", "fisheye", "omni", "fov", "ds", "eucm")
-    )
-    if (fisheye and distortion.any()) or distortion[5:].any():
+    if is_no_pinhole(table) or distortion[5:].any():
         raise CalibrationError(
             f"{where}: only pinhole lenses with k1, k2, p1, p2, k3 are read; calibrate with that model."
         )

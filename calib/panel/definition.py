@@ -15,7 +15,7 @@ from smoother.errors import CalibrationError
 from smoother.linalg import nearest_rotation, unit
 from smoother.runtime.inputs import check_input, read_toml
 
-from ..intrinsics import Intrinsics
+from ..intrinsics import Intrinsics, is_no_pinhole
 
 #: A panel that is larger, or whose markers are nearer, was not measured in metres.
 LARGEST_M, NEAREST_M = 5.0, 0.02
@@ -135,7 +135,12 @@ def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
     CalibrationError
         The file or a key is missing, or a value is wrong.
     """
-    values = _check(_LensSection, _load(Path(path)), str(path)).model_dump()
+    table = _load(Path(path))
+    if is_no_pinhole(table):
+        raise CalibrationError(
+            f"{path}: only pinhole lenses with k1, k2, p1, p2, k3 are read; calibrate with that model."
+        )
+    values = _check(_LensSection, table, str(path)).model_dump()
     return Intrinsics(**values | {"distortion": tuple(values["distortion"])})
 
 

@@ -290,7 +290,7 @@ def _check_role(name: str) -> None:
 
 
 def imu_files(text: str) -> ImuFiles:
-    """What `--imu [NAME=]FILE[,FILE]` names."""
+    """What `--imu [NAME=]FILE[,FILE]` or `FILE#SENSOR[,#SENSOR]` names."""
     from ..io.devices.files import ImuFiles
 
     name, sensor, rest = "", "", text.strip()
@@ -299,8 +299,10 @@ def imu_files(text: str) -> ImuFiles:
         if not name or any(mark in name for mark in "/\\,"):
             raise UnoccludeError(f"--imu {text}: give NAME=FILE, as in --imu forearm_right=imu.csv")
         _check_role(name)
-    if not Path(rest).exists() and "#" in rest:
-        rest, _, sensor = rest.rpartition("#")
+    marks = [at for at, mark in enumerate(rest) if mark == "#"]
+    if not Path(rest).exists() and marks:
+        at = next((at for at in marks if Path(rest[:at]).exists()), marks[-1])
+        rest, sensor = rest[:at], rest[at + 1 :]
     parts = [rest] if Path(rest).exists() else [part.strip() for part in rest.split(",") if part.strip()]
     if not parts:
         raise UnoccludeError(f"--imu {text} names no file; give NAME=FILE, as in --imu forearm_right=imu.csv")
@@ -365,6 +367,8 @@ def describe(
         return
     text = toml_of(path, guess, name)
     say(f"# {len(sheet):,} rows, {sheet.layout.width} columns, parted by {sheet.layout.separator!r}")
+    for sentence in sheet.notes:
+        say(f"# {sentence}")
     for sentence in guess.unsure:
         say(f"# unsure: {sentence}")
     say(text)

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.intrinsics import read_camera_file
+from calib.panel.definition import read_intrinsics
 from smoother.errors import CalibrationError
 
 MATRIX = np.array([[910.5, 0.0, 633.0], [0.0, 905.0, 362.5], [0.0, 0.0, 1.0]])
@@ -122,3 +123,43 @@ def test_what_is_refused(tmp_path: Path, text: str, why: str) -> None:
     path.write_text(text)
     with pytest.raises(CalibrationError, match=why):
         read_camera_file(path)
+
+
+_NUMBERS = {"width": 8, "height": 8, "fx": 9.0, "fy": 9.0, "cx": 4.0, "cy": 4.0}
+
+
+@pytest.mark.parametrize("terms", [(0.0, 0.0, 0.0, 0.0), TERMS[:4]], ids=["no terms", "terms"])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("fisheye_model", 1), ("fisheye", True), ("distortion_model", "equidistant"),
+     ("camera_model", "OPENCV_FISHEYE"), ("distortion_model", "kannala_brandt"), ("xi", 1.2),
+     ("fisheye_model", 0), ("fisheye", False), ("distortion_model", "plumb_bob")],
+)  # fmt: skip
+@pytest.mark.parametrize("kind", ["opencv.yml", "opencv.json", "pose2sim.toml", "panel.toml"])
+def test_a_lens_that_is_no_pinhole_is_refused_by_every_reader(
+    tmp_path: Path, kind: str, key: str, value: object, terms: tuple[float, ...]
+) -> None:
+    path, matrix = tmp_path / kind, [9.0, 0.0, 4.0, 0.0, 9.0, 4.0, 0.0, 0.0, 1.0]
+    text = json.dumps(value)
+    if kind == "opencv.yml":
+        path.write_text(
+            f"%YAML:1.0\n---\n{key}: {text}\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   data: {matrix}\n"
+            f"distortion_coefficients: !!opencv-matrix\n   rows: 4\n   data: {list(terms)}\n"
+        )
+    elif kind == "opencv.json":
+        matrices = {"camera_matrix": {"data": matrix}, "distortion_coefficients": {"data": terms}}
+        path.write_text(json.dumps({key: value, **matrices}))
+    elif kind == "pose2sim.toml":
+        path.write_text(
+            f'[cam]\nname = "a"\nsize = [8, 8]\nmatrix = {matrix}\n'
+            f"distortions = {list(terms)}\n{key} = {text}\n"
+        )
+    else:
+        values = {**_NUMBERS, "distortion": list(terms), key: value}
+        path.write_text("".join(f"{name} = {json.dumps(each)}\n" for name, each in values.items()))
+    read = read_intrinsics if kind == "panel.toml" else read_camera_file
+    if value in (0, False, "plumb_bob"):
+        read(path)
+        return
+    with pytest.raises(CalibrationError, match="only pinhole lenses"):
+        read(path)

@@ -155,17 +155,21 @@ def refused(made: Recording, tmp_path: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"),
-    [(1 / 9.81, "looks like g;"), (1000, "mm/s"), (1000 / 9.81, "milli-g"), (0.01, "gravity")],
-)
-def test_accelerometer_units(recording: Recording, tmp_path: Path, factor: float, unit: str) -> None:
-    said = refused(broken(recording, acc=recording.imu.acc * factor), tmp_path)
-    assert "bad.mcap" in said and "/imu/forearm_right" in said and unit in said
-
-
-def test_gyroscope_in_degrees(recording: Recording, tmp_path: Path) -> None:
-    said = refused(broken(recording, gyro=np.degrees(recording.imu.gyro)), tmp_path)
-    assert "looks like deg/s" in said
+    ("sensor", "factor", "unit"),
+    [("acc", 1 / 9.80665, "g"), ("acc", 1000, "mm/s^2"), ("acc", 1000 / 9.80665, "mg"), ("acc", 0.01, ""),
+     ("gyro", 180 / np.pi, "deg/s")],
+)  # fmt: skip
+def test_units_of_an_imu(recording: Recording, tmp_path: Path, sensor: str, factor: float, unit: str) -> None:
+    true = getattr(recording.imu, sensor)
+    made = broken(recording, **{sensor: true * factor})
+    if not unit:
+        said = refused(made, tmp_path)
+        assert "bad.mcap" in said and "/imu/forearm_right" in said and "gravity seems" in said
+        return
+    write_recording(made, tmp_path / "other.mcap", force=True)
+    read = read_recording(tmp_path / "other.mcap")
+    np.testing.assert_allclose(getattr(read.imu, sensor), true, rtol=1e-9, atol=1e-12)
+    assert any(f" is in {unit}, " in note for note in read.notes)
 
 
 @pytest.mark.parametrize(("factor", "unit", "key"), [(1000, "millimetres", "mm"), (100, "centimetres", "cm")])

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -14,7 +17,17 @@ from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JointState
 from ..media.pose_landmarks import is_model
-from ..tables.protocol import DeviceFormat, FileHead, ImuTable, SkeletonTable, first_rows, read_head, shown
+from ..tables.protocol import (
+    HEAD_BYTES,
+    DeviceFormat,
+    FileHead,
+    ImuTable,
+    SkeletonTable,
+    first_rows,
+    read_head,
+    shown,
+)
+from ..tables.table_layout import is_workbook, layout_of, unpacked_size, workbook_text
 from ..tables.text_table import Sheet, read_sheet
 from .describe_table import Guess, guess_of
 from .files import times_of
@@ -25,8 +38,10 @@ from .video_file import is_video
 
 #: Columns of a plot: of the samples that fall into one, the least and the largest are kept.
 BINS = 200
-#: A longer unknown file is not read for a guess, bytes.
-_LONGEST_GUESS = 300_000_000
+#: A longer table is described by its beginning, bytes: all of 16 MB takes some 170 MB of memory.
+_BEGINNING = 16_000_000
+#: Of a workbook, bytes unpacked and rows.
+_WORKBOOK, _WORKBOOK_ROWS = 60_000_000, 100_000
 #: Rows of an unknown table that are shown.
 SHOWN_ROWS = 6
 #: Joints that are plotted, the first that a side has.
@@ -167,13 +182,41 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
             about.error = str(unknown_file(head))
             return about
         about.format, about.title, about.kind = importer.key, importer.title, importer.kind
-        tables = reader.read(path, importer)
-        about.streams, about.notes = _streams(path, tables)
+        with _beginning(path, head) as (short, notes):
+            tables = reader.read(short, importer)
+            about.streams, about.notes = _streams(path, tables)
+            about.notes += notes
+            reader.forget(short)
         if any(table.units for table in tables):  # where the units are wrong, the columns can be described
             about.guess = _guess(path, head)
     except RecordingError as error:
         about.error = str(error)
     return about
+
+
+@contextmanager
+def _beginning(path: Path, head: FileHead) -> Iterator[tuple[Path, list[str]]]:
+    """A file, or a copy of a long table's first rows: looking at it must not take memory with its length."""
+    workbook = is_workbook(head.raw)
+    size = unpacked_size(path) if workbook and head.text else path.stat().st_size
+    longest = _WORKBOOK if workbook else _BEGINNING
+    if size <= longest or not head.text or layout_of(head.lines) is None:
+        yield path, []
+        return
+    with TemporaryDirectory() as folder:
+        short = Path(folder) / path.name
+        if workbook:
+            short.write_text(workbook_text(path, _WORKBOOK_ROWS), encoding="utf-8")
+        else:
+            with path.open("rb") as file:
+                raw = file.read(_BEGINNING)
+            end = raw.rfind(b"\n\0" if b"\n\0" in raw[:HEAD_BYTES] else b"\n")
+            short.write_bytes(raw[: end + (2 if raw[end + 1 : end + 2] == b"\0" else 1)])
+        share = "" if workbook else f" ({_BEGINNING / size:.0%} of it)"
+        try:
+            yield short, [f"{path.name} is long: it is described by its beginning{share}."]
+        except RecordingError as error:
+            raise RecordingError(str(error).replace(str(short), str(path))) from error
 
 
 def _no_stream(path: Path, head: FileHead) -> tuple[str, str] | None:
@@ -291,7 +334,10 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
     head = read_head(path)
     importer = reader.recognised(path)
     try:
-        sheet = read_sheet(path)
+        with _beginning(path, head) as (short, notes):
+            sheet = read_sheet(short)
+            sheet.path = path
+            sheet.notes += notes
     except RecordingError:
         if importer is None:
             raise
@@ -307,10 +353,11 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
 
 def _guess(path: Path, head: FileHead) -> dict[str, Any] | None:
     """What a table of an unknown layout seems to contain; None if it is not a table, or is too long."""
-    if not head.text or path.stat().st_size > _LONGEST_GUESS:
+    if not head.text:
         return None
     try:
-        sheet = read_sheet(path)
+        with _beginning(path, head) as (short, _):
+            sheet = read_sheet(short)
         guess = guess_of(sheet)
     except RecordingError:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..mcap.messages import nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.clean import clean_arm, clean_imu
 from ..recording.decode import JointRows, joint_code
+from ..recording.inertial import scale_to_si, shown_units
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, states_of_scores
 from ..recording.selection import named_side, role
 from ..recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
@@ -228,9 +229,8 @@ def _sensors(
         importer = reader.format_of(path, "imu")
         tables = [t for t in reader.read(path, importer) if isinstance(t, ImuTable)]
         if files.sensor:
-            tables = [t for t in tables if t.name.lower() == files.sensor.lower()] or _no_sensor(
-                path, files, tables
-            )
+            named = [_of_name(path, name.strip("# /"), tables) for name in files.sensor.split(",")]
+            tables = [table for at, table in enumerate(named) if table not in named[:at]]
         if not tables:
             raise RecordingError(f"{path} ({importer.title}) has no IMU; name it with --skeleton alone.")
         tables = [repaired_imu(table, str(path)) for table in tables]
@@ -246,19 +246,39 @@ def _sensors(
     if len(files.paths) > 1 or not whole:
         joined = paired(parts, source)
         report.notes += [f"{report.path}: {joined.notes[-1]}"] if len(parts) > 1 else []
-        return [(files.name, joined, report)]
+        return [(files.name, _in_shown_units(joined, report), report)]
     if files.name and len(whole) > 1:
         listed = ", ".join(table.name for table in whole)
         raise RecordingError(
             f"{source} contains {len(whole)} sensors ({listed}); choose one for {files.name}:"
             f" --imu {files.name}={files.paths[0]}#{whole[0].name}."
         )
-    return [(files.name or (t.name if len(whole) > 1 else ""), t, report) for t in whole]
+    return [
+        (files.name or (t.name if len(whole) > 1 else ""), _in_shown_units(t, report), report) for t in whole
+    ]
 
 
-def _no_sensor(path: Path, files: ImuFiles, tables: list[ImuTable]) -> list[ImuTable]:
+def _in_shown_units(table: ImuTable, report: FileReport) -> ImuTable:
+    """An IMU in the units that gravity and motion show where its file states others, as for recordings."""
+    assert table.acc is not None and table.gyro is not None
+    units = shown_units(times_of(table), table.acc, table.gyro)
+    if units == ("m/s^2", "rad/s"):
+        return table
+    table = replace(table, acc=table.acc.copy(), gyro=table.gyro.copy())
+    assert table.acc is not None and table.gyro is not None
+    name = " ".join(part for part in (Path(report.path).name, table.name) if part)
+    report.notes = [note for note in report.notes if "check the export" not in note]
+    report.notes += scale_to_si(name, table.acc, table.gyro, *units)
+    return table
+
+
+def _of_name(path: Path, name: str, tables: list[ImuTable]) -> ImuTable:
+    """The sensor of a name, or the IMU that was put together of it."""
+    for table in tables:
+        if name.lower() in (each.lower().strip("/ ") for each in (table.name, *table.made_of)):
+            return table
     listed = ", ".join(table.name or "one without a name" for table in tables)
-    raise RecordingError(f"{path} has no sensor {files.sensor}; it has {listed}.")
+    raise RecordingError(f"{path} has no sensor {name}; it has {listed}.")
 
 
 def _named(

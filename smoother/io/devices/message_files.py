@@ -14,11 +14,12 @@ import numpy as np
 from ...errors import RecordingError
 from ...linalg import interpolate
 from ...recording import JOINTS, CameraFrame
-from ..mcap.messages import seconds
+from ...runtime.store import Store
+from ..mcap.messages import nanoseconds, seconds
+from ..recording.inertial import LEFT_OUT, settle_imus
 from ..recording.read import open_recording
-from ..recording.streams import ArmFrames
-from ..tables.columns import find_sensors, imu_of, joint_label, stem_of
-from ..tables.imu_checks import paired
+from ..recording.streams import ArmFrames, ImuSamples, RecordingFile
+from ..tables.columns import find_sensors, imu_of, joint_label, stem_of, with_halves_joined
 from ..tables.joint_columns import AZURE, JointName, find_joint_columns, joint_name, words_of
 from ..tables.protocol import FileFormat, ImuTable, SkeletonTable, begins, shown
 from ..tables.raw_skeleton import Conventions, RawSkeleton
@@ -39,17 +40,7 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
     for arm in file.arms:
         by_body.setdefault((arm.topic, arm.body), []).append(arm)
     tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
-    tables += [
-        ImuTable(
-            imu.topic.strip("/"),
-            seconds(imu.stamp_ns, 0),
-            imu.acc,
-            imu.gyro,
-            imu.mag,
-            units="m/s^2, rad/s",
-        )
-        for imu in file.imus
-    ]
+    tables += _imu_tables(file) or file.halves
     if not tables:
         listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
         raise RecordingError(
@@ -57,7 +48,7 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
             f" {shown(listed or 'none', 150)});"
             " record sensor_msgs/Imu and the body tracking's MarkerArray."
         )
-    tables[0].notes += file.notes
+    tables[0].notes += [note for note in file.notes if file.imus or not note.endswith(LEFT_OUT)]
     for table in tables:
         if isinstance(table, SkeletonTable) and file.camera_frame is not None:
             table.frame = file.camera_frame
@@ -74,6 +65,17 @@ MCAP = FileFormat(
     recognises=begins(b"\x89MCAP0\r\n"),
     read=read_mcap,
 )
+
+
+def _imu_tables(file: RecordingFile) -> list[ImuTable]:
+    """The IMUs of a file, in SI units since it was read."""
+    tables = []
+    for imu in file.imus:
+        t_s = seconds(imu.stamp_ns, 0)
+        table = ImuTable(imu.topic.strip("/"), t_s, imu.acc, imu.gyro, imu.mag, units=imu.units)
+        table.made_of = imu.made_of
+        tables.append(table)
+    return tables
 
 
 def _skeleton(arms: list[ArmFrames]) -> SkeletonTable:
@@ -168,7 +170,10 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
     tables: list[ImuTable | SkeletonTable] = [
         table for topic, rows in bodies.items() for table in _skeletons(topic, rows, path)
     ]
-    tables += [_imu(topic, np.array(rows), fields) for topic, rows in sorted(imus.items())]
+    streams = [_imu(topic, np.array(rows), fields) for topic, rows in sorted(imus.items())]
+    file = RecordingFile(path, imus=streams)
+    settle_imus(file, Store())
+    tables += _imu_tables(file) or file.halves
     if not tables:
         listed = ", ".join(
             sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in reader.connections})
@@ -177,6 +182,7 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
             f"{path} has no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)});"
             " record the IMU's topic and the body tracking's."
         )
+    tables[0].notes += [note for note in file.notes if file.imus or not note.endswith(LEFT_OUT)]
     angles = sorted({c.topic for c in reader.connections if c.msgtype == _JOINT_STATE})
     if angles:
         tables[0].notes.append(
@@ -204,17 +210,16 @@ def _xyz(vector: Any) -> tuple[float, float, float]:
     return float(vector.x), float(vector.y), float(vector.z)
 
 
-def _imu(topic: str, rows: np.ndarray, fields: dict[str, list[tuple[float, ...]]]) -> ImuTable:
+def _imu(topic: str, rows: np.ndarray, fields: dict[str, list[tuple[float, ...]]]) -> ImuSamples:
     """One IMU, with the magnetometer of the same name space, if there is one."""
-    table = ImuTable(topic.strip("/"), rows[:, 0], rows[:, 1:4], rows[:, 4:7], units="m/s^2, rad/s")
+    imu = ImuSamples(topic, "", nanoseconds(rows[:, 0], 0), rows[:, 1:4], rows[:, 4:7])
     near = [name for name in fields if name.rpartition("/")[0] == topic.rpartition("/")[0]]
     if len(near) == 1 and len(fields[near[0]]) > 1:
         samples = np.array(fields[near[0]])
         samples = samples[np.argsort(samples[:, 0], kind="stable")]
-        table.mag = interpolate(
-            samples[:, 0], samples[:, 1:], np.clip(rows[:, 0], samples[0, 0], samples[-1, 0])
-        )
-    return table
+        at = np.clip(rows[:, 0], samples[0, 0], samples[-1, 0])
+        imu.mag = interpolate(samples[:, 0], samples[:, 1:], at)
+    return imu
 
 
 def _add_bodies(rows: _Rows, message: Any, log_ns: int) -> None:
@@ -422,7 +427,7 @@ def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
 def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:
     """Sensors of all streams, and why some were left out; halves of a sensor are put together."""
     whole: list[ImuTable] = []
-    halves: dict[str, list[ImuTable]] = {}
+    halves: list[ImuTable] = []
     reasons: list[str] = []
     for stream in streams:
         if find_joint_columns(stream.labels).has_arm():
@@ -435,14 +440,8 @@ def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]
             elif table.acc is not None and table.gyro is not None:
                 whole.append(table)
             else:
-                halves.setdefault(stem_of(name), []).append(table)
-    for stem, tables in halves.items():
-        kinds = {"acc" if table.acc is not None else "gyro" for table in tables}
-        if len(tables) == 2 and len(kinds) == 2:
-            joined = paired(tables, str(path))
-            joined.name = stem.replace(" ", "_") or "imu"
-            whole.append(joined)
-        else:
-            only = "an accelerometer" if "acc" in kinds else "a gyroscope"
-            reasons.append(f"{tables[0].name} is {only} alone, and both are needed")
-    return whole, reasons
+                halves.append(table)
+    joined, _, alone = with_halves_joined(halves, str(path))
+    for table in joined:
+        table.name = stem_of(table.name).replace(" ", "_") or "imu"
+    return whole + joined, reasons + alone

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from ...errors import RecordingError
 from ..plain.columns import ImuKeys, read_imu_columns
-from ..tables.protocol import FileFormat, FileHead, ImuTable
+from ..tables.imu_checks import UNUSED
+from ..tables.protocol import FileFormat, FileHead, ImuTable, shown
 from ..tables.table_layout import layout_of
 from ..tables.text_table import Sheet, read_sheet, sheet_of_text
 from .describe_table import Guess, guess_sensor
@@ -27,7 +28,8 @@ def _names_sensors(head: FileHead) -> bool:
 
 def read_named_imu(path: Path) -> list[ImuTable]:
     """Tables whose columns identify themselves; `import describe` prints the same guess to be edited."""
-    guess = _guessed(read_sheet(path, f"a {NAMED_IMU.title}"))
+    sheet = read_sheet(path, f"a {NAMED_IMU.title}")
+    names, guess = sheet.layout.names, _guessed(sheet)
     if not _settled(guess):
         why = " ".join(guess.unsure) or "it names no sensor."
         raise RecordingError(
@@ -42,6 +44,9 @@ def read_named_imu(path: Path) -> list[ImuTable]:
     table.notes.insert(
         0, f"Its columns were taken as {', '.join(said)}; units: {', '.join(units) or 'none'}."
     )
+    used = {str(column) for column in guess.columns.values()}
+    if unused := [name for name in names if name and name not in used]:
+        table.notes.append(f"{UNUSED} columns {shown(', '.join(unused), 120)}.")
     table.notes += [each for each in guess.unsure if "There is no" not in each]
     table.gyro_unit_assumed = halves[1] and any(
         "gyroscope's unit is guessed" in each for each in guess.unsure

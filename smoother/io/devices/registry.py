@@ -11,7 +11,17 @@ from ..tables.columns import MissingAxis, missing_axes, missing_axes_words
 from ..tables.imu_formats import IMU_FORMATS
 from ..tables.joint_columns import find_joint_columns
 from ..tables.phone_formats import PHONE_FORMATS
-from ..tables.protocol import DeviceFormat, FileHead, ImuTable, Tables, first_rows, no_table, read_head
+from ..tables.protocol import (
+    HEAD_BYTES,
+    DeviceFormat,
+    FileHead,
+    ImuTable,
+    Tables,
+    first_rows,
+    no_table,
+    read_head,
+    shown,
+)
 from ..tables.skeleton_formats import SKELETON_FORMATS
 from ..tables.table_layout import layout_of
 
@@ -95,7 +105,9 @@ def unknown_file(head: FileHead) -> RecordingError:
             f"{head.path} is a video; `unocclude import video {head.path} --model FILE.task` takes it as the"
             " camera, and `smooth --video` shows it in the report."
         )
-    if what := no_table(head.raw, head.text):
+    if head.trouble:
+        return RecordingError(head.trouble)
+    if what := no_table(head.raw, head.text if len(head.raw) < HEAD_BYTES else ""):
         return RecordingError(f"{head.path} {what}")
     return RecordingError(
         f"{head.path} has an unknown format{_lacking(head)}; it begins with: {first_rows(head)}. Known are"
@@ -107,7 +119,10 @@ def unknown_file(head: FileHead) -> RecordingError:
 def _lacking(head: FileHead) -> str:
     layout = layout_of(head.lines) if head.text else None
     missing = [] if layout is None else missing_axes(layout.names)
-    return f" (it has {missing_axes_words(missing)})" if missing else ""
+    if missing:
+        return f" (it has {missing_axes_words(missing)})"
+    names = [name for name in layout.names if name] if layout is not None else []
+    return f" (none of its columns {shown(', '.join(names), 120)} is recognised)" if names else ""
 
 
 def keys() -> str:
@@ -196,6 +211,10 @@ class FileReader:
             if importer not in self._templates:  # those name their columns themselves
                 _check_axes(path, importer, self._tables[key])
         return self._tables[key]
+
+    def forget(self, path: Path) -> None:
+        """Drop the tables of a file, which may be many."""
+        self._tables = {key: tables for key, tables in self._tables.items() if key[0] != path}
 
     def _by_names(self, path: Path, importer: DeviceFormat, error: RecordingError) -> list[ImuTable]:
         """A table that its importer refuses and whose columns suffice; [] where they do not.

@@ -54,6 +54,10 @@ def read_json(path: Path, expected: str) -> Any:
         rows = _lines(text)
         if rows is not None:
             return rows
+        if isinstance(error, RecursionError):
+            raise RecordingError(
+                f"{path} should be {expected}, and its JSON is nested too deeply to be one; export it again."
+            ) from None
         where = f" in line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
         raise RecordingError(
             f"{path} should be {expected}, and its JSON is cut off{where}; copy or export it again."

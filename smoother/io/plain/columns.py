@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
 from ...runtime.inputs import check_input
+from ..devices.image_keypoints import PIXELS
 from ..recording.decode import joint_code
+from ..recording.keypoints import states_of_scores
 from ..tables.joint_columns import joint_name
 from ..tables.protocol import HEAD_BYTES, ImuTable, SkeletonTable, decode, shown
 from ..tables.raw_skeleton import BodyRows
@@ -31,7 +33,7 @@ from ..tables.text_table import Sheet, read_sheet, sheet_of_text
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, DATED_S, METRES, SECONDS, from_1970
 
 Column = str | int
-_LAYOUT_KEYS = {"separator", "skip_rows", "columns", "time_unit", "rate_hz"}
+LAYOUT_KEYS = {"separator", "skip_rows", "columns", "time_unit", "rate_hz"}
 
 
 class TableKeys(BaseModel):
@@ -63,13 +65,13 @@ class ImuKeys(TableKeys):
 
     file: str | list[str]
     columns: dict[str, Column] | list[dict[str, Column]] | None = None
-    accelerometer_unit: Literal["m/s^2", "g", "mg"] = "m/s^2"
+    accelerometer_unit: Literal["m/s^2", "g", "mg", "cm/s^2", "mm/s^2"] = "m/s^2"
     gyroscope_unit: Literal["rad/s", "deg/s", "mdps"] = "rad/s"
 
     @property
     def is_plain(self) -> bool:
         """Whether the file is one with the product's own columns."""
-        return isinstance(self.file, str) and not self.model_fields_set & _LAYOUT_KEYS
+        return isinstance(self.file, str) and not self.model_fields_set & LAYOUT_KEYS
 
 
 class CameraKeys(TableKeys):
@@ -77,15 +79,36 @@ class CameraKeys(TableKeys):
 
     frame: CameraFrame
     skeleton: str | None = None
+    keypoints: str | None = None
+    intrinsics: dict[str, float] | None = None
     gravity: list[float] | None = Field(None, min_length=3, max_length=3)
     position_unit: Literal["m", "cm", "mm"] = "m"
     columns: dict[str, Column | list[Column]] | None = None
     states: dict[str, Literal["tracked", "inferred", "not_tracked"]] | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_pixels(cls, values: Any) -> Any:
+        """Keypoints are in the axes of a lens, so they need no frame."""
+        if not isinstance(values, dict) or "keypoints" not in values:
+            if isinstance(values, dict) and "intrinsics" in values:
+                raise ValueError("intrinsics are of keypoints; give keypoints = a file instead of skeleton")
+            return values
+        if "skeleton" in values:
+            raise ValueError("a camera has a skeleton or keypoints; give the other a section [camera.NAME]")
+        if values.get("frame", "optical") != "optical":
+            raise ValueError('keypoints are in the axes of the lens; leave out frame, or give "optical"')
+        return {"frame": "optical", **values}
+
+    @property
+    def file(self) -> str | None:
+        """The file that the section names."""
+        return self.keypoints if self.skeleton is None else self.skeleton
+
     @property
     def is_plain(self) -> bool:
         """Whether the file is one with the product's own columns."""
-        return not self.model_fields_set & (_LAYOUT_KEYS | {"states"})
+        return not self.model_fields_set & (LAYOUT_KEYS | {"states"})
 
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
@@ -318,6 +341,22 @@ def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     tables = rows.skeletons(pattern, 1.0 if has_times else None)
     if not tables:
         raise RecordingError(f"{path} has no rows of a skeleton; export it again.")
+    return tables
+
+
+_POINT_COLUMNS = {"t": "t_s", "joint": "joint", "u": "u", "v": "v", "score": "score", "body": "body"}
+
+
+def read_keypoint_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
+    """The bodies of a table of keypoints: `position` holds u, v and the score."""
+    given = keys.columns or {}
+    refuse_others(path, given, tuple(_POINT_COLUMNS))
+    axes = {"u": "x", "v": "y", "score": "z"}
+    columns = {axes.get(name, name): column for name, column in (_POINT_COLUMNS | given).items()}
+    tables = read_skeleton_columns(path, keys.model_copy(update={"columns": columns, "position_unit": "m"}))
+    for table in tables:
+        table.units = PIXELS
+        table.state = {joint: states_of_scores(points[:, 2]) for joint, points in table.position.items()}
     return tables
 
 

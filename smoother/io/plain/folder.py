@@ -5,6 +5,7 @@ Recordings of published data sets: BROAD and UTD-MHAD.
 
 from __future__ import annotations
 
+import codecs
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,20 +20,39 @@ from ...errors import RecordingError
 from ...linalg import unit
 from ...measurements.timestamps import begins_frames, clock_resets, resets_message, strayed
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording, Truth
-from ...runtime.inputs import check_input, crashes_in_subprocess, inside, read_toml
+from ...runtime.inputs import check_input, crashes_in_subprocess, inside, marked_encoding, read_toml
 from ...units import STANDARD_GRAVITY
 from ..devices.files import add_imu, add_skeleton, rate_note, times_of
+from ..devices.registry import FileReader, recognise
 from ..devices.repair import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
 from ..mcap.messages import nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.decode import JointRows, frames_of, joint_code
+from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
 from ..recording.read import select_recording
 from ..recording.selection import Selection
-from ..recording.streams import CameraStream, ImuSamples, PoseSamples, RecordingFile, TopicInfo
+from ..recording.streams import (
+    ArmFrames,
+    CameraStream,
+    ImuSamples,
+    KnownLens,
+    PoseSamples,
+    RecordingFile,
+    TopicInfo,
+)
 from ..tables.imu_checks import paired
-from ..tables.protocol import SkeletonTable, shown
+from ..tables.protocol import HEAD_BYTES, ImuTable, SkeletonTable, Tables, read_head, shown
+from ..tables.table_layout import is_data
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES
-from .columns import CameraKeys, ImuKeys, read_imu_columns, read_skeleton_columns
+from .columns import (
+    LAYOUT_KEYS,
+    CameraKeys,
+    ImuKeys,
+    TableKeys,
+    read_imu_columns,
+    read_keypoint_columns,
+    read_skeleton_columns,
+)
 from .table import imu_columns, read_table, vectors
 from .template import TableTemplate, with_template
 
@@ -109,23 +129,27 @@ def open_csv(
     file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
     if camera is not None and camera.gravity is not None:
         file.gravity_hint = _down(camera.gravity, folder, "camera")
-    plain = {name: section for name, section in description.imu.items() if section.is_plain}
-    has_skeleton = camera is not None and camera.skeleton is not None  # IMUs alone can still be calibrated
-    if camera is not None and camera.skeleton is not None and camera.is_plain:
-        _skeleton(file, folder / camera.skeleton, METRES[camera.position_unit])
-        has_skeleton = False
+    plain = {
+        name: section
+        for name, section in description.imu.items()
+        if section.is_plain and is_plain_text(folder / section.file)  # type: ignore[operator]
+    }
+    skeleton = None if camera is None or not camera.is_plain else camera.skeleton
+    is_plain = camera is not None and skeleton is not None and is_plain_text(folder / skeleton)
+    if camera is not None and skeleton is not None and is_plain:
+        _skeleton(file, folder / skeleton, METRES[camera.position_unit])
     for name, section in plain.items():
         file.imus.append(_imu(file, folder / section.file, name, section))  # type: ignore[operator]
         file.notes += rate_note(file.imus[-1])
-    others = {name: section for name, section in description.imu.items() if not section.is_plain}
-    _add_columns(file, folder, camera if has_skeleton else None, others)
+    others = {name: section for name, section in description.imu.items() if name not in plain}
+    _add_columns(file, folder, None if is_plain else camera, others)
     for name, keys in description.cameras.items():
         _add_camera(file, folder, name, keys)
     if description.truth is not None:
         file.poses.append(read_pose_table(folder / description.truth.file))
     for topic, schema, stamp in [
         *((i.topic, "unocclude.Imu", i.stamp_ns) for i in file.imus),
-        *((a.topic, "unocclude.Skeleton", a.stamp_ns) for a in {a.topic: a for a in file.arms}.values()),
+        *((topic, _schema(arm), arm.stamp_ns) for topic, arm in {a.topic: a for a in file.arms}.items()),
         *((p.topic, "foxglove.PoseInFrame", p.stamp_ns) for p in file.poses),
     ]:
         file.topics.append(TopicInfo(topic, schema, "csv", len(stamp), int(stamp.min()), int(stamp.max())))
@@ -145,23 +169,28 @@ def _down(gravity: list[float], folder: Path, section: str) -> FloatArray:
 
 def _add_camera(file: RecordingFile, folder: Path, name: str, keys: CameraKeys) -> None:
     """A further camera's skeleton, on its own clock and in its own frame."""
-    if keys.skeleton is None:
+    if keys.file is None:
         raise RecordingError(
-            f"{folder / 'recording.toml'}: [camera.{name}] names no skeleton; give skeleton = a file."
+            f"{folder / 'recording.toml'}: [camera.{name}] names no skeleton; give skeleton = a file, or"
+            " keypoints = a file and intrinsics."
         )
     if not name or any(mark in name for mark in "/\\ "):
         raise RecordingError(
             f"{folder / 'recording.toml'}: [camera.{shown(name, 40)}] is not a camera's name; use letters and"
             " digits."
         )
-    path, topic = folder / keys.skeleton, f"{CAMERA_TOPIC}{name}"
+    path, topic = folder / keys.file, f"{CAMERA_TOPIC}{name}"
     hint = None if keys.gravity is None else _down(keys.gravity, folder, f"camera.{name}")
-    if keys.is_plain:
+    if keys.keypoints is None and keys.is_plain and is_plain_text(path):
         _skeleton(file, path, METRES[keys.position_unit], topic, name)
     else:
-        tables = [repaired_skeleton(table, str(path)) for table in read_skeleton_columns(path, keys)]
+        tables = [repaired_skeleton(table, str(path)) for table in _bodies(path, keys)]
         file.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
-        add_skeleton(file, tables, str(folder), topic, 0.0, name)
+        known = _known_lens(keys, folder, f"camera.{name}")
+        if known is not None:
+            topic = NAMED_TOPIC.format(name)
+            file.lenses[topic] = known
+        add_skeleton(file, tables, str(folder), topic, 0.0, name, known)
     file.cameras[topic] = CameraStream(name, keys.frame, hint)
 
 
@@ -195,7 +224,7 @@ def _check_places(folder: Path, description: _Description, outside: bool) -> Non
     """Refuse files elsewhere, and what is not a file."""
     truth = description.truth
     cameras = [each for each in (description.camera, *description.cameras.values()) if each is not None]
-    names = [camera.skeleton for camera in cameras if camera.skeleton is not None]
+    names = [camera.file for camera in cameras if camera.file is not None]
     for section in description.imu.values():
         names += [section.file] if isinstance(section.file, str) else section.file
     names += [] if truth is None else [truth.file]
@@ -219,14 +248,14 @@ def _add_columns(
     if camera is None and not imus:
         return
     bodies: list[SkeletonTable] = []
-    if camera is not None and camera.skeleton is not None:
-        path = folder / camera.skeleton
-        bodies = [repaired_skeleton(table, str(path)) for table in read_skeleton_columns(path, camera)]
+    if camera is not None and camera.file is not None:  # IMUs alone can still be calibrated
+        path = folder / camera.file
+        bodies = [repaired_skeleton(table, str(path)) for table in _bodies(path, camera)]
         file.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in bodies for n in t.notes)]
     sensors = {}
     for name, keys in imus.items():
         source = f"[imu.{name}] of {folder / 'recording.toml'}"
-        tables = [repaired_imu(table, source) for table in read_imu_columns(folder, keys)]
+        tables = [repaired_imu(table, source) for table in _sensors(folder, name, keys)]
         sensors[name] = paired(tables, source)
         file.notes += [f"imu.{name}: {note}" for note in sensors[name].notes]
     streams = [Timed(arm.topic, arm.stamp_ns / 1e9, False) for arm in file.arms[:1]]
@@ -253,10 +282,105 @@ def _add_columns(
     skeleton_shift = [next(moved) for _ in bodies]
     for imu in file.imus:
         imu.stamp_ns = imu.stamp_ns + round(next(moved) * 1e9)
-    if bodies:
-        add_skeleton(file, bodies, str(folder), "/skeleton", skeleton_shift[0])
+    if camera is not None and bodies:
+        known = _known_lens(camera, folder, "camera")
+        if known is not None:
+            file.lenses[TOPIC] = known
+        topic = "/skeleton" if known is None else TOPIC
+        add_skeleton(file, bodies, str(folder), topic, skeleton_shift[0], known=known)
     for name, table in sensors.items():
         add_imu(file, f"/imu/{name}", table, str(folder), next(moved))
+
+
+def _sensors(folder: Path, name: str, keys: ImuKeys) -> list[ImuTable]:
+    """The tables of a section, whose units count for files of other kinds as well."""
+    files = [folder / file for file in ([keys.file] if isinstance(keys.file, str) else keys.file)]
+    if not any(map(_is_container, files)):
+        return read_imu_columns(folder, keys)
+    parts: list[ImuTable] = []
+    for path in files:
+        tables = [table for table in _contained(path, "imu", keys) if isinstance(table, ImuTable)]
+        named = [table for table in tables if name == table.name.rpartition("/")[2]]
+        if len(tables) > 1 and len(named) != 1:
+            listed = ", ".join(table.name for table in tables)
+            raise RecordingError(
+                f"{path} contains {len(tables)} sensors ({listed}); take one with `unocclude import files"
+                f" --imu {name}={path}#{tables[0].name}`."
+            )
+        parts += named if len(tables) > 1 else tables
+    stated = keys.model_fields_set
+    for table in parts:
+        units = table.units.split(", ")
+        if table.acc is not None and "accelerometer_unit" in stated:
+            table.acc = table.acc * (ACCELERATION[keys.accelerometer_unit] / ACCELERATION[units[0]])
+        if table.gyro is not None and "gyroscope_unit" in stated:
+            table.gyro = table.gyro * (ANGULAR_VELOCITY[keys.gyroscope_unit] / ANGULAR_VELOCITY[units[-1]])
+    return parts
+
+
+def _bodies(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
+    """The bodies of a section's file, in metres by its unit; of keypoints u, v and score."""
+    if keys.keypoints is not None:
+        return read_keypoint_columns(path, keys)
+    if not _is_container(path):
+        return read_skeleton_columns(path, keys)
+    tables = [table for table in _contained(path, "skeleton", keys) if isinstance(table, SkeletonTable)]
+    if not tables:
+        raise RecordingError(f"{path} has no skeleton; name the camera's file.")
+    for table in tables:
+        if "position_unit" in keys.model_fields_set:
+            factor = METRES[keys.position_unit] / METRES.get(table.units, 1.0)
+            table.position = {joint: place * factor for joint, place in table.position.items()}
+        table.frame = keys.frame
+    return tables
+
+
+def _schema(arm: ArmFrames) -> str:
+    return "unocclude.Skeleton" if arm.lens is None else "unocclude.Keypoints2D"
+
+
+def _known_lens(keys: CameraKeys, folder: Path, section: str) -> KnownLens | None:
+    """The lens of a section with keypoints."""
+    if keys.keypoints is None:
+        return None
+    try:
+        return KnownLens(lens_from_plain(keys.intrinsics or {}))
+    except (ValueError, TypeError, KeyError) as error:
+        raise RecordingError(
+            f"{folder / 'recording.toml'}: [{section}] intrinsics are not whole ({error}); keypoints need"
+            " intrinsics = {width, height, fx, fy, cx, cy [, k1, k2, p1, p2, k3]}."
+        ) from error
+
+
+def _is_container(path: Path) -> bool:
+    """Whether a file is binary and of a known format."""
+    return path.is_file() and not (head := read_head(path)).text and recognise(head) is not None
+
+
+def _contained(path: Path, kind: str, keys: TableKeys) -> Tables:
+    reader = FileReader()
+    importer = reader.format_of(path, kind)
+    if layout := keys.model_fields_set & LAYOUT_KEYS:
+        raise RecordingError(f"{path} is no table ({importer.title}); leave out {', '.join(sorted(layout))}.")
+    return reader.read(path, importer)
+
+
+def is_plain_text(path: Path) -> bool:
+    """Whether a file begins with UTF-8 and rows right below the names, as this program writes tables."""
+    if not path.is_file():
+        return True  # what is missing is said where it is read
+    with path.open("rb") as file:
+        raw = file.read(HEAD_BYTES)
+    if marked_encoding(raw) not in (None, "utf-8-sig") or b"\0" in raw:
+        return False
+    try:
+        lines = [
+            line for line in codecs.getincrementaldecoder("utf-8")().decode(raw).splitlines() if line.strip()
+        ]
+    except UnicodeDecodeError:
+        return False
+    below = lines[1].split(",") if len(lines) > 2 else []
+    return not any(below) or any(is_data(cell.strip()) for cell in below)
 
 
 def _imu(file: RecordingFile, path: Path, name: str, section: ImuKeys) -> ImuSamples:

@@ -14,6 +14,7 @@ from ...measurements.timestamps import clock_resets, even_times, in_packets, inc
 from ...recording import JOINTS, JointState
 from ...runtime.store import Store, batches, sampled
 from ...units import STANDARD_GRAVITY
+from ..tables.units import unit_of_rest
 from .streams import ArmFrames, ImuSamples, PoseSamples, kept
 
 #: Names of two causes.
@@ -149,8 +150,6 @@ _ELBOW, _WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
 _FARTHEST_M = 20.0
 #: No forearm is as long in cm, and none as short in mm.
 _FOREARM_CM = 70.0
-#: Median rest |acc| to the unit that it looks like.
-_ACC_UNITS = ((0.7, 1.4, "g"), (700, 1400, "milli-g or cm/s^2"), (7000, 14000, "mm/s^2"))
 
 
 def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tuple[ImuSamples, list[str]]:
@@ -397,28 +396,31 @@ def _check_units(stream: ImuSamples, finite: BoolArray, source: str) -> None:
     acc, gyro = sampled(stream.acc)[usable], sampled(stream.gyro)[usable]
     if not len(acc):
         return
-    with np.errstate(over="ignore"):
-        rate = np.linalg.norm(gyro, axis=1)
-    fast = float(np.percentile(rate, 99))
+    rest, fast = rest_size(acc, gyro)
     if fast > GYRO_LIMIT:
         raise RecordingError(
             f"{source}: the gyroscope of {stream.topic} reads up to {fast:.0f}, which cannot be rad/s and "
-            "looks like deg/s; convert it to rad/s (gyroscope_unit in a recording.toml)."
+            'looks like deg/s; give gyroscope_unit = "deg/s" in a recording.toml.'
         )
-    # The quietest fifth, whatever the gyroscope's unit and offset are.
-    quiet = rate <= np.percentile(rate, 20)
-    with np.errstate(over="ignore"):
-        rest = float(np.median(np.linalg.norm(acc[quiet], axis=1)))
     if 0.5 * STANDARD_GRAVITY < rest < 2 * STANDARD_GRAVITY:
         return
-    for low, high, unit in _ACC_UNITS:
-        if low < rest < high:
-            raise RecordingError(
-                f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81, "
-                f"which looks like {unit}; convert it to m/s^2 (accelerometer_unit in a recording.toml)."
-            )
+    if unit := unit_of_rest(rest):
+        others = " (or cm/s^2)" if unit == "mg" else ""
+        raise RecordingError(
+            f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81, "
+            f'which looks like {unit}{others}; give accelerometer_unit = "{unit}" in a recording.toml.'
+        )
     why = "gravity seems to have been taken out" if rest < 0.7 else "the unit is not known"
     raise RecordingError(
         f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81 m/s^2 "
         f"({why}); record the raw specific force in m/s^2."
     )
+
+
+def rest_size(acc: FloatArray, gyro: FloatArray) -> tuple[float, float]:
+    """Size of the specific force at rest, and of the fastest rotation, in the units of finite samples."""
+    with np.errstate(over="ignore"):
+        rate, size = np.linalg.norm(gyro, axis=1), np.linalg.norm(acc, axis=1)
+    # The quietest fifth, whatever the gyroscope's unit and offset are.
+    rest = size[rate <= np.percentile(rate, 20)]
+    return float(np.median(rest)), float(np.percentile(rate, 99))

@@ -35,6 +35,7 @@ from .decode import (
     plain_decoder,
     skeleton_decoder,
 )
+from .inertial import settle_imus
 from .keypoints import KeypointDecoder, keypoint_decoder, lenses_from_plain, with_lenses
 from .select import select_recording, select_recordings
 from .selection import OTHER_SIDE, FileReading, Selection, choose_imu
@@ -367,6 +368,7 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> No
             file.poses.append(stream)
         elif isinstance(stream, FieldSamples):
             fields.append(stream)
+    settle_imus(file, store)
     join_truth_joints(file, store)
     for field in fields:
         join_field(file, field, store)

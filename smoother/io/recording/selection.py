@@ -196,6 +196,13 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
     RecordingError
         There is none; the message lists what the file has.
     """
+    if not file.imus and file.halves:
+        alone = ", ".join(
+            f"{half.name} ({'gyroscope' if half.acc is None else 'accelerometer'})" for half in file.halves
+        )
+        raise RecordingError(
+            f"{file.path} has no IMU with both sensors, but {alone} alone; record the other one as well."
+        )
     if not file.imus:
         raise RecordingError(
             f"{file.path} has no IMU (sensor_msgs/Imu or unocclude.Imu); it has {topics_of(file)}; "
@@ -203,7 +210,8 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
         )
     listed = ", ".join(stream.topic for stream in file.imus)
     if name is not None:
-        exact = [stream for stream in file.imus if stream.topic.strip("/") == name.strip("/")]
+        wanted = name.strip("/")
+        exact = [s for s in file.imus if wanted in (topic.strip("/") for topic in (s.topic, *s.made_of))]
         matches = exact or [s for s in file.imus if is_named(name, s.topic, s.frame_id)]
         if len(matches) != 1:
             what = "more than one IMU fits" if matches else "no IMU fits"

@@ -22,6 +22,7 @@ from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, JointState
 from ...runtime.store import Store, batches
+from ..tables.protocol import ImuTable
 
 
 @dataclass
@@ -39,6 +40,10 @@ class ImuSamples:
         In the sensor's unit, or None.
     log_shift_ns : int, ns
         Median of log time minus stamp.
+    made_of : tuple of str
+        Topics that contain a half of it each; () where one contains the whole.
+    units : str
+        As the file has them.
     """
 
     topic: str
@@ -48,6 +53,8 @@ class ImuSamples:
     gyro: FloatArray
     mag: FloatArray | None = None
     log_shift_ns: int = 0
+    made_of: tuple[str, ...] = ()
+    units: str = "m/s^2, rad/s"
 
 
 @dataclass
@@ -228,6 +235,8 @@ class RecordingFile:
         Of cameras without depth, by the topic of their keypoints.
     image_points : list of ArmFrames
         To be written beside the skeleton that was made of them: `position` holds u, v and the score.
+    halves : list of ImuTable
+        Accelerometers and gyroscopes alone, which belong to no IMU.
     image_sizes : dict of str to (int, int)
         Width and height of the pictures that they are in, pixels, by topic.
     """
@@ -248,6 +257,7 @@ class RecordingFile:
     lenses: dict[str, KnownLens] = field(default_factory=dict)
     image_points: list[ArmFrames] = field(default_factory=list)
     image_sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    halves: list[ImuTable] = field(default_factory=list)
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:

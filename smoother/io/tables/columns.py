@@ -11,7 +11,7 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu_checks import turn_scale
+from .imu_checks import paired, turn_scale
 from .joint_columns import words_of
 from .protocol import ImuTable, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, plain_unit, unit_of_step
@@ -170,6 +170,28 @@ def joint_label(marker: str, kind: str) -> str:
 def stem_of(name: str) -> str:
     """A stream's name without accelerometer or gyroscope, to find what belongs together."""
     return " ".join(word for word in words_of(name) if not _says_what(word))
+
+
+def with_halves_joined(
+    tables: Sequence[ImuTable], source: str
+) -> tuple[list[ImuTable], list[ImuTable], list[str]]:
+    """IMUs of halves whose names differ in the sensor alone; the halves left over, and why."""
+    joined: list[ImuTable] = []
+    alone: list[ImuTable] = []
+    stems = [" ".join(word for word in stem_of(table.name).split() if word != "linear") for table in tables]
+    for stem in dict.fromkeys(stems):
+        mine = [table for table, each in zip(tables, stems, strict=True) if each == stem]
+        acc, gyro = ([t for t in mine if getattr(t, part) is not None] for part in ("acc", "gyro"))
+        if len(acc) == len(gyro) == 1:
+            table = paired(mine, source)
+            table.notes.insert(0, f"{acc[0].name} and {gyro[0].name} were taken as one IMU.")
+            table.made_of = acc[0].name, gyro[0].name
+            joined.append(table)
+        else:
+            alone += mine
+    only = ["an accelerometer" if table.acc is not None else "a gyroscope" for table in alone]
+    why = [f"{t.name} is {what} alone, and both are needed" for t, what in zip(alone, only, strict=True)]
+    return joined, alone, why
 
 
 def _says_what(word: str) -> bool:

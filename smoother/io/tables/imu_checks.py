@@ -238,6 +238,8 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
     return table
 
 
+#: How a note on what was not taken begins.
+UNUSED = "Not used:"
 _PARTS = (("acc", "accelerometer"), ("gyro", "gyroscope"))
 
 
@@ -246,11 +248,22 @@ def _only(tables: list[ImuTable], part: str, name: str, source: str) -> ImuTable
     if len(having) == 1:
         return having[0]
     if not having:
+        said = dict.fromkeys(note for table in tables for note in table.notes if note.startswith(UNUSED))
+        unused = f" ({' '.join(said).rstrip('.')})" if said else ""
         raise RecordingError(
-            f"{source} has no {name}; export it as well and name both files:"
+            f"{source} has no {name} that is recognised{unused}; export it as well and name both files:"
             " --imu forearm_right=acc.csv,gyro.csv."
         )
-    raise RecordingError(f"{source} has {len(having)} {name}s; name one accelerometer and one gyroscope.")
+    names = ", ".join(table.name for table in having)
+    one = f"{source}#{_first(tables, 'acc')},#{_first(tables, 'gyro')}"
+    command = f": --imu forearm_right={one}" if ", " not in source else ""
+    raise RecordingError(
+        f"{source} has {len(having)} {name}s ({names}); name one accelerometer and one gyroscope{command}."
+    )
+
+
+def _first(tables: list[ImuTable], part: str) -> str:
+    return next((table.name for table in tables if getattr(table, part) is not None), "")
 
 
 def _in_a_pause(t_s: FloatArray, at: FloatArray) -> BoolArray:

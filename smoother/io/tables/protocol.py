@@ -49,6 +49,8 @@ class ImuTable:
     gyro_unit_assumed : bool
         The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may
         settle it.
+    made_of : tuple of str
+        Streams of the file that contain a half each; () for a sensor that the file has whole.
     """
 
     name: str
@@ -62,6 +64,7 @@ class ImuTable:
     units: str = ""
     notes: list[str] = field(default_factory=list)
     gyro_unit_assumed: bool = False
+    made_of: tuple[str, ...] = ()
 
 
 @dataclass
@@ -144,12 +147,15 @@ class FileHead:
         it is not text.
     lines : tuple of str
         The text's whole lines.
+    trouble : str
+        Why a workbook cannot be read; "" where it can.
     """
 
     path: Path
     raw: bytes
     text: str
     lines: tuple[str, ...]
+    trouble: str = ""
 
 
 #: What a file holds: sensors, skeletons, or both.
@@ -258,11 +264,12 @@ def read_head(path: Path) -> FileHead:
     if not raw:
         raise RecordingError(f"{path} is empty; export or copy it again.")
     if is_workbook(raw):
+        text, trouble = "", ""
         try:
             text = workbook_text(path, HEAD_ROWS)
-        except RecordingError:  # said where it is read; other files of its folder can be of use
-            text = ""
-        return FileHead(path, raw, text, tuple(text.splitlines()))
+        except RecordingError as error:  # other files of its folder can be of use
+            trouble = str(error)
+        return FileHead(path, raw, text, tuple(text.splitlines()), trouble)
     text = decode(raw)
     whole = text if len(raw) < HEAD_BYTES else text[: text.rfind("\n") + 1] or text
     return FileHead(path, raw, text, tuple(whole.splitlines()))
@@ -302,10 +309,7 @@ def no_table(raw: bytes, text: str) -> str:
     """What is plainly no table to read, and what to do: goes behind the file's name; "" for others."""
     if raw.startswith(b"\xd0\xcf\x11\xe0"):
         return "is an Excel workbook of the old kind; save it as .xlsx or CSV."
-    if is_workbook(raw):
-        get = "install openpyxl (`pip install '.[xlsx]'`), or save it as CSV"
-        return "" if text else f"is an Excel workbook that cannot be read here; {get}."
-    if raw.startswith(b"PK\x03\x04"):
+    if raw.startswith(b"PK\x03\x04") and not is_workbook(raw):
         return "is an archive (zip, or a spreadsheet); unpack it, or save it as CSV."
     lines = [line for line in text.splitlines() if line.strip()]
     names = r"[^\d;,\t][^;,\t]*([;,\t]\s*[^\d\s;,\t+.-][^;,\t]*)+"

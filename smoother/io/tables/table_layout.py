@@ -31,6 +31,8 @@ _NUMBER = re.compile(
 _STAMP = re.compile(
     r"\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d(:\d\d([.,:_]\d+)?)?"
 )
+#: This many lines may be between the names and the rows; cells of them that state no unit.
+_BELOW_NAMES, _NO_UNIT = 3, ("", "-", "--", "n/a", "none", "no_units", "nounits", "unitless")
 _SEP_LINE = re.compile(r'"?sep=.{0,3}', re.IGNORECASE)
 
 
@@ -169,6 +171,8 @@ def _layout_of(lines: tuple[str, ...]) -> TableLayout | None:
     while first > 0 and _is_sparse_row(split_line(lines[first - 1], separator), width):
         first -= 1
     header, units_line = _header(lines, first, separator, width)
+    if header >= 0 and _is_numbering(split_line(lines[first], separator)):
+        first = next((at for at in range(first + 1, len(lines)) if lines[at].strip()), first)
     written = _stripped(split_line(lines[header], separator)) if header >= 0 else []
     if written:
         written[0] = re.sub(r"^(#+|%+|//+)\s*", "", written[0])
@@ -180,7 +184,7 @@ def _layout_of(lines: tuple[str, ...]) -> TableLayout | None:
     width = max(len(written), min(width, data_width) if written else width)
     names = tuple(written + [""] * (width - len(written))) if written else ()
     under = split_line(lines[units_line], separator) if units_line >= 0 else []
-    under += [""] * (width - len(under))
+    under = ["" if cell.lower() in _NO_UNIT else cell for cell in under] + [""] * (width - len(under))
     parts = [split_unit(name) for name in names]
     return TableLayout(
         separator,
@@ -231,15 +235,38 @@ def _is_sparse_row(cells: list[str], width: int) -> bool:
 
 
 def _header(lines: tuple[str, ...], first: int, separator: str, width: int) -> tuple[int, int]:
-    """Indices of the header and of the line of units; -1 where there is none."""
-    above = [at for at in range(first - 1, -1, -1) if lines[at].strip()][:2]
-    if not above:
-        return -1, -1
-    if len(above) == 2 and _is_units_line(split_line(lines[above[0]], separator)):
-        if _is_header(split_line(lines[above[1]], separator), width):
-            return above[1], above[0]
-        return -1, above[0]
-    return (above[0] if _is_header(split_line(lines[above[0]], separator), width) else -1), -1
+    """Indices of the header and of the line of units; -1 where there is none.
+
+    Below the names there may be lines of units, dashes, or the same few words over and over (x, y, z).
+    """
+    rows = ((at, split_line(lines[at], separator)) for at in range(first - 1, -1, -1))
+    above = list(islice(((at, cells) for at, cells in rows if any(cells)), 1 + _BELOW_NAMES))
+    headers = [at for at, cells in above if _is_header(cells, width) and not _is_units_line(cells)]
+    units = -1
+    for at, cells in above if len(above) > 1 else ():
+        if _is_units_line(cells):
+            units = at if units < 0 or _is_blank(lines[units], separator) else units
+        elif at not in headers or not (_repeats(cells) and at != headers[-1]):
+            return (at if at in headers else -1), units
+    if units >= 0 or not above:
+        return -1, units
+    return (above[0][0] if _is_header(above[0][1], width) else -1), -1
+
+
+def _repeats(cells: list[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return len(filled) >= 4 and 2 * len(set(filled)) <= len(filled)
+
+
+def _is_blank(line: str, separator: str) -> bool:
+    """Whether a line of units states none."""
+    return all(cell.lower() in _NO_UNIT for cell in split_line(line, separator))
+
+
+def _is_numbering(cells: list[str]) -> bool:
+    """Whether a line counts the columns."""
+    counted = [str(at) for at in range(len(cells) + 1)]
+    return len(cells) >= 4 and cells in (counted[:-1], counted[1:])
 
 
 def _is_units_line(cells: list[str]) -> bool:
@@ -272,15 +299,24 @@ def _stripped_to(cells: list[str], least: int) -> list[str]:
 SEPARATOR = "\t"
 #: Rows at a sheet's beginning by which it is chosen.
 _LOOKED_AT = 60
-#: Bytes that a workbook may have when it is unpacked; a file of a few kB can claim any number.
-_LARGEST = 4_000_000_000
+#: Bytes that a workbook may have when it is unpacked, and this many times its own beyond the next: a sheet
+#: of Excel's last row with ten columns has 370 MB, packed to a tenth; a file of some kB can claim any number.
+_LARGEST, _MOST_PACKED, _SMALL = 400_000_000, 100, 10_000_000
+#: Bytes of the parts that are kept in memory: texts of cells, and the rest but sheets and pictures.
+_MOST_TEXTS, _MOST_OTHERS = 40_000_000, 10_000_000
+#: More columns are no table of a sensor or a skeleton's; a longer line, characters, is no row of one.
+MOST_COLUMNS, LONGEST_LINE = 10_000, 1 << 20
 #: This many texts are kept for the next reader of the same workbook.
 _KEPT = 4
 
 
+#: A zip's entry of a workbook: its name is some 26 bytes behind the mark.
+_OF_WORKBOOK = re.compile(rb"PK\x03\x04.{6,26}(?:xl/|\[Content_Types\])", re.DOTALL)
+
+
 def is_workbook(raw: bytes) -> bool:
     """Whether a file's beginning is that of an Excel workbook (.xlsx)."""
-    return raw.startswith(b"PK\x03\x04") and (b"[Content_Types]" in raw or b"xl/" in raw[:4000])
+    return raw.startswith(b"PK\x03\x04") and bool(_OF_WORKBOOK.search(raw))
 
 
 def workbook_text(path: Path, rows: int | None = None) -> str:
@@ -315,9 +351,7 @@ def _text(path: Path, rows: int | None, mtime_ns: int, size: int) -> str:
     except UnoccludeError as error:
         raise RecordingError(f"{path} is an Excel workbook; {error}, or save it as CSV") from error
     try:
-        with zipfile.ZipFile(path) as parts:
-            if sum(part.file_size for part in parts.infolist()) > _LARGEST:
-                raise RecordingError(f"{path} is a workbook of more than 4 GB unpacked; save it as CSV.")
+        _check_size(path)
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
             sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
@@ -326,7 +360,8 @@ def _text(path: Path, rows: int | None, mtime_ns: int, size: int) -> str:
             for sheet in sheets:
                 sheet.reset_dimensions()  # some programs state the wrong ones
             sheet = max(sheets, key=_numbers)
-            return "\n".join(_line(row) for row in islice(sheet.iter_rows(values_only=True), rows)) + "\n"
+            lines = (_line(path, row) for row in islice(sheet.iter_rows(values_only=True), rows))
+            return "\n".join(lines) + "\n"
         finally:
             book.close()
     except RecordingError:
@@ -338,17 +373,59 @@ def _text(path: Path, rows: int | None, mtime_ns: int, size: int) -> str:
         ) from error
 
 
+def unpacked_size(path: Path) -> int:
+    """Bytes of a workbook's parts as its directory states them, which no part exceeds when it is read."""
+    with zipfile.ZipFile(path) as parts:
+        return sum(part.file_size for part in parts.infolist())
+
+
+def _check_size(path: Path) -> None:
+    with zipfile.ZipFile(path) as parts:
+        sizes = {part.filename.lstrip("/"): part.file_size for part in parts.infolist()}
+    texts = sum(size for name, size in sizes.items() if name.endswith("sharedStrings.xml"))
+    loose = ("xl/worksheets/", "xl/media/", "xl/drawings/", "xl/charts/")
+    others = sum(size for name, size in sizes.items() if not name.startswith(loose)) - texts
+    total = sum(sizes.values())
+    packed = path.stat().st_size
+    if total > min(_LARGEST, _SMALL + _MOST_PACKED * packed) or texts > _MOST_TEXTS or others > _MOST_OTHERS:
+        raise RecordingError(
+            f"{path} is a workbook of {total / 1e6:,.0f} MB unpacked (from {packed / 1e6:,.1f} MB), which is"
+            " more than is read; save the sheet with the measurements as CSV."
+        )
+
+
 def _numbers(sheet: Any) -> int:
     """How many numbers the first rows of a sheet contain."""
     rows = islice(sheet.iter_rows(values_only=True), _LOOKED_AT)
     return sum(isinstance(value, int | float) for row in rows for value in row)
 
 
-def _line(row: tuple[Any, ...]) -> str:
+def _line(path: Path, row: tuple[Any, ...]) -> str:
     cells = [_cell(value) for value in row]
     while cells and not cells[-1]:
         cells.pop()
-    return SEPARATOR.join(cells)
+    line = SEPARATOR.join(cells)
+    check_lines(path, [line])
+    return line
+
+
+def check_lines(path: Path, lines: Sequence[str]) -> None:
+    """Refuse lines that no table has, before they are parted: a million columns would take all memory."""
+    longest = max(map(len, lines), default=0)
+    if longest > LONGEST_LINE:
+        raise RecordingError(
+            f"{path} has a line of {longest:,} characters, and rows of tables with up to {LONGEST_LINE:,} are"
+            " read; export it with one row per line."
+        )
+    for line in lines if longest > MOST_COLUMNS else ():
+        columns = 1 + max(line.count(mark) for mark in SEPARATORS[:-1])
+        if line.count(" ") > MOST_COLUMNS:
+            columns = max(columns, len(line.split()))
+        if columns > MOST_COLUMNS:
+            raise RecordingError(
+                f"{path} has a row of {columns:,} columns, and tables with up to {MOST_COLUMNS:,} are read;"
+                " export the columns of the sensor or the skeleton alone."
+            )
 
 
 def _cell(value: Any) -> str:

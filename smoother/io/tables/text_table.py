@@ -15,7 +15,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from .protocol import HEAD_BYTES, amount, decode, no_table, shown
-from .table_layout import TableLayout, is_workbook, layout_of, split_line, workbook_text
+from .table_layout import TableLayout, check_lines, is_workbook, layout_of, split_line, workbook_text
 
 _DATE = re.compile(
     r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)[-/.](\d{4}))[ T_]+"
@@ -453,6 +453,7 @@ def sheet_of_text(
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")
+    check_lines(path, lines)
     layout = layout or layout_of(lines)
     if layout is None:
         seen = shown(" | ".join(line for line in lines[:4] if line.strip()))

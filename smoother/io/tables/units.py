@@ -20,6 +20,8 @@ ACCELERATION = {
     **dict.fromkeys(("mps2", "ms2", "m_s2", "ms-2", "mps^2"), 1.0),
     **dict.fromkeys(("g", "gs", "gn", "gravity"), STANDARD_GRAVITY),
     **dict.fromkeys(("mg", "milli-g"), STANDARD_GRAVITY / 1000),
+    **dict.fromkeys(("cm/s^2", "cm/s2", "gal"), 0.01),
+    **dict.fromkeys(("mm/s^2", "mm/s2"), 0.001),
 }
 #: rad/s in one unit.
 ANGULAR_VELOCITY = {
@@ -100,6 +102,8 @@ def split_unit(name: str) -> tuple[str, str]:
 SENSOR_RATES = (3.0, 2500.0)
 #: Sizes that are gravity in m/s^2, in g and in mg.
 _IS_GRAVITY, _IS_ONE_G, _IS_1000_MG = (8.0, 12.0), (0.85, 1.15), (700.0, 1300.0)
+#: Sizes at rest, when no motion adds to them, by the unit that they are gravity in.
+_AT_REST = {"g": (0.7, 1.4), "mg": (700.0, 1400.0), "mm/s^2": (7000.0, 14000.0)}
 #: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
 _FAST = 40.0
 #: A field of 15 to 120 uT whose middle half lies within a quarter is the earth's.
@@ -161,6 +165,11 @@ def from_1970(times: FloatArray, unit: str) -> FloatArray:
     """Times (n,) in a unit; ticks that count from the year 1 or 1601 count from 1970 then."""
     start = _epoch(float(np.nanmedian(times)), unit) if np.isfinite(times).any() else None
     return times - start / SECONDS[unit] if start else times
+
+
+def unit_of_rest(size: float) -> str:
+    """Unit in which a specific force of that size at rest is gravity, if it is another one than m/s^2."""
+    return next((unit for unit, (low, high) in _AT_REST.items() if low < size < high), "")
 
 
 def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str:
