@@ -37,6 +37,8 @@ class Move:
     ----------
     t_s : float, s
         On the first camera's clock, to some seconds.
+    between_s : tuple of float, s
+        The middles of the parts before and after: the part that it falls into looks like the larger half.
     turned_rad, shifted_m : float
         By how much; the second where it sees the arm.
     misfit_m : float, m
@@ -44,6 +46,7 @@ class Move:
     """
 
     t_s: float
+    between_s: tuple[float, float]
     turned_rad: float
     shifted_m: float
     misfit_m: float
@@ -57,8 +60,10 @@ class Move:
         )
 
 
-def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first: str) -> str:
-    """Why a camera cannot be used, in words; "" where it can.
+def fault_of(
+    found: Sequence[tuple[Placement, Overlap]], best: Placement, first: str
+) -> tuple[str, tuple[float, float] | None]:
+    """Why a camera cannot be used, in words ("" where it can), and between when one of the two was moved.
 
     Parameters
     ----------
@@ -76,7 +81,7 @@ def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first:
             f"its joints fit {first}'s as a mirror image only ({100 * mirrored_m:.0f} cm apart in the"
             f" middle, {100 * best.misfit_m:.0f} cm as they are): it or {first} is mirrored; mirror it"
             " back in the camera's program"
-        )
+        ), None
     # at a wrong offset parts may lie somewhere by chance, but no better than the whole at its right place
     moves = [
         move
@@ -84,13 +89,14 @@ def fault_of(found: Sequence[tuple[Placement, Overlap]], best: Placement, first:
         if (move := moved(each, together)) is not None and move.misfit_m < best.misfit_m
     ]
     if moves:
-        return min(moves, key=lambda each: each.misfit_m).sentence(first)
+        move = min(moves, key=lambda each: each.misfit_m)
+        return move.sentence(first), move.between_s
     if best.misfit_m > OTHER_M and best.misfit_m > OTHER_SHARE * best.spread_m:
         return (
             f"its joints are {100 * best.misfit_m:.0f} cm from {first}'s for any pose and clock: it saw"
             " another person or the other arm, or is of another session"
-        )
-    return ""
+        ), None
+    return "", None
 
 
 def moved(placement: Placement, together: Overlap) -> Move | None:
@@ -134,7 +140,8 @@ def move_between(
         turned, shifted = float(np.linalg.norm(apart[:3])), float(np.linalg.norm(apart[3:]))
         if sigmas > most and (turned > MOVED_RAD or shifted > MOVED_M):
             at_s = 0.5 * float(t[parts[cut - 1].stop - 1] + t[parts[cut].start])
-            best, most = Move(at_s, turned, shifted, misfit_m), sigmas
+            middles = [float(t[(part.start + part.stop) // 2]) for part in parts[cut - 1 : cut + 1]]
+            best, most = Move(at_s, (middles[0], middles[1]), turned, shifted, misfit_m), sigmas
     return best
 
 

@@ -112,6 +112,7 @@ def _placed(camera: Camera, first: JointTracks, name: str) -> RigCamera:
             " offset; put it where both see the arm, or let both see it for some seconds at the start",
         )
     best, together = min(found, key=lambda each: each[0].misfit_m)
+    reason, moved_s = fault_of(found, best, name)
     return RigCamera(
         camera.name,
         best.pose,
@@ -119,7 +120,8 @@ def _placed(camera: Camera, first: JointTracks, name: str) -> RigCamera:
         best.offset_m,
         best.misfit_m,
         together.length_s,
-        fault_of(found, best, name),
+        reason,
+        moved_s=moved_s,
     )
 
 

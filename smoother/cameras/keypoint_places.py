@@ -95,14 +95,23 @@ def placed_keypoints(camera: Camera, first: JointTracks, name: str) -> RigCamera
     pose = CameraPose(best.R, best.p, float(np.sqrt(variance[:3].mean())), sigma_m)
     clock = replace(best.clock, sigma_s=float(np.sqrt(variance[6])))
     reason = ""
-    if moves:
-        reason = min(moves, key=lambda each: each.misfit_m).sentence(name)
+    move = min(moves, key=lambda each: each.misfit_m, default=None)
+    if move is not None:
+        reason = move.sentence(name)
     elif best.misfit_m > OTHER_M:
         reason = (
             f"its rays pass {name}'s joints by {100 * best.misfit_m:.0f} cm for any pose and clock: it saw"
             " another person or the other arm, is mirrored, was moved, or its lens is wrong"
         )
-    return RigCamera(camera.name, pose, clock, misfit_m=best.misfit_m, together_s=length_s, reason=reason)
+    return RigCamera(
+        camera.name,
+        pose,
+        clock,
+        misfit_m=best.misfit_m,
+        together_s=length_s,
+        reason=reason,
+        moved_s=None if move is None else move.between_s,
+    )
 
 
 def _placed(first: JointTracks, other: JointTracks, clock: RelativeClock) -> KeypointPlacement | None:

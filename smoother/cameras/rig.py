@@ -62,6 +62,8 @@ class RigCamera:
         Why it was left out; "" where it is used.
     note : str
         What is to be known of one that is used, after its name.
+    moved_s : tuple of float, s, optional
+        On the first camera's clock, between when it or the first one was moved.
     """
 
     name: str
@@ -72,6 +74,7 @@ class RigCamera:
     together_s: float = float("nan")
     reason: str = ""
     note: str = ""
+    moved_s: tuple[float, float] | None = None
 
     @property
     def takes_part(self) -> bool:

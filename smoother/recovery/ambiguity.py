@@ -20,7 +20,7 @@ from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..result import Recovery, UntrustedInterval
 from ..rotation import Rotation
-from .cause import distrusted, fixed_by
+from .cause import distrusted, fixed_by, on_upper_arm
 from .explanations import Explanation, explanations
 from .trust import sensor_at_elbow
 
@@ -65,6 +65,8 @@ def with_ambiguities(
         for swapped in sensor_at_elbow(recording.arm, recovery.calibration):
             cause = fixed_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.applied_fixes)
             return distrusted(recovery, cause)
+    if is_trusted and (upper := on_upper_arm(recording)) is not None:
+        return distrusted(recovery, upper)
     found = explanations(recovery, excerpts, down_hint(recording), NEARLY_MIRRORED)
     if found is None:
         return recovery

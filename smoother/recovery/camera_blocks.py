@@ -228,11 +228,7 @@ def without_wrong_blocks(
         excluded, contradicting = wanted, suspects(best.evidence)
     recovery = excluded.noted(best.recovery, recording)
     faults = camera_faults(excluded.frames, contradicting, recovery, recording, names)
-    estimates = replace(
-        recovery.estimates,
-        untrusted=(*recovery.estimates.untrusted, *faults.untrusted),
-        cautions=(*recovery.estimates.cautions, *faults.cautions),
-    )
+    estimates = recovery.estimates.with_findings(faults)
     return replace(best, recovery=replace(recovery, estimates=estimates), excluded=excluded)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,30 +10,17 @@ from ..array_types import BoolArray, IntArray
 from ..linalg import runs
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointState, Recording
-from ..result import Recovery, UntrustedInterval
+from ..result import Recovery
+from ..result.verdict import Finding
 
 #: Bones that are off by this share of their usual length, and by this much, m, are another body's.
 OTHER_LENGTH, OTHER_LENGTH_M = 0.15, 0.035
 #: Joints that move less than this, m, while by the rest they move this much more are guessed.
 HELD_M, HELD_SHARE = 0.03, 4.0
+#: Blocks farther apart than this, s, with nothing visible between are on both sides of a gap.
+HIDDEN_S = 0.25
 
 _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("elbow", "wrist"))
-
-
-@dataclass(frozen=True)
-class CameraFaults:
-    """What is wrong with the camera's samples, in words.
-
-    Attributes
-    ----------
-    cautions : tuple of str
-        Blocks that were left out, with their times and what they look like.
-    untrusted : tuple of UntrustedInterval
-        Times at which nothing decides.
-    """
-
-    cautions: tuple[str, ...] = ()
-    untrusted: tuple[UntrustedInterval, ...] = ()
 
 
 def camera_faults(
@@ -43,7 +29,7 @@ def camera_faults(
     recovery: Recovery,
     recording: Recording,
     names: Sequence[str],
-) -> CameraFaults:
+) -> Iterator[Finding]:
     """What was left out, and what contradicts even then.
 
     Parameters
@@ -59,44 +45,31 @@ def camera_faults(
         Of the cameras, in sentences.
     """
     frame_t = np.asarray(recovery.arm.t_s)
-    cautions, untrusted = [], []
     for name, own in zip(names, recording.arm.rows_by_camera, strict=True):
         for run in _joined(excluded, recording, own):
             rows = own[run]
             start_s, end_s = float(frame_t[rows[0]]), float(frame_t[rows[-1]])
             looks = _looks_like(run, own, recovery, recording)
             what = f"from {start_s:.1f} to {end_s:.1f} s {name}'s joints contradict the IMU and the rest"
-            cautions.append(f"{what}: {looks}; they were left out")
-            for gap in recovery.gaps:
-                beside = gap.start_s < end_s + 0.2 and gap.end_s > start_s - 0.2
-                if beside and (gap.open_start or gap.open_end):
-                    untrusted.append(
-                        UntrustedInterval(
-                            min(gap.start_s, start_s),
-                            max(gap.end_s, end_s),
-                            (f"{what} ({looks}), and nothing on that side confirms the answer",),
-                        )
-                    )
-    for start_s, end_s, camera in contradicting:
-        reason = (
+            yield Finding(f"{what}: {looks}; they were left out")
+            both_sides = np.diff(frame_t[rows[excluded[rows]]], prepend=start_s).max() > HIDDEN_S
+            for gap in _beside(recovery.gaps, start_s, end_s):
+                if both_sides or gap.open_start or gap.open_end:
+                    times = min(gap.start_s, start_s), max(gap.end_s, end_s)
+                    where = "either" if both_sides else "that"
+                    yield Finding(f"{what} ({looks}), and nothing on {where} side confirms the answer", times)
+    for start_s, end_s, camera in sorted(contradicting):
+        gaps = _beside(recovery.gaps, start_s, end_s)
+        yield Finding(
             f"from {start_s:.1f} to {end_s:.1f} s {names[camera]}'s joints and the IMU contradict each other,"
-            " and nothing shows which is right"
+            " and nothing shows which is right",
+            (min([start_s, *(gap.start_s for gap in gaps)]), max([end_s, *(gap.end_s for gap in gaps)])),
         )
-        untrusted.append(UntrustedInterval(*_with_gaps(recovery.gaps, start_s, end_s), (reason,)))
-    return CameraFaults(tuple(cautions), tuple(_unique(untrusted)))
 
 
-def _unique(intervals: Sequence[UntrustedInterval]) -> Iterator[UntrustedInterval]:
-    """Intervals in the order of time; the same one once."""
-    yield from sorted(dict.fromkeys(intervals), key=lambda each: (each.start_s, each.end_s))
-
-
-def _with_gaps(gaps: Sequence[Gap], start_s: float, end_s: float) -> tuple[float, float]:
-    """Times widened to the gaps beside them, which rest on what the camera saw then."""
-    for gap in gaps:
-        if gap.start_s <= end_s + 0.2 and gap.end_s >= start_s - 0.2:
-            start_s, end_s = min(start_s, gap.start_s), max(end_s, gap.end_s)
-    return start_s, end_s
+def _beside(gaps: Sequence[Gap], start_s: float, end_s: float) -> list[Gap]:
+    """The gaps that rest on what the camera saw between two times."""
+    return [gap for gap in gaps if gap.start_s <= end_s + 0.2 and gap.end_s >= start_s - 0.2]
 
 
 def _joined(frames: BoolArray, recording: Recording, own: IntArray) -> list[slice]:

@@ -61,6 +61,13 @@ class Alternative:
     kind: str = ""
 
 
+ON_UPPER_ARM = Alternative(
+    "the IMU seems to sit on the upper arm",
+    lambda given: replace(given, arm=UPPER_ARM.seen_as_forearm(given.arm)),
+    "strap it to the forearm, near the wrist",
+)
+
+
 def alternatives(recording: Recording) -> Iterator[Alternative]:
     """All that is tried, the likelier first."""
     for axis in AXES:
@@ -86,11 +93,7 @@ def alternatives(recording: Recording) -> Iterator[Alternative]:
             lambda given, by=factor: _sized(given, by),  # type: ignore[misc]
             "import them again in their unit (position_unit)",
         )
-    yield Alternative(
-        "the IMU seems to sit on the upper arm",
-        lambda given: replace(given, arm=UPPER_ARM.seen_as_forearm(given.arm)),
-        "strap it to the forearm, near the wrist",
-    )
+    yield ON_UPPER_ARM
 
 
 def by_remedy(remedy: Remedy, mistake: str, kind: str = "") -> Alternative:
@@ -225,7 +228,8 @@ def likeliest_cause(
     if as_it_is is None or not np.isfinite(as_it_is.misfit):
         return None
     if as_it_is.fits:
-        return None if down is None else _wrong_gravity(as_it_is, recording, down)
+        upper = _on_upper_arm(recording, as_it_is)
+        return upper if upper or down is None else _wrong_gravity(as_it_is, recording, down)
     if measured is not None and _fits_without(recording, measured, given, as_it_is):
         return Cause(
             "the clock that was given does not fit, but the one by motion does: it is likely to be of"
@@ -249,6 +253,23 @@ def likeliest_cause(
             " elsewhere; check --side, --imu and the files"
         )
     return None
+
+
+def on_upper_arm(recording: Recording) -> Cause | None:
+    """The IMU turns with the upper arm, however well it fits the forearm: with the elbow hardly bent, say."""
+    recording = informative_recording(recording, Timeline.of(recording))
+    as_it_is = closed_form(recording)
+    return None if as_it_is is None else _on_upper_arm(recording, as_it_is)
+
+
+def _on_upper_arm(recording: Recording, as_it_is: ClosedForm) -> Cause | None:
+    fit = closed_form(ON_UPPER_ARM.corrected(recording))
+    if fit is None or not fit.fits or fit.misfit > CLEARLY * as_it_is.misfit:
+        return None
+    shoulder, elbow = (fit.calibration.lever_arms[joint].position_m for joint in ("elbow", "wrist"))
+    if elbow @ (elbow - shoulder) < 0.0:  # beyond the elbow: an arm that stays straight turns as one
+        return None
+    return _named([(fit.misfit, ON_UPPER_ARM)], recording.applied_fixes)
 
 
 def _other_arm(recording: Recording, as_it_is: ClosedForm) -> Iterator[tuple[float, Alternative]]:

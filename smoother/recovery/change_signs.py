@@ -20,7 +20,7 @@ from ..measurements.timestamps import PAUSE_SAMPLES
 from ..measurements.visibility import Rejection
 from ..recording import JOINTS, ImuStream, JointState, Recording
 from ..result import Recovery
-from ..result.verdict import UntrustedInterval
+from ..result.verdict import EVER, Finding
 from ..rotation import Rotation, chained
 
 #: Length of the stretches and step between them, s.
@@ -301,8 +301,11 @@ def down_jumps(imu: ImuStream, gyroscope_bias: FloatArray) -> FloatArray:
     return np.column_stack([at, smallest, lengths])[lengths > 0]
 
 
-def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[str]:
+def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[Finding]:
     """Down in the camera's frame is another one from some moment on.
+
+    As with a turn about the vertical, a large one leaves nothing in one frame; a small one is in doubt around
+    that moment.
 
     Parameters
     ----------
@@ -328,9 +331,10 @@ def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[str]:
         best = max(best, (angle_deg / sigma_deg, angle_deg, 0.5 * (at_s[k - 1] + at_s[k])))
     sigmas, angle_deg, changed_s = best
     if angle_deg > PUSHED_DEG and sigmas > PUSHED_SIGMAS:
-        yield (
+        yield Finding(
             f"from about {changed_s:.0f} s on, down points {angle_deg:.1f} degrees in another direction of"
-            " the camera's frame: was the camera pushed, or the sensor turned on the arm?"
+            " the camera's frame: was the camera pushed, or the sensor turned on the arm?",
+            EVER if angle_deg > TURNED_DEG else (changed_s - MEAN_S, changed_s + MEAN_S),
         )
 
 
@@ -357,9 +361,7 @@ def camera_turned(drift: GyroscopeDrift, down: FloatArray) -> Iterator[str]:
         )
 
 
-def imu_lies_still(
-    recovery: Recovery, recording: Recording, gyroscope_bias: FloatArray
-) -> Iterator[UntrustedInterval]:
+def imu_lies_still(recovery: Recovery, recording: Recording, gyroscope_bias: FloatArray) -> Iterator[Finding]:
     """Times at which the IMU does not turn at all while the camera sees the forearm turn.
 
     It was taken off, or the camera follows somebody else: a forearm cannot turn without its sensor.
@@ -393,13 +395,10 @@ def imu_lies_still(
         direction = unit(position[seen, wrist] - position[seen, elbow])
         away = direction @ unit(np.median(direction, axis=0))
         if np.mean(away < np.cos(np.radians(STILL_TURN_DEG))) > STILL_SHARE:
-            yield UntrustedInterval(
-                start_s,
-                end_s,
-                (
-                    f"from {start_s:.1f} to {end_s:.1f} s the IMU is still while the camera sees the"
-                    " forearm turn: it was taken off, or the skeleton is another person's",
-                ),
+            yield Finding(
+                f"from {start_s:.1f} to {end_s:.1f} s the IMU is still while the camera sees the"
+                " forearm turn: it was taken off, or the skeleton is another person's",
+                (start_s, end_s),
             )
 
 

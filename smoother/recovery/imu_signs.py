@@ -26,7 +26,7 @@ from ..measurements.timestamps import PAUSE_SAMPLES, synthetic_stamps
 from ..measurements.visibility import Rejection
 from ..recording import JOINTS, ImuStream, Recording
 from ..result import Recovery
-from ..result.verdict import UntrustedInterval
+from ..result.verdict import EVER, Finding
 from ..rotation import Rotation, chained
 from ..units import STANDARD_GRAVITY
 
@@ -311,23 +311,7 @@ class ClockStep:
         )
 
 
-@dataclass(frozen=True)
-class LostSamples:
-    """What a step of the clock leaves in doubt.
-
-    Attributes
-    ----------
-    reasons : tuple of str
-        Why nothing of the recording is to be trusted.
-    untrusted : tuple of UntrustedInterval
-        What is not, where the rest is.
-    """
-
-    reasons: tuple[str, ...] = ()
-    untrusted: tuple[UntrustedInterval, ...] = ()
-
-
-def lost_samples(recovery: Recovery, recording: Recording) -> LostSamples:
+def lost_samples(recovery: Recovery, recording: Recording) -> Iterator[Finding]:
     """Samples or frames that were lost behind stamps that go on as if nothing were; as `clock_steps`."""
     least_s = STEP_SYNTHETIC_S if synthetic_stamps(np.asarray(recording.arm.t_s)) else STEP_S
     steps = [
@@ -335,16 +319,12 @@ def lost_samples(recovery: Recovery, recording: Recording) -> LostSamples:
         for step in clock_steps(recovery, recording)
         if step.gain >= STEP_GAIN and abs(step.step_s) >= least_s
     ]
-    if not steps:
-        return LostSamples()
-    largest = max(steps, key=lambda step: abs(step.step_s))
-    if abs(largest.step_s) >= LARGE_STEP_S:
-        return LostSamples(reasons=(largest.sentence,))
-    return LostSamples(
-        untrusted=tuple(
-            UntrustedInterval(step.at_s - NEAR_S, step.at_s + NEAR_S, (step.sentence,)) for step in steps
-        )
-    )
+    large = max(steps, key=lambda step: abs(step.step_s), default=None)
+    if large is not None and abs(large.step_s) >= LARGE_STEP_S:
+        yield Finding(large.sentence, EVER)
+        return
+    for step in steps:
+        yield Finding(step.sentence, (step.at_s - NEAR_S, step.at_s + NEAR_S))
 
 
 def clock_steps(recovery: Recovery, recording: Recording) -> list[ClockStep]:

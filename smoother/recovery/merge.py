@@ -13,11 +13,12 @@ from ..measurements.segment import Timeline
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, Recording
 from ..result import Estimates, Recovery
+from ..result.verdict import Finding
 from ..runtime.store import Store
 from ..selfcal.self_calibration import SelfCalibration
 from .blended_columns import ArmColumns, DrawColumns, FurtherColumns, merged_gaps
 from .magnetometer import Magnetometer
-from .notes import notes_on
+from .notes import notes_on, unexplained_gaps
 from .second_pass import SecondAnswer
 from .task import Task
 
@@ -85,7 +86,10 @@ def merge(
         notes=notes_on(recording, timeline, model, clock, residuals, gaps, unexplained),
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}, exclude_none=True),
-        estimates=_estimates(model, np.mean(columns.bias, axis=0)),
+        estimates=_estimates(model, np.mean(columns.bias, axis=0)).with_findings(
+            Finding(note, (gap.start_s, gap.end_s))
+            for gap, note in zip(unexplained, unexplained_gaps(unexplained), strict=True)
+        ),
         segments=further.motions(recording, model, coarse_clock),
         body=recording.body,
         trunk=None,  # beside the arm: `with_trunk`

@@ -58,7 +58,7 @@ def notes_on(
         *_rejected(residuals),
         *_open_gaps(gaps, "upper_arm" in model.estimate.mountings),
         *_unanswered(recording, timeline, gaps),
-        *_unexplained(unexplained),
+        *unexplained_gaps(unexplained),
     )
 
 
@@ -150,9 +150,10 @@ def _unanswered(recording: Recording, timeline: Timeline, gaps: tuple[Gap, ...])
     ]
 
 
-def _unexplained(gaps: Sequence[Gap]) -> list[str]:
+def unexplained_gaps(gaps: Sequence[Gap]) -> list[str]:
+    """A sentence for each of these gaps."""
     return [
         f"the gap from {gap.start_s:.1f} s to {gap.end_s:.1f} s: IMU, shoulder and upper arm do not fit"
-        " together there; it is recovered without the upper arm's length, and its sigma covers what is open"
+        " together there: trunk or camera may have moved; it is recovered without the upper arm's length"
         for gap in gaps
     ]

@@ -21,7 +21,7 @@ from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.visibility import Rejection
 from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, JointTracks, Recording
 from ..result import Recovery, SelfCheck
-from ..result.verdict import gap_verdicts
+from ..result.verdict import EVER, Finding, gap_verdicts
 from ..selfcal.pairing import doubtful, unproved
 from .change_signs import camera_pushed, changes, imu_lies_still, skeleton_filled
 from .imu_signs import (
@@ -148,10 +148,8 @@ def _variation(distances_m: FloatArray) -> float:
 #: years on.
 UPPER_ARM_M = {Anatomy.ADULT: (0.20, 0.40), Anatomy.CHILD: (0.12, 0.36)}
 FOREARM_M = {Anatomy.ADULT: (0.17, 0.34), Anatomy.CHILD: (0.10, 0.30)}
-#: A sensor on a forearm is no farther from the bone's axis, m; short recordings find it up to twice as far,
-#: and the joints are right all the same: beyond that nothing is. No lever arm is longer than the last.
-FROM_AXIS_M, FAR_FROM_AXIS_M = 0.10, 0.20
-LEVER_ARM_M = 0.45
+#: A sensor on a forearm is no farther from the bone's axis, m, and no lever arm is longer than the second.
+FROM_AXIS_M, LEVER_ARM_M = 0.10, 0.45
 #: Gravity farther than this from where the camera's frame has down is not a tilted camera, degrees.
 GRAVITY_DEG = 60.0
 #: A frame (or one axis) fits where its down is nearer to gravity than this, degrees: cameras tilt a little.
@@ -205,7 +203,31 @@ def with_verdict(
         By which the camera's stamps were moved before the fine search.
     """
     scale = force_scale(recording.imu, _gyroscope_bias(recovery))
-    lost = lost_samples(recovery, recording)
+    # what was found is a remark, or contradicts some times, or the whole recording
+    found = recovery.estimates.with_findings(
+        [
+            *camera_pushed(recovery, recording),
+            *lost_samples(recovery, recording),
+            *imu_lies_still(recovery, recording, _gyroscope_bias(recovery)),
+            *(Finding(each, EVER) for each in _anatomy(recovery.calibration, anatomy)),
+            *map(
+                Finding,
+                (
+                    *doubtful(recovery.estimates.pairing),
+                    *open_questions,
+                    *distance_doubtful(recovery),
+                    *_camera(recovery, NEAR_M),
+                    *rate(recording.imu, SLOW_HZ),
+                    *_hand_as_wrist(recovery.calibration, anatomy),
+                    *clipped(recording.imu, 0.0),
+                    *doubtful_scale(scale),
+                    *spikes(recording.imu),
+                    *paused_in_gaps(recording),
+                    *skeleton_filled(recovery),
+                ),
+            ),
+        ]
+    )
     reasons = (
         # what is wrong with the input comes before what follows of it
         *rate(recording.imu, TOO_SLOW_HZ),
@@ -213,49 +235,22 @@ def with_verdict(
         *clipped(recording.imu, PLATEAU_SHARE),
         *wrong_scale(scale),
         *_mirror_image(recording),
-        *lost.reasons,
         *changes(recovery, recording, _gyroscope_bias(recovery)),
         *(swapped.sentence for swapped in swapped_joints(recording.arm)),
         *unproved(recovery.estimates.pairing),
         *misfits,
         *_measured_clock(recovery, measured),
-        *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
+        *found.reasons,
         *_gravity(recovery, recording),
         *distance_unknown(recovery),
         *_clock(recovery, moved),
         *_camera(recovery, FAR_M),
         *_self_check(recovery.estimates.self_check),
     )
-    cautions = (
-        *recovery.estimates.cautions,
-        *doubtful(recovery.estimates.pairing),
-        *open_questions,
-        *distance_doubtful(recovery),
-        *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
-        *_camera(recovery, NEAR_M),
-        *rate(recording.imu, SLOW_HZ),
-        *_hand_as_wrist(recovery.calibration, anatomy),
-        *clipped(recording.imu, 0.0),
-        *doubtful_scale(scale),
-        *spikes(recording.imu),
-        *paused_in_gaps(recording),
-        *camera_pushed(recovery, recording),
-        *skeleton_filled(recovery),
-    )
     if reasons:  # what else is wrong with the input is the likeliest cause
         reasons = tuple(dict.fromkeys((*input_faults(recording), *reasons)))
-    cautions = tuple(caution for caution in dict.fromkeys(cautions) if caution not in reasons)
-    estimates = replace(
-        recovery.estimates,
-        trusted=not reasons,
-        reasons=reasons,
-        cautions=cautions,
-        untrusted=(
-            *recovery.estimates.untrusted,
-            *lost.untrusted,
-            *imu_lies_still(recovery, recording, _gyroscope_bias(recovery)),
-        ),
-    )
+    cautions = tuple(caution for caution in dict.fromkeys(found.cautions) if caution not in reasons)
+    estimates = replace(found, trusted=not reasons, reasons=reasons, cautions=cautions)
     return replace(recovery, estimates=estimates)
 
 
@@ -309,7 +304,7 @@ def _gyroscope_bias(recovery: Recovery) -> FloatArray:
     return np.where(np.isfinite(bias), bias, 0.0)
 
 
-def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy, from_axis_m: float) -> Iterator[str]:
+def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy) -> Iterator[str]:
     """Lengths that no arm has, each farther outside than twice its sigma."""
     if arm is None or anatomy is Anatomy.ANY:
         return
@@ -326,7 +321,7 @@ def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy, from_axis_m: float) -
         across = wrist.position_m - (wrist.position_m @ along) * along / length_m**2
         away_m = float(np.linalg.norm(across))
         yield from _outside(
-            away_m, sigma_m, (0.0, from_axis_m), "the IMU's distance from the forearm's axis is"
+            away_m, sigma_m, (0.0, FROM_AXIS_M), "the IMU's distance from the forearm's axis is"
         )
     for joint, lever in levers.items():
         length_m = float(np.linalg.norm(lever.position_m))

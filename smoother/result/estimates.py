@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from ..recording import JOINTS
 from .camera_estimate import CameraEstimate, cameras_from_plain
-from .verdict import Pairing, SelfCheck, UntrustedInterval, intervals_from_plain, intervals_plain
+from .verdict import (
+    EVER,
+    Finding,
+    Pairing,
+    SelfCheck,
+    UntrustedInterval,
+    intervals_from_plain,
+    intervals_plain,
+)
 
 
 @dataclass(frozen=True)
@@ -96,6 +104,24 @@ class Estimates:
         if not self.trusted:
             return f"Not to be trusted: {'; '.join(self.reasons)}."
         return f"Usable with care: {'; '.join(self.cautions)}." if self.cautions else "Usable."
+
+    def with_findings(self, findings: Iterable[Finding]) -> Estimates:
+        """A remark is a caution; what contradicts some times takes their trust, or that of the whole."""
+        cautions, reasons, untrusted = list(self.cautions), list(self.reasons), list(self.untrusted)
+        for sentence, times in dict.fromkeys(findings):
+            if times is None:
+                cautions.append(sentence)
+            elif times == EVER:
+                reasons.append(sentence)
+            else:
+                untrusted.append(UntrustedInterval(*times, (sentence,)))
+        return replace(
+            self,
+            trusted=False if reasons else self.trusted,
+            reasons=tuple(reasons),
+            cautions=tuple(cautions),
+            untrusted=tuple(untrusted),
+        )
 
     def plain(self) -> dict[str, object]:
         """Plain values by name, as files and `--json` state them; what is not stated is left out."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,17 @@ class UntrustedInterval:
     def overlaps(self, start_s: float, end_s: float) -> bool:
         """Whether it reaches into the times between two."""
         return self.start_s < end_s and self.end_s > start_s
+
+
+#: All times of a recording.
+EVER = (-float("inf"), float("inf"))
+
+
+class Finding(NamedTuple):
+    """What was found, and the times, s on the IMU's clock, whose answer it contradicts; None for a remark."""
+
+    sentence: str
+    contradicts_s: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
