@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of files
 """One fact, every reader: halves of an IMU, units, encodings, lines below the names, limits, remedies."""
 
 from __future__ import annotations
@@ -160,14 +161,14 @@ def test_a_unit_in_recording_toml_holds_for_a_recording(tmp_path: Path, name: st
     WRITERS[name](tmp_path / name, {"/wrist/imu": (ACC / STANDARD_GRAVITY, np.degrees(GYRO))})
     text = f'[imu.forearm_right]\nfile = "{name}"\n'
     for stated in ("", 'accelerometer_unit = "g"\n', 'accelerometer_unit = "g"\ngyroscope_unit = "deg/s"\n'):
-        if name.endswith("xdf") and not stated.count("\n") == 2:
+        if name.endswith("xdf") and stated.count("\n") != 2:
             continue  # its channels state m/s^2 and rad/s, so both are to be overruled
         (tmp_path / "recording.toml").write_text(text + stated)
         (imu,) = open_csv(tmp_path).imus
         np.testing.assert_allclose(imu.acc, ACC, atol=1e-4)
         np.testing.assert_allclose(imu.gyro, GYRO, atol=1e-4)
     (tmp_path / "recording.toml").write_text(text + 'time_unit = "ms"\n')
-    with pytest.raises(RecordingError, match="no table .*leave out time_unit"):
+    with pytest.raises(RecordingError, match=r"no table .*leave out time_unit"):
         open_csv(tmp_path)
 
 
