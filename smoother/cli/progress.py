@@ -55,14 +55,6 @@ def progress(
             help="Sessions have no true change: print ICC, SEM, smallest detectable change.",
         ),
     ] = False,
-    plots: Annotated[
-        Path | None,
-        typer.Option(
-            "--plots",
-            metavar="FOLDER",
-            help="Also write SVG for papers: curves over a repetition, Bland-Altman (--reliability).",
-        ),
-    ] = None,
     measure: Annotated[
         list[str] | None,
         typer.Option("--measure", metavar="KEY", help="Only this measure; may be repeated."),
@@ -81,7 +73,6 @@ def progress(
     """
     from ..evaluation.measure_files import read_detectable
     from ..evaluation.reliability import reliability_of
-    from ..evaluation.waveform_change import of_group
     from ..study.progress import progress_of, read_rows, sessions_of
 
     if not study.is_dir():
@@ -96,13 +87,10 @@ def progress(
         _write_page(persons, report, force)
     repeated = reliability_of(persons) if reliability else []
     figures: dict[str, object] = {"persons": [each.to_dict() for each in persons], "left_out": left_out}
-    figures["group_waveforms"] = of_group([change for each in persons for change in each.waveforms])
     if reliability:
         figures["reliability"] = [each.to_dict() for each in repeated]
     write_json(json_file, figures, force)
     _write_csv(csv_file, persons, force)
-    if plots is not None:
-        _write_plots(persons, repeated, plots, force)
     for each in persons:
         _print(each)
     if reliability:
@@ -158,15 +146,7 @@ def _print(progress: PersonProgress) -> None:
         say(_counted(progress))
     elif progress.sessions:
         say("One session only: nothing can be compared.")
-    print_notes([*_waveform_notes(progress), *progress.notes, *_limits(progress), *progress.left_out])
-
-
-def _waveform_notes(progress: PersonProgress) -> list[str]:
-    """What the curves over a repetition show: a sentence each."""
-    from ..evaluation.agreement import WORDS
-    from ..evaluation.waveform_change import sentence
-
-    return [sentence(each, f"Curve of {WORDS[each.angle]}") for each in progress.waveforms]
+    print_notes([*progress.notes, *_limits(progress), *progress.left_out])
 
 
 def _print_reliability(repeated: Sequence[Reliability]) -> None:
@@ -178,38 +158,6 @@ def _print_reliability(repeated: Sequence[Reliability]) -> None:
             f"--reliability needs {FEWEST_PERSONS} persons with two sessions each; no measure has them"
         )
     print_table("Reliability, for sessions without true change", COLUMNS, reliability_cells(repeated))
-
-
-def _write_plots(
-    persons: Sequence[PersonProgress], repeated: Sequence[Reliability], folder: Path, force: bool
-) -> None:
-    """Curves of each person, and a Bland-Altman plot a measure."""
-    import numpy as np
-
-    from ..evaluation.agreement import WORDS
-    from ..report.publication import (
-        file_name,
-        prepared_folder,
-        write_bland_altman,
-        write_waveform_change,
-    )
-
-    curves = {
-        file_name("curve", person.person, each.side, each.task, each.angle): (person, each)
-        for person in persons
-        for each in person.waveforms
-    }
-    pairs = {file_name("agreement", each.side, each.task, each.key): each for each in repeated}
-    prepared_folder(folder, [*curves, *pairs], force)
-    for name, (person, change) in curves.items():
-        title = ", ".join(filter(None, (person.person, WORDS[change.angle], change.side, change.task)))
-        write_waveform_change(change, title, folder / name, force)
-    for name, one in pairs.items():
-        values = np.array(one.values)
-        title = ", ".join(filter(None, (one.name, one.side, one.task)))
-        words = ("session 1", "session 2")
-        write_bland_altman(values[:, 0], values[:, 1], title, one.unit, folder / name, words, force)
-    say(f"written: {folder} ({len(curves) + len(pairs)} SVG files)")
 
 
 def _cells(series: Series) -> tuple[str, ...]:

@@ -108,14 +108,6 @@ def validate(
             help="Add the measures of an earlier `validate --json` to the agreement; may be repeated.",
         ),
     ] = None,
-    plots: Annotated[
-        Path | None,
-        typer.Option(
-            "--plots",
-            metavar="FOLDER",
-            help="Also write Bland-Altman plots of the measures with three pairs or more, as SVG.",
-        ),
-    ] = None,
     side: Side = None,
     body: Body = None,
     processes: Processes = None,
@@ -159,37 +151,10 @@ def validate(
         for recovery, one in zip(recoveries, validations, strict=True)
     ]
     write_json(to.json_file, arms_figures(recoveries, figures), to.force)
-    if plots is not None:
-        _write_plots(pooled, plots, to.force)
     warn(recoveries)
     for recovery, validation in zip(recoveries, validations, strict=True):
         say_arm(recovery, len(recoveries))
         print_validation(recovery, validation, verbose)
-
-
-def _write_plots(pairs: Sequence[MeasurePair], folder: Path, force: bool) -> None:
-    """A Bland-Altman plot of each main measure that has pairs enough."""
-    import numpy as np
-
-    from ..evaluation.agreement import FEWEST_PAIRS
-    from ..evaluation.progress import is_main
-    from ..report.publication import file_name, prepared_folder, write_bland_altman
-
-    by_kind: dict[tuple[str, str], list[MeasurePair]] = {}
-    for pair in pairs:
-        if is_main(pair.key):
-            by_kind.setdefault((pair.scope, pair.key), []).append(pair)
-    drawn = {file_name("agreement", *kind): own for kind, own in by_kind.items() if len(own) >= FEWEST_PAIRS}
-    if not drawn:
-        raise UnoccludeError(
-            f"--plots: no measure has {FEWEST_PAIRS} pairs; pool earlier validations with --pool"
-        )
-    prepared_folder(folder, list(drawn), force)
-    for name, own in drawn.items():
-        values = np.array([(pair.reference, pair.value) for pair in own])
-        title, words = f"{own[0].name}, by {own[0].scope}", ("reference", "answer")
-        write_bland_altman(values[:, 0], values[:, 1], title, own[0].unit, folder / name, words, force)
-    say(f"written: {folder} ({len(drawn)} SVG files)")
 
 
 def _check_truth_of_several(truth_file: Path, recoveries: Sequence[Recovery]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ..array_types import FloatArray
 from ..runtime.csv_rows import write_rows
 from ..runtime.outputs import writing
 from .progress import first_of
@@ -128,42 +126,3 @@ def _spread(values: Sequence[float]) -> Spread:
         float(np.mean(values)) if count else math.nan,
         float(np.std(values, ddof=1)) if count > 1 else math.nan,
     )
-
-
-@dataclass(frozen=True)
-class GroupWaveform:
-    """An angle over a repetition, of several recordings.
-
-    Attributes
-    ----------
-    side, angle : str
-    curves : ndarray, shape (n, points), deg
-        Mean of each recording.
-    mean, sd : ndarray, shape (points,), deg
-        Over the recordings; of one recording its own, over its repetitions.
-    repetitions : int
-        Of all recordings.
-    """
-
-    side: str
-    angle: str
-    curves: FloatArray
-    mean: FloatArray
-    sd: FloatArray
-    repetitions: int
-
-
-def group_waveforms(rows: Sequence[Mapping[str, Any]]) -> list[GroupWaveform]:
-    """The waveforms of a study's rows (JSON in `waveforms`), without what is not to be trusted."""
-    by_kind: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for row in rows:
-        for each in json.loads(row.get("waveforms") or "[]"):
-            if each["trusted"] is not False:
-                by_kind.setdefault((each["side"] or "", each["angle"]), []).append(each)
-    found = []
-    for (side, angle), each in sorted(by_kind.items(), key=lambda item: (item[0][1], item[0][0])):
-        curves = np.array([one["mean"] for one in each])
-        sd = curves.std(axis=0, ddof=1) if len(each) > 1 else np.array(each[0]["sd"])
-        count = sum(one["repetitions"] for one in each)
-        found.append(GroupWaveform(side, angle, curves, curves.mean(axis=0), sd, count))
-    return found

@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 
 from ..measures.definitions import FEWEST_DRAWS
-from .waveform_change import WaveformChange
 
 #: By the unit of a measure: factor, unit for people, decimals.
 _SHOWN: dict[str, tuple[float, str, int]] = {
@@ -423,8 +422,6 @@ class PersonProgress:
         Recordings that take no part, and why; one sentence each.
     notes : tuple of str
         What a reader must know, one sentence each.
-    waveforms : tuple of WaveformChange
-        Curves over a repetition, the last session against the first.
     """
 
     person: str
@@ -433,7 +430,6 @@ class PersonProgress:
     series: tuple[Series, ...]
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    waveforms: tuple[WaveformChange, ...] = ()
 
     @property
     def main(self) -> tuple[Series, ...]:
@@ -463,7 +459,6 @@ class PersonProgress:
             "compared": len(self.compared),
             "clear": len(self.clear),
             "measures": [each.to_dict() for each in self.series],
-            "waveforms": [each.to_dict() for each in self.waveforms],
             "left_out": list(self.left_out),
             "notes": list(self.notes),
         }

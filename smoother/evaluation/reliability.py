@@ -1,9 +1,9 @@
-"""Reliability and measurement error of a measure over sessions without true change, in COSMIN's words.
+"""Reliability and measurement error of a measure over sessions without true change.
 
 Sources: Mokkink et al., J Clin Epidemiol 63:737-745 (2010), the terms; Shrout and Fleiss, Psychological
-Bulletin 86:420-428 (1979), and McGraw and Wong, Psychological Methods 1:30-46 (1996), ICC(2,1) = ICC(A,1) and
-ICC(3,1) = ICC(C,1) with their intervals; de Vet et al., J Clin Epidemiol 59:1033-1039 (2006), SEM_agreement,
-SEM_consistency and smallest detectable change; Satterthwaite, Biometrics Bulletin 2:110-114 (1946).
+Bulletin 86:420-428 (1979), and McGraw and Wong, Psychological Methods 1:30-46 (1996), ICC(2,1) = ICC(A,1)
+with its interval; de Vet et al., J Clin Epidemiol 59:1033-1039 (2006), SEM_agreement
+and smallest detectable change; Satterthwaite, Biometrics Bulletin 2:110-114 (1946).
 """
 
 from __future__ import annotations
@@ -33,15 +33,10 @@ class Reliability:
         How many, each person with as many sessions.
     icc_21, icc_21_low, icc_21_high : float or None
         ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval.
-    icc_31, icc_31_low, icc_31_high : float or None
-        ICC(3,1), two-way mixed effects, consistency, single measurement.
     sem_agreement, sem_agreement_low, sem_agreement_high : float
         Standard error of measurement, with systematic differences between sessions, and its 95 % interval.
-    sem_consistency : float
-        Without them.
-    sdc, sdc_group : float
-        Smallest detectable change of one person, 1.96 sqrt(2) SEM_agreement (also called MDC95), and of the
-        mean of this many persons.
+    sdc : float
+        Smallest detectable change of one person, 1.96 sqrt(2) SEM_agreement (also called MDC95).
     bias, bias_low, bias_high : float
         Mean of the second session minus the first, with its interval.
     limits_low, limits_low_from, limits_low_to, limits_high, limits_high_from, limits_high_to : float
@@ -60,15 +55,10 @@ class Reliability:
     icc_21: float | None
     icc_21_low: float | None
     icc_21_high: float | None
-    icc_31: float | None
-    icc_31_low: float | None
-    icc_31_high: float | None
     sem_agreement: float
     sem_agreement_low: float
     sem_agreement_high: float
-    sem_consistency: float
     sdc: float
-    sdc_group: float
     bias: float
     bias_low: float
     bias_high: float
@@ -125,13 +115,10 @@ def _reliability(about: tuple[str, str, str, str, str], ratings: FloatArray) -> 
         n,
         k,
         *icc_a1(ratings),
-        *icc_c1(ratings),
         sem,
         low,
         high,
-        measurement_error(ratings),
         detectable_change(sem),
-        detectable_change(sem) / float(np.sqrt(n)),
         limits.bias,
         limits.bias_low,
         limits.bias_high,
@@ -151,29 +138,6 @@ def _mean_squares(ratings: FloatArray) -> tuple[float, float, float]:
     rows, columns, grand = ratings.mean(axis=1), ratings.mean(axis=0), ratings.mean()
     between = k * ((rows - grand) ** 2).sum() / (n - 1)
     return float(between), float(n * columns.var(ddof=1)), measurement_error(ratings) ** 2
-
-
-def icc_c1(ratings: FloatArray) -> tuple[float | None, float | None, float | None]:
-    """ICC(C,1) = ICC(3,1) and its 95 % interval.
-
-    Parameters
-    ----------
-    ratings : ndarray, shape (n, k)
-        n persons by k sessions.
-    """
-    from scipy.stats import f as f_distribution
-
-    n, k = ratings.shape
-    between, _, error = _mean_squares(ratings)
-    if between + (k - 1) * error <= 0:
-        return None, None, None
-    icc = (between - error) / (between + (k - 1) * error)
-    if error <= 0:
-        return icc, icc, icc
-    tail, freedom = 0.5 * (1 + CONFIDENCE), ((n - 1), (n - 1) * (k - 1))
-    low = between / error / f_distribution.ppf(tail, *freedom)
-    high = between / error * f_distribution.ppf(tail, *freedom[::-1])
-    return icc, float((low - 1) / (low + k - 1)), float((high - 1) / (high + k - 1))
 
 
 def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:
@@ -201,7 +165,7 @@ def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:
 
 
 #: Heads of the table of `reliability_cells`.
-COLUMNS = ("measure", "persons", "ICC(2,1), 95 %", "ICC(3,1), 95 %", "SEM agreement", "SDC", "limits")
+COLUMNS = ("measure", "persons", "ICC(2,1), 95 %", "SEM agreement", "SDC", "limits")
 
 
 def reliability_cells(found: Sequence[Reliability]) -> list[tuple[str, ...]]:
@@ -211,7 +175,6 @@ def reliability_cells(found: Sequence[Reliability]) -> list[tuple[str, ...]]:
             ", ".join(filter(None, (one.name, one.side, one.task))),
             f"{one.persons} x {one.sessions}",
             _icc(one.icc_21, one.icc_21_low, one.icc_21_high),
-            _icc(one.icc_31, one.icc_31_low, one.icc_31_high),
             quantity(one.sem_agreement, one.unit),
             quantity(one.sdc, one.unit),
             interval(one.limits_low, one.limits_high, one.unit, signed=True),

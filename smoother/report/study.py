@@ -18,10 +18,8 @@ from ..angles import JOINT_ANGLES
 from ..array_types import FloatArray
 from ..evaluation.group import (
     GroupMeasure,
-    GroupWaveform,
     Spread,
     group_measures,
-    group_waveforms,
     write_long,
 )
 from ..evaluation.progress import first_of
@@ -40,7 +38,7 @@ from .sheet import (
     table,
     tabulated,
 )
-from .style import BAND, CAMERA, OCCLUDED, VISIBLE, band, curve, dress
+from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -375,16 +373,6 @@ def group_sections(rows: pa.Table, long: Sequence[Mapping[str, Any]], page: Path
         file = page.with_name(f"{page.stem}_measures.csv")
         write_long(long, file)
         yield _table(group_measures(long), file.name)
-    waves = group_waveforms(rows.select(["waveforms"]).to_pylist())
-    if waves:
-        yield figure("Angles over a repetition", _WAVES, _drawn(waves))
-
-
-_WAVES = (
-    "From the beginning of a repetition (0 %) to its end. Thin grey: the mean of each recording; blue: the"
-    " mean of the recordings, the band one standard deviation between them (of a single recording: between"
-    " its repetitions). What is not to be trusted is left out."
-)
 
 
 def _table(measures: list[GroupMeasure], file: str) -> str:
@@ -428,25 +416,3 @@ def _change(each: GroupMeasure) -> str | None:
         return None
     interval = f" ({each.low:+.3g} to {each.high:+.3g})" if math.isfinite(each.low) else ""
     return f"{each.change:+.3g}{interval}"
-
-
-def _drawn(waves: list[GroupWaveform]) -> go.Figure:
-    columns = min(2, len(waves))
-    lines = -(-len(waves) // columns)
-    titles = [
-        f"{each.side} {_TITLES[each.angle]}, degrees: {len(each.curves)} recording"
-        f"{'s' if len(each.curves) > 1 else ''}, {each.repetitions} repetitions".strip()
-        for each in waves
-    ]
-    plot = make_subplots(rows=lines, cols=columns, subplot_titles=titles, vertical_spacing=0.24 / lines)
-    plot.update_annotations(font={"size": 13})
-    for number, each in enumerate(waves):
-        row, column = number // columns + 1, number % columns + 1
-        share = np.linspace(0, 100, len(each.mean))
-        x, y = band(share, each.mean - each.sd, each.mean + each.sd)
-        around = go.Scatter(x=x, y=y, fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
-        single = [curve(share, one, None, CAMERA, 0.8, hoverinfo="skip") for one in each.curves[:MOST_CURVES]]
-        for trace in (*single, around, curve(share, each.mean, "mean", VISIBLE, 2.2)):
-            plot.add_trace(trace, row=row, col=column)
-        plot.update_xaxes(title_text="repetition, %", row=row, col=column)
-    return dress(plot, 60 + 280 * lines, head=40, showlegend=False)

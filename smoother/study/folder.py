@@ -250,7 +250,6 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("gaps_untrusted", "int64", "", "gaps that are not to be trusted; all where the result is not"),
     ("recorded_day", "double", "d", "from a day that the study chose at random for this person"),
     ("measures", "measures", "", "with --measures: the measures of each arm's session"),
-    ("waveforms", "string", "", "with --measures: JSON, angles over the repetitions, their mean and spread"),
     ("seconds", "double", "s", "time it took, reading and writing included"),
     ("host", "string", "", "machine that did it; empty without --keep-paths"),
     ("finished", "timestamp", "", "when it was done, UTC"),
@@ -400,17 +399,11 @@ def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:
 
 
 def measured_arms(recoveries: Sequence[Recovery]) -> Row:
-    """The columns of measures: every arm of a recording with the usual settings, and its waveforms."""
+    """The columns of measures: every arm of a recording with the usual settings."""
     from ..measures import measure
-    from .waveforms import waveforms_of
 
     measured = [measure(recovery) for recovery in recoveries]
-    curves = [
-        curve
-        for recovery, one in zip(recoveries, measured, strict=True)
-        for curve in waveforms_of(recovery, one)
-    ]
-    return {"measures": measure_rows(measured), "waveforms": json.dumps(curves)}
+    return {"measures": measure_rows(measured)}
 
 
 def rows_table(files: Sequence[str], columns: Iterable[str] | None = None) -> pa.Table:

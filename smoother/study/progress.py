@@ -19,14 +19,13 @@ from ..evaluation.progress import (
     together,
     without_like_movements,
 )
-from ..evaluation.waveform_change import SessionCurves, change_of, curves_of
 from ..measures.layout import BY_MOVEMENT
 from .folder import DONE, Row, StudyFolder, rows_table
 from .inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions, with_named_days
 
 _READ = (
     *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),
-    *("trusted", "gaps", "gaps_untrusted", "recorded_day", "measures", "waveforms"),
+    *("trusted", "gaps", "gaps_untrusted", "recorded_day", "measures"),
 )
 _AGAIN = "run `unocclude batch` again with --measures"
 #: A measure of one session: arm, task, key.
@@ -157,7 +156,6 @@ def _progress(
     values: dict[_Key, list[SessionValue]] = {}
     about: dict[_Key, tuple[str, str]] = {}
     used: dict[str, float] = {}
-    curves: dict[_Key, list[tuple[str, SessionCurves]]] = {}
     for session in in_order(attendances):
         day = min(each.day for each in session)
         for attendance in session:
@@ -169,10 +167,6 @@ def _progress(
                 used.setdefault(attendance.session, day)
                 about[key] = entry["name"], entry["unit"] or ""
                 values.setdefault(key, []).append(_value(attendance, day, entry))
-            sides = {entry["side"] or "" for entry in usable}
-            for (side, angle), each in curves_of(row).items():
-                if side in sides:
-                    curves.setdefault((side, attendance.task, angle), []).append((attendance.session, each))
     first_day = next(iter(used.values()), math.nan)
     series = [
         _series(person, key, about[key], [_since(value, first_day) for value in each], mdc95)
@@ -185,9 +179,6 @@ def _progress(
         days=tuple(day - first_day for day in used.values()),
         series=tuple(_counted_together(series)),
         left_out=tuple(left_out),
-        waveforms=tuple(
-            change for key, each in curves.items() if (change := change_of(key, each)) is not None
-        ),
         notes=(
             *(
                 _partly(each, rows[each.recording])

@@ -19,7 +19,7 @@ from rich.console import Console
 from smoother.cli.batch import headline, progress_table
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
-from smoother.evaluation.group import LONG, group_measures, group_waveforms
+from smoother.evaluation.group import LONG, group_measures
 from smoother.report.study import worst_first, write_study
 from smoother.study.folder import COLUMNS, schema
 from smoother.study.ledger import Ledger
@@ -150,11 +150,6 @@ def measured(value: float | None, trusted: bool = True, key: str = "elbow_flexio
     return [about | {"unit": "deg", "value": value, "low": low, "high": high} | rest]
 
 
-def waves(mean: float, trusted: bool = True) -> str:
-    each = {"side": "right", "angle": "elbow_flexion", "repetitions": 5, "trusted": trusted}
-    return json.dumps([each | {"mean": [mean] * 51, "sd": [3.0] * 51}])
-
-
 def persons_rows() -> list[dict]:
     """Three persons; the changes are 10, 14 and, not to be trusted, 500."""
     sessions = {"p1": (100.0, 110.0), "p2": (90.0, 104.0), "p3": (80.0, 580.0)}
@@ -163,7 +158,7 @@ def persons_rows() -> list[dict]:
         for number, value in enumerate(values, start=1):
             trusted = value < 500
             about = {"arms": 1, "trusted": trusted, "gaps_untrusted": 0, "verdict": "Usable."}
-            about |= {"measures": measured(value, trusted), "waveforms": waves(value, trusted)}
+            about |= {"measures": measured(value, trusted)}
             about |= {"self_check": "Hidden 8 times.", "error_95_m": 0.02}
             about |= {"self_check_95_m": 0.031, "self_check_stated_95_m": 0.042}
             rows.append(row(f"{person}/s{number}.mcap", **about))
@@ -180,12 +175,9 @@ def test_a_groups_means_and_changes_are_those_of_what_is_to_be_trusted():
         pytest.approx(12 - 25.41, abs=0.01),
         pytest.approx(12 + 25.41, abs=0.01),
     )
-    (wave,) = group_waveforms(persons_rows())
-    assert wave.curves.shape == (5, 51) and wave.repetitions == 25 and wave.mean[0] == pytest.approx(96.8)
-    assert wave.sd[0] == pytest.approx(np.std([100, 110, 90, 104, 80], ddof=1))
 
 
-def test_the_page_of_persons_has_group_curves_links_and_a_file_for_statistics(tmp_path):
+def test_the_page_of_persons_has_the_group_links_and_a_file_for_statistics(tmp_path):
     (tmp_path / "p1").mkdir()
     (tmp_path / "p1" / "s1.html").write_text("a report")
     rows = persons_rows()
@@ -204,7 +196,7 @@ def test_the_page_of_persons_has_group_curves_links_and_a_file_for_statistics(tm
     )
     group = text[text.index(">The group</h2>") :]
     assert "<td>90 (10)</td>" in group and "<td>+12 (-13.4 to +37.4)</td>" in group
-    assert "Angles over a repetition" in group and 'href="study_measures.csv"' in group
+    assert 'href="study_measures.csv"' in group
     with open(tmp_path / "study_measures.csv", newline="", encoding="utf-8") as file:
         long = list(csv.DictReader(file))
     assert len(long) == 6 and list(long[0]) == list(LONG)
