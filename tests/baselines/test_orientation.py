@@ -122,7 +122,6 @@ def simulated(seed: int) -> SimulatedArm:
 def heading_removed(made: SimulatedArm, name: str) -> FloatArray:
     """Error (n,) in degrees after the constant rotation that takes {E} to {K}."""
     imu, truth = made.recording.imu, made.recording.truth
-    assert truth is not None
     bias = made.parameters["gyroscope_bias"] + 0.001
     attitude = attitude_by(name, InertialSignal(imu), imu, imu.rate_hz, bias)
     R_E_A = Rotation.from_matrix(attitude.at(truth.t_s).as_matrix())

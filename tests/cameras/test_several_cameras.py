@@ -46,7 +46,6 @@ def recovered(cameras: int) -> Recovery:
 
 def wrist_m(recovery: Recovery, mask: np.ndarray) -> float:
     truth = made().recording.truth
-    assert truth is not None
     error = (recovery.joints["wrist"] - truth.joints["wrist"])[mask]
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
@@ -164,7 +163,6 @@ def test_a_set_up_is_calibrated_kept_and_used_as_a_prior() -> None:
     assert recording.cameras[0].pose is not None
     np.testing.assert_allclose(recording.cameras[0].pose.R_K_C, answer.estimate["camera_2_R_K_C"])
     _, rig = join_cameras(recording)
-    assert rig is not None
     assert rig.cameras[1].pose is not None
     assert rig.cameras[1].pose.sigma_rad < recording.cameras[0].pose.sigma_rad
 

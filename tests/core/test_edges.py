@@ -113,7 +113,6 @@ def test_an_arm_that_hangs_still_at_first() -> None:
 def heading(scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Error about the vertical and its stated standard deviation, degrees, (N,)."""
     truth, recovery = scene.recording.truth, scene.recovery
-    assert truth is not None
     found, true = (Rotation.from_quat(q, scalar_first=True) for q in (recovery.quaternion, truth.quaternion))
     down = recovery.gravity_direction
     variance = np.einsum("i,nij,j->n", down, recovery.pose_covariance[:, 3:, 3:], down)
@@ -166,7 +165,6 @@ def test_a_recording_that_starts_late_and_drops_frames() -> None:
     made = arm(0, dropped_frames=0.1, frame_jitter_s=0.002)
     shift = 5000.0
     recording = made.recording
-    assert recording.truth is not None
     moved = replace(
         recording,
         imu=replace(recording.imu, t_s=recording.imu.t_s + shift),
@@ -215,7 +213,6 @@ def test_a_sensor_that_drops_out_again_and_again() -> None:
     """Its own place on the arm is hardly known, which sigma and verdict say; the joints are right."""
     recording = sound(1)
     recovery = smooth(dropping_out(recording, 1.0, 0.15), processes=1)
-    assert recording.truth is not None
     _, nees = position_errors(recovery, recording.truth)
     assert nees < 2.0
     assert any("drops out every" in caution for caution in recovery.estimates.cautions)

@@ -328,21 +328,14 @@ def test_either_error_alone() -> None:
     np.testing.assert_allclose(elbow_flexion_sigma(about_the_elbow), np.degrees(TURN_RAD), rtol=1e-6)
 
 
-@pytest.mark.parametrize("missing", ["shoulder", "elbow", "wrist"])
-def test_without_a_joint_it_is_not_known(missing: str) -> None:
-    made = bent_arms()
-    joints = {name: position for name, position in made.joints.items() if name != missing}
-    assert np.isnan(elbow_flexion_sigma(replace(made, joints=joints))).all()
-
-
-def test_without_a_stated_shoulder_it_is_not_known() -> None:
-    sigma = elbow_flexion_sigma(replace(bent_arms(), joint_covariance={}))
-    assert sigma.shape == (COUNT,) and np.isnan(sigma).all()
-
-
-def test_samples_without_an_answer_have_none() -> None:
+@pytest.mark.parametrize("missing", ["shoulder", "elbow", "wrist", "sigma", "sample"])
+def test_without_what_it_rests_on_it_is_not_known(missing: str) -> None:
     made = bent_arms()
     pose = made.pose_covariance.copy()
     pose[3] = np.nan
-    sigma = elbow_flexion_sigma(replace(made, pose_covariance=pose))
-    assert np.flatnonzero(np.isnan(sigma)).tolist() == [3]
+    changes = {
+        "sigma": {"joint_covariance": {}},
+        "sample": {"pose_covariance": pose},
+    }.get(missing, {"joints": {name: at for name, at in made.joints.items() if name != missing}})
+    unknown = [3] if missing == "sample" else list(range(COUNT))
+    assert np.flatnonzero(np.isnan(elbow_flexion_sigma(replace(made, **changes)))).tolist() == unknown

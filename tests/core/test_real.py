@@ -90,7 +90,6 @@ def test_lever_arms_of_a_person(wrist_of_a_person: ArmCalibration) -> None:
     assert 0.18 < np.linalg.norm(wrist - elbow) < 0.33
     assert np.linalg.norm(wrist) < np.linalg.norm(elbow)
     along = wrist_of_a_person.forearm_direction
-    assert along is not None
     assert np.degrees(np.arccos(along[0])) < 25.0  # the publishers' mounting: +x towards the hand
 
 

@@ -43,7 +43,6 @@ def blind(made: SimulatedArm) -> Recording:
 def error_m(recovery: Recovery, made: SimulatedArm, chosen: np.ndarray | None = None) -> float:
     """Rms error of the forearm's IMU, occluded samples unless others are chosen."""
     truth = made.recording.truth
-    assert truth is not None
     off = np.linalg.norm(recovery.position - interpolate(truth.t_s, truth.position, recovery.t_s), axis=1)
     return float(np.sqrt(np.mean(off[recovery.occluded if chosen is None else chosen] ** 2)))
 
@@ -63,14 +62,12 @@ def test_better_than_one_and_as_good_as_it_says(made: SimulatedArm, two: Recover
     assert one.upper is None and not one.calibration.upper_imu  # type: ignore[union-attr]
     assert error_m(two, made) < min(0.006, 1.02 * error_m(one, made))  # 0.3 cm as measured
     truth = made.recording.truth
-    assert truth is not None
     off = (two.position - truth.position)[two.occluded]
     squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(two.pose_covariance[two.occluded, :3, :3]), off)
     assert squares.mean() / 3.0 < 1.5
 
 
 def test_mounting_and_clock_are_found(made: SimulatedArm, two: Recovery) -> None:
-    assert two.calibration is not None and two.upper is not None
     for joint, lever in two.calibration.upper_imu.items():
         off = lever.position_m - made.calibration.upper_imu[joint].position_m
         assert np.abs(off / lever.sigma_m).max() < 4.0 and np.linalg.norm(off) < 0.01
@@ -80,11 +77,9 @@ def test_mounting_and_clock_are_found(made: SimulatedArm, two: Recovery) -> None
 
 
 def test_the_upper_arms_pose_and_the_shoulders_angles(made: SimulatedArm, two: Recovery) -> None:
-    assert made.upper_motion is not None and two.upper is not None
     known = np.flatnonzero(np.isfinite(two.upper.position[:, 0]))
     assert len(known) > 0.99 * len(two)
     part = two.rows(known)
-    assert part.upper is not None
     R, position = made.upper_motion.imu_pose(part.t_s)
     turn = Rotation.from_quat(part.upper.quaternion, scalar_first=True) * Rotation.from_matrix(R).inv()
     assert np.sqrt(np.mean(np.sum((part.upper.position - position) ** 2, axis=1))) < 0.006
@@ -103,7 +98,6 @@ def test_the_upper_arms_pose_and_the_shoulders_angles(made: SimulatedArm, two: R
 def test_one_imu_where_the_other_pauses(made: SimulatedArm, two: Recovery) -> None:
     """Ten seconds without upper-arm samples, a gap's end among them."""
     upper = made.recording.upper_imu
-    assert upper is not None
     (gap, *_) = [g for g in two.gaps if g.length_s > 1.0]
     t = upper.t_s - 0.08
     paused = upper.select((t < gap.end_s - 1.0) | (t > gap.end_s + 9.0))
@@ -145,7 +139,6 @@ def test_a_hidden_shoulder_loses_the_room_but_not_the_arm() -> None:
     made = simulated(shoulder_lost=1.0)
     recovery = smooth(blind(made), processes=1)
     truth = made.recording.truth
-    assert truth is not None
     inside = recovery.occluded
     answer = (recovery.joints["wrist"] - recovery.joints["shoulder"])[inside]
     true = (truth.joints["wrist"] - truth.joints["shoulder"])[inside]
@@ -191,7 +184,6 @@ def test_an_imu_of_somebody_else(made: SimulatedArm) -> None:
 
 def test_calibrated_beforehand(made: SimulatedArm) -> None:
     recovery = smooth(blind(made), made.calibration, processes=1)
-    assert recovery.calibration is not None
     assert error_m(recovery, made) < 0.005
     off = recovery.calibration.upper_imu["elbow"].position_m - made.calibration.upper_imu["elbow"].position_m
     assert np.linalg.norm(off) < 0.004
@@ -254,7 +246,6 @@ def test_the_hand_s_orientation_and_clock(recovery: Recovery, hand_arm: Simulate
     assert np.degrees(np.sqrt((turn.magnitude() ** 2).mean())) < 2.5  # 0.4 to 1.1 on eight arms
     ahead_s = motion.clock_offset_s - recovery.clock_offset_s
     assert ahead_s == pytest.approx(0.15, abs=0.006)  # of 8 arms the worst is 3 ms off
-    assert recovery.calibration is not None
     for joint, lever in recovery.calibration.mountings["hand"].lever_arms.items():
         true = hand_arm.calibration.mountings["hand"].lever_arms[joint].position_m
         assert np.linalg.norm(lever.position_m - true) < 0.025
@@ -262,7 +253,6 @@ def test_the_hand_s_orientation_and_clock(recovery: Recovery, hand_arm: Simulate
 
 
 def test_drawn_hands_have_the_stated_covariance(recovery: Recovery) -> None:
-    assert recovery.draws is not None
     drawn = recovery.draws.joints["hand"]
     rows = np.searchsorted(recovery.t_s, recovery.draws.t_s)
     stated = np.sqrt(np.trace(recovery.joint_covariance["hand"][rows], axis1=1, axis2=2))

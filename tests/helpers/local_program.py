@@ -38,7 +38,6 @@ class Program:
         self._process = subprocess.Popen(
             program_words(self.folder), stdout=subprocess.PIPE, text=True, env=environment()
         )
-        assert self._process.stdout is not None
         timer = threading.Timer(_START_S, self._process.kill)  # a program that hangs says nothing
         timer.start()
         try:
@@ -65,7 +64,6 @@ class Program:
 
     def rest(self) -> str:
         """What it printed after the address, once it has ended."""
-        assert self._process.stdout is not None
         return self._process.stdout.read()
 
     def only(self) -> Path:
