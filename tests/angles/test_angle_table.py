@@ -243,7 +243,6 @@ def test_a_table_for_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_is_not_known_is_empty_with_a_reason() -> None:
     made = arm(30, **some(30))
-    assert made.calibration is not None
     no_wrist = {name: place for name, place in made.joints.items() if name != "wrist"}
     table = replace(made, joints=no_wrist).angles()
     empty = {name for name in table.reasons if not name.endswith("_trunk")}
@@ -291,7 +290,6 @@ def test_the_forearm_that_turned_far_shows_how_the_imu_sits(side: str, seed: int
     assert np.abs(off).max() < 12.0  # 10 to 160 degrees: hardly anything is left open
     assert (table.sigmas["pronation"] >= 7.0).all() and np.median(table.sigmas["pronation"]) < 12.0
     little = arm(1500, seed=seed, **(true | {"turn": 60.0 + 0.3 * (true["turn"] - 10.0)}))
-    assert little.calibration is not None
     table = replace(little, calibration=replace(little.calibration, R_F_A=None)).angles()
     assert np.isnan(table.values["pronation"]).all()
     assert "turned by 44 degrees only" in table.reasons["pronation"]
@@ -414,7 +412,6 @@ def test_sigma_is_that_of_drawn_errors(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_not_known_has_a_reason() -> None:
     made = arm_with_hand(np.zeros(30), np.zeros(30))
     assert "wrist_flexion" not in replace(made, segments={}).angles().values
-    assert made.calibration is not None
     table = replace(made, calibration=replace(made.calibration, R_F_A=None)).angles()
     assert "calibrate forearm" in table.reasons["wrist_flexion"]
     paused = made.segments["hand"].quaternion.copy()

@@ -179,7 +179,6 @@ def test_rts_recovers_gaps_to_centimetres(protocol: str):
         made = arm("white", seed, protocol=protocol, occlusion_lengths_s=(1.0, 2.0, 3.0), repetitions=1)
         scene = scene_of(made, tilt_deg=1.0)
         path = rts(scene)
-        assert path.R_K_A is not None
         error = errors(made, path)[scene.occluded]
         squares.append(rms(error))
         worst.append(error.max())
@@ -210,7 +209,6 @@ def test_strap_alone_is_enough(baseline: Baseline):
     joints[~scene.visible] = np.nan
     bare = replace(made.calibration, lever_arms={}, upper_arm=None)
     path = baseline(replace(scene, joints=joints, point=point, point_sigma_m=0.008, calibration=bare))
-    assert path.R_K_A is not None
     error = errors(made, path)
     assert rms(error[4:][~scene.occluded[4:]]) < 0.012
     assert rms(error[scene.occluded]) < (0.02 if baseline is rts else 0.15)

@@ -83,7 +83,6 @@ def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: SolvedArm):
 
 def test_known_biases_are_taken_off(behind: SolvedArm):
     calibration = behind.graph.calibration
-    assert calibration is not None
     acc, gyro = np.array([0.1, -0.2, 0.3]), np.array([0.01, 0.02, -0.03])
     known = replace(calibration, accelerometer_bias=acc, gyroscope_bias=gyro)
     scene = only(replace(behind, graph=replace(behind.graph, calibration=known)))

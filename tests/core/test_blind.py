@@ -34,7 +34,6 @@ def pooled(scenes: list[Scene]) -> tuple[float, float, float, float]:
     distance, angle, squares = [], [], []
     for scene in scenes:
         truth = scene.recording.truth
-        assert truth is not None
         errors, rows = sample_errors(scene.recovery, truth), hidden(scene)
         assert rows.sum() > 100
         assert np.isfinite(errors.distance_m[rows]).all()
@@ -69,8 +68,6 @@ def test_what_it_found_in_white_noise(white_arms: list[Scene]) -> None:
         offset = scene.recovery.clock_offset_s - scene.made.parameters["clock_offset_s"]
         assert abs(offset) < 0.001
         along, expected = found.forearm_direction, true.forearm_direction
-        assert along is not None
-        assert expected is not None
         assert np.degrees(np.arccos(along @ expected)) < 2.0
 
 
@@ -131,7 +128,6 @@ def test_an_arm_that_hangs_still_for_twenty_seconds() -> None:
     still = scene.recovery.t_s < 19.0
     assert np.isfinite(scene.recovery.sigma_deg[still]).all()
     truth = scene.recording.truth
-    assert truth is not None
     assert np.nanmax(sample_errors(scene.recovery, truth).distance_m[still]) < 0.04
 
 
@@ -152,7 +148,6 @@ def test_no_motion_at_all(still_arms: list[Scene]) -> None:
 def test_no_motion_at_all_is_known_to_be_vague(still_arms: list[Scene]) -> None:
     for scene in still_arms:
         truth = scene.recording.truth
-        assert truth is not None
         errors = sample_errors(scene.recovery, truth)
         assert np.median(errors.angle_deg / scene.recovery.sigma_deg) < 2.5
         assert np.mean(errors.squared_sigmas) / 3 < 4.0
@@ -199,7 +194,6 @@ def test_joints_that_were_never_seen(missing: tuple[str, ...], rms_m: float) -> 
 def test_the_strap_alone() -> None:
     scene = blind(point(2))
     figures = scene.validation.occluded
-    assert figures.position_rms_m is not None
     assert figures.position_rms_m <= 0.012
 
 

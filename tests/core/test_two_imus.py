@@ -157,29 +157,21 @@ def test_a_shoulder_that_is_never_seen(made: SimulatedArm) -> None:
     np.testing.assert_array_equal(recovery.position, one.position)
 
 
-def test_an_imu_that_lies_on_the_table(made: SimulatedArm) -> None:
-    """It is named as the upper arm's and is not: it must not spoil the answer."""
-    rng = np.random.default_rng(0)
-    t = made.recording.imu.t_s
-    still = ImuStream(
-        "/imu/upper_arm_right",
-        t,
-        np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.03, (len(t), 3)),
-        rng.normal(0, 0.003, (len(t), 3)),
+@pytest.mark.parametrize("whose", ["nobody", "somebody else"])
+def test_an_imu_that_is_not_on_this_upper_arm(made: SimulatedArm, whose: str) -> None:
+    """It lies on the table, or wrist and upper arm are mixed up: it must not spoil the answer."""
+    rng, t = np.random.default_rng(0), made.recording.imu.t_s
+    settings = ArmSimulation(imus="wrist,upper-arm", protocol="random", duration_s=30.0)
+    force = np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.03, (len(t), 3))
+    other = (
+        simulate_arm(settings, seed=77).recording.upper_imu
+        if whose == "somebody else"
+        else ImuStream("/imu/upper_arm_right", t, force, rng.normal(0, 0.003, (len(t), 3)))
     )
-    recovery = smooth(blind(made).with_imu("upper_arm", still), processes=1)
-    assert recovery.upper is None
-    assert any("left out" in note for note in recovery.notes)
-
-
-def test_an_imu_of_somebody_else(made: SimulatedArm) -> None:
-    """As where wrist and upper arm are mixed up: its motion is not this upper arm's."""
-    other = simulate_arm(
-        ArmSimulation(imus="wrist,upper-arm", protocol="random", duration_s=30.0), seed=77
-    ).recording.upper_imu
     recovery = smooth(blind(made).with_imu("upper_arm", other), processes=1)
     assert recovery.upper is None
-    assert any("check that it was on this upper arm" in note for note in recovery.notes)
+    words = "check that it was on this upper arm" if whose == "somebody else" else "left out"
+    assert any(words in note for note in recovery.notes)
 
 
 def test_calibrated_beforehand(made: SimulatedArm) -> None:

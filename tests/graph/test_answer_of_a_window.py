@@ -145,7 +145,6 @@ def test_states_and_their_covariance(pair: tuple[Optimum, Solution]) -> None:
     close(found.forearm.bias, np.array([bias[k] for k in rows]), np.array([best.of(B(k)) for k in rows]))
     knots = np.array([best.values.atPoint3(S(k)) for k in range(6)])
     of_knots = np.array([best.of(S(k)) for k in range(6)])
-    assert found.shoulder is not None
     close(found.shoulder, knots, of_knots)
     like(found.shoulder_covariance, of_knots)
     assert found.error == pytest.approx(best.graph.error(best.values), rel=1e-6)

@@ -159,7 +159,6 @@ def test_neighbouring_windows_draw_the_same_motion() -> None:
     one, two = (job.window for job in last_pass(made.recording, made.calibration)[:2])
     plan = DrawPlan(100, 5, "right", 4, one.priors.shared.covariance, one.considered)
     first, second = (solve(each, with_covariance=True, plan=plan).draws for each in (one, two))
-    assert first is not None and second is not None
     there = np.abs(two.t - two.core_start_s) < 0.5
     at = np.searchsorted(one.t, two.t[there] - 1e-6)
     for name, least in (("position", 0.97), ("velocity", 0.93), ("rotation", 0.8)):

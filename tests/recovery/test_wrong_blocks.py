@@ -73,7 +73,6 @@ def test_a_wrong_block_is_left_out_and_the_gap_recovered(
 ) -> None:
     """This seed is 2 cm off at most; of eight others with a drape or an arm exchanged the worst was 12."""
     recovery, truth = recovered(position), made().recording.truth
-    assert truth is not None
     errors = sample_errors(recovery, truth).distance_m[recovery.trusted]
     assert np.nanmax(errors) < 0.06
     start_s = after_a_gap()

@@ -11,7 +11,6 @@ from scenes import ALONE, Scene, arm
 from calib.motion.motion_calibration import MotionCalibration, calibrate_motion
 from smoother import Recovery
 from smoother.array_types import FloatArray
-from smoother.errors import SolveError
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock, constant_clock
 from smoother.measurements.timestamps import synthetic_stamps
 from smoother.recording import Recording
@@ -89,18 +88,6 @@ def test_no_drift_is_invented(realistic_arms: list[Scene]) -> None:
         assert offset.mean() == pytest.approx(-0.020, abs=0.003)
 
 
-def test_two_recordings_of_one_person() -> None:
-    """An offset each, one set of lever arms; the second look makes the arm no worse than the first."""
-    one, two = (arm(0, repetitions=1, latency_s=latency) for latency in (0.06, -0.11))
-    found = calibrated(one.recording, two.recording)
-    for offset, latency in zip(found.offsets, (0.06, -0.11), strict=True):
-        assert offset.offset_s == pytest.approx(-latency, abs=0.0015)
-    for joint, lever in found.calibration.lever_arms.items():
-        error = lever.position_m - one.calibration.lever_arms[joint].position_m
-        assert np.linalg.norm(error) < 0.008
-    assert found.calibration.upper_arm.value_m == pytest.approx(one.calibration.upper_arm.value_m, abs=0.008)
-
-
 def test_made_up_stamps_are_as_uncertain_as_a_dropped_frame() -> None:
     """Frames lost and the rest spread evenly, as a published data set has it: the sigma says so."""
     made = arm(2, protocol="random", duration_s=40.0, dropped_frames=0.1)
@@ -173,18 +160,6 @@ def test_clocks_minutes_apart(long: SimulatedArm) -> None:
     """Farther than the context of the blocks: more of the IMU is looked at."""
     coarse = coarse_clock(later(long, np.full(len(long.recording.arm), 75.0)))
     assert coarse.mean_s == pytest.approx(75.0, abs=0.1)
-
-
-def test_an_imu_of_something_else_is_said() -> None:
-    """The IMU's samples run backwards: nothing fits. It is refused, or said to be worth nothing."""
-    recording = simulated(12.0).recording
-    imu = recording.imu
-    wrong = replace(recording, imu=replace(imu, acc=imu.acc[::-1], gyro=imu.gyro[::-1]), truth=None)
-    try:
-        notes = smooth(wrong, None, ALONE).notes
-    except SolveError as error:
-        notes = (str(error),)
-    assert any("not to be trusted" in note or "not determined" in note for note in notes), notes
 
 
 def test_a_clock_that_wanders_between_the_blocks(long: SimulatedArm) -> None:

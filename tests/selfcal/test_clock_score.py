@@ -65,7 +65,6 @@ def test_the_local_level_with_any_prior(walk: float, count: int) -> None:
 def test_the_line_is_the_dense_regression(skew: float) -> None:
     t, x, variance = observations(2, skew=skew)
     found = _line(t, x, 1 / variance, PRIOR_S)
-    assert found is not None
     loglik, offset, slope, spread = found
     centre = np.sum(t / variance) / np.sum(1 / variance)
     H = np.column_stack([np.ones(len(t)), t - centre])

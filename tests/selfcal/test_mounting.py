@@ -56,8 +56,6 @@ def degrees_between(a: FloatArray, b: FloatArray) -> float:
 def errors(found: Mounting, made: SimulatedArm, number: int = 0) -> tuple[float, float, float]:
     """Offset (s), direction (degrees), and the worst lever arm (m)."""
     along, true = found.calibration.forearm_direction, made.calibration.forearm_direction
-    assert along is not None
-    assert true is not None
     levers = [
         float(np.linalg.norm(lever.position_m - made.calibration.lever_arms[joint].position_m))
         for joint, lever in found.calibration.lever_arms.items()
@@ -179,7 +177,6 @@ def test_the_sign_in_a_vertical_plane(seed: int) -> None:
     made = hinge(np.array([1.0, 0.0, 0.0]), seed)
     found = found_in(made.recording)
     along = found.calibration.forearm_direction
-    assert along is not None
     assert degrees_between(along, made.along_A) < 3.0
     assert found.direction_margin > 3.0
     blindly = found_in(replace(made.recording, camera_frame=None))
@@ -193,7 +190,6 @@ def test_the_sign_in_a_horizontal_plane(seed: int) -> None:
     made = hinge(np.array([0.0, 1.0, 0.0]), seed)
     found = found_in(made.recording)
     along = found.calibration.forearm_direction
-    assert along is not None
     assert degrees_between(along, made.along_A) < 6.0
 
 
@@ -209,7 +205,6 @@ def segments_of(arm: SimulatedArm) -> list[Segment]:
 def turned(arm: ArmCalibration, degrees: float) -> ArmCalibration:
     """The sensor strapped on otherwise: its axes turned about an axis across the forearm."""
     along = arm.forearm_direction
-    assert along is not None
     across = np.cross(along, [0.3, 0.5, 0.8])
     turn = Rotation.from_rotvec(degrees * across / np.linalg.norm(across), degrees=True)
     levers = {

@@ -31,7 +31,7 @@ from smoother.window.problem import NoiseModel, Priors, States, Window
 from smoother.window.shared import Gaussian, SharedLayout, axes_across
 from smoother.window.solution import Solution
 
-SHOULDER, ELBOW, WRIST = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist"))
+SHOULDER = JOINTS.index("shoulder")
 LEVERS = {"elbow": np.array([0.0, -0.2, 0.02]), "wrist": np.array([0.01, 0.05, -0.01])}
 MARGIN_S = 1.5
 NOISE = NoiseModel(0.01, 0.0015, 0.006, 0.002, 2.8, 0.005, 0.1)

@@ -125,5 +125,4 @@ def test_shared_nodes_cost_no_accuracy() -> None:
     assert np.nanmax(apart) < 1.0
     assert np.nanmedian(a.sigma_m / b.sigma_m) == pytest.approx(1.0, abs=0.1)
     one, two = (scene.validation.occluded.position_rms_m for scene in (shared, every))
-    assert one is not None and two is not None
     assert one < 1.15 * two
