@@ -47,11 +47,15 @@ SIGMAS = 0.03
 
 @pytest.fixture(autouse=True)
 def every_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    patched(monkeypatch)
+
+
+def patched(patch: pytest.MonkeyPatch) -> None:
     """Two biases, and covariances computed everywhere."""
-    monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)
-    for name in ("COVARIANCE_S", "SHOULDER_COVARIANCE_S", "CHAIN_COVARIANCE_S"):
-        monkeypatch.setattr(smoother.graph.solve, name, 1e-6)
-    monkeypatch.setattr(smoother.graph.optimise, "MAX_ITERATIONS", 300)
+    patch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)
+    for name in ("COVARIANCE_S", "COVARIANCE_NEAR_S", "SHOULDER_COVARIANCE_S", "CHAIN_COVARIANCE_S"):
+        patch.setattr(smoother.graph.solve, name, 1e-6)
+    patch.setattr(smoother.graph.optimise, "MAX_ITERATIONS", 300)
 
 
 class Optimum:
@@ -94,10 +98,7 @@ class Optimum:
 @pytest.fixture(scope="module")
 def pair() -> tuple[Optimum, Solution]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)
-        for name in ("COVARIANCE_S", "COVARIANCE_NEAR_S", "SHOULDER_COVARIANCE_S", "CHAIN_COVARIANCE_S"):
-            patch.setattr(smoother.graph.solve, name, 1e-6)
-        patch.setattr(smoother.graph.optimise, "MAX_ITERATIONS", 300)
+        patched(patch)
         window = replace(small_window()[0], considered=None)
         return Optimum(window), solve(window, True, with_offset=True, with_evidence=True, tolerance=1e-13)
 
