@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress, Series
     from ..evaluation.reliability import Reliability
 
-#: Characters at which a spreadsheet would take a cell for a formula.
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 NO_DIAGNOSIS = (
     "This is not a diagnosis: a clear change is one that the measurement error does not explain; a person"
     " also varies from day to day."
@@ -240,9 +238,7 @@ def _rows(series: Series) -> Iterable[list[object]]:
 
 
 def _cell(value: object) -> object:
-    """A cell that no spreadsheet takes for a formula; empty where the value is missing."""
+    """A cell; empty where the value is missing."""
     if isinstance(value, float):
         return "" if value != value else f"{value:.6g}"
-    if isinstance(value, str) and value.startswith(_FORMULA):
-        return f"'{value}"
     return value

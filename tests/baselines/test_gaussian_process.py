@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
-from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
+from simulated_scenes import NO_GAPS, arm, scene_of
 
 from smoother.array_types import FloatArray
 from smoother.baselines.gaussian_process import (
@@ -111,13 +111,6 @@ def test_prediction_takes_the_cameras_lag_away():
     assert np.mean(after) == pytest.approx(0.0, abs=0.011)
 
 
-@pytest.mark.parametrize("speed", [1.0, 0.5])
-def test_error_free_sensors_come_back_to_half_a_millimetre(speed: float):
-    made = arm("clean", 1, occlusion_lengths_s=NO_GAPS, speed=speed)
-    # measured 0.2 mm
-    assert rms(errors(made, gaussian_process(scene_of(made, sigma_m=1e-4)))) < 0.0005
-
-
 def test_likelihood_finds_the_noise_and_the_pace():
     rng = np.random.default_rng(3)
     made = arm("white", 1, occlusion_lengths_s=NO_GAPS, tremor_rad=0.0)
@@ -128,22 +121,6 @@ def test_likelihood_finds_the_noise_and_the_pace():
     # noise of 1 m/s^2 was added; the kernel's own misfit adds a third of that at most
     assert found.acceleration_sigma == pytest.approx(1.0, rel=0.2)
     assert likeliest(scene, measurements(scene)).acceleration_sigma < 0.5
-
-
-def test_gaps_are_bridged_from_both_sides():
-    made = arm("white", 1, occlusion_lengths_s=(2.0,))
-    scene = scene_of(made, tilt_deg=1.0)
-    path = gaussian_process(scene)
-    error = errors(made, path)
-    assert path.covariance is not None
-    # measured 2 mm visible, 5 mm in gaps of 2 s
-    assert rms(error[~scene.occluded]) < 0.005
-    assert rms(error[scene.occluded]) < 0.02
-    gap = next(gap for gap in scene.gaps if not gap.open_start and not gap.open_end)
-    inside = np.flatnonzero((scene.t > gap.start_s) & (scene.t < gap.end_s))
-    variance = path.covariance[inside, 0, 0]
-    middle = len(inside) // 2
-    assert np.argmax(variance) == pytest.approx(middle, abs=0.2 * len(inside))
 
 
 def test_windows_cover_everything_once_and_leave_gaps_whole():
@@ -158,19 +135,5 @@ def test_windows_cover_everything_once_and_leave_gaps_whole():
     path = gaussian_process(scene, PUBLISHED)
     row = np.searchsorted(scene.t, edges[1:-1])
     step = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
-    assert path.velocity is not None
     expected = np.linalg.norm(path.velocity[row], axis=1) * np.diff(scene.t)[row - 1]
     np.testing.assert_allclose(step[row - 1], expected, atol=0.002)
-
-
-def test_ends_are_extrapolated_with_growing_doubt():
-    made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=12.0)
-    scene = scene_of(made)
-    point = scene.point.copy()
-    point[(scene.frame_t < 1.0) | (scene.frame_t > 11.0)] = np.nan
-    path = gaussian_process(replace(scene, point=point))
-    assert path.covariance is not None and np.isfinite(path.position).all()
-    sigma = np.sqrt(path.covariance[:, 0, 0])
-    assert (np.diff(sigma[scene.t > 11.1]) > 0).all() and (np.diff(sigma[scene.t < 0.9]) < 0).all()
-    nothing = gaussian_process(replace(scene, point=np.full_like(point, np.nan)))
-    assert not np.isfinite(nothing.position).any() and nothing.notes

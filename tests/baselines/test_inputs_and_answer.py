@@ -29,7 +29,6 @@ def only(it: SolvedArm, orientation: str = "vqf") -> Scene:
 def test_a_scene_is_the_graphs_clock_and_samples(behind: SolvedArm):
     scene = only(behind)
     residuals = behind.graph.residuals
-    assert residuals is not None
     inside = (behind.graph.arm.t_s >= scene.t[0]) & (behind.graph.arm.t_s <= scene.t[-1])
     np.testing.assert_array_equal(scene.frame_t, behind.graph.arm.t_s[inside])
     np.testing.assert_array_equal(np.isfinite(scene.joints).all(axis=2), residuals.used[inside])
@@ -47,7 +46,6 @@ def test_a_scene_agrees_with_the_truth():
     """Without errors: orientation to the filter's 1.5 degrees, acceleration to what that tilts of gravity."""
     it = without_gaps()
     truth, scene = it.made.recording.truth, only(without_gaps())
-    assert truth is not None
     true = Rotation.from_quat(truth.quaternion[scene.rows], scalar_first=True)
     off = (Rotation.from_matrix(scene.R_K_A) * true.inv()).magnitude()
     assert np.degrees(off.max()) < 1.5
@@ -85,7 +83,6 @@ def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: SolvedArm):
 
 def test_known_biases_are_taken_off(behind: SolvedArm):
     calibration = behind.graph.calibration
-    assert calibration is not None
     acc, gyro = np.array([0.1, -0.2, 0.3]), np.array([0.01, 0.02, -0.03])
     known = replace(calibration, accelerometer_bias=acc, gyroscope_bias=gyro)
     scene = only(replace(behind, graph=replace(behind.graph, calibration=known)))
@@ -119,7 +116,6 @@ def test_pauses_of_the_imu_split_the_scenes(behind: SolvedArm):
     # each segment by itself: nothing of the one comes into the other
     alone = recover(recording, graph, "linear-drift")
     truth = behind.made.recording.truth
-    assert truth is not None
     error = np.linalg.norm(alone.position - truth.position[keep], axis=1)
     assert np.nanmax(error[~graph.occluded]) < 0.04
 
@@ -212,7 +208,6 @@ def test_an_answers_joints_and_covariances(behind: SolvedArm):
     np.testing.assert_allclose(found.sigma_m[at], spread)
     # residuals: camera minus answer at the frames
     residuals = found.residuals
-    assert residuals is not None
     frame = int(np.argmin(np.abs(residuals.t_s - scene.t[row])))
     wrist = JOINTS.index("wrist")
     at_frame = interpolate(scene.t, found.joints["wrist"][scene.rows], residuals.t_s[[frame]])[0]

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.array_types import FloatArray
 from smoother.baselines.kalman import (
@@ -14,17 +13,13 @@ from smoother.baselines.kalman import (
     Events,
     FilterNoise,
     deviations_at_rest,
-    kalman,
     kalman_filter,
     low_pass,
     merge,
-    multirate_kalman,
     rts_smoother,
     state_model,
 )
 from smoother.baselines.kalman import multirate_model as wiener_model
-from smoother.baselines.scene import Baseline, Scene
-from smoother.simulation import SimulatedArm
 
 
 def plain_filter(
@@ -130,56 +125,6 @@ def test_multirate_states_smaller_sigmas_as_published():
     # the share of time at rest, which the thesis does not give, moves this by some hundredths
     assert 1.0 - sigma_two[0] / sigma_one[0] == pytest.approx(0.346, abs=0.05)
     assert 1.0 - sigma_two[1] / sigma_one[1] > 0.631
-
-
-def scene_without_gaps(seed: int, **changes: object) -> tuple[Scene, SimulatedArm]:
-    made = arm("clean", seed, occlusion_lengths_s=NO_GAPS, **changes)
-    return scene_of(made, sigma_m=1e-4), made
-
-
-@pytest.mark.parametrize(
-    ("baseline", "fast_m", "slow_m"), [(kalman, 0.02, 0.003), (multirate_kalman, 0.002, 0.0008)]
-)
-def test_error_free_sensors_come_back_to_the_methods_order(baseline: Baseline, fast_m: float, slow_m: float):
-    # measured: kalman 2.9-5.5 mm and 0.4-0.6, multirate 0.5-0.8 and 0.1-0.2; the docstrings' orders
-    for speed, most in ((1.0, fast_m), (0.5, slow_m)):
-        scene, made = scene_without_gaps(1, speed=speed)
-        assert rms(errors(made, baseline(scene))[80:]) < most
-
-
-@pytest.mark.parametrize("baseline", [kalman, multirate_kalman])
-def test_filters_say_what_a_gap_costs(baseline: Baseline):
-    made = arm("white", 1, occlusion_lengths_s=(1.0,))
-    scene = scene_of(made, tilt_deg=1.0)
-    path = baseline(scene)
-    assert path.covariance is not None
-    gap = next(gap for gap in scene.gaps if not gap.open_start and not gap.open_end)
-    inside = np.flatnonzero((scene.t > gap.start_s) & (scene.t < gap.end_s))
-    variance = path.covariance[inside, 0, 0]
-    assert (np.diff(variance) > 0).all()
-    assert path.covariance[inside[-1] + 8, 0, 0] < 0.5 * variance[-1]
-    error = errors(made, path)
-    visible = ~scene.occluded & np.isfinite(error)
-    # white noise of 8 mm, three joints: the camera's point itself is off by 8 mm in 3D
-    assert rms(error[visible]) < 0.012
-    # it has the accelerometer: a fraction of the 30 cm that the hand covers in a second
-    assert rms(error[inside]) < 0.12
-
-
-@pytest.mark.parametrize("baseline", [kalman, multirate_kalman])
-def test_filters_begin_with_the_first_frame_and_go_on_after_the_last(baseline: Baseline):
-    made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=12.0)
-    scene = scene_of(made)
-    point = scene.point.copy()
-    point[(scene.frame_t < 2.0) | (scene.frame_t > 10.0)] = np.nan
-    path = baseline(replace(scene, point=point))
-    assert path.covariance is not None
-    answered = np.isfinite(path.position[:, 0])
-    assert not answered[scene.t < 1.99].any() and answered[scene.t > 2.05].all()
-    end = path.covariance[scene.t > 10.0, 0, 0]
-    assert (np.diff(end) > 0).all()
-    nothing = baseline(replace(scene, point=np.full_like(point, np.nan)))
-    assert not np.isfinite(nothing.position).any() and nothing.notes
 
 
 def a_chain(seed: int, n: int = 9, d: int = 3, columns: int = 2, lead: tuple[int, ...] = ()) -> Chain:

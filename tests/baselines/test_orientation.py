@@ -40,10 +40,7 @@ STEP = 1.0 / 100.0
 
 def turning(rates: FloatArray, start: Rotation, mag_E: FloatArray | None = None) -> EvenSamples:
     """Samples of a sensor at one place that turns by constant rates (n, 3) rad/s in each interval."""
-    R = [start]
-    for rate in rates[1:]:
-        R.append(R[-1] * Rotation.from_rotvec(rate * STEP))
-    R_E_A = Rotation.concatenate(R)
+    R_E_A = turning_attitude(rates, start)
     t = STEP * np.arange(1, len(rates) + 1)
     mag = None if mag_E is None else R_E_A.inv().apply(mag_E)
     return EvenSamples(t, STEP, R_E_A.inv().apply([0.0, 0.0, G]), rates, mag)
@@ -83,12 +80,10 @@ def test_a_pure_turn_is_followed(name: str):
     start = Rotation.from_euler("ZYX", [0.0, 10.0, 15.0], degrees=True)
     samples = turning(wandering(), start)
     R = Rotation.from_quat(orientation_filter(name)(samples), scalar_first=True)
-    true = [start]
-    for rate in samples.gyro[1:]:
-        true.append(true[-1] * Rotation.from_rotvec(rate * STEP))
+    true = turning_attitude(samples.gyro, start)
     heading = R[0] * start.inv()
     # the gradient filter integrates to first order (1e-2 rad a step), and Madgwick's step is never zero
-    off = np.degrees((R.inv() * heading * Rotation.concatenate(true)).magnitude())
+    off = np.degrees((R.inv() * heading * true).magnitude())
     assert off.max() < {"madgwick": 1.5}.get(name, 0.5)
 
 
@@ -122,7 +117,6 @@ def simulated(seed: int) -> SimulatedArm:
 def heading_removed(made: SimulatedArm, name: str) -> FloatArray:
     """Error (n,) in degrees after the constant rotation that takes {E} to {K}."""
     imu, truth = made.recording.imu, made.recording.truth
-    assert truth is not None
     bias = made.parameters["gyroscope_bias"] + 0.001
     attitude = attitude_by(name, InertialSignal(imu), imu, imu.rate_hz, bias)
     R_E_A = Rotation.from_matrix(attitude.at(truth.t_s).as_matrix())

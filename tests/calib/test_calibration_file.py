@@ -345,23 +345,6 @@ def test_never_writes_over_what_is_not_a_calibration(tmp_path: Path):
     assert path.read_text() == "mine = true\n"
 
 
-def test_writing_where_there_is_no_folder(tmp_path: Path):
-    with pytest.raises(CalibrationError, match=r"cannot be written: The folder .* does not exist"):
-        write_calibration(tmp_path / "absent" / "cal.toml", CalibrationFile())
-
-
-@pytest.mark.skipif(os.name == "nt", reason="links and modes of POSIX")
-def test_a_link_stays_a_link(tmp_path: Path):
-    real, link = tmp_path / "real.toml", tmp_path / "link.toml"
-    write_calibration(real, CalibrationFile())
-    real.chmod(0o600)
-    link.symlink_to(real)
-    write_calibration(link, CalibrationFile().with_arm(ArmCalibration("left", upper_arm=Length(0.3, 0.01))))
-    assert link.is_symlink()
-    assert real.stat().st_mode & 0o777 == 0o600
-    assert read_calibration(real).arm("left").upper_arm == Length(0.3, 0.01)
-
-
 def answers() -> list[Answer]:
     model = SensorModel(offset=np.array([0.1, -0.2, 0.05]), matrix=np.diag([1.01, 0.99, 1.0]))
     stream, _ = rest_poses(model, 12, seed=3)

@@ -74,7 +74,6 @@ def test_kalibrs_chain_of_cameras(tmp_path: Path) -> None:
     assert list(cameras) == ["cam0", "cam1", "cam2"]
     np.testing.assert_allclose(cameras["cam2"].lens.distortion, TERMS[:4])
     pose = cameras["cam2"].seen_from(cameras["cam0"])
-    assert pose is not None
     back = np.linalg.inv(steps[1] @ steps[0])  # from the third camera to the first
     np.testing.assert_allclose(pose.R_K_C, back[:3, :3], atol=1e-12)
     np.testing.assert_allclose(pose.p_K_C_m, back[:3, 3], atol=1e-12)
@@ -94,7 +93,6 @@ def test_pose2sims_calibration(tmp_path: Path) -> None:
     cameras = read_camera_file(path)
     assert list(cameras) == ["view0", "view1"]
     pose = cameras["view1"].seen_from(cameras["view0"])
-    assert pose is not None
     world = rng.normal(size=3)
     in_first, in_other = (
         Rotation.from_rotvec(turn).apply(world) + t for turn, t in zip(turns, shifts, strict=True)

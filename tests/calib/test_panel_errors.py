@@ -14,9 +14,6 @@ from scipy.spatial.transform import Rotation
 from calib.panel import panel_graph
 from calib.panel.definition import Frame
 from calib.panel.panel_graph import (
-    OFFSET_SIGMA_M,
-    ON_PLANE_SIGMA_M,
-    PRIOR_RESIDUALS,
     PanelSolution,
     PoseData,
     _build,
@@ -66,11 +63,6 @@ def huber(size: float) -> float:
 
 def marker(p: int, k: int) -> int:
     return panel_graph._marker(p, k)
-
-
-def test_keys_are_all_different() -> None:
-    keys = {marker(p, k) for p in range(3) for k in range(4)} | {panel_graph._plane(p) for p in range(3)}
-    assert len(keys | {0, 1}) == 17
 
 
 def moved(values: gtsam.Values, scale: float, with_offset: bool) -> gtsam.Values:
@@ -293,21 +285,6 @@ def test_poses_that_determine_nothing() -> None:
         solve([point])
 
 
-def test_what_is_found_widens_the_covariance_beside_what_is_stated() -> None:
-    """The stated noise weighs like twelve residuals: here those found are three times as large."""
-    poses = [pose(1, 3.0), pose(2, 3.0)]
-    found = solve(poses)
-    graph, start = _build(poses, True)
-    params = gtsam.LevenbergMarquardtParams()
-    params.setRelativeErrorTol(1e-12)
-    params.setAbsoluteErrorTol(1e-12)
-    values = gtsam.LevenbergMarquardtOptimizer(graph, start, params).optimize()
-    misfit = 2 * graph.error(values)
-    assert misfit > 3 * 12 and found.misfit == pytest.approx(misfit / 12, rel=1e-4)
-    stated = gtsam.Marginals(graph, values).marginalCovariance(0)
-    np.testing.assert_allclose(found.covariance, stated * (12 + misfit) / (12 + 12), rtol=1e-3, atol=1e-12)
-
-
 TRUTH = Frame(
     Rotation.from_euler("xyz", [100, 20, -40], degrees=True).as_matrix(), np.array([0.1, -0.2, 0.4])
 )
@@ -329,56 +306,6 @@ def solved_pose(seed: int, number: int, offset_m: float = 0.0, height_m: float =
         sigma_E_m=SIGMA_E_M,
         height_m=height_m,
     )
-
-
-def dense(poses: list[PoseData], with_offset: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The same residuals by scipy with numeric derivatives: (6 or 7,) answer about the truth, covariance."""
-
-    def residuals(x: np.ndarray) -> np.ndarray:
-        R = Rotation.from_rotvec(x[:3]).as_matrix() @ TRUTH.R
-        t, offset = TRUTH.origin + x[3:6], x[6] if with_offset else 0.0
-        rows = [np.array([offset / OFFSET_SIGMA_M])] if with_offset else []
-        for number, each in enumerate(poses):
-            part = x[6 + with_offset + 15 * number :][:15]
-            theta, markers = each.plane.theta + part[:3], each.markers_E + part[3:].reshape(4, 3)
-            at = markers @ R.T + t
-            rows.append(((at[:, :2] / at[:, 2:] - each.rays) / each.sigmas[:, None]).ravel())
-            rows.append(part[3:] / each.sigma_E_m)
-            away = (at @ theta - 1) / np.linalg.norm(theta) + each.height_m
-            rows.append(away / ON_PLANE_SIGMA_M)
-            root = np.linalg.cholesky(np.linalg.inv(each.plane.covariance)).T
-            rows.append(root @ (theta - each.plane.at_offset(offset)))
-        return np.concatenate(rows)
-
-    size = 6 + with_offset + 15 * len(poses)
-    scale = np.concatenate([np.full(6, 1e-3), np.full(size - 6, 1e-4)])
-    found = least_squares(residuals, np.zeros(size), x_scale=scale, jac="3-point", xtol=1e-14, ftol=1e-14)
-    covariance = np.linalg.inv(found.jac.T @ found.jac)
-    keep = 6 + with_offset
-    return found.x[:keep], covariance[:keep, :keep]
-
-
-@pytest.mark.parametrize(("count", "height_m"), [(1, 0.0), (3, 0.0), (2, 0.007)])
-def test_graph_is_the_dense_solution(count: int, height_m: float):
-    poses = [solved_pose(3, number, 0.003 * (count > 1), height_m) for number in range(count)]
-    found = solve(poses)
-    with_offset = count > 1
-    assert np.isfinite(found.depth_offset_sigma_m) == with_offset
-    plain, covariance = dense(poses, with_offset)
-    turn = Rotation.from_matrix(found.camera_from_mocap.R @ TRUTH.R.T).as_rotvec()
-    # no residual is beyond Huber's bound here; where the optimisers stop: a hundredth of sigma
-    np.testing.assert_allclose(turn, plain[:3], atol=3e-6)
-    np.testing.assert_allclose(found.camera_from_mocap.origin - TRUTH.origin, plain[3:6], atol=3e-6)
-    scale = (PRIOR_RESIDUALS + found.misfit * found.residuals) / (PRIOR_RESIDUALS + found.residuals)
-    # the turn in `dense` is about the mocap origin's place in {K}, in the graph about the camera
-    x, y, z = TRUTH.origin
-    J = np.eye(6)
-    J[3:, :3] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    stated = J @ found.covariance @ J.T / scale
-    np.testing.assert_allclose(stated, covariance[:6, :6], rtol=0.02, atol=1e-3 * np.abs(covariance).max())
-    if with_offset:
-        assert found.depth_offset_m == pytest.approx(plain[6], abs=1e-5)
-        assert found.depth_offset_sigma_m == pytest.approx(np.sqrt(covariance[6, 6] * scale), rel=0.02)
 
 
 def test_errors_are_as_large_as_sigma_says():

@@ -264,7 +264,6 @@ def test_published_axes_of_exact_points():
     along_x = (np.abs(xy[:, 1]) < 0.03) & (xy[:, 0] > 0) & (xy[:, 0] < 0.5)
     along_y = (np.abs(xy[:, 0]) < 0.03) & (xy[:, 1] > 0) & (xy[:, 1] < 0.35)
     frame = frame_of_points(pose.points(xy), along_x, along_y, pose.R)
-    assert frame is not None
     np.testing.assert_allclose(frame.R, pose.R, atol=2e-3)  # the grid is not quite even about the lines
     np.testing.assert_allclose(frame.origin, pose.origin, atol=2e-3)
     assert frame_of_points(pose.points(xy), along_x & False, along_y, pose.R) is None

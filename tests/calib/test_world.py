@@ -207,7 +207,6 @@ def test_rest_and_turn():
     first, last = (rest_at(session.panel, view.t_s, view.name, "") for view in session.views)
     assert np.linalg.norm(first.acc) == pytest.approx(9.81, abs=1e-6)
     turn = turn_between(session.panel, first, last)
-    assert turn is not None
     true = (session.R_K_P[0] @ session.R_P_I).T @ session.R_W_K[0].T @ session.R_W_K[1]
     assert degrees(turn.R.T @ true @ session.R_K_P[1] @ session.R_P_I) < 0.02
     keep = np.abs(session.panel.t_s - 3.0) > 0.1

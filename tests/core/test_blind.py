@@ -34,7 +34,6 @@ def pooled(scenes: list[Scene]) -> tuple[float, float, float, float]:
     distance, angle, squares = [], [], []
     for scene in scenes:
         truth = scene.recording.truth
-        assert truth is not None
         errors, rows = sample_errors(scene.recovery, truth), hidden(scene)
         assert rows.sum() > 100
         assert np.isfinite(errors.distance_m[rows]).all()
@@ -61,19 +60,14 @@ def test_what_it_found_in_white_noise(white_arms: list[Scene]) -> None:
     """Lever arms and lengths to 5 mm and inside 3 sigmas (4 here: 24 numbers a recording), offset to 1 ms."""
     for scene in white_arms:
         found, true = scene.recovery.calibration, scene.made.calibration
-        assert found is not None
         for joint, lever in found.lever_arms.items():
             error = lever.position_m - true.lever_arms[joint].position_m
             assert np.linalg.norm(error) < 0.006
             assert (np.abs(error) < 4 * lever.sigma_m).all()
-        assert found.upper_arm is not None
-        assert true.upper_arm is not None
         assert found.upper_arm.value_m == pytest.approx(true.upper_arm.value_m, abs=0.006)
         offset = scene.recovery.clock_offset_s - scene.made.parameters["clock_offset_s"]
         assert abs(offset) < 0.001
         along, expected = found.forearm_direction, true.forearm_direction
-        assert along is not None
-        assert expected is not None
         assert np.degrees(np.arccos(along @ expected)) < 2.0
 
 
@@ -104,7 +98,6 @@ def test_a_camera_that_lies(lie: dict[str, float], realistic_arms: list[Scene]) 
     assert nees < OVER_CONFIDENT
     for scene in scenes:
         kept = scene.recovery.residuals
-        assert kept is not None
         # what was rejected has a reason; nothing that was used has one
         assert not (kept.used & (kept.reason != 0)).any()
 
@@ -113,7 +106,6 @@ def test_outliers_are_rejected_and_the_rest_is_kept() -> None:
     undisturbed, lying = arm(0), arm(0, outliers=0.1, outlier_m=0.5)
     wrong = np.linalg.norm(undisturbed.recording.arm.position - lying.recording.arm.position, axis=2) > 0.4
     kept = blind(lying).recovery.residuals
-    assert kept is not None
     forearm = slice(1, 4)
     tracked = np.isfinite(lying.recording.arm.position).all(axis=2)
     assert kept.used[:, forearm][wrong[:, forearm]].mean() < 0.02
@@ -136,7 +128,6 @@ def test_an_arm_that_hangs_still_for_twenty_seconds() -> None:
     still = scene.recovery.t_s < 19.0
     assert np.isfinite(scene.recovery.sigma_deg[still]).all()
     truth = scene.recording.truth
-    assert truth is not None
     assert np.nanmax(sample_errors(scene.recovery, truth).distance_m[still]) < 0.04
 
 
@@ -151,14 +142,12 @@ def test_no_motion_at_all(still_arms: list[Scene]) -> None:
         recovery = scene.recovery
         for values in (recovery.position, recovery.quaternion, recovery.sigma_m, recovery.sigma_deg):
             assert np.isfinite(values).all()
-        assert recovery.calibration is not None
         assert np.linalg.norm(recovery.calibration.lever_arms["wrist"].sigma_m) > 0.02
 
 
 def test_no_motion_at_all_is_known_to_be_vague(still_arms: list[Scene]) -> None:
     for scene in still_arms:
         truth = scene.recording.truth
-        assert truth is not None
         errors = sample_errors(scene.recovery, truth)
         assert np.median(errors.angle_deg / scene.recovery.sigma_deg) < 2.5
         assert np.mean(errors.squared_sigmas) / 3 < 4.0
@@ -168,7 +157,6 @@ def test_a_wrist_that_is_seen_is_where_it_is_seen(still_arms: list[Scene]) -> No
     """Nothing is occluded, and the camera sees the wrist to 8 mm: whatever the pose, the wrist is known."""
     for scene in still_arms:
         truth = scene.recording.truth
-        assert truth is not None
         error = scene.recovery.joints["wrist"] - truth.joints["wrist"]
         assert np.linalg.norm(error, axis=1).max() < 0.02
 
@@ -197,7 +185,6 @@ def test_joints_that_were_never_seen(missing: tuple[str, ...], rms_m: float) -> 
     scene = blind(made, without(made.recording, *missing))
     nees = pooled([scene])[3]
     truth = scene.recording.truth
-    assert truth is not None
     wrist = np.linalg.norm(scene.recovery.joints["wrist"] - truth.joints["wrist"], axis=1)[hidden(scene)]
     assert set(scene.recovery.joints) == {"shoulder", "elbow", "wrist", "hand"} - set(missing)
     assert np.sqrt(np.mean(wrist**2)) <= rms_m
@@ -207,7 +194,6 @@ def test_joints_that_were_never_seen(missing: tuple[str, ...], rms_m: float) -> 
 def test_the_strap_alone() -> None:
     scene = blind(point(2))
     figures = scene.validation.occluded
-    assert figures.position_rms_m is not None
     assert figures.position_rms_m <= 0.012
 
 

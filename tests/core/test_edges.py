@@ -55,7 +55,6 @@ def test_sigma_grows_away_from_the_camera(open_ended: Scene) -> None:
 
 def test_sigma_covers_the_error_of_open_gaps(open_ended: Scene) -> None:
     recovery, truth = open_ended.recovery, open_ended.recording.truth
-    assert truth is not None
     errors = sample_errors(recovery, truth)
     for gap in (recovery.gaps[0], recovery.gaps[-1]):
         inside = (recovery.t_s >= gap.start_s) & (recovery.t_s <= gap.end_s)
@@ -67,7 +66,6 @@ def test_sigma_covers_the_error_of_open_gaps(open_ended: Scene) -> None:
 
 def test_the_rest_does_not_suffer_from_open_ends(open_ended: Scene) -> None:
     recovery, truth = open_ended.recovery, open_ended.recording.truth
-    assert truth is not None
     distance = sample_errors(recovery, truth).distance_m
     inner = (recovery.t_s > recovery.gaps[0].end_s) & (recovery.t_s < recovery.gaps[-1].start_s)
     assert np.nanmax(distance[inner]) < 0.02
@@ -98,7 +96,6 @@ def test_a_pause_inside_a_gap_leaves_two_open_gaps() -> None:
     assert (after.open_start, after.open_end) == (True, False)
     assert before.end_s < middle < after.start_s
     assert np.isfinite(scene.recovery.position).all()
-    assert scene.validation.all.nees is not None
     assert scene.validation.all.nees < OVER_CONFIDENT
 
 
@@ -113,7 +110,6 @@ def test_an_arm_that_hangs_still_at_first() -> None:
 def heading(scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Error about the vertical and its stated standard deviation, degrees, (N,)."""
     truth, recovery = scene.recording.truth, scene.recovery
-    assert truth is not None
     found, true = (Rotation.from_quat(q, scalar_first=True) for q in (recovery.quaternion, truth.quaternion))
     down = recovery.gravity_direction
     variance = np.einsum("i,nij,j->n", down, recovery.pose_covariance[:, 3:, 3:], down)
@@ -134,7 +130,6 @@ def test_no_motion_at_all_has_an_answer(no_motion: Scene) -> None:
     assert sigma.min() > 4.0
     assert np.abs(error).max() < 60.0
     position = no_motion.validation.all.position_max_m
-    assert position is not None
     assert position < 0.03  # the IMU sits 3.5 cm off the forearm's axis
 
 
@@ -166,7 +161,6 @@ def test_a_recording_that_starts_late_and_drops_frames() -> None:
     made = arm(0, dropped_frames=0.1, frame_jitter_s=0.002)
     shift = 5000.0
     recording = made.recording
-    assert recording.truth is not None
     moved = replace(
         recording,
         imu=replace(recording.imu, t_s=recording.imu.t_s + shift),
@@ -215,7 +209,6 @@ def test_a_sensor_that_drops_out_again_and_again() -> None:
     """Its own place on the arm is hardly known, which sigma and verdict say; the joints are right."""
     recording = sound(1)
     recovery = smooth(dropping_out(recording, 1.0, 0.15), processes=1)
-    assert recording.truth is not None
     _, nees = position_errors(recovery, recording.truth)
     assert nees < 2.0
     assert any("drops out every" in caution for caution in recovery.estimates.cautions)
@@ -251,7 +244,6 @@ def test_short_segments_that_show_one_joint_only() -> None:
     lost = [(recording.imu.t_s > at) & (recording.imu.t_s < at + 0.2) for at in (12.9, 15.1)]
     one = replace(recording, arm=no_elbow, imu=recording.imu.select(~(lost[0] | lost[1])), truth=None)
     recovery = smooth(one, processes=1)
-    assert recording.truth is not None
     distance_m, _ = position_errors(recovery, recording.truth)
     assert recovery.estimates.trusted and distance_m.max() < 0.03
 

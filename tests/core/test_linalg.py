@@ -166,26 +166,17 @@ def test_turns_one_after_the_other(count: int) -> None:
     np.testing.assert_allclose(chained(turns), expected, atol=1e-13)
 
 
-@pytest.mark.parametrize("count", [2, 3, 4, 5, 50])
-def test_spline_is_scipys(count: int) -> None:
+@pytest.mark.parametrize("natural", [False, True])
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 12, 13, 50])
+def test_spline_is_scipys(count: int, natural: bool) -> None:
     rng = np.random.default_rng(count)
     t = np.cumsum(rng.uniform(0.01, 0.4, count))
     value = rng.normal(size=(count, 3))
-    at = np.concatenate([np.linspace(t[0], t[-1], 301), t, [t[0] - 0.01, t[-1] + 0.01]])
-    ours, theirs = cubic_spline(t, value), CubicSpline(t, value)
+    beyond = [] if natural else [t[0] - 0.01, t[-1] + 0.01]
+    at = np.concatenate([np.linspace(t[0], t[-1], 301), t, beyond])
+    ours = cubic_spline(t, value, natural=natural)
+    theirs = CubicSpline(t, value, bc_type="natural" if natural else "not-a-knot")
     scale = np.abs(theirs(at, 1)).max() + 1.0  # rounding, of values and slopes of this size
-    np.testing.assert_allclose(ours(at), theirs(at), atol=1e-11 * scale)
-    np.testing.assert_allclose(ours(at, 1), theirs(at, 1), atol=1e-10 * scale)
-
-
-@pytest.mark.parametrize("count", [2, 3, 4, 12, 13, 50])
-def test_natural_spline_is_scipys(count: int) -> None:
-    rng = np.random.default_rng(count)
-    t = np.cumsum(rng.uniform(0.01, 0.4, count))
-    value = rng.normal(size=(count, 3))
-    at = np.concatenate([np.linspace(t[0], t[-1], 301), t])
-    ours, theirs = cubic_spline(t, value, natural=True), CubicSpline(t, value, bc_type="natural")
-    scale = np.abs(theirs(at, 1)).max() + 1.0
     np.testing.assert_allclose(ours(at), theirs(at), atol=1e-11 * scale)
     np.testing.assert_allclose(ours(at, 1), theirs(at, 1), atol=1e-10 * scale)
 

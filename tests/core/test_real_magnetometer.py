@@ -25,7 +25,6 @@ PARTS_S = {ROTATION: (25.0, 85.0), MAGNET: (80.0, 140.0)}
 @pytest.fixture(scope="module")
 def found() -> MagnetometerCalibration:
     mag = import_broad(there("broad", ROTATION)).imu.mag
-    assert mag is not None
     return calibrate_magnetometer(mag)
 
 
@@ -43,7 +42,6 @@ def part(trial: str) -> Recording:
 def both(trial: str, found: MagnetometerCalibration) -> tuple[Validation, Validation, str]:
     """Without and with the magnetometer, and what is said of it."""
     recording = part(trial)
-    assert recording.imu.mag is not None and recording.truth is not None
     imu = replace(recording.imu, mag=found.apply(recording.imu.mag), mag_calibrated=True)
     plain = smooth(replace(recording, truth=None), None, ALONE)
     helped = smooth(replace(recording, truth=None, imu=imu), None, ALONE)

@@ -52,7 +52,6 @@ REALISTIC_BLIND = {"visible": 0.618, "gaps": 0.876, "orientation": 1.315, "veloc
 def squares(scene: Scene) -> dict[str, FloatArray]:
     """Squared error in sigmas an axis, sample by sample, of all that the answer states a covariance of."""
     truth, recovery = scene.recording.truth, scene.recovery
-    assert truth is not None
     errors, inner = sample_errors(recovery, truth), slice(5, -5)
     off = (recovery.velocity - np.gradient(truth.position, truth.t_s, axis=0))[inner, :, None]
     speed = np.swapaxes(off, 1, 2) @ np.linalg.solve(recovery.velocity_covariance[inner], off)

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
 import pytest
 from gtsam import Rot3
+from lag_arms import DT, LEVERS, SIGMA_M, TILTED, UPPER, UPPER_LEVERS, intervals, lag_window
 
 from smoother.array_types import FloatArray
 from smoother.graph.lag_elimination import in_order
 from smoother.graph.lag_window import LagWindow
 from smoother.graph.variables import keys_of
-from smoother.recording import JOINTS
 from smoother.units import GRAVITY
-from smoother.window.problem import ImuIncrements, NoiseModel, Priors
-from smoother.window.shared import Gaussian, SharedLayout, axes_across
+from smoother.window.problem import ImuIncrements
 from smoother.window.solution import LagSolution, NodeState
 
-UPPER = "upper_arm"
-NOISE = NoiseModel(0.02, 0.003, 0.0, 0.0, 1e3, 0.01, 0.3, tissue_m=((UPPER, 0.005),))
-DOWN = np.array([0.1, -0.4, -0.9]) / np.linalg.norm([0.1, -0.4, -0.9])
-LEVERS = {"elbow": np.array([-0.12, 0.01, 0.02]), "wrist": np.array([0.1, 0.0, -0.01])}
-UPPER_LEVERS = {"elbow": np.array([0.0, -0.14, 0.03]), "shoulder": np.array([0.01, 0.16, 0.03])}
 SHOULDER = np.array([0.3, 0.2, 0.1])
-SIGMA_M, DT, COUNT = 0.01, 1 / 30, 75
+COUNT = 75
 #: Nothing of the forearm is seen in these; the gap is longer than the short window.
 GAP = range(35, 65)
 
@@ -37,38 +30,6 @@ class Chain:
     states: dict[str, list[NodeState]]
     increments: dict[str, list[ImuIncrements]]
     joints: list[dict[str, FloatArray]]
-
-
-def intervals(
-    t: FloatArray, R: list[Rot3], place: list[FloatArray], rng: np.random.Generator
-) -> tuple[list[NodeState], list[ImuIncrements]]:
-    """States that go through places, and noisy samples of the intervals: exact but for the noise.
-
-    The places are those at the beginning; each interval has the one specific force that leads to the next.
-    """
-    velocity = (place[1] - place[0]) / DT
-    states, increments = [NodeState(float(t[0]), R[0].matrix(), place[0], velocity)], []
-    for k in range(1, len(t)):
-        before = states[-1]
-        gyro = Rot3.Logmap(R[k - 1].between(R[k])) / DT
-        # what leads there by a constant acceleration, damped: the velocity at both ends is the mean one
-        acceleration = 2.0 * (place[k] - before.p - before.v * DT) / DT**2
-        acceleration = 0.5 * (acceleration + ((place[k] - place[k - 1]) / DT - before.v) / DT)
-        force = R[k - 1].unrotate(acceleration - GRAVITY * DOWN)
-        pim = gtsam.PreintegratedImuMeasurements(
-            gtsam.PreintegrationParams(GRAVITY * DOWN), gtsam.imuBias.ConstantBias()
-        )
-        pim.integrateMeasurement(force, gyro, 0.5 * DT)
-        pim.integrateMeasurement(force, gyro, 0.5 * DT)
-        nav = pim.predict(gtsam.NavState(Rot3(before.R), before.p, before.v), gtsam.imuBias.ConstantBias())
-        states.append(NodeState(float(t[k]), nav.attitude().matrix(), nav.position(), nav.velocity()))
-        force = force + rng.normal(0.0, NOISE.accelerometer_density / np.sqrt(DT), 3)
-        gyro = gyro + rng.normal(0.0, NOISE.gyroscope_density / np.sqrt(DT), 3)
-        two = np.stack([force, force])[None]
-        increments.append(
-            ImuIncrements(two, gyro[None], np.array([0.5 * DT]), np.array([0, 1]), np.zeros(6), np.zeros(1))
-        )
-    return states, increments
 
 
 @pytest.fixture(scope="module")
@@ -85,34 +46,16 @@ def chain() -> Chain:
     ]
     places = [SHOULDER - R.rotate(UPPER_LEVERS["shoulder"]) for R in upper]
     states, increments = {}, {}
-    states[UPPER], increments[UPPER] = intervals(t, upper, places, rng)
+    states[UPPER], increments[UPPER] = intervals(t, upper, places, TILTED, rng)
     elbows = [state.p + state.R @ UPPER_LEVERS["elbow"] for state in states[UPPER]]
     places = [elbow - R.rotate(LEVERS["elbow"]) for elbow, R in zip(elbows, fore, strict=True)]
-    states["forearm"], increments["forearm"] = intervals(t, fore, places, rng)
+    states["forearm"], increments["forearm"] = intervals(t, fore, places, TILTED, rng)
     joints = []
     for state, own in zip(states["forearm"], states[UPPER], strict=True):
         seen = {joint: state.p + state.R @ lever for joint, lever in LEVERS.items()}
         seen["shoulder"] = own.p + own.R @ UPPER_LEVERS["shoulder"]
         joints.append({joint: point + rng.normal(0.0, SIGMA_M, 3) for joint, point in seen.items()})
     return Chain(states, increments, joints)
-
-
-def window(length_s: float, further: tuple[str, ...] = (UPPER,)) -> LagWindow:
-    """Lever arms known to 5 mm, gravity to a degree."""
-    joints = tuple(joint for joint in JOINTS if joint in LEVERS)
-    layout = SharedLayout(joints, True, axes_across(DOWN), further)
-    mean, sigma = np.zeros(layout.size), np.full(layout.size, 0.005)
-    sigma[:3], sigma[3:6], sigma[layout.gravity] = 0.05, 0.005, 0.02
-    for joint, lever in LEVERS.items():
-        mean[layout.lever(joint)] = lever
-    for segment in further:
-        bias = layout.bias_of(segment)
-        sigma[bias.start : bias.start + 3] = 0.05
-        for joint, lever in UPPER_LEVERS.items():
-            mean[layout.lever(joint, segment)] = lever
-    mean[layout.upper_arm], sigma[layout.upper_arm] = 0.3, 0.3
-    priors = Priors(layout, Gaussian(mean, np.diag(sigma**2)), np.repeat([1e-3, 1e-4], 3))
-    return LagWindow(priors, NOISE, np.full(len(JOINTS), SIGMA_M), GRAVITY, length_s)
 
 
 def attach(lag: LagWindow, chain: Chain, k: int, index: int = -1) -> None:
@@ -122,6 +65,10 @@ def attach(lag: LagWindow, chain: Chain, k: int, index: int = -1) -> None:
     state = chain.states[UPPER][k]
     start = NodeState(state.t, state.R, state.p + 0.003, state.v)
     lag.attach(index, UPPER, start, None if begins else chain.increments[UPPER][k - 1])
+
+
+def window(length_s: float, further: tuple[str, ...] = (UPPER,)) -> LagWindow:
+    return lag_window(TILTED, length_s, further=further)
 
 
 def followed(
@@ -221,7 +168,7 @@ def test_an_imu_that_rests_beside_a_moving_arm_does_not_fit(chain: Chain) -> Non
     # 12 rows a node, three of them taken up by the shared joint's place and nine by the state
     assert sound < 0.7
     assert np.isnan(window(1.0).misfit(UPPER, -np.inf))
-    still = -GRAVITY * chain.states[UPPER][0].R.T @ DOWN
+    still = -GRAVITY * chain.states[UPPER][0].R.T @ TILTED
     force, half_s, first = np.tile(still, (1, 2, 1)), np.array([0.5 * DT]), np.array([0, 1])
     rest = ImuIncrements(force, np.zeros((1, 3)), half_s, first, np.zeros(6), np.zeros(1))
     for index in lag.nodes_of(UPPER)[30:]:

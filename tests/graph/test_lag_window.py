@@ -9,24 +9,19 @@ import numpy as np
 import pytest
 from gtsam import Rot3
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
+from lag_arms import DT, LEVERS, SIGMA_M, TILTED, intervals, lag_window
 
 from smoother.array_types import FloatArray
 from smoother.graph.lag_elimination import in_order, iterate, letter_of, marginalise, split
 from smoother.graph.lag_window import LagWindow
-from smoother.recording import JOINTS
-from smoother.units import GRAVITY
-from smoother.window.problem import ImuIncrements, NoiseModel, Priors
-from smoother.window.shared import Gaussian, SharedLayout, axes_across
+from smoother.window.problem import ImuIncrements
 from smoother.window.solution import LagSolution, NodeState
 
-NOISE = NoiseModel(0.02, 0.003, 0.0, 0.0, 1e3, 0.01, 0.3)  # Cauchy's loss so wide that it is none
-#: Of a camera that is tilted, and of one that stands level: GTSAM's axes across gravity then turn on the way.
-TILTED = np.array([0.1, -0.4, -0.9]) / np.linalg.norm([0.1, -0.4, -0.9])
+#: Of a camera that stands level: GTSAM's axes across gravity then turn on the way.
 LEVEL = np.array([0.0, 0.0, -1.0])
-LEVERS = {"elbow": np.array([-0.12, 0.01, 0.02]), "wrist": np.array([0.1, 0.0, -0.01])}
 #: From the elbow: the upper arm is carried along.
 UPPER_ARM = np.array([0.05, -0.25, 0.1])
-SIGMA_M, DT, COUNT = 0.01, 1 / 30, 90
+COUNT = 90
 
 
 @dataclass(frozen=True)
@@ -47,24 +42,7 @@ def motion(request: pytest.FixtureRequest) -> Motion:
     turn = np.column_stack([0.5 * np.sin(2.0 * t), 0.6 * np.sin(2.6 * t + 1.0), 0.7 * np.sin(1.7 * t)])
     R = [Rot3.Expmap(each) for each in turn]
     p = [np.array([0.3, 0.0, 0.1]) + 0.2 * np.sin([1.9 * s, 2.3 * s, 1.4 * s]) for s in t]
-    v = [0.2 * np.array([1.9 * np.cos(1.9 * s), 2.3 * np.cos(2.3 * s), 1.4 * np.cos(1.4 * s)]) for s in t]
-    states, increments = [NodeState(t[0], R[0].matrix(), p[0], v[0])], []
-    for k in range(1, COUNT):
-        gyro = Rot3.Logmap(R[k - 1].between(R[k])) / DT
-        acc = R[k - 1].unrotate((v[k] - v[k - 1]) / DT - GRAVITY * down)
-        params = gtsam.PreintegrationParams(GRAVITY * down)
-        pim = gtsam.PreintegratedImuMeasurements(params, gtsam.imuBias.ConstantBias())
-        pim.integrateMeasurement(acc, gyro, 0.5 * DT)
-        pim.integrateMeasurement(acc, gyro, 0.5 * DT)
-        before = states[-1]
-        nav = pim.predict(gtsam.NavState(Rot3(before.R), before.p, before.v), gtsam.imuBias.ConstantBias())
-        states.append(NodeState(t[k], nav.attitude().matrix(), nav.position(), nav.velocity()))
-        acc = acc + rng.normal(0.0, NOISE.accelerometer_density / np.sqrt(DT), 3)
-        gyro = gyro + rng.normal(0.0, NOISE.gyroscope_density / np.sqrt(DT), 3)
-        two = np.stack([acc, acc])[None]
-        increments.append(
-            ImuIncrements(two, gyro[None], np.array([0.5 * DT]), np.array([0, 1]), np.zeros(6), np.zeros(1))
-        )
+    states, increments = intervals(t, R, p, down, rng)
     joints = []
     for state in states:
         seen = {joint: state.p + state.R @ lever for joint, lever in LEVERS.items()}
@@ -73,25 +51,11 @@ def motion(request: pytest.FixtureRequest) -> Motion:
     return Motion(down, states, increments, joints)
 
 
-def window(down: FloatArray, length_s: float, has_upper_arm: bool = False) -> LagWindow:
-    """Lever arms known to 5 mm, gravity to a degree."""
-    layout = SharedLayout(
-        tuple(joint for joint in JOINTS if joint in LEVERS), has_upper_arm, axes_across(down)
-    )
-    mean, sigma = np.zeros(layout.size), np.full(layout.size, 0.005)
-    sigma[:3], sigma[3:6], sigma[layout.gravity] = 0.05, 0.005, 0.02
-    for joint, lever in LEVERS.items():
-        mean[layout.lever(joint)] = lever
-    mean[layout.upper_arm], sigma[layout.upper_arm] = 0.3, 0.3
-    priors = Priors(layout, Gaussian(mean, np.diag(sigma**2)), np.repeat([1e-3, 1e-4], 3))
-    return LagWindow(priors, NOISE, np.full(len(JOINTS), SIGMA_M), GRAVITY, length_s)
-
-
 def followed(
     motion: Motion, length_s: float, gap: range = range(0), late: int | None = None, shoulder: bool = False
 ) -> tuple[LagWindow, list[LagSolution]]:
     """A window fed node by node, begun near the truth; nothing is seen in the gap; a frame comes late."""
-    lag, solutions = window(motion.down, length_s, shoulder), []
+    lag, solutions = lag_window(motion.down, length_s, shoulder), []
     joints = [*LEVERS, *(["shoulder"] if shoulder else [])]
     for k, state in enumerate(motion.states):
         begin = NodeState(state.t, state.R, state.p + 0.003, state.v)
@@ -167,7 +131,7 @@ def test_a_late_frame_counts_as_one_in_time(motion: Motion) -> None:
 
 
 def test_samples_that_come_late_replace_an_interval(motion: Motion) -> None:
-    lag, right = window(motion.down, 0.7), window(motion.down, 0.7)
+    lag, right = lag_window(motion.down, 0.7, False), lag_window(motion.down, 0.7, False)
     wrong = motion.increments[19]
     wrong = ImuIncrements(
         wrong.acc + 30.0, wrong.gyro, wrong.h, wrong.first, wrong.bias, wrong.velocity_error
@@ -188,7 +152,7 @@ def test_samples_that_come_late_replace_an_interval(motion: Motion) -> None:
 
 
 def test_the_wrist_alone_leaves_its_place_open_at_first_and_says_so(motion: Motion) -> None:
-    lag = window(motion.down, 0.7)
+    lag = lag_window(motion.down, 0.7, False)
     lag.add(motion.states[0], None)
     unseen = lag.solve(0.0)
     lag.measure(-1, "wrist", motion.joints[0]["wrist"])

@@ -9,14 +9,12 @@ from gtsam.symbol_shorthand import B, C, D, E, F, G, L, M, N, Q, S, U, V, W, X, 
 from scenes import arm, first_window
 
 from smoother.graph.build import bias_of_intervals, build, node_of_variables
-from smoother.graph.error_columns import constant_error_columns
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.optimise import Optimum, marginal_covariance
 from smoother.graph.shared_prior import shared_keys
 from smoother.graph.variables import DIMENSION, sizes_of, values_of
 from smoother.recording import JOINTS
 from smoother.window.problem import Window
-from smoother.window.shared import IMU_ERRORS, JOINT_ERRORS, SIZE
 
 
 @pytest.fixture(scope="module")
@@ -33,39 +31,22 @@ def solved(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
 
 
 @pytest.fixture(scope="module")
-def system(
-    window: Window, solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
-) -> tuple[LinearSystem, np.ndarray]:
-    """With the columns of the constant errors, and those columns."""
-    graph, values = solved
-    R = np.array([values.atPose3(X(i)).rotation().matrix() for i in range(len(window.t))])
-    taken: list[np.ndarray] = []
-
-    def columns(*found: object) -> np.ndarray:
-        taken.append(
-            constant_error_columns(*found, window, build(window).groups, bias_of_intervals(window), R)  # type: ignore[arg-type]
-        )
-        return taken[0]
-
-    return LinearSystem(graph, values, node_of_variables(window), [columns]), taken[0]
+def system(window: Window, solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]) -> LinearSystem:
+    return LinearSystem(*solved, node_of_variables(window))
 
 
 def test_covariances_are_those_of_gtsam(
-    system: tuple[LinearSystem, np.ndarray], solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
+    system: LinearSystem, solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
 ) -> None:
     """Two eliminations of one system; scaled to unit diagonal its condition number is about 1e4."""
     reference = gtsam.Marginals(*solved)
     for key in (X(0), X(7), X(40), V(3), S(4)):
         expected = reference.marginalCovariance(key)
-        np.testing.assert_allclose(
-            system[0].covariances([key])[0], expected, atol=1e-9 * np.abs(expected).max()
-        )
+        np.testing.assert_allclose(system.covariances([key])[0], expected, atol=1e-9 * np.abs(expected).max())
     keys = [B(0), G(0), L(JOINTS.index("elbow"))]
     joint = reference.jointMarginalCovariance(keys)
     expected = np.block([[joint.at(a, b) for b in keys] for a in keys])
-    np.testing.assert_allclose(
-        system[0].shared_covariance(keys), expected, atol=1e-9 * np.abs(expected).max()
-    )
+    np.testing.assert_allclose(system.shared_covariance(keys), expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_a_messages_covariance_is_that_of_gtsam(
@@ -81,51 +62,13 @@ def test_a_messages_covariance_is_that_of_gtsam(
     np.testing.assert_allclose(found / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-9)
 
 
-def test_sensitivities_are_those_of_least_squares(system: tuple[LinearSystem, np.ndarray]) -> None:
-    """An error moves the optimum by -(A' A)^-1 A' e, here by a dense solver."""
-    linear, columns = system
-    A = linear.jacobian.toarray()
-    full = np.zeros((len(A), SIZE))
-    full[: len(columns)] = columns
-    expected = -np.linalg.lstsq(A, full, rcond=None)[0]
-    shared = linear.shared_sensitivity()
-    for key in (X(0), X(31), V(12), S(2)):
-        rows = linear.columns(key)
-        np.testing.assert_allclose(
-            linear.sensitivities([key], shared)[0], expected[rows], atol=1e-4 * np.abs(expected[rows]).max()
-        )
-    np.testing.assert_allclose(shared[linear.border_rows([G(0)])], expected[linear.columns(G(0))], atol=1e-4)
-
-
-def test_columns_are_derivatives_of_the_error(
-    window: Window, system: tuple[LinearSystem, np.ndarray]
-) -> None:
-    """A joint that the camera sees 1 mm off raises its whitened error by 1 mm over its sigma."""
-    _, columns = system
-    first = window.joint_measurements[0]
-    error = JOINT_ERRORS.start + 3 * JOINTS.index(first.joint)
-    rows = columns[:, error] != 0
-    count = len(np.unique(first.node))
-    assert rows.sum() == count
-    weight = 1.0 / columns[rows, error]
-    # the robust loss only lowers weights: sigmas are no smaller than the measurements'
-    assert (weight > 0.99 * first.sigma_m.min() / np.sqrt(np.bincount(first.node).max())).all()
-    assert (columns[9 * (len(window.t) - 1) :, IMU_ERRORS] == 0).all()
-
-
 def test_a_free_direction_is_refused(window: Window, solved: tuple) -> None:
-    graph, values = solved
-    freed = gtsam.NonlinearFactorGraph()
-    for i in range(graph.size()):
-        if not isinstance(graph.at(i), gtsam.LinearContainerFactor | gtsam.BetweenFactorConstantBias):
-            freed.push_back(graph.at(i))
-    freed.resize(0)
     with pytest.raises((np.linalg.LinAlgError, ValueError)):
-        LinearSystem(freed, values, node_of_variables(window))
+        LinearSystem(gtsam.NonlinearFactorGraph(), solved[1], node_of_variables(window))
 
 
-def test_a_block_is_part_of_the_whole(system: tuple[LinearSystem, np.ndarray]) -> None:
-    jacobian = system[0].jacobian
+def test_a_block_is_part_of_the_whole(system: LinearSystem) -> None:
+    jacobian = system.jacobian
     whole = jacobian.toarray()
     assert whole.shape == (len(jacobian.rhs), jacobian.width)
     np.testing.assert_array_equal(jacobian.block(slice(9, 30), slice(4, 40)), whole[9:30, 4:40])

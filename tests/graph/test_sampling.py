@@ -73,7 +73,6 @@ def test_covariances_and_those_between_times_are_those_of_gtsam(window: Window) 
     plan = replace(basis(window), considered=None)
     draws = sample_window(system, values, window, biases, plan, None, np.zeros((3, 3)))
     reference = gtsam.Marginals(graph, values)
-    assert window.shoulder is not None
     in_gap = int(np.flatnonzero(np.isfinite(window.velocity_change))[3])
     for i in (4, in_gap):
         j = int(np.searchsorted(window.t, window.t[i] + 0.5))
@@ -81,7 +80,6 @@ def test_covariances_and_those_between_times_are_those_of_gtsam(window: Window) 
         keys = [X(i), X(j), V(i), S(knot)]
         joint = reference.jointMarginalCovariance(keys)
         expected = np.block([[joint.at(a, b) for b in keys] for a in keys])
-        assert draws.shoulder is not None
         R = [values.atPose3(key).rotation().matrix() for key in keys[:2]]
         drawn = np.concatenate(
             [
@@ -142,8 +140,6 @@ def test_they_have_the_covariance_that_the_window_states(window: Window) -> None
     with patch.multiple(smoother.graph.solve, COVARIANCE_S=1e-6, SHOULDER_COVARIANCE_S=1e-6):
         solution = solve(window, with_covariance=True, plan=basis(window))
     draws = solution.draws
-    assert draws is not None and draws.shoulder is not None and solution.forearm.pose_covariance is not None
-    assert solution.forearm.velocity_covariance is not None and solution.shoulder_covariance is not None
     for node in range(0, len(window.t), 5):
         pose = np.concatenate([draws.position[:, node], draws.rotation[:, node]], axis=1)
         same(covariance(pose), solution.forearm.pose_covariance[node])
@@ -163,7 +159,6 @@ def test_neighbouring_windows_draw_the_same_motion() -> None:
     one, two = (job.window for job in last_pass(made.recording, made.calibration)[:2])
     plan = DrawPlan(100, 5, "right", 4, one.priors.shared.covariance, one.considered)
     first, second = (solve(each, with_covariance=True, plan=plan).draws for each in (one, two))
-    assert first is not None and second is not None
     there = np.abs(two.t - two.core_start_s) < 0.5
     at = np.searchsorted(one.t, two.t[there] - 1e-6)
     for name, least in (("position", 0.97), ("velocity", 0.93), ("rotation", 0.8)):

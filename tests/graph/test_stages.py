@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -41,17 +42,11 @@ class Descents:
         self.answers: list[Optimum] = []
         original = module._descend
 
-        def descend(
-            graph: gtsam.NonlinearFactorGraph,
-            values: gtsam.Values,
-            iterations: int,
-            tolerance: float,
-            order: gtsam.Ordering,
-        ) -> Optimum:
+        def descend(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *rest: Any) -> Optimum:
             factors = (graph.at(i) for i in range(graph.size()))
             lengths = [each for each in factors if isinstance(each, gtsam.RangeFactorWithTransformBias3D)]
             sigmas = [float(each.noiseModel().sigmas()[0]) for each in lengths]
-            found = original(graph, values, iterations, tolerance, order)
+            found, (iterations, tolerance, _) = original(graph, values, *rest), rest
             if self.calls and sigmas == [SIGMA_M] * 6:  # as if the upper arm did not fit
                 found = replace(found, error=found.error + raised)
             self.calls.append((sigmas, iterations, tolerance))
@@ -144,14 +139,8 @@ def test_all_strategies_where_none_agrees(window: Window, monkeypatch: pytest.Mo
     errors = iter([100.0, 70.0, 90.0, 80.0, 95.0])
     original, whole = module._descend, []
 
-    def descend(
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        iterations: int,
-        tolerance: float,
-        order: gtsam.Ordering,
-    ) -> Optimum:
-        found = original(graph, values, iterations, tolerance, order)
+    def descend(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *rest: Any) -> Optimum:
+        found, (iterations, *_) = original(graph, values, *rest), rest
         whole.append(found)
         if len(whole) > 1 and iterations == module.LAST_ITERATIONS:
             found = replace(found, error=whole[0].error + next(errors))
@@ -176,14 +165,8 @@ def test_two_that_agree_are_enough(
 ) -> None:
     original, count = module._descend, [0]
 
-    def descend(
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        iterations: int,
-        tolerance: float,
-        order: gtsam.Ordering,
-    ) -> Optimum:
-        found = original(graph, values, iterations, tolerance, order)
+    def descend(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *rest: Any) -> Optimum:
+        found, (iterations, *_) = original(graph, values, *rest), rest
         if iterations == module.LAST_ITERATIONS:
             count[0] += 1
             found = replace(found, error=50.0 + apart * (count[0] - 2) if count[0] > 1 else 0.0)

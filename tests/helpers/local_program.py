@@ -42,7 +42,6 @@ class Program:
             text=True,
             env=environment(),
         )
-        assert self._process.stdout is not None
         timer = threading.Timer(_START_S, self._process.kill)  # a program that hangs says nothing
         timer.start()
         try:
@@ -69,7 +68,6 @@ class Program:
 
     def rest(self) -> str:
         """What it printed after the address, once it has ended."""
-        assert self._process.stdout is not None
         return self._process.stdout.read()
 
     def errors(self) -> str:

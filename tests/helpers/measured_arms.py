@@ -44,7 +44,6 @@ def simulated(seed: int = 0, side: str = "right", **changes: object) -> Recovery
     config = ArmSimulation.preset("clean", side=side, **changes)  # type: ignore[arg-type]
     arm = simulate_arm(config, seed)
     truth = arm.recording.truth
-    assert truth is not None
     down = arm.parameters["gravity"] / np.linalg.norm(arm.parameters["gravity"])
     recovery = recovery_of(truth.t_s, dict(truth.joints), side, down)
     frames = arm.recording.arm.t_s

@@ -24,7 +24,6 @@ def arm(preset: str, seed: int = 0, **changes: object) -> SimulatedArm:
 def scene_of(made: SimulatedArm, tilt_deg: float = 0.0, sigma_m: float | None = None) -> Scene:
     """What a baseline would see of a simulated arm: true calibration and clock, orientation off by a tilt."""
     recording, truth = made.recording, made.recording.truth
-    assert truth is not None
     imu = recording.imu
     imu = replace(
         imu,
@@ -69,14 +68,12 @@ def scene_of(made: SimulatedArm, tilt_deg: float = 0.0, sigma_m: float | None = 
 def errors(made: SimulatedArm, path: Path) -> FloatArray:
     """Distance (n,) m of the answer from the truth."""
     truth = made.recording.truth
-    assert truth is not None
     return np.linalg.norm(path.position - truth.position, axis=1)
 
 
 def turned_off(made: SimulatedArm, R_K_A: FloatArray) -> FloatArray:
     """Angle (n,) in degrees of orientations from the truth."""
     truth = made.recording.truth
-    assert truth is not None
     true = Rotation.from_quat(truth.quaternion, scalar_first=True)
     return np.degrees((Rotation.from_matrix(R_K_A) * true.inv()).magnitude())
 

@@ -27,7 +27,6 @@ class SolvedArm:
     def errors(self, answer: Recovery) -> FloatArray:
         """Distance (N,) m of the IMU's position from the truth."""
         truth = self.made.recording.truth
-        assert truth is not None
         return np.linalg.norm(answer.position - truth.position, axis=1)
 
     @property

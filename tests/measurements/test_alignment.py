@@ -157,7 +157,6 @@ def test_align_on_a_simulated_point_is_within_its_covariance(seed: int) -> None:
     """The whole way to the initial orientation on the strap alone: filter, accelerations, alignment."""
     made = point(seed, occlusion_lengths_s=())
     recording, truth = made.recording, made.recording.truth
-    assert truth is not None
     signal = InertialSignal(recording.imu)
     attitude = inertial_attitude(signal, 80.0)
     t, strap = recording.arm.t_s, recording.arm.position[:, JOINTS.index("strap")]

@@ -275,7 +275,6 @@ def test_the_bend_is_as_long_as_the_flexion_and_passes_straight_smoothly():
     signed = 0.3 * np.sin(1.3 * BEND_T)
     recovery = recovery_of(BEND_T, swinging(signed, BEND_T))
     bend = elbow_bend(recovery)
-    assert bend is not None
     flexion = recovery_angles(recovery)["elbow_flexion"]
     np.testing.assert_allclose(np.degrees(np.linalg.norm(bend, axis=1)), flexion, atol=1e-9)
     np.testing.assert_allclose(bend[:, 2], -signed, atol=1e-9)  # from y towards x is about -z

@@ -35,6 +35,15 @@ def measures(answer: Recovery) -> Measures:
     return measure(answer)
 
 
+def bending(t: np.ndarray, bend: np.ndarray) -> Recovery:
+    """An upper arm that is level to the person's right and rests, and a forearm that bends forward."""
+    still = np.ones((len(t), 1))
+    # the person faces a level Kinect: its x points to the person's right, z to the person's back
+    elbow = still * [0.5, 0.0, 2.0]
+    wrist = elbow + 0.25 * np.stack([np.cos(bend), np.zeros(len(t)), -np.sin(bend)], axis=1)
+    return recovery_of(t, {"shoulder": still * [0.2, 0.0, 2.0], "elbow": elbow, "wrist": wrist})
+
+
 def test_every_measure_has_a_value_an_interval_and_a_share(measures: Measures):
     assert measures.n_draws == 22
     for row in measures.rows:
@@ -162,18 +171,14 @@ def test_intervals_hold_the_truth_where_errors_are_as_drawn(what: str):
 def test_how_the_upper_arm_s_imu_sits_is_in_the_interval():
     """A level upper arm whose IMU may be turned by 4 degrees about the bone: so may its rotation."""
     t = np.arange(0.0, 2.5, 0.025)
-    still = np.ones((len(t), 1))
     bend = 1.0 + 0.3 * np.sin(2 * t)
-    shoulder, elbow = still * [0.2, 0.0, 2.0], still * [0.5, 0.0, 2.0]
-    wrist = elbow + 0.25 * np.stack([np.cos(bend), np.zeros(len(t)), -np.sin(bend)], axis=1)
-    bare = recovery_of(t, {"shoulder": shoulder, "elbow": elbow, "wrist": wrist})
+    bare = bending(t, bend)
     # the bone's axes: y from elbow to shoulder, z to the lateral epicondyle (up), x = y cross z
     axes = np.column_stack([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     assert np.linalg.det(axes) == pytest.approx(1.0)
     quaternion = np.tile(Rotation.from_matrix(axes).as_quat(scalar_first=True), (len(t), 1))
     sigma = np.radians([0.0, 4.0, 0.0])
-    upper = SegmentMotion(elbow, quaternion, np.zeros((len(t), 6, 6)), sigma)
-    assert bare.calibration is not None
+    upper = SegmentMotion(bare.joints["elbow"], quaternion, np.zeros((len(t), 6, 6)), sigma)
     calibration = replace(bare.calibration, mountings={"upper_arm": SegmentMounting({}, R_bone=np.eye(3))})
     answer = with_draws(
         replace(bare, segments={"upper_arm": upper}, calibration=calibration), count=40, sigma_m=0.0
@@ -252,10 +257,7 @@ def test_settings_are_checked():
 def test_a_measure_says_how_much_rests_on_what_is_not_trusted():
     t = np.arange(0.0, 10.0, 0.05)
     bend = 1.0 + 0.5 * np.sin(2 * np.pi * 0.1 * t)  # largest at 2.5 s, smallest at 7.5 s
-    still = np.ones((len(t), 1))
-    shoulder, elbow = still * [0.2, 0.0, 2.0], still * [0.5, 0.0, 2.0]
-    wrist = elbow + 0.25 * np.stack([np.cos(bend), np.zeros(len(t)), -np.sin(bend)], axis=1)
-    bare = recovery_of(t, {"shoulder": shoulder, "elbow": elbow, "wrist": wrist})
+    bare = bending(t, bend)
     untrusted = (UntrustedInterval(1.0, 4.0, ("the camera saw another person",)),)
     rows = measure(replace(bare, estimates=Estimates(trusted=True, untrusted=untrusted))).by_key
     highest, lowest = rows["elbow_flexion_max_deg"], rows["elbow_flexion_min_deg"]
@@ -325,11 +327,7 @@ def test_too_few_samples_are_no_angle():
 def test_an_elbow_bent_by_a_known_angle_and_a_level_arm():
     """The arm points to the person's right at shoulder height; the forearm bends forward from 30 to 90."""
     bend = np.radians(60.0 - 30.0 * np.cos(2 * np.pi * 0.2 * T))
-    still = np.ones((len(T), 1))
-    # the person faces a level Kinect: its x points to the person's right, z to the person's back
-    shoulder, elbow = still * [0.2, 0.0, 2.0], still * [0.5, 0.0, 2.0]
-    wrist = elbow + 0.25 * np.stack([np.cos(bend), np.zeros(len(T)), -np.sin(bend)], axis=1)
-    rows = measure(recovery_of(T, {"shoulder": shoulder, "elbow": elbow, "wrist": wrist})).by_key
+    rows = measure(bending(T, bend)).by_key
     assert rows["elbow_flexion_range_deg"].value == pytest.approx(60.0, abs=0.1)
     assert rows["elbow_flexion_max_deg"].value == pytest.approx(90.0, abs=0.1)
     assert rows["shoulder_elevation_p50_deg"].value == pytest.approx(90.0, abs=0.1)

@@ -10,7 +10,6 @@ from scenes import ALONE
 
 from smoother import Recovery
 from smoother.array_types import BoolArray
-from smoother.graph.build import MOST_BIASES, bias_of_intervals
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.segment import Timeline
 from smoother.recording import JointTracks, Recording
@@ -19,7 +18,6 @@ from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
 from smoother.window.cut import cut_times
 from smoother.window.prepare import PreparedSegment
-from smoother.window.problem import Window
 
 #: The answer reaches so far in these tests, and the camera is away from and until here, s.
 REACH_S, AWAY_S = 6.0, (60.0, 130.0)
@@ -41,7 +39,6 @@ def stopped(recording: Recording, away_s: tuple[float, float] = AWAY_S) -> Recor
 def apart(recovery: Recovery, made: SimulatedArm, rows: BoolArray) -> float:
     """Rms of position against the truth, m."""
     truth = made.recording.truth
-    assert truth is not None
     return float(np.sqrt(np.mean(np.sum((recovery.position - truth.position)[rows] ** 2, axis=1))))
 
 
@@ -108,10 +105,3 @@ def test_windows_stay_short_where_one_joint_is_seen(
     sigma = recovery.worst_sigma_m[inside]
     assert np.isfinite(sigma).all() and sigma.max() < 0.02
     assert recovery.answered.all()
-
-
-@pytest.mark.parametrize(("length_s", "count"), [(12.0, 3), (300.0, MOST_BIASES)])
-def test_a_window_of_minutes_has_no_more_biases(length_s: float, count: int) -> None:
-    window = object.__new__(Window)  # of which only the nodes' times are read
-    object.__setattr__(window, "t", np.linspace(0.0, length_s, 2000))
-    assert int(bias_of_intervals(window)[-1]) + 1 == count

@@ -44,7 +44,6 @@ def said(imu: ImuStream) -> list[str]:
 def slipped(arm: SimulatedArm, degrees: float) -> Recording:
     """The strap turns about the forearm half-way, between two samples."""
     imu, R_F_A = arm.recording.imu, arm.calibration.R_F_A
-    assert R_F_A is not None
     turn = Rotation.from_rotvec(degrees * R_F_A[1], degrees=True).inv()
     late = (imu.t_s > np.mean(imu.t_s[[0, -1]]))[:, None]
     acc, gyro = (np.where(late, turn.apply(values), values) for values in (imu.acc, imu.gyro))

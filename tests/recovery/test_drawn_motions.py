@@ -57,7 +57,6 @@ def test_they_have_the_covariance_that_the_answer_states(drawn: Recovery) -> Non
 
 def test_their_mean_is_the_answer(drawn: Recovery) -> None:
     draws = drawn.draws
-    assert draws is not None
     for values in (draws.position, draws.rotation, *draws.joints.values()):
         # the mean of 300 draws is off by 0.06 sigma; four times that anywhere
         assert (np.abs(values.mean(axis=0)) < 0.25 * values.std(axis=0)).all()
@@ -76,7 +75,6 @@ def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
 ) -> None:
     recording = replace(made.recording, truth=None)
     few = smooth(recording, made.calibration, ALONE, draws=2, seed=4)
-    assert few.draws is not None and drawn.draws is not None
     # the same but for the rounding of products that are as wide as there are draws
     np.testing.assert_allclose(few.draws.position, drawn.draws.first(2).position, atol=1e-6)
     np.testing.assert_allclose(few.draws.rotation, drawn.draws.first(2).rotation, atol=1e-6)
@@ -142,7 +140,6 @@ def test_where_no_section_has_a_motion_there_is_none() -> None:
         filled = {name: np.ones((len(samples), 2, 3)) for name in names}
         columns.add(SectionDraws(samples, filled), rows, np.ones(rows.stop - rows.start))
     draws = columns.draws()
-    assert draws is not None
     first, second = (draws.t_s < 1.2), (draws.t_s >= 2.0) & (draws.t_s < 3.2)
     np.testing.assert_array_equal(np.isfinite(draws.position).all(axis=(0, 2)), first | second)
     np.testing.assert_array_equal(np.isfinite(draws.rotation).all(axis=(0, 2)), second)

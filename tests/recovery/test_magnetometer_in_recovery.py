@@ -20,7 +20,6 @@ def note(scene: Scene) -> str:
 
 def orientation_deg(scene: Scene) -> float:
     found = scene.validation.all.orientation_rms_deg
-    assert found is not None
     return found
 
 
@@ -67,7 +66,6 @@ def test_a_magnet_on_the_sensor_leaves_it_out(made, plain):
 
 def test_samples_that_are_missing_are_no_iron(made, helped):
     seen = with_field(made.recording)
-    assert seen.imu.mag is not None
     missing = np.where(seen.imu.t_s[:, None] < 11.0, np.nan, seen.imu.mag)
     scene = recovered(made, replace(seen, imu=replace(seen.imu, mag=missing)))
     assert "magnetometer is used" in note(scene) and "left out" not in note(scene)

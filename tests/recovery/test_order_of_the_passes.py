@@ -132,39 +132,30 @@ def assert_own(actual: Handed, dropped: tuple[int, ...]) -> None:
         number += len(codes)
 
 
+@pytest.mark.parametrize("put_back", [False, True])
 @pytest.mark.parametrize("dropped", DROPPED)
 def test_each_section_gets_its_own(
-    dropped: tuple[int, ...], store: Store, monkeypatch: pytest.MonkeyPatch
+    dropped: tuple[int, ...], put_back: bool, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Also where states are taken out and put back while others wait, as the magnetometer's pass does."""
     first = first_pass(dropped, store, monkeypatch)
     answered = [section for section in range(len(WINDOWS)) if section not in dropped]
-    codes = [code(section, window) for section in answered for window in range(WINDOWS[section])]
+    own = [(section, [code(section, window) for window in range(WINDOWS[section])]) for section in answered]
+    codes = [each for _, codes in own for each in codes]
     assert len(first) == len(answered)
     assert [message.t_s for message in first.messages] == codes
     assert [float(strength[0]) for strength in first.strengths] == codes
-    assert [float(own.t[0]) for own in first.clock_scores] == answered
-    assert_own(handed(second_jobs(first), first), dropped)
-    assert len(first) == 0  # the states were taken out, one by one
-
-
-@pytest.mark.parametrize("dropped", DROPPED)
-def test_each_section_gets_its_own_after_states_were_put_back(
-    dropped: tuple[int, ...], store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As the magnetometer's pass does: states are taken out, changed and put back while others still wait."""
-    first = first_pass(dropped, store, monkeypatch)
-    seen = []
-    for state, windows in first.states():
-        seen.append((state.first_sample, [first.messages[k].t_s for k in windows]))
-        first.put_back(replace(state, outliers_rejected=True), windows)
-    assert seen == [
-        (section, [code(section, window) for window in range(count)])
-        for section, count in enumerate(WINDOWS)
-        if section not in dropped
-    ]
+    assert [float(score.t[0]) for score in first.clock_scores] == answered
+    if put_back:
+        seen = []
+        for state, windows in first.states():
+            seen.append((state.first_sample, [first.messages[k].t_s for k in windows]))
+            first.put_back(replace(state, outliers_rejected=True), windows)
+        assert seen == own
     jobs = list(second_jobs(first))
-    assert all(job.state.outliers_rejected for job in jobs)
+    assert not put_back or all(job.state.outliers_rejected for job in jobs)
     assert_own(handed(iter(jobs), first), dropped)
+    assert len(first) == 0  # the states were taken out, one by one
 
 
 def test_the_second_pass_answers_in_order(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:

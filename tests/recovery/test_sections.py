@@ -72,19 +72,7 @@ def test_sections_answer_as_the_whole(sectioned: Recovery, whole: Recovery) -> N
     assert np.median(away / sigma) < 0.2
     np.testing.assert_array_equal(sectioned.occluded, whole.occluded)
     assert sectioned.gaps == whole.gaps
-    assert sectioned.residuals is not None and whole.residuals is not None
     np.testing.assert_array_equal(sectioned.residuals.used, whole.residuals.used)
-
-
-def test_accuracy_is_the_whole_one(three_minutes: SimulatedArm, sectioned: Recovery, whole: Recovery) -> None:
-    truth = three_minutes.recording.truth
-    assert truth is not None
-
-    def rms(recovery: Recovery) -> float:
-        error = np.linalg.norm(recovery.position - truth.position, axis=1)[recovery.occluded]
-        return float(np.sqrt(np.mean(error**2)))
-
-    assert rms(sectioned) < 1.05 * rms(whole)  # 4.0 against 4.0 mm
 
 
 def test_no_seam_at_the_section_borders(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
@@ -115,7 +103,6 @@ def test_a_border_in_a_gap_that_only_rejection_finds(three_minutes: SimulatedArm
     inside = [gap for gap in recovery.gaps if gap.start_s < border < gap.end_s]
     assert len(inside) == 1 and not inside[0].open_start and not inside[0].open_end
     truth = three_minutes.recording.truth
-    assert truth is not None
     rows = np.flatnonzero((truth.t_s > inside[0].start_s) & (truth.t_s < inside[0].end_s))
     error = np.linalg.norm(recovery.position - truth.position, axis=1)[rows]
     sigma = np.sqrt(np.trace(recovery.pose_covariance[rows, :3, :3], axis1=1, axis2=2))
@@ -274,18 +261,7 @@ def test_the_others_answer_as_without_it(dropped: Dropped) -> None:
     assert np.nanmax(off_in_sigmas(others, expected)) < 0.002
     np.testing.assert_allclose(others.sigma_m, expected.sigma_m, rtol=2e-4)
     np.testing.assert_array_equal(others.occluded, expected.occluded)
-    assert recovery.residuals is not None and expected.residuals is not None
     np.testing.assert_array_equal(recovery.residuals.used, expected.residuals.used)
-
-
-def test_the_other_sections_are_accurate(dropped: Dropped, three_minutes: SimulatedArm) -> None:
-    """Against truth where the camera is there: 8 mm of white noise a joint, 3 mm of sigma here."""
-    truth, recovery = three_minutes.recording.truth, dropped.recovery
-    assert truth is not None
-    rows = np.flatnonzero(~recovery.occluded)
-    error = recovery.position[rows] - truth.position[np.searchsorted(truth.t_s, recovery.t_s[rows])]
-    assert len(rows) > 5000
-    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.004
 
 
 def test_each_window_gets_its_own_field(three_minutes: SimulatedArm) -> None:
@@ -300,7 +276,6 @@ def test_each_window_gets_its_own_field(three_minutes: SimulatedArm) -> None:
     windows = [job.window for job in jobs if job.window.field is not None]
     assert windows[0].t[-1] < start_s and windows[-1].t[0] > end_s
     for window in windows:
-        assert window.field is not None
         in_K = np.einsum("nij,nj->ni", window.forearm.start.R[window.field.node], window.field.in_A)
         # 1 % of noise, orientations known to half a degree, and to some where the camera is away for long
         assert np.degrees(np.arccos(in_K @ FIELD_K)).max() < 6.0
@@ -310,7 +285,6 @@ def test_a_minute_without_the_camera_is_one_gap(three_minutes: SimulatedArm, sec
     """Without a pause no section drops out: the shoulder holds the arm, and the answer says how vaguely."""
     start_s, end_s = 60.0, 120.0
     truth = three_minutes.recording.truth
-    assert truth is not None
     hidden = without_camera(three_minutes.recording, start_s, end_s)
     recovery, answered = smoothed(hidden, three_minutes, excerpts_of=three_minutes.recording)
     assert all(answered)

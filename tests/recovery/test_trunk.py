@@ -38,7 +38,6 @@ def simulated(preset: str = "realistic", seed: int = 21, **changes: object) -> S
 def recovered(made: SimulatedArm) -> Recovery:
     """A recovery that is the truth, for the trunk to be put to."""
     truth, recording, upper = made.recording.truth, made.recording, made.upper_motion
-    assert truth is not None and upper is not None
     n = len(truth)
     R, position = upper.imu_pose(truth.t_s)
     quaternion = Rotation.from_matrix(R).as_quat(scalar_first=True)
@@ -67,7 +66,6 @@ def recovered(made: SimulatedArm) -> Recovery:
 
 def errors_deg(recovery: Recovery, made: SimulatedArm) -> np.ndarray:
     """Errors (k, 3) about the thorax's axes where there is an answer, degrees."""
-    assert recovery.trunk is not None and made.trunk_motion is not None
     known = np.isfinite(recovery.trunk.quaternion[:, 0])
     true = made.trunk_motion.thorax(recovery.t_s[known])
     answer = Rotation.from_quat(recovery.trunk.quaternion[known], scalar_first=True).as_matrix()
@@ -85,7 +83,6 @@ def recovery(made: SimulatedArm) -> Recovery:
 
 
 def test_orientation_mounting_and_clock(made: SimulatedArm, recovery: Recovery) -> None:
-    assert recovery.trunk is not None and made.trunk_motion is not None
     error = errors_deg(recovery, made)
     assert len(error) == len(recovery)
     tilt, heading = np.sqrt(np.mean(error[:, [0, 2]] ** 2)), np.sqrt(np.mean(error[:, 1] ** 2))
@@ -98,7 +95,6 @@ def test_orientation_mounting_and_clock(made: SimulatedArm, recovery: Recovery) 
 
 def test_sigma_holds(made: SimulatedArm, recovery: Recovery) -> None:
     trunk = recovery.trunk
-    assert trunk is not None
     error = np.radians(errors_deg(recovery, made))
     R = Rotation.from_quat(trunk.quaternion, scalar_first=True).as_matrix()
     covariance = np.swapaxes(R, 1, 2) @ trunk.covariance @ R + np.diag(trunk.mount_sigma_rad**2)
@@ -132,11 +128,9 @@ def test_angles_of_the_shoulder_follow_the_trunk(made: SimulatedArm, recovery: R
 def test_a_pause_of_the_trunks_imu_is_left_open() -> None:
     made = simulated(duration_s=50.0)
     trunk = made.recording.trunk
-    assert trunk is not None
     imu = trunk.imu.select((trunk.imu.t_s < 20.0) | (trunk.imu.t_s > 30.0))
     recording = replace(made.recording, trunk=replace(trunk, imu=imu))
     recovery = with_trunk(recovered(made), recording, Store())
-    assert recovery.trunk is not None
     known = np.isfinite(recovery.trunk.quaternion[:, 0])
     inside = (recovery.t_s > 20.2) & (recovery.t_s < 29.8)
     assert not known[inside].any() and known[(recovery.t_s < 19.0) | (recovery.t_s > 31.0)].all()
@@ -146,7 +140,6 @@ def test_a_pause_of_the_trunks_imu_is_left_open() -> None:
 def test_what_it_cannot_do_without_is_said() -> None:
     made = simulated(duration_s=20.0)
     trunk, truth = made.recording.trunk, recovered(made)
-    assert trunk is not None and trunk.other_arm is not None
     alone = with_trunk(truth, replace(made.recording, trunk=TrunkSensors(trunk.imu)), Store())
     assert alone.trunk is None and "needs both shoulders" in alone.notes[-1]
     hidden = trunk.other_arm.hide(np.ones(len(trunk.other_arm), bool), ("shoulder",))
@@ -214,12 +207,10 @@ def test_the_heading_follows_both_shoulders(side: str) -> None:
 
 def test_hidden_shoulders_leave_nothing_a_second_later() -> None:
     made, recording, _ = turning("right")
-    assert recording.opposite is not None
     frames = recording.opposite.t_s
     hidden = (frames > 6.0) & (frames < 12.0)
     recording = replace(recording, opposite=recording.opposite.hide(hidden, ("shoulder",)))
     trunk = trunk_by_shoulders(made, recording, Store())
-    assert trunk is not None
     empty = np.isnan(trunk.quaternion[:, 0])
     # the recording's clock is 0.3 s behind the IMU's
     inside = (made.t_s > 7.35) & (made.t_s < 11.25)
@@ -234,7 +225,6 @@ def test_what_does_not_show_it() -> None:
     assert trunk_by_shoulders(made, replace(recording, side=""), Store()) is None
     blind = replace(made, gravity_direction=np.full(3, np.nan))
     assert trunk_by_shoulders(blind, recording, Store()) is None
-    assert recording.opposite is not None
     never = recording.opposite.hide(np.ones(len(recording.opposite), bool), ("shoulder",))
     assert trunk_by_shoulders(made, replace(recording, opposite=never), Store()) is None
 

@@ -73,12 +73,10 @@ def test_a_wrong_block_is_left_out_and_the_gap_recovered(
 ) -> None:
     """This seed is 2 cm off at most; of eight others with a drape or an arm exchanged the worst was 12."""
     recovery, truth = recovered(position), made().recording.truth
-    assert truth is not None
     errors = sample_errors(recovery, truth).distance_m[recovery.trusted]
     assert np.nanmax(errors) < 0.06
     start_s = after_a_gap()
     assert any("contradict the IMU" in caution for caution in recovery.estimates.cautions)
-    assert recovery.residuals is not None
     rows = recovery.residuals.reason[:, WRIST] == Rejection.CONTRADICTED
     camera_t = recovery.arm.t_s[rows] - recovery.clock_offset_s
     assert rows.sum() > 0.7 * 30 * LENGTH_S
@@ -93,7 +91,6 @@ def test_what_was_left_out_is_still_what_the_camera_said() -> None:
 
 def test_a_sound_recording_keeps_every_block() -> None:
     recovery = smooth(replace(made().recording, truth=None), config=ALONE)
-    assert recovery.residuals is not None
     assert not (recovery.residuals.reason == Rejection.CONTRADICTED).any()
     assert recovery.estimates.verdict == "Usable."
     assert recovery.trusted.all()

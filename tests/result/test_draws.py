@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
 from smoother.measurements.visibility import Gap
-from smoother.result import Draws, Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
+from smoother.result import Draws, Recovery, SelfCheck, UntrustedInterval
 from smoother.result.verdict import gap_verdicts, trusted_at
 
 
@@ -65,7 +65,6 @@ def test_velocity_is_the_derivative_of_the_drawn_position() -> None:
 def test_what_was_not_drawn_is_nan_and_ends_are_held() -> None:
     recovery = with_draws()
     draws = recovery.draws
-    assert draws is not None
     position = draws.position.copy()
     away = (draws.t_s > 1.0) & (draws.t_s < 3.0)
     position[:, away] = np.nan
@@ -85,7 +84,6 @@ def test_what_was_not_drawn_is_nan_and_ends_are_held() -> None:
 
 def test_the_first_of_them_are_the_same_and_wrong_numbers_are_refused() -> None:
     recovery = with_draws(5)
-    assert recovery.draws is not None
     few = replace(recovery, draws=recovery.draws.first(2))
     assert few.draws is not None and len(few.draws) == 2
     np.testing.assert_array_equal(few.drawn(1).position, recovery.drawn(1).position)
@@ -124,22 +122,6 @@ def test_samples_inside_an_interval_are_not_trusted(trusted: bool | None, rest: 
     assert (good[(t < 5.5) | (t >= 7.0)] == rest).all()
 
 
-def test_plain_values_come_back() -> None:
-    check = SelfCheck(8, 1, 1.7, 0.011, 0.010, 0.96, 1.4, 1.1)
-    stated = Estimates(trusted=True, untrusted=(BODY,), self_check=check, pairing=Pairing(True, 1e-4, 120.0))
-    assert Estimates.from_plain(stated.plain()) == stated
-
-
-def test_what_is_not_known_is_none_in_plain_values_and_nan_again() -> None:
-    none = SelfCheck(0, note="too short")
-    plain = none.plain()
-    assert plain["rms_m"] is None
-    back = SelfCheck.from_plain(plain)
-    assert back is not None
-    assert math.isnan(back.rms_m)
-    assert back.note == "too short"
-
-
 @pytest.mark.parametrize(
     "values", [{}, {"stretches": "8"}, {"stretches": 8, "rms_m": [1]}, {"stretches": 8, "note": 3}, 7, None]
 )
@@ -148,22 +130,17 @@ def test_values_of_another_kind_are_no_self_check(values: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [7, [7], [{"start_s": 1.0}], [{"start_s": "a", "end_s": 2, "reasons": []}]]
+    ("check", "words"),
+    [
+        (SelfCheck(8, 0, 1.7, 0.011, 0.010, error_95_m=0.021, stated_95_m=0.028), "within 2.1 cm in 95"),
+        (SelfCheck(8, 0, 1.7, 0.011, 0.010), "1.1 cm rms"),  # of a file that states the rms only
+        (SelfCheck(2, 2, 1.7), "could not be recovered"),
+        (SelfCheck(0, note="the camera never saw the arm long enough"), "never saw the arm long enough."),
+    ],
 )
-def test_other_values_than_intervals_stay_in_further(values: object) -> None:
-    assert Estimates.from_plain({"untrusted": values}).further == {"untrusted": values}
-
-
-def test_the_self_check_speaks_plainly() -> None:
-    check = SelfCheck(8, 0, 1.7, 0.011, 0.010, error_95_m=0.021, stated_95_m=0.028)
-    assert check.sentence == (
-        "Hidden 8 times for 1.7 s where the camera saw the arm: recovered to within 2.1 cm in 95 of 100 cases"
-        " (stated: 2.8 cm)."
-    )
-    assert SelfCheck(8, 0, 1.7, 0.011, 0.010).sentence == (
-        "Hidden 8 times for 1.7 s where the camera saw the arm: recovered to 1.1 cm rms (stated 1.0 cm)."
-    ), "a file that states the rms only"
-    assert SelfCheck(2, 2, 1.7).sentence.endswith("it could not be recovered.")
-    assert SelfCheck(0, note="the camera never saw the arm long enough").sentence == (
-        "Self-check: the camera never saw the arm long enough."
-    )
+def test_the_self_check_speaks_plainly(check: SelfCheck, words: str) -> None:
+    assert words in check.sentence
+    plain = check.plain()
+    assert plain["rms_m"] is None if math.isnan(check.rms_m) else plain["rms_m"] == check.rms_m
+    back = SelfCheck.from_plain(plain)
+    assert back is not None and (math.isnan(back.rms_m) or back == check) and back.note == check.note

@@ -54,24 +54,21 @@ def test_a_failure_leaves_the_older_output(tmp_path: Path, error: BaseException)
     assert (tmp_path / "out").read_text() == "old"
 
 
-def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(UnoccludeError, match=r"out\.mcap could not be written: no space left on the disk"):
-        write_recording(make(), tmp_path / "out.mcap")
-    assert os.listdir(tmp_path) == []
-
-
-def test_a_failure_in_the_middle_of_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from smoother.io.mcap.chunks import ChunkedFile
-
+@pytest.mark.parametrize(
+    ("place", "number", "words"),
+    [
+        ("os.fsync", errno.ENOSPC, r"out\.mcap could not be written: no space left on the disk"),
+        ("smoother.io.mcap.chunks.ChunkedFile.messages", errno.EIO, "Input/output error"),
+    ],
+)
+def test_a_failure_in_the_middle_of_writing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, number: int, words: str
+) -> None:
     def fail(*_: object, **__: object) -> None:
-        raise OSError(errno.EIO, "Input/output error")
+        raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(ChunkedFile, "messages", fail)
-    with pytest.raises(UnoccludeError, match="Input/output error"):
+    monkeypatch.setattr(place, fail)
+    with pytest.raises(UnoccludeError, match=words):
         write_recording(make(), tmp_path / "out.mcap")
     assert os.listdir(tmp_path) == []
 

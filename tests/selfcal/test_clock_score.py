@@ -65,7 +65,6 @@ def test_the_local_level_with_any_prior(walk: float, count: int) -> None:
 def test_the_line_is_the_dense_regression(skew: float) -> None:
     t, x, variance = observations(2, skew=skew)
     found = _line(t, x, 1 / variance, PRIOR_S)
-    assert found is not None
     loglik, offset, slope, spread = found
     centre = np.sum(t / variance) / np.sum(1 / variance)
     H = np.column_stack([np.ones(len(t)), t - centre])
@@ -272,7 +271,6 @@ def test_a_clock_that_drifts(synthetic: bool, skew: float, count: int, walk: flo
     variance = np.full(count, noise_s**2)
     x = skew * (t - t.mean()) + np.cumsum(0.0003 * np.sqrt(step_s) * rng.normal(size=count))
     line = _line(t, x, 1 / variance, PRIOR_S)
-    assert line is not None
     (loglik, level, sigma, local), own = _likeliest(t, x, variance, synthetic, PRIOR_S)
     assert (line[0] > loglik + 3.0) == is_line and line[0] > loglik
     expected = level

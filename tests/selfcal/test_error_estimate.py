@@ -52,7 +52,6 @@ def true_matrices(made: SimulatedArm) -> FloatArray:
 
 def stated(errors: ConstantErrors) -> FloatArray:
     """Sigmas (SIZE,)."""
-    assert errors.considered is not None
     return np.asarray(np.sqrt(np.diag(errors.considered.covariance)))
 
 
@@ -136,7 +135,6 @@ def test_nothing_is_invented(white: list[Case]) -> None:
 def test_what_is_common_to_the_joints_stays_in_the_covariance(realistic: list[Case]) -> None:
     """The whole arm a little off cannot be seen: known no better than such errors are large."""
     for _, errors in realistic:
-        assert errors.considered is not None
         covariance = errors.considered.covariance[JOINT_ERRORS, JOINT_ERRORS]
         rows = [3 * JOINTS.index(joint) for joint in FOREARM]
         along_x = covariance[np.ix_(rows, rows)]

@@ -196,14 +196,6 @@ def test_spread_excerpts_with_pauses(made: Recording, count: int, around_s: floa
         np.testing.assert_array_equal(np.flatnonzero(seen), np.arange(len(arm_t))[excerpt.frames])
 
 
-def test_every_second_excerpt_of_each_recording() -> None:
-    made = arm(3, protocol="random", duration_s=12.0)
-    (segment,) = informative_excerpts(made.recording, Timeline.of(made.recording))
-    excerpts = [replace(segment, recording=number) for number in (0, 0, 1, 0, 1, 2)]
-    assert rounds._every_second(excerpts) == [0, 2, 3, 5]
-    assert rounds._every_second(excerpts[:1]) == [0]
-
-
 def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
     excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))

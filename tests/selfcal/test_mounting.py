@@ -56,8 +56,6 @@ def degrees_between(a: FloatArray, b: FloatArray) -> float:
 def errors(found: Mounting, made: SimulatedArm, number: int = 0) -> tuple[float, float, float]:
     """Offset (s), direction (degrees), and the worst lever arm (m)."""
     along, true = found.calibration.forearm_direction, made.calibration.forearm_direction
-    assert along is not None
-    assert true is not None
     levers = [
         float(np.linalg.norm(lever.position_m - made.calibration.lever_arms[joint].position_m))
         for joint, lever in found.calibration.lever_arms.items()
@@ -67,22 +65,21 @@ def errors(found: Mounting, made: SimulatedArm, number: int = 0) -> tuple[float,
     return offset, degrees_between(along, true), max(levers)
 
 
-@pytest.mark.parametrize("preset", list(LIMITS))
-@pytest.mark.parametrize("seed", range(4))
-def test_simulated_arms(preset: str, seed: int) -> None:
-    made = arm(seed, preset, repetitions=1, latency_s=0.03 * (seed - 1))
+@pytest.mark.parametrize(
+    ("preset", "seed", "latency_s"),
+    [
+        *((preset, seed, 0.03 * (seed - 1)) for preset in LIMITS for seed in range(4)),
+        ("white", 5, -0.2),
+        ("white", 5, 0.2),
+    ],
+)
+def test_simulated_arms(preset: str, seed: int, latency_s: float) -> None:
+    made = arm(seed, preset, repetitions=1, latency_s=latency_s)
     found = found_in(made.recording)
     assert np.less(errors(found, made), LIMITS[preset]).all()
     assert found.direction_margin > 10.0  # half a squared sigma: the opposite is out of the question
     for lever in found.calibration.lever_arms.values():
         assert (lever.sigma_m >= 0.01).all()
-
-
-@pytest.mark.parametrize("latency_s", [-0.2, 0.2])
-def test_a_large_offset(latency_s: float) -> None:
-    made = arm(5, repetitions=1, latency_s=latency_s)
-    found = found_in(made.recording)
-    assert np.less(errors(found, made), LIMITS["white"]).all()
 
 
 def test_two_recordings_have_an_offset_each() -> None:
@@ -179,7 +176,6 @@ def test_the_sign_in_a_vertical_plane(seed: int) -> None:
     made = hinge(np.array([1.0, 0.0, 0.0]), seed)
     found = found_in(made.recording)
     along = found.calibration.forearm_direction
-    assert along is not None
     assert degrees_between(along, made.along_A) < 3.0
     assert found.direction_margin > 3.0
     blindly = found_in(replace(made.recording, camera_frame=None))
@@ -193,7 +189,6 @@ def test_the_sign_in_a_horizontal_plane(seed: int) -> None:
     made = hinge(np.array([0.0, 1.0, 0.0]), seed)
     found = found_in(made.recording)
     along = found.calibration.forearm_direction
-    assert along is not None
     assert degrees_between(along, made.along_A) < 6.0
 
 
@@ -209,7 +204,6 @@ def segments_of(arm: SimulatedArm) -> list[Segment]:
 def turned(arm: ArmCalibration, degrees: float) -> ArmCalibration:
     """The sensor strapped on otherwise: its axes turned about an axis across the forearm."""
     along = arm.forearm_direction
-    assert along is not None
     across = np.cross(along, [0.3, 0.5, 0.8])
     turn = Rotation.from_rotvec(degrees * across / np.linalg.norm(across), degrees=True)
     levers = {

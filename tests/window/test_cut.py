@@ -31,7 +31,7 @@ from smoother.window.problem import NoiseModel, Priors, States, Window
 from smoother.window.shared import Gaussian, SharedLayout, axes_across
 from smoother.window.solution import Solution
 
-SHOULDER, ELBOW, WRIST = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist"))
+SHOULDER = JOINTS.index("shoulder")
 LEVERS = {"elbow": np.array([0.0, -0.2, 0.02]), "wrist": np.array([0.01, 0.05, -0.01])}
 MARGIN_S = 1.5
 NOISE = NoiseModel(0.01, 0.0015, 0.006, 0.002, 2.8, 0.005, 0.1)
@@ -250,7 +250,6 @@ def test_increments_are_those_of_their_intervals(windows: list[Window]) -> None:
 def test_the_shoulders_knots(windows: list[Window]) -> None:
     for window in windows:
         shoulder = window.shoulder
-        assert shoulder is not None
         knots = window.t[shoulder.node]
         assert (shoulder.node[0], shoulder.node[-1]) == (0, len(window.t) - 1)
         assert np.diff(knots)[:-1].min() >= KNOT_S
@@ -324,7 +323,6 @@ def first_pass(made: SimulatedArm, recording: Recording) -> list[Window]:
 def off_in_gap(made: SimulatedArm, windows: list[Window]) -> tuple[float, float]:
     """Rms error of the start values inside gaps, m, and the longest interval there, s."""
     truth = made.recording.truth
-    assert truth is not None
     squares, steps = [], []
     for window in windows:
         hidden = np.flatnonzero(np.isfinite(window.velocity_change))
@@ -359,7 +357,6 @@ def test_parts_beside_a_pause(made: SimulatedArm) -> None:
 def test_a_part_without_the_camera_is_left_out(made: SimulatedArm) -> None:
     """After a pause, and nothing seen of the upper arm to the end: its heading is open there."""
     upper = made.recording.upper_imu
-    assert upper is not None
     t = made.recording.arm.t_s
     recording = replace(
         made.recording,

@@ -13,7 +13,6 @@ from smoother.window.pooling import (
     SLOW_WALK,
     _between_window_variance,
     _Information,
-    _positive,
     leave_one_out,
     leave_one_out_priors,
     pooled,
@@ -91,80 +90,18 @@ def test_many_windows_that_agree(seed: int) -> None:
         np.testing.assert_allclose(others[k].covariance, covariance, rtol=1e-7, atol=1e-9)
 
 
-def test_a_window_is_left_out_of_its_own_prior() -> None:
-    """Whatever a window's own data say, its prior is the same."""
-    rng = np.random.default_rng(0)
-    prior = Gaussian(np.zeros(2), np.eye(2) * 4.0)
-    data = [Gaussian(np.full(2, 0.01 * k), spd(rng, 2) + np.eye(2)) for k in range(2)]
-    t, walk = np.array([0.0, 5.0]), np.full(2, 0.1)
-    answers = [posterior(prior, d.mean, d.covariance) for d in data]
-    before = list(leave_one_out(answers, prior, t, walk))[1]
-    answers[1] = posterior(prior, np.array([50.0, -20.0]), 1e-4 * np.eye(2))
-    after = list(leave_one_out(answers, prior, t, walk))[1]
-    np.testing.assert_allclose(after.mean, before.mean, atol=1e-10)
-    np.testing.assert_allclose(after.covariance, before.covariance, atol=1e-10)
-
-
-def test_a_direction_without_data_keeps_its_prior() -> None:
-    prior = Gaussian(np.array([1.0, 2.0]), np.diag([0.5, 3.0]))
-    data = np.diag([0.1, 1e12])
-    answers = [posterior(prior, np.array([0.3, -9.0]), data) for _ in range(4)]
-    for others in leave_one_out(answers, prior, np.arange(4.0), np.zeros(2)):
-        assert others.mean[1] == pytest.approx(2.0, abs=1e-6)
-        assert others.covariance[1, 1] == pytest.approx(3.0, rel=1e-6)
-        assert others.covariance[0, 0] < 0.04
-
-
-def der_simonian_laird(x: FloatArray, variance: FloatArray) -> float:
-    """Between-study variance, Control. Clin. Trials 7:177 (1986), eq 8."""
-    w = 1.0 / variance
-    q = np.sum(w * (x - np.sum(w * x) / np.sum(w)) ** 2)
-    return max(0.0, float((q - (len(x) - 1)) / (np.sum(w) - np.sum(w**2) / np.sum(w))))
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("between", [0.0, 0.5, 2.0])
-def test_excess_is_the_published_estimate(seed: int, between: float) -> None:
-    rng = np.random.default_rng(seed)
-    variance = rng.uniform(0.1, 1.0, 9)
-    x = 3.0 + np.sqrt(variance + between**2) * rng.normal(size=9)
-    own = _Information(1 / variance[:, None, None], (x / variance)[:, None])
-    # the common mean carries a 1e-9 of information towards zero: nothing next to the data's 10 to 100
-    assert _between_window_variance(own)[0] == pytest.approx(
-        der_simonian_laird(x, variance), rel=1e-6, abs=1e-7
-    )
-
-
 def test_excess_widens_every_prior() -> None:
     """Scalars that differ by far more than they state: mean and variance by the random-effects model."""
     prior = Gaussian(np.zeros(1), np.array([[1e6]]))
     x, variance = np.array([1.0, -1.0, 3.0, -2.0, 0.5]), np.full(5, 0.01)
     answers = [posterior(prior, x[k : k + 1], variance[k : k + 1, None]) for k in range(5)]
-    tau2 = der_simonian_laird(x, variance)
+    (tau2,) = spread_by_hand(1.0 / variance[:, None, None], (x / variance)[:, None])
     assert tau2 > 3.0
     for k, others in enumerate(leave_one_out(answers, prior, np.arange(5.0), np.zeros(1))):
         rest = np.delete(x, k)
         assert others.mean[0] == pytest.approx(rest.mean(), abs=1e-4)
         # the mean of four, each its own variance and the spread, and the window's own deviation
         assert others.covariance[0, 0] == pytest.approx((0.01 + tau2) / 4 + tau2, rel=1e-4)
-
-
-def test_only_the_biases_wander() -> None:
-    down = np.array([0.0, -1.0, 0.0])
-    layout = SharedLayout(joints=("elbow", "wrist"), has_upper_arm=True, gravity_axes=axes_across(down))
-    rng = np.random.default_rng(1)
-    prior = Gaussian(np.zeros(layout.size), np.eye(layout.size))
-    priors = Priors(layout, prior, np.zeros(6))
-    data = [Gaussian(0.1 * rng.normal(size=layout.size), spd(rng, layout.size, 0.1)) for _ in range(2)]
-    messages = [
-        Message(t, posterior(prior, d.mean, d.covariance)) for t, d in zip((2.0, 90.0), data, strict=True)
-    ]
-    walk = np.zeros(layout.size)
-    walk[layout.bias] = SLOW_WALK
-    for k, others in enumerate(leave_one_out_priors(messages, priors)):
-        mean, covariance = dense_others(prior, data, np.array([2.0, 90.0]), walk, k)
-        np.testing.assert_allclose(others.shared.mean, mean, rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(others.shared.covariance, covariance, rtol=1e-7, atol=1e-9)
 
 
 def test_axes_across_are_right_handed_with_down() -> None:
@@ -214,11 +151,6 @@ def test_the_spread_of_correlated_windows(count: int, scale: float) -> None:
     expected = spread_by_hand(matrix, vector)
     assert expected.max() > 0.1 / scale
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6 / scale)
-
-
-def test_two_windows_have_no_spread() -> None:
-    matrix = np.tile(np.eye(2), (2, 1, 1))
-    assert _between_window_variance(_Information(matrix, np.array([[0.0, 0], [9, 9]]))).tolist() == [0.0, 0.0]
 
 
 def test_windows_that_say_nothing_of_an_axis_do_not_count() -> None:
@@ -295,26 +227,6 @@ def test_both_imus_biases_wander(upper: bool) -> None:
         assert each.layout is layout and each.bias_walk is priors.bias_walk
         np.testing.assert_allclose(each.shared.covariance, total, rtol=1e-6, atol=1e-10)
         np.testing.assert_allclose(each.shared.mean, total @ wide @ np.full(layout.size, 0.3), rtol=1e-6)
-
-
-def test_the_nearest_matrix_without_negative_eigenvalues() -> None:
-    rng = np.random.default_rng(5)
-    axes, _ = np.linalg.qr(rng.normal(size=(2, 3, 3)))
-    values = np.array([[2.0, -1.0, 0.5], [-3.0, 4.0, -0.1]])
-    matrix = (axes * values[:, None]) @ np.swapaxes(axes, 1, 2)
-    uneven = matrix + np.array([[0, 1e-3, 0], [-1e-3, 0, 0], [0, 0, 0]])  # only its even part counts
-    expected = (axes * np.maximum(values, 0)[:, None]) @ np.swapaxes(axes, 1, 2)
-    np.testing.assert_allclose(_positive(uneven), expected, atol=1e-12)
-
-
-def test_informations_add_up() -> None:
-    stack = _Information(np.array([np.eye(2), 3 * np.eye(2)]), np.array([[1.0, 2.0], [3.0, 6.0]]))
-    assert len(stack) == 2
-    both = stack[0] + stack[1]
-    np.testing.assert_array_equal(both.matrix, stack.sum().matrix)
-    np.testing.assert_array_equal(both.vector, stack.sum().vector)
-    np.testing.assert_allclose(both.gaussian().mean, [1.0, 2.0])
-    np.testing.assert_allclose(both.gaussian().covariance, np.eye(2) / 4)
 
 
 def covariance(size: int, seed: int) -> np.ndarray:

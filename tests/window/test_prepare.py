@@ -51,7 +51,6 @@ def prepared(made: SimulatedArm, segment: Segment, clock: Clock) -> PreparedSegm
 
 def ready(segment: Segment, made: SimulatedArm, clock: Clock) -> PreparedSegment:
     answer = prepare(segment, made.calibration, clock, SIGMA_M, MARGIN_S)
-    assert answer is not None
     return answer[0]
 
 
@@ -106,7 +105,6 @@ def test_frames_beside_a_gap_are_nodes_of_their_own(prepared: PreparedSegment) -
 
 def test_initial_values_are_near_the_truth(made: SimulatedArm, prepared: PreparedSegment) -> None:
     truth = made.recording.truth
-    assert truth is not None
     near = np.abs(prepared.t[:, None] - prepared.frame_t_imu[enough_joints(prepared.accepted, 2)]).min(axis=1)
     rows = np.flatnonzero((near < 0.02) & (prepared.t > truth.t_s[0]) & (prepared.t < truth.t_s[-1]))
     true = np.stack([np.interp(prepared.t[rows], truth.t_s, axis) for axis in truth.position.T], axis=1)
@@ -178,10 +176,8 @@ def test_too_little_seen_is_no_segment(
 
 def test_a_given_alignment_is_used_as_it_is(made: SimulatedArm, segment: Segment, clock: Clock) -> None:
     answer = prepare(segment, made.calibration, clock, SIGMA_M, MARGIN_S)
-    assert answer is not None
     turned = replace(answer[1], R_K_E=Rotation.from_rotvec([0.0, 0.3, 0.0]) * answer[1].R_K_E)
     again = prepare(segment, made.calibration, clock, SIGMA_M, MARGIN_S, turned)
-    assert again is not None
     assert again[1] is turned
     off = (
         Rotation.from_matrix(again[0].forearm.attitude)

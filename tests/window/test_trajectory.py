@@ -53,15 +53,6 @@ def analytic(spacing_s: float) -> tuple[SegmentTrajectory, InertialSignal, Curve
     return motion, InertialSignal(curve.imu(100.0, 6.0)), curve
 
 
-def test_there_is_something_to_join(joined: Joined) -> None:
-    assert len(joined.windows) >= 3
-    for border in joined.borders:  # each lies inside both neighbours with room for the blend
-        around = [
-            w for w in joined.windows if w.t[0] < border - BLEND_HALF_S < border + BLEND_HALF_S < w.t[-1]
-        ]
-        assert len(around) == 2
-
-
 def test_one_window_is_taken_as_it_is(joined: Joined) -> None:
     window, solution = joined.windows[0], joined.solutions[0]
     alone = merge_windows(window.t, [window], [solution])
@@ -138,13 +129,6 @@ def test_covariances_stay_positive(joined: Joined) -> None:
 def test_gravity_keeps_its_length(joined: Joined) -> None:
     """A mean of two directions is shorter by the square of their angle: under a thousandth here."""
     np.testing.assert_allclose(np.linalg.norm(joined.motion.forearm.gravity, axis=1), 9.81, rtol=1e-3)
-
-
-def test_at_times_hits_the_nodes(joined: Joined) -> None:
-    states = at_times(joined.motion.forearm, joined.signal, joined.t)
-    np.testing.assert_allclose(states.p, joined.motion.forearm.states.p, atol=1e-12)
-    np.testing.assert_allclose(states.v, joined.motion.forearm.states.v, atol=1e-12)
-    np.testing.assert_allclose(states.R, joined.motion.forearm.states.R, atol=1e-12)
 
 
 def test_at_times_arrives_at_the_nodes_from_before(joined: Joined) -> None:

