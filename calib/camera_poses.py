@@ -26,46 +26,17 @@ ROUNDING = 1e-4
 
 @dataclass(frozen=True)
 class CameraSetUp:
-    """The further cameras of a set-up.
+    """The further cameras of a set-up."""
 
-    Attributes
-    ----------
-    recordings : tuple of str
-        Their names.
-    cameras : dict of str to RigCamera
-        As all recordings together place them, by name.
-    clocks_s : dict of str to tuple of float
-        Each camera's offset to the first one's clock, one number per recording that it is used in.
-    left_out : tuple of str
-        A sentence for each camera that a recording shows to be wrong.
-    """
-
-    recordings: tuple[str, ...]
-    cameras: dict[str, RigCamera]
+    recordings: tuple[str, ...]  # Their names
+    cameras: dict[str, RigCamera]  # As all recordings together place them, by name
+    # Each camera's offset to the first one's clock, one number per recording that it is used in
     clocks_s: dict[str, tuple[float, ...]]
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # A sentence for each camera that a recording shows to be wrong
 
 
 def calibrate_cameras(recordings: Sequence[Recording]) -> CameraSetUp:
-    """Place the further cameras of a set-up by the joints that they and the first one see.
-
-    Each recording starts from what those before it have shown. What joints are off by all the time is the
-    same in all recordings, so the place's sigma is never below that of the best one.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Of cameras that stood where they stand; with further cameras.
-
-    Returns
-    -------
-    CameraSetUp
-
-    Raises
-    ------
-    CalibrationError
-        No recording has a further camera, or none of them can be placed.
-    """
+    """Place the further cameras of a set-up by the joints that they and the first one see."""
     if not any(recording.cameras for recording in recordings):
         all_names = ", ".join(recording.name for recording in recordings)
         raise CalibrationError(f"{all_names}: there is only one camera, so there is no pose to find.")
@@ -137,13 +108,7 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
 
 
 def camera_poses(file: CalibrationFile) -> dict[str, CameraPose]:
-    """The poses that a calibration file contains, by camera.
-
-    Raises
-    ------
-    CalibrationError
-        A value is missing or wrong; the text names the key.
-    """
+    """The poses that a calibration file contains, by camera."""
     table = file.tables.get(TABLE, {})
     if not isinstance(table, Mapping):
         raise CalibrationError(f"{file.source}: {TABLE} is not a table; make it with `calibrate cameras`.")

@@ -88,22 +88,7 @@ class ArmSection(_Section):
 
 
 def checked_section(section: object, where: str, path: Path) -> ArmSection:
-    """The keys of an arm, checked.
-
-    Parameters
-    ----------
-    section : object
-        Plain values of the table.
-    where : str
-        Its name in the file, for messages.
-    path : Path
-        The file, for messages.
-
-    Raises
-    ------
-    CalibrationError
-        It is not a table, or a value is wrong; the text names the key.
-    """
+    """The keys of an arm, checked."""
     if not isinstance(section, dict):
         raise CalibrationError(f"Calibration {path}: {where} must be a table, [{where}].")
     try:
@@ -166,24 +151,7 @@ def section_of_arm(arm: ArmCalibration) -> dict[str, Any]:
 
 
 def to_toml(document: dict[str, Any], text: str = "") -> str:
-    """TOML text of plain values.
-
-    Parameters
-    ----------
-    document : dict
-        Of str, bool, int, float, dates, lists, and dicts (tables, nested at will).
-    text : str
-        TOML that the document was changed from: comments in it, and how its values are written, are kept.
-
-    Returns
-    -------
-    text : str
-
-    Raises
-    ------
-    CalibrationError
-        TOML has no such value.
-    """
+    """TOML text of plain values."""
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
@@ -358,22 +326,7 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
 
 
 def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -> str:
-    """A calibration as the text of its file, merged into the text that the file contains.
-
-    Parameters
-    ----------
-    calibration : CalibrationFile
-        What to write.
-    path : Path
-        The file, for messages.
-    held : str
-        Of a calibration that can be read; "" for a new file.
-
-    Raises
-    ------
-    CalibrationError
-        A value is wrong.
-    """
+    """A calibration as the text of its file, merged into the text that the file contains."""
     document: dict[str, Any] = {"format": FORMAT, "version": VERSION} | tomllib.loads(held)
     for name in {"format", "version", "arm"} & set(calibration.tables):
         raise CalibrationError(f"Calibration {path}: an extra table cannot be named {name}.")
@@ -437,22 +390,7 @@ class _Table(BaseModel):
 
 
 def sigma_factors_of(calibration: CalibrationFile) -> SigmaFactors | None:
-    """The factors that a calibration file contains.
-
-    Parameters
-    ----------
-    calibration : CalibrationFile
-
-    Returns
-    -------
-    factors : SigmaFactors or None
-        None without the table.
-
-    Raises
-    ------
-    CalibrationError
-        A value of the table is wrong; the text names the key.
-    """
+    """The factors that a calibration file contains."""
     if TABLE not in calibration.tables:
         return None
     try:
@@ -472,16 +410,5 @@ def sigma_factors_of(calibration: CalibrationFile) -> SigmaFactors | None:
 def with_sigma_table(
     calibration: CalibrationFile, gaps: list[dict[str, Any]], reference: str, recordings: list[str]
 ) -> CalibrationFile:
-    """A copy with the table of some factors, which replaces the one that there is.
-
-    Parameters
-    ----------
-    calibration : CalibrationFile
-    gaps : list of dict
-        One row per length, with at least `length_s`, `factor` and `count`.
-    reference : str
-        What hidden gaps were compared with.
-    recordings : list of str
-        Where they were hidden.
-    """
+    """A copy with the table of some factors, which replaces the one that there is."""
     return calibration.with_table(TABLE, {"reference": reference, "recordings": recordings, "gaps": gaps})

@@ -27,29 +27,16 @@ SHARE_RANGE = f"focal_share is the focal length's standard error as a part of it
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole with OpenCV's distortion (Brown-Conrady); the centre of the first pixel is (0, 0).
+    """A pinhole with OpenCV's distortion (Brown-Conrady); the centre of the first pixel is (0, 0)."""
 
-    Attributes
-    ----------
-    width, height : int, pixels
-        Of the images that these hold for.
-    fx, fy, cx, cy : float, pixels
-        Focal lengths and principal point.
-    distortion : tuple of float
-        k1, k2, p1, p2, k3; fewer where the rest is zero, empty for none.
-    focal_share : float, optional
-        Standard error of the focal length, as a part of it. By default that of a calibration where there is
-        distortion, which only a calibration gives, else that of a data sheet.
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = ()
-    focal_share: float = 0.0
+    width: int  # pixels: of the images that these hold for
+    height: int  # pixels: of the images that these hold for
+    fx: float  # pixels: focal lengths and principal point
+    fy: float  # pixels: focal lengths and principal point
+    cx: float  # pixels: focal lengths and principal point
+    cy: float  # pixels: focal lengths and principal point
+    distortion: tuple[float, ...] = ()  # k1, k2, p1, p2, k3; fewer where the rest is zero, empty for none
+    focal_share: float = 0.0  # Standard error of the focal length, as a part of it
 
     def __post_init__(self) -> None:
         if not self.focal_share:
@@ -72,18 +59,8 @@ class Intrinsics:
         numbers = {name: scale * getattr(self, name) for name in ("fx", "fy", "cx", "cy")}
         return replace(self, width=width, height=height, **numbers)
 
-    def rays(self, pixels: FloatArray) -> FloatArray:
-        """Undistorted rays of pixels (OpenCV's `undistortPointsIter`).
-
-        Parameters
-        ----------
-        pixels : ndarray, shape (n, 2)
-
-        Returns
-        -------
-        rays : ndarray, shape (n, 2)
-            x/z and y/z in the lens's axes, x right, y down, z forward.
-        """
+    def rays(self, pixels: FloatArray) -> FloatArray:  # pixels (n, 2) -> (n, 2)
+        """Undistorted rays of pixels (OpenCV's `undistortPointsIter`)."""
         if not any(self.distortion) or len(pixels) == 0:
             return np.asarray((pixels - [self.cx, self.cy]) / [self.fx, self.fy], dtype=np.float64)
         import cv2
@@ -93,19 +70,8 @@ class Intrinsics:
         straight = cv2.undistortPointsIter(points, self.matrix, self._terms, np.eye(3), np.eye(3), stop)
         return np.asarray(straight, dtype=np.float64).reshape(-1, 2)
 
-    def pixels(self, points: FloatArray) -> FloatArray:
-        """Where points appear (OpenCV's `projectPoints`).
-
-        Parameters
-        ----------
-        points : ndarray, shape (n, 3), m
-            In the lens's axes.
-
-        Returns
-        -------
-        pixels : ndarray, shape (n, 2)
-            nan for a point that is not in front of the camera.
-        """
+    def pixels(self, points: FloatArray) -> FloatArray:  # points (n, 3) m -> (n, 2)
+        """Where points appear (OpenCV's `projectPoints`)."""
         pixels = np.full((len(points), 2), np.nan)
         front = points[:, 2] > NEAREST_M
         if not any(self.distortion):
@@ -138,21 +104,11 @@ def _ray_image(lens: Intrinsics) -> FloatArray:
 
 @dataclass(frozen=True)
 class PlacedCamera:
-    """A lens and where it is in {K}.
+    """A lens and where it is in {K}."""
 
-    Attributes
-    ----------
-    lens : Intrinsics
-        Its own axes {C} are x right, y down, z forward.
-    R_C_K : ndarray, shape (3, 3)
-        Maps a vector from {K} to {C}.
-    t_C_K : ndarray, shape (3,), m
-        p_C = R_C_K p_K + t_C_K.
-    """
-
-    lens: Intrinsics
-    R_C_K: FloatArray = field(default_factory=lambda: np.eye(3))
-    t_C_K: FloatArray = field(default_factory=lambda: np.zeros(3))
+    lens: Intrinsics  # Its own axes {C} are x right, y down, z forward
+    R_C_K: FloatArray = field(default_factory=lambda: np.eye(3))  # (3, 3): maps a vector from {K} to {C}
+    t_C_K: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,) m: p_C = R_C_K p_K + t_C_K
 
     @property
     def origin(self) -> FloatArray:
@@ -202,16 +158,7 @@ class CameraFile:
 
 
 def read_camera_file(path: Path) -> dict[str, CameraFile]:
-    """The cameras of a calibration file by name; "" where it has one without a name.
-
-    Read are OpenCV's and ROS's YAML and JSON (`camera_matrix`, `distortion_coefficients`), Kalibr's camchain,
-    Pose2Sim's and Caliscope's `Calib.toml`, and TOML with fx, fy, cx, cy.
-
-    Raises
-    ------
-    CalibrationError
-        It is none of these, a lens is not whole, or its model is another one.
-    """
+    """The cameras of a calibration file by name; "" where it has one without a name."""
     check_input(path, CalibrationError)
     document = _document(path)
     if _is_camera(document):
@@ -253,13 +200,7 @@ def _document(path: Path) -> dict[str, Any]:
 
 
 def plain_yaml(text: str) -> dict[str, Any]:
-    """The part of YAML that calibration files use: tables by indentation, numbers, words, lists.
-
-    Raises
-    ------
-    ValueError
-        A line is of another kind.
-    """
+    """The part of YAML that calibration files use: tables by indentation, numbers, words, lists."""
     lines: list[str] = []
     for raw in text.splitlines():
         line = re.sub(r"(^|\s)#.*$", "", raw).rstrip()

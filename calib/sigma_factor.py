@@ -39,55 +39,27 @@ LARGEST_FACTOR = 10.0
 
 @dataclass(frozen=True)
 class LengthFactor:
-    """What hidden gaps of one length ask of sigma.
-
-    Attributes
-    ----------
-    length_s : float, s
-    count : int
-        Gaps behind it: of this length, or of all lengths together where `pooled`.
-    pooled : bool
-        The gaps of this length alone are too few.
-    factor_50, factor_95 : float
-        By which sigma has to be multiplied for the 50 and the 95 % region to hold.
-    level : float
-        What `factor_95` holds: 0.95, or less where there are too few gaps even together.
-    factor : float
-        What sigma is to be multiplied by: below 1 only on firm evidence.
-    """
+    """What hidden gaps of one length ask of sigma."""
 
     length_s: float
-    count: int
-    pooled: bool
-    factor_50: float
-    factor_95: float
-    level: float
-    factor: float
+    count: int  # Gaps behind it: of this length, or of all lengths together where `pooled`
+    pooled: bool  # The gaps of this length alone are too few
+    factor_50: float  # By which sigma has to be multiplied for the 50 and the 95 % region to hold
+    factor_95: float  # By which sigma has to be multiplied for the 50 and the 95 % region to hold
+    level: float  # What `factor_95` holds: 0.95, or less where there are too few gaps even together
+    factor: float  # What sigma is to be multiplied by: below 1 only on firm evidence
 
     def to_dict(self) -> dict[str, float | int | bool]:
         """Plain values by name."""
         return asdict(self)
 
 
-def needed_factors(error_m: FloatArray, stated: FloatArray, noise: FloatArray) -> FloatArray:
-    """The factor of sigma with which each error would lie just inside the region of each of `LEVELS`.
-
-    Solves e' (f^2 P + N)^-1 e = c for f, by bisection in the axes in which P and N are both diagonal.
-
-    Parameters
-    ----------
-    error_m : ndarray, shape (n, 3), m
-        Answer minus reference.
-    stated : ndarray, shape (n, 3, 3), m^2
-        Covariance of the answer, P.
-    noise : ndarray, shape (3, 3), m^2
-        Of the reference, N; zero for a truth.
-
-    Returns
-    -------
-    factors : ndarray, shape (n, 2)
-        Zero where the reference's noise alone explains the error; nan where there is no answer.
-    """
+def needed_factors(
+    error_m: FloatArray,  # (n, 3) m
+    stated: FloatArray,  # (n, 3, 3) m^2
+    noise: FloatArray,  # (3, 3) m^2
+) -> FloatArray:  # (n, 2)
+    """The factor of sigma with which each error would lie just inside the region of each of `LEVELS`."""
     factors = np.full((len(error_m), len(LEVELS)), np.nan)
     rows = np.flatnonzero(np.isfinite(error_m).all(axis=1) & np.isfinite(stated).all(axis=(1, 2)))
     if len(rows):
@@ -110,15 +82,8 @@ def needed_factors(error_m: FloatArray, stated: FloatArray, noise: FloatArray) -
     return factors
 
 
-def hierarchical_quantile(groups: Sequence[FloatArray], level: float) -> float:
-    """Conformal quantile over groups of values: infinite where there are fewer groups than it takes.
-
-    Parameters
-    ----------
-    groups : sequence of ndarray, shape (n_k,)
-        Each with at least one value, none of them nan.
-    level : float
-    """
+def hierarchical_quantile(groups: Sequence[FloatArray], level: float) -> float:  # groups (n_k,)
+    """Conformal quantile over groups of values: infinite where there are fewer groups than it takes."""
     values = np.concatenate(groups)
     share = np.repeat([1.0 / (len(groups) + 1) / len(group) for group in groups], [len(g) for g in groups])
     order = np.argsort(values)
@@ -127,18 +92,7 @@ def hierarchical_quantile(groups: Sequence[FloatArray], level: float) -> float:
 
 
 def length_factors(gaps: Sequence[tuple[float, FloatArray]]) -> tuple[LengthFactor, ...]:
-    """The factors by length of gap.
-
-    Parameters
-    ----------
-    gaps : sequence of (length in s, `needed_factors` of its samples)
-        Gaps without any answer count for nothing.
-
-    Returns
-    -------
-    factors : tuple of LengthFactor
-        Lengths increase; empty where no gap has an answer.
-    """
+    """The factors by length of gap."""
     known = [(length, needed[np.isfinite(needed).all(axis=1)]) for length, needed in gaps]
     known = [(length, needed) for length, needed in known if len(needed)]
     together = [needed for _, needed in known]
@@ -173,13 +127,7 @@ def _firm(groups: list[FloatArray], factor_95: float) -> float:
 
 
 def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:
-    """What the factors mean, in words; empty without any.
-
-    Parameters
-    ----------
-    factors : sequence of LengthFactor
-        See `length_factors`.
-    """
+    """What the factors mean, in words; empty without any."""
     if not factors:
         return []
     listed = "; ".join(
@@ -221,24 +169,7 @@ def short_recordings(recordings: Sequence[Recording]) -> list[Recording]:
 def hidden_gap_factors(
     recordings: Sequence[Recording], calibration: ArmCalibration, config: Config
 ) -> SigmaFactors | None:
-    """What sigma of positions in gaps has to be multiplied by, from gaps hidden in short recordings.
-
-    In each recording the middle is hidden before anything else is done, once a length; the answer is compared
-    with the camera's joint, whose noise counts (`sigma_factor.length_factors`).
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Of one person, camera and mounting; see `short_recordings`.
-    calibration : ArmCalibration
-        Found from them.
-    config : Config
-
-    Returns
-    -------
-    factors : SigmaFactors or None
-        None where sigma is right as stated, or too few gaps have a trusted answer.
-    """
+    """What sigma of positions in gaps has to be multiplied by, from gaps hidden in short recordings."""
     jobs = [(recording, length_s) for length_s in LENGTHS_S for recording in recordings]
     job = partial(_needed, calibration=calibration, config=config)
     with Pool(config.windows.processes, sum(len(recording.arm) for recording, _ in jobs)) as pool:

@@ -25,18 +25,10 @@ from .intrinsics import PlacedCamera
 
 @dataclass(frozen=True)
 class Depth:
-    """A depth image.
+    """A depth image."""
 
-    Attributes
-    ----------
-    z_m : ndarray, shape (height, width), m
-        z of every pixel in the lens's own axes; nan where there is none.
-    camera : PlacedCamera
-        That took it.
-    """
-
-    z_m: NDArray[np.float64]
-    camera: PlacedCamera
+    z_m: NDArray[np.float64]  # (height, width) m: z of every pixel in the lens's own axes
+    camera: PlacedCamera  # That took it
 
     def at(self, points_K: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the image has where points (n, 3) of {K} fall, and the points' own z, m (nan outside)."""
@@ -66,11 +58,7 @@ JUMP_M, REACH_M = 0.04, 0.07
 def silhouette_axis(
     camera: PlacedCamera, depth: Depth, elbow: FloatArray, wrist: FloatArray, radius_m: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Elbow and wrist moved onto the arm's core as its silhouette shows it; None where it does not.
-
-    At some stations the silhouette's middle and the surface's distance give the core; a straight line is
-    fitted to them. Along the arm the joints stay where the camera has them.
-    """
+    """Elbow and wrist moved onto the arm's core as its silhouette shows it; None where it does not."""
     length = float(np.linalg.norm(wrist - elbow))
     y = (wrist - elbow) / length
     origin = camera.origin
@@ -115,11 +103,7 @@ def across_arm(surface: FloatArray, origin: FloatArray, y: FloatArray) -> tuple[
 def surface_at(
     camera: PlacedCamera, depth: Depth, elbow: FloatArray, wrist: FloatArray, at: float, beside_m: float
 ) -> FloatArray | None:
-    """Point (3,) of the surface under a place of the line: where its ray meets what the depth camera saw.
-
-    Black straps swallow infrared light and reflective markers blind it: depth is the median, against the
-    elbow-wrist line, of the arm about that point.
-    """
+    """Point (3,) of the surface under a place of the line: where its ray meets what the depth camera saw."""
     length = float(np.linalg.norm(wrist - elbow))
     parts = at + np.linspace(-beside_m, beside_m, 13) / length
     line = elbow + parts[:, None] * (wrist - elbow)
@@ -187,35 +171,20 @@ SILHOUETTE_SIGMA_M = 0.004
 
 @dataclass(frozen=True)
 class Sighting:
-    """The strap in one image.
+    """The strap in one image."""
 
-    Attributes
-    ----------
-    reason : str
-        Why it was rejected; "" where it was found.
-    core : ndarray, shape (3,), m
-        Arm's core under the strap (origin of {F}) in {K}; nan where rejected.
-    covariance : ndarray, shape (3, 3), m^2
-        Of the core in {K}.
-    surface : ndarray, shape (3,), m
-        Seen point of the strap in {K}.
-    pixel : ndarray, shape (2,)
-        Of the strap in the image.
-    along : float
-        Part of the way from elbow to wrist, of the seen point.
-    contrast, width_m, off_line_m : float
-        How dark, how wide, how far from the elbow-wrist line.
-    """
-
-    reason: str
+    reason: str  # Why it was rejected; "" where it was found
+    # (3,) m: Arm's core under the strap (origin of {F}) in {K}; nan where rejected
     core: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    # (3, 3) m^2: Of the core in {K}
     covariance: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))
+    # (3,) m: Seen point of the strap in {K}
     surface: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    pixel: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
-    along: float = float("nan")
-    contrast: float = float("nan")
-    width_m: float = float("nan")
-    off_line_m: float = float("nan")
+    pixel: FloatArray = field(default_factory=lambda: np.full(2, np.nan))  # (2,): of the strap in the image
+    along: float = float("nan")  # Part of the way from elbow to wrist, of the seen point
+    contrast: float = float("nan")  # How dark, how wide, how far from the elbow-wrist line
+    width_m: float = float("nan")  # How dark, how wide, how far from the elbow-wrist line
+    off_line_m: float = float("nan")  # How dark, how wide, how far from the elbow-wrist line
 
     @property
     def found(self) -> bool:
@@ -224,39 +193,17 @@ class Sighting:
 
 
 def find_strap(
-    grey: NDArray[np.uint8],
+    grey: NDArray[np.uint8],  # (height, width)
     camera: PlacedCamera,
     depth: Depth,
-    elbow: FloatArray,
-    wrist: FloatArray,
+    elbow: FloatArray,  # (3,) m
+    wrist: FloatArray,  # (3,) m
     *,
     radius_m: float = 0.035,
     strap_width_m: float = 0.03,
     joint_sigma_m: float = 0.008,
 ) -> Sighting:
-    """Find the strap in a grey image.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-        Brightness.
-    camera : PlacedCamera
-        That took the image.
-    depth : Depth
-        Depth image of the same moment.
-    elbow, wrist : ndarray, shape (3,), m
-        In {K}.
-    radius_m : float, m
-        Core to the strap's surface (r).
-    strap_width_m : float, m
-        Along the arm.
-    joint_sigma_m : float, m
-        Of elbow and wrist, per axis.
-
-    Returns
-    -------
-    Sighting
-    """
+    """Find the strap in a grey image."""
     length = float(np.linalg.norm(wrist - elbow))
     if not 0.1 < length < 0.5:
         return Sighting("elbow and wrist are not a forearm apart")
@@ -339,11 +286,7 @@ def _profile(
 
 
 def _dark_stretch(profile: FloatArray, part: FloatArray, width: float) -> tuple[float, float, float]:
-    """Middle, contrast and width (parts of the forearm) of the darkest stretch that has two edges.
-
-    Where the arm ends it gets dark as well, but never bright again: such places are passed over. nan, and
-    the contrast of the darkest place, where there is none.
-    """
+    """Middle, contrast and width (parts of the forearm) of the darkest stretch that has two edges."""
     step = part[1] - part[0]
     mean = uniform_filter1d(profile, max(int(width / step), 3), mode="nearest")
     low = np.flatnonzero((mean <= np.roll(mean, 1)) & (mean <= np.roll(mean, -1)))
@@ -404,13 +347,7 @@ def _core(
     joint_sigma_m: float,
     is_axis: bool,
 ) -> tuple[FloatArray, FloatArray]:
-    """The arm's core under the strap, by the line and by the silhouette there, and its covariance.
-
-    Parameters
-    ----------
-    is_axis : bool
-        The line is the silhouette's own (`silhouette_axis`), not the joints'.
-    """
+    """The arm's core under the strap, by the line and by the silhouette there, and its covariance."""
     origin = camera.origin
     length = float(np.linalg.norm(wrist - elbow))
     y, part = (wrist - elbow) / length, along / length
@@ -445,33 +382,15 @@ USUAL_RADIUS = Length(0.035, 0.008)
 
 @dataclass(frozen=True)
 class Mounted:
-    """The sensor on the forearm over time.
+    """The sensor on the forearm over time."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (N,), s
-        On the camera's clock, s after `origin_ns`.
-    R_K_A : ndarray, shape (N, 3, 3)
-        Maps a vector from the IMU's axes {A} to the camera's {K}.
-    origin_ns : int, ns
-        Zero of the times.
-    from_core : ndarray, shape (3,), m
-        From the forearm's core to the sensor in {A}.
-    sigma_m : float, m
-        Of that vector, per axis.
-    along : ndarray, shape (3,), optional
-        Unit vector elbow to wrist in {A}, or None.
-    radius_m : float, m
-        Core to the strap's surface.
-    """
-
-    t_s: FloatArray
-    R_K_A: FloatArray
-    origin_ns: int
-    from_core: FloatArray
-    sigma_m: float
-    along: FloatArray | None
-    radius_m: float
+    t_s: FloatArray  # (N,) s: on the camera's clock, s after `origin_ns`
+    R_K_A: FloatArray  # (N, 3, 3): maps a vector from the IMU's axes {A} to the camera's {K}
+    origin_ns: int  # Zero of the times
+    from_core: FloatArray  # (3,) m: from the forearm's core to the sensor in {A}
+    sigma_m: float  # Of that vector, per axis
+    along: FloatArray | None  # (3,): unit vector elbow to wrist in {A}, or None
+    radius_m: float  # Core to the strap's surface
 
 
 def held_radius(file: CalibrationFile, side: str) -> Length | None:
@@ -484,25 +403,7 @@ def held_radius(file: CalibrationFile, side: str) -> Length | None:
 
 
 def mounted_on(recovery: Recovery, radius: Length | None = None) -> Mounted:
-    """The sensor's orientation over time and its place against the core, from a solved recording.
-
-    The lever arms say in which direction the core lies; how far is known better from a measured radius than
-    from joints that the camera places beside the core, so both are put together by their variances.
-
-    Parameters
-    ----------
-    radius : Length, optional
-        Core to the sensor (r of `calibrate forearm`), or None for the usual one.
-
-    Returns
-    -------
-    Mounted
-
-    Raises
-    ------
-    CalibrationError
-        The lever arms of elbow and wrist are not known.
-    """
+    """The sensor's orientation over time and its place against the core, from a solved recording."""
     arm: ArmCalibration = recovery.calibration or ArmCalibration()
     frame = forearm_frame(arm)
     if frame is None:

@@ -31,49 +31,7 @@ def smooth(
     seed: int = 0,
     **selection: Unpack[Selection],
 ) -> Recovery:
-    """Recover the arm's motion over a whole recording, or over a recording's file.
-
-    Parameters
-    ----------
-    recording : Recording or path-like
-        One arm and its forearm IMU, or the MCAP file that contains them.
-    calibration : ArmCalibration or path-like, optional
-        Lever arms and upper-arm length, with sigmas; the rest is estimated. A calibration file belongs to
-        the recording's file: it also corrects the sensors.
-    config : Config, optional
-        Settings.
-    progress : callable, optional
-        Called with a fraction (0..1) and a word for the step.
-    store : Store, optional
-        Where what grows with the recording's length lives; in memory where None.
-    processes : int, optional
-        Worker processes, 0 for one per core; None uses the configuration's value.
-    clock : Clock, optional
-        The camera's against the IMU's as it was measured, with its sigma.
-    draws : int
-        This many whole motions drawn from the posterior, in `Recovery.draws`: measures have their intervals
-        from them. The answer is the same with and without; 0 = none, and a twentieth less time.
-    seed : int
-        Of the draws' random numbers: the same one gives the same motions.
-    imu, skeleton, side : str, optional
-        Of a file with several: the IMU's and the skeleton's topic, "left" or "right".
-    body : int, optional
-        Of a file with several people: whose arm.
-
-    Returns
-    -------
-    Recovery
-        At the IMU's times, in the camera's frame {K}, with covariance.
-
-    Raises
-    ------
-    UnoccludeError
-        A file cannot be used, or nothing of the recording can be solved; in one sentence.
-
-    Examples
-    --------
-    >>> recovery = smoother.smooth("session.mcap", "arm.toml", side="left")  # doctest: +SKIP
-    """
+    """Recover the arm's motion over a whole recording, or over a recording's file."""
     from .calibration import ArmCalibration
     from .recording import Recording
     from .smoothing import smooth as smooth_recording
@@ -105,38 +63,7 @@ def measure(
     side: str | None = None,
     body: int | None = None,
 ) -> Measures:
-    """Measure a recovered motion, or that of a result's file: joints, hand, smoothness, movements.
-
-    Parameters
-    ----------
-    result : Recovery or path-like
-        What `smooth` returned, or the MCAP file that it was written to. With draws there are intervals.
-    settings : MeasureSettings, optional
-        Thresholds and sizes.
-    processes : int
-        Worker processes for the drawn motions, 0 = one per core; the measures are the same with any number.
-    progress : callable, optional
-        Called with the share done (0 to 1) and its label.
-    side : str, optional
-        Of a file with several arms: "left" or "right".
-    body : int, optional
-        Of a file with several people: whose arm.
-
-    Returns
-    -------
-    Measures
-        Of the session, each movement and each repetition.
-
-    Raises
-    ------
-    UnoccludeError
-        A file cannot be used, or several arms fit; in one sentence.
-
-    Examples
-    --------
-    >>> rows = smoother.measure("out.mcap", side="left").by_key  # doctest: +SKIP
-    >>> rows["elbow_flexion_range_deg"].value  # doctest: +SKIP
-    """
+    """Measure a recovered motion, or that of a result's file: joints, hand, smoothness, movements."""
     from .measures.measuring import measure as measure_recovery
     from .result import Recovery
 

@@ -24,40 +24,19 @@ SHARE = 0.95
 _LEVELS, _MOST_SAMPLES = 64, 4000
 
 
-def error_radius(covariance: FloatArray, probability: float = SHARE) -> FloatArray:
-    """Distance within which a 3D error lies with a probability.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (..., 3, 3), m^2
-        Of errors with mean zero.
-    probability : float
-        0 to 1, without both.
-
-    Returns
-    -------
-    radius : ndarray, shape (...), m
-        Within 1 % of the exact one at 0.95; nan where the covariance is not known.
-    """
+def error_radius(
+    covariance: FloatArray,  # (..., 3, 3) m^2
+    probability: float = SHARE,
+) -> FloatArray:  # (...) m
+    """Distance within which a 3D error lies with a probability."""
     return _radii(covariance, [probability])[0]
 
 
-def pooled_radius(covariance: FloatArray, probability: float = SHARE) -> float | None:
-    """Distance within which this many of the errors of many samples lie; None where none is known.
-
-    It is to the covariances what a percentile of distances is to errors against a truth.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, 3, 3), m^2
-        Of each sample; those that are not known do not count.
-    probability : float
-        0 to 1, without both.
-
-    Returns
-    -------
-    radius : float or None, m
-    """
+def pooled_radius(
+    covariance: FloatArray,  # (n, 3, 3) m^2
+    probability: float = SHARE,
+) -> float | None:  # m
+    """Distance within which this many of the errors of many samples lie; None where none is known."""
     known = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
     if not len(known):
         return None

@@ -43,42 +43,14 @@ _UPRIGHT = 0.8
 
 
 def recovery_angles(recovery: MovingArm) -> dict[str, FloatArray]:
-    """The angles (N,) of a recovery by the names in `ANGLES`, degrees; nan where not known.
-
-    Flexion needs shoulder, elbow and wrist; pronation the forearm's axes in the IMU as well
-    (`calibration.R_F_A`); the shoulder's angles the direction of gravity.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of N samples.
-
-    Returns
-    -------
-    angles : dict of str to ndarray, shape (N,), deg
-        See `arm_angles`.
-    """
+    """The angles (N,) of a recovery by the names in `ANGLES`, degrees; nan where not known."""
     mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
     R_K_F = None if mounting is None else forearm_axes(recovery.quaternion, mounting)
     return arm_angles(recovery.joints, len(recovery), R_K_F, recovery.side, recovery.gravity_direction)
 
 
-def elbow_flexion_sigma(recovery: MovingArm) -> FloatArray:
-    """Standard deviation of the elbow's flexion (N,), degrees; nan where it is not known.
-
-    First-order propagation: the forearm turns with the IMU's orientation, the upper arm with shoulder and
-    elbow; along their bones neither position changes the angle. An error of the lever arms is one of the
-    orientation with the other sign, as the camera has seen both joints, and is in the orientation's sigma.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of N samples.
-
-    Returns
-    -------
-    sigma_deg : ndarray, shape (N,), deg
-    """
+def elbow_flexion_sigma(recovery: MovingArm) -> FloatArray:  # -> (N,) deg
+    """Standard deviation of the elbow's flexion (N,), degrees; nan where it is not known."""
     joints = recovery.joints
     if not {"shoulder", "elbow", "wrist"} <= set(joints) or "shoulder" not in recovery.joint_covariance:
         return np.full(len(recovery), np.nan)
@@ -97,22 +69,8 @@ def elbow_flexion_sigma(recovery: MovingArm) -> FloatArray:
     return np.degrees(np.sqrt(variance))
 
 
-def elbow_bend(recovery: MovingArm) -> FloatArray | None:
-    """The rotation that bends the straight arm, (N, 3), rad, in the IMU's axes {A}; its length is flexion.
-
-    In axes that the forearm carries the bend is a smooth vector, also where the arm passes straight, and an
-    error adds to it as to any other vector; to flexion, which has no sign, it does not.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of N samples.
-
-    Returns
-    -------
-    bend : ndarray, shape (N, 3), rad, or None
-        nan where it is not known; None without shoulder, elbow and wrist.
-    """
+def elbow_bend(recovery: MovingArm) -> FloatArray | None:  # -> (N, 3) rad
+    """The rotation that bends the straight arm, (N, 3), rad, in the IMU's axes {A}; its length is flexion."""
     joints = recovery.joints
     if not {"shoulder", "elbow", "wrist"} <= set(joints):
         return None
@@ -125,21 +83,11 @@ def elbow_bend(recovery: MovingArm) -> FloatArray | None:
     return np.asarray(np.einsum("nji,nj->ni", R_K_A, by_sine[:, None] * across))
 
 
-def forearm_axes(quaternion: FloatArray, R_F_A: FloatArray) -> FloatArray:
-    """Forearm axes in the camera frame, `R_K_F` = R_K_A R_A_F, (N, 3, 3).
-
-    Parameters
-    ----------
-    quaternion : ndarray, shape (N, 4)
-        qw, qx, qy, qz of `R_K_A`, of any length; nan where there is none.
-    R_F_A : ndarray, shape (3, 3)
-        Maps IMU axes to forearm axes (y elbow to wrist, x to the back of the hand).
-
-    Returns
-    -------
-    R_K_F : ndarray, shape (N, 3, 3)
-        nan where there is no quaternion.
-    """
+def forearm_axes(
+    quaternion: FloatArray,  # (N, 4)
+    R_F_A: FloatArray,  # (3, 3)
+) -> FloatArray:  # (N, 3, 3)
+    """Forearm axes in the camera frame, `R_K_F` = R_K_A R_A_F, (N, 3, 3)."""
     R_K_A = np.full((len(quaternion), 3, 3), np.nan)
     known = np.linalg.norm(quaternion, axis=1) > 0.0  # neither nan nor zero
     R_K_A[known] = Rotation.from_quat(quaternion[known], scalar_first=True).as_matrix()
@@ -147,41 +95,16 @@ def forearm_axes(quaternion: FloatArray, R_F_A: FloatArray) -> FloatArray:
 
 
 def arm_angles(
-    joints: Mapping[str, FloatArray],
+    joints: Mapping[str, FloatArray],  # dict of (count, 3) m
     count: int,
-    R_K_F: FloatArray | None = None,
+    R_K_F: FloatArray | None = None,  # (count, 3, 3)
     side: str = "right",
-    down: FloatArray | None = None,
+    down: FloatArray | None = None,  # (3,)
     *,
-    forward: FloatArray | None = None,
-    flexion_axis: FloatArray | None = None,
-) -> dict[str, FloatArray]:
-    """Angles (count,) by the names in `ANGLES`, degrees in (-180, 180]; nan where not known.
-
-    Values near a singular posture are given as they come out; `defined` marks where to trust them.
-
-    Parameters
-    ----------
-    joints : dict of str to ndarray, shape (count, 3), m
-        Centres of shoulder, elbow and wrist in {K}; any may be missing.
-    count : int
-        Number of samples.
-    R_K_F : ndarray, shape (count, 3, 3), optional
-        Forearm axes (y elbow to wrist, x to the back of the hand).
-    side : {"right", "left", ""}
-        "" is treated as right.
-    down : ndarray, shape (3,), optional
-        Direction of gravity in {K}.
-    forward : ndarray, shape (3,), optional
-        Where the person faces, in {K}; towards the camera if None.
-    flexion_axis : ndarray, shape (count, 3), optional
-        From the medial to the lateral epicondyle in {K}.
-
-    Returns
-    -------
-    angles : dict of str to ndarray, shape (count,), deg
-        By the names in `ANGLES` (Wu et al. 2005, sections 2.4.7 and 3.4.1).
-    """
+    forward: FloatArray | None = None,  # (3,)
+    flexion_axis: FloatArray | None = None,  # (count, 3)
+) -> dict[str, FloatArray]:  # dict of (count,) deg
+    """Angles (count,) by the names in `ANGLES`, degrees in (-180, 180]; nan where not known."""
     angles = {name: np.full(count, np.nan) for name in ANGLES}
     if "shoulder" not in joints or "elbow" not in joints:
         return angles
@@ -220,22 +143,11 @@ def arm_angles(
     return angles
 
 
-def torso_axes(down: FloatArray, forward: FloatArray | None = None) -> FloatArray:
-    """Axes `R_K_T` (3, 3) of an upright thorax: x forward, y up, z to its right.
-
-    Parameters
-    ----------
-    down : ndarray, shape (3,)
-        Direction of gravity in {K}.
-    forward : ndarray, shape (3,), optional
-        Where the person faces; if None, against the camera's z axis (the person faces the camera).
-        Where z is the vertical, x is used instead, and the plane of elevation counts from there.
-
-    Returns
-    -------
-    R_K_T : ndarray, shape (3, 3)
-        Maps a vector from the thorax's axes to the camera's.
-    """
+def torso_axes(
+    down: FloatArray,  # (3,)
+    forward: FloatArray | None = None,  # (3,)
+) -> FloatArray:  # (3, 3)
+    """Axes `R_K_T` (3, 3) of an upright thorax: x forward, y up, z to its right."""
     up = -np.asarray(down) / np.linalg.norm(down)
     if forward is None:
         forward = np.array([1.0, 0.0, 0.0]) if abs(up[2]) > _UPRIGHT else np.array([0.0, 0.0, -1.0])
@@ -244,23 +156,8 @@ def torso_axes(down: FloatArray, forward: FloatArray | None = None) -> FloatArra
     return np.column_stack([ahead, up, np.cross(ahead, up)])
 
 
-def defined(angles: dict[str, FloatArray]) -> dict[str, BoolArray]:
-    """Where each angle (N,) is known and 15 degrees or more from its singular posture.
-
-    Pronation and axial rotation depend on the plane of the elbow, which a straight arm does not have
-    (unless the epicondyles are known); plane of elevation and axial rotation on an upper arm that
-    does not hang.
-
-    Parameters
-    ----------
-    angles : dict of str to ndarray, shape (N,), deg
-        From `arm_angles`.
-
-    Returns
-    -------
-    good : dict of str to ndarray of bool, shape (N,)
-        By the same names.
-    """
+def defined(angles: dict[str, FloatArray]) -> dict[str, BoolArray]:  # angles dict of (N,) deg -> bool (N,)
+    """Where each angle (N,) is known and 15 degrees or more from its singular posture."""
     bent = _between(angles["elbow_flexion"]) | np.isfinite(angles["carrying"])
     raised = _between(angles["shoulder_elevation"])
     good = {name: np.isfinite(value) for name, value in angles.items()}

@@ -13,22 +13,12 @@ from .array_types import BoolArray, FloatArray, IntArray
 NEWTON_STEPS = 40
 
 
-def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Linear interpolation of stacked values, held beyond the ends.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        Increasing.
-    values : ndarray, shape (n, ...)
-        Anything at these times.
-    at : ndarray, shape (k,), s
-        Where to interpolate.
-
-    Returns
-    -------
-    interpolated : ndarray, shape (k, ...)
-    """
+def interpolate(
+    t: FloatArray,  # (n,) s
+    values: FloatArray,  # (n, ...)
+    at: FloatArray,  # (k,) s
+) -> FloatArray:  # (k, ...)
+    """Linear interpolation of stacked values, held beyond the ends."""
     if len(t) == 1:
         return np.repeat(values, len(at), axis=0)
     right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
@@ -38,22 +28,10 @@ def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray
 
 
 def by_columns(
-    function: Callable[[FloatArray], FloatArray], arrays: dict[str, FloatArray]
-) -> dict[str, FloatArray]:
-    """A function that treats each column alone, applied to those arrays together that are finite alike.
-
-    Parameters
-    ----------
-    function : callable
-        Of an array (n, k), to one (m, k).
-    arrays : dict of str to ndarray, shape (n, k)
-        By name.
-
-    Returns
-    -------
-    results : dict of str to ndarray, shape (m, k)
-        In the same order.
-    """
+    function: Callable[[FloatArray], FloatArray],
+    arrays: dict[str, FloatArray],  # arrays dict of (n, k)
+) -> dict[str, FloatArray]:  # dict of (m, k)
+    """A function that treats each column alone, applied to those arrays together that are finite alike."""
     alike: dict[bytes, list[str]] = {}
     for name, array in arrays.items():
         alike.setdefault(np.isfinite(array).all(axis=1).tobytes(), []).append(name)
@@ -113,13 +91,7 @@ def inverse(matrix: FloatArray) -> FloatArray:
 
 
 def scaled_inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of a positive definite matrix (n, n), scaled to unit diagonal first.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        It is not positive definite.
-    """
+    """Inverse of a positive definite matrix (n, n), scaled to unit diagonal first."""
     if not len(matrix):
         return matrix
     diagonal = np.diag(matrix)
@@ -144,60 +116,25 @@ def runs(mask: BoolArray) -> list[slice]:
 
 
 def robust_sigma(residual: FloatArray, axis: int | None = None) -> FloatArray:
-    """Standard deviation about zero that outliers hardly move: 1.4826 times the median size.
-
-    Parameters
-    ----------
-    residual : array_like, any shape
-        Residuals with their centre taken off already.
-    axis : int, optional
-        Along which the median is taken; over everything where None.
-
-    Returns
-    -------
-    sigma : ndarray
-        In the residual's unit, without the axis. The factor makes it the standard deviation of a normal
-        distribution (Rousseeuw and Croux, J. Am. Stat. Assoc. 1993).
-    """
+    """Standard deviation about zero that outliers hardly move: 1.4826 times the median size."""
     return np.asarray(1.4826 * np.median(np.abs(residual), axis=axis))
 
 
-def nearest_rotation(matrix: FloatArray) -> FloatArray:
+def nearest_rotation(matrix: FloatArray) -> FloatArray:  # matrix (..., 3, 3) -> (..., 3, 3)
     """Rotation matrices (..., 3, 3) nearest to M: maximise trace(R' M) (Wahba's problem, SIAM Review 1965).
 
     With M the sum of `w a_i b_i'` over pairs of vectors this is the R of `a = R b` in the sense of least
     squares (Kabsch, Acta Crystallographica A32, 1976).
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (..., 3, 3)
-        M.
-
-    Returns
-    -------
-    R : ndarray, shape (..., 3, 3)
-        Proper rotations.
     """
     U, _, Vt = np.linalg.svd(matrix)
     U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
     return np.asarray(U @ Vt)
 
 
-def largest_trace(matrix: FloatArray) -> FloatArray:
+def largest_trace(matrix: FloatArray) -> FloatArray:  # matrix (..., 3, 3) -> (...)
     """The trace of R' M for the `nearest_rotation` R, without R: the largest root of a quartic.
 
     (Markley, J. Astronautical Sciences 41, 1993, eq 17, by Newton's method from above, as his FOAM does.)
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (..., 3, 3)
-        M.
-
-    Returns
-    -------
-    trace : ndarray, shape (...)
-        Good to rounding where the root is simple; a double root keeps half of the digits, a triple one a
-        third.
     """
     a, b, c = np.moveaxis(matrix, -2, 0)
     across = np.cross(b, c)
@@ -215,21 +152,8 @@ def largest_trace(matrix: FloatArray) -> FloatArray:
     return np.asarray(root)
 
 
-def parabola_vertex(x: FloatArray, y: FloatArray) -> float:
-    """Where the parabola through the lowest sample and its neighbours is lowest.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        Evenly spaced.
-    y : ndarray, shape (n,)
-        Values at x.
-
-    Returns
-    -------
-    vertex : float
-        The lowest sample's x itself where that is an end, or where the parabola is not curved upwards.
-    """
+def parabola_vertex(x: FloatArray, y: FloatArray) -> float:  # x (n,); y (n,)
+    """Where the parabola through the lowest sample and its neighbours is lowest."""
     k = int(np.argmin(y))
     if k in (0, len(x) - 1):
         return float(x[k])
@@ -238,24 +162,8 @@ def parabola_vertex(x: FloatArray, y: FloatArray) -> float:
     return float(x[k] + 0.5 * (x[1] - x[0]) * (before - after) / curvature) if curvature > 0 else float(x[k])
 
 
-def peaks(y: FloatArray, height: float, distance: int, count: int) -> IntArray:
-    """Local maxima of evenly spaced values: the highest first, and none nearer than that to a higher one.
-
-    Parameters
-    ----------
-    y : ndarray, shape (n,)
-    height : float
-        Lower ones do not count.
-    distance : int
-        Samples.
-    count : int
-        At most this many.
-
-    Returns
-    -------
-    rows : ndarray of int, shape (k,)
-        A plateau counts by its first sample.
-    """
+def peaks(y: FloatArray, height: float, distance: int, count: int) -> IntArray:  # y (n,) -> int (k,)
+    """Local maxima of evenly spaced values: the highest first, and none nearer than that to a higher one."""
     # as scipy.signal.find_peaks, which takes a third of a second to load
     change = np.flatnonzero(np.diff(y))  # the last of equal neighbours
     if len(change) < 2:
@@ -273,20 +181,11 @@ def peaks(y: FloatArray, height: float, distance: int, count: int) -> IntArray:
     return np.array(kept, int)
 
 
-def nonnegative_pair(A: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
-    """Least squares of two unknowns that are not negative (as `scipy.optimize.nnls`).
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, 2)
-    y : ndarray, shape (n,)
-
-    Returns
-    -------
-    x : ndarray, shape (2,)
-    misfit : float
-        Euclidean length of A x - y.
-    """
+def nonnegative_pair(
+    A: FloatArray,  # (n, 2)
+    y: FloatArray,  # (n,)
+) -> tuple[FloatArray, float]:  # x (2,), misfit
+    """Least squares of two unknowns that are not negative (as `scipy.optimize.nnls`)."""
     both, *_ = np.linalg.lstsq(A, y, rcond=None)
     candidates = [both] if (both >= 0).all() else []
     if not candidates:
@@ -297,26 +196,12 @@ def nonnegative_pair(A: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
     return np.asarray(candidates[best]), misfits[best]
 
 
-def masked_correlation(a: FloatArray, b: FloatArray, least_variance: float) -> tuple[FloatArray, FloatArray]:
-    """Pearson's correlation of two series at every shift, over the samples that both have there.
-
-    Parameters
-    ----------
-    a : ndarray, shape (n,)
-        One series on an even grid; nan where it has no value.
-    b : ndarray, shape (m,)
-        The other, on a grid of the same step.
-    least_variance : float
-        Both are scaled to a variance of one first; where what is left of either at a shift varies by less
-        than this, it is at rest and the correlation is zero.
-
-    Returns
-    -------
-    correlation : ndarray, shape (n + m - 1,)
-        By shift; entry k belongs to `a(t + (k - m + 1) step)` with `b(t)`.
-    count : ndarray, shape (n + m - 1,)
-        Samples that both have there, 1 or more.
-    """
+def masked_correlation(
+    a: FloatArray,  # (n,)
+    b: FloatArray,  # (m,)
+    least_variance: float,
+) -> tuple[FloatArray, FloatArray]:  # correlation (n + m - 1,), count (n + m - 1,)
+    """Pearson's correlation of two series at every shift, over the samples that both have there."""
     known_a, known_b = np.isfinite(a).astype(float), np.isfinite(b).astype(float)
     a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
     # near one: what comes out of the Fourier transform must not drown in its rounding

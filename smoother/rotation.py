@@ -19,13 +19,7 @@ _SMALL_RAD = 1e-3
 
 
 class Rotation:
-    """One rotation, or a stack of them, held as matrices.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (3, 3) or (n, 3, 3)
-        Proper rotations; they are taken as they are.
-    """
+    """One rotation, or a stack of them, held as matrices."""
 
     def __init__(self, matrix: FloatArray) -> None:
         self._matrix = matrix
@@ -45,13 +39,7 @@ class Rotation:
 
     @classmethod
     def from_quat(cls, quaternion: ArrayLike, *, scalar_first: bool = False) -> Rotation:
-        """From quaternions (4,) or (n, 4) of any length but zero.
-
-        Raises
-        ------
-        ValueError
-            One is of length zero.
-        """
+        """From quaternions (4,) or (n, 4) of any length but zero."""
         unit = np.array(quaternion, float)
         length = np.linalg.norm(unit, axis=-1, keepdims=True)
         if (length == 0.0).any():
@@ -129,45 +117,22 @@ class Rotation:
 
 
 class Slerp:
-    """Between rotations at times: each step at a constant rate about a constant axis.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Increasing, two at least.
-    rotations : Rotation, of n
-    """
+    """Between rotations at times: each step at a constant rate about a constant axis."""
 
     def __init__(self, t: FloatArray, rotations: Rotation) -> None:
         self._t, self._from = np.asarray(t, float), rotations
         self._rate = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / np.diff(self._t)[:, None]
 
-    def __call__(self, at: FloatArray) -> Rotation:
-        """At times between the first and the last.
-
-        Parameters
-        ----------
-        at : ndarray, shape (k,)
-
-        Returns
-        -------
-        rotations : Rotation, of k
-        """
+    def __call__(self, at: FloatArray) -> Rotation:  # at (k,)
+        """At times between the first and the last."""
         step = np.clip(np.searchsorted(self._t, at) - 1, 0, len(self._rate) - 1)
         turn = (at - self._t[step])[:, None] * self._rate[step]
         return self._from[step] * Rotation.from_rotvec(turn)
 
 
-def chained(turns: FloatArray) -> FloatArray:
-    """Matrices after each of some turns, in turned axes: the identity, `turns[0]`, `turns[0] @ turns[1]` ..
-
-    Parameters
-    ----------
-    turns : ndarray, shape (n, 3, 3)
-
-    Returns
-    -------
-    R : ndarray, shape (n + 1, 3, 3)
+def chained(turns: FloatArray) -> FloatArray:  # turns (n, 3, 3) -> (n + 1, 3, 3)
+    """Matrices after each of some turns, in turned axes: the identity, `turns[0]`, `turns[0] @ turns[1]`
+    ..
     """
     width = max(math.isqrt(len(turns)), 1)  # in parts of this length, which are multiplied side by side
     parts = np.tile(np.eye(3), (-(-len(turns) // width) * width, 1, 1))

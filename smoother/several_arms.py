@@ -20,24 +20,14 @@ from .smoothing import smooth
 
 @dataclass(frozen=True)
 class ArmJob:
-    """An arm to recover.
-
-    Attributes
-    ----------
-    recording : Recording
-    calibration : ArmCalibration, optional
-    config : Config
-    clock : Clock, optional
-    draws, seed : int
-        As `smooth` takes them.
-    """
+    """An arm to recover."""
 
     recording: Recording
     calibration: ArmCalibration | None
     config: Config
     clock: Clock | None
-    draws: int = 0
-    seed: int = 0
+    draws: int = 0  # As `smooth` takes them
+    seed: int = 0  # As `smooth` takes them
 
 
 def smooth_arms(
@@ -146,13 +136,7 @@ def recover_arm(
 
 
 def together(recordings: Sequence[Recording], answers: Sequence[Recovery | UnoccludeError]) -> Recoveries:
-    """The arms that were recovered; the others are named in their notes.
-
-    Raises
-    ------
-    UnoccludeError
-        There is none.
-    """
+    """The arms that were recovered; the others are named in their notes."""
     errors = [answer for answer in answers if isinstance(answer, UnoccludeError)]
     if len(errors) == len(answers):
         raise errors[0]

@@ -28,19 +28,11 @@ DOWN_T, FORWARD_T = np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0])
 Angles = dict[str, FloatArray]
 
 
-def shoulder_angles(recovery: MovingArm) -> tuple[Angles, Angles]:
-    """The shoulder's angles of a recovery with an upper-arm IMU, to an upright trunk that faces the camera.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of N samples.
-
-    Returns
-    -------
-    angles, sigmas : dict of str to ndarray, shape (N,), deg
-        By the names in `SHOULDER_ANGLES`; nan where that IMU, its mounting or gravity is not known. Near a
-        hanging arm the plane and the rotation are hardly determined, as their sigmas show.
+def shoulder_angles(
+    recovery: MovingArm,
+) -> tuple[Angles, Angles]:  # angles dict of (N,) deg, sigmas dict of (N,) deg
+    """The shoulder's angles of a recovery with an upper-arm IMU, to an upright trunk that faces the
+    camera.
     """
     humerus = _humerus(recovery)
     if humerus is None or not np.isfinite(recovery.gravity_direction).all():
@@ -53,20 +45,10 @@ def shoulder_angles(recovery: MovingArm) -> tuple[Angles, Angles]:
     return _with_sigma(SHOULDER_ANGLES, len(recovery), rows, R_K_U, covariance, angles_of)
 
 
-def trunk_angles(recovery: MovingArm) -> tuple[Angles, Angles]:
-    """The shoulder's angles relative to the thorax by an IMU on the trunk.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of N samples, with IMUs on upper arm and trunk.
-
-    Returns
-    -------
-    angles, sigmas : dict of str to ndarray, shape (N,), deg
-        By the names in `TRUNK_ANGLES`; nan where either IMU has no answer. Sigma holds both orientations and
-        both mountings.
-    """
+def trunk_angles(
+    recovery: MovingArm,
+) -> tuple[Angles, Angles]:  # angles dict of (N,) deg, sigmas dict of (N,) deg
+    """The shoulder's angles relative to the thorax by an IMU on the trunk."""
     humerus, trunk = _humerus(recovery), recovery.trunk
     if humerus is None or trunk is None:
         return _unknown(TRUNK_ANGLES, len(recovery))

@@ -21,44 +21,20 @@ MOST_POINTS = 400
 
 @dataclass(frozen=True)
 class Line:
-    """A line over time.
+    """A line over time."""
 
-    Attributes
-    ----------
-    name : str
-        For the legend.
-    values : ndarray, shape (n,)
-        At the sketch's times; nan where there is none.
-    sigma : ndarray, shape (n,), optional
-        A band of two of them is drawn on both sides.
-    """
-
-    name: str
-    values: FloatArray
-    sigma: FloatArray | None = None
+    name: str  # For the legend
+    values: FloatArray  # (n,): at the sketch's times; nan where there is none
+    sigma: FloatArray | None = None  # (n,): A band of two of them is drawn on both sides
 
 
 def lines_svg(
-    t_s: FloatArray, lines: Sequence[Line], shaded: Sequence[tuple[float, float]], caption: str
+    t_s: FloatArray,
+    lines: Sequence[Line],
+    shaded: Sequence[tuple[float, float]],
+    caption: str,  # t_s (n,) s
 ) -> str:
-    """Lines over time, with times that are shaded.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (n,), s
-        Increasing.
-    lines : sequence of Line
-        Up to three.
-    shaded : sequence of (float, float), s
-        From and to.
-    caption : str
-        What is drawn, with its unit.
-
-    Returns
-    -------
-    svg : str
-        "" where there is nothing to draw.
-    """
+    """Lines over time, with times that are shaded."""
     finite = [line.values[np.isfinite(line.values)] for line in lines]
     if len(t_s) < 2 or not any(len(values) for values in finite):
         return ""

@@ -11,15 +11,7 @@ FEW_UNKNOWNS = 12
 
 
 class PiecewiseCubic:
-    """The cubic pieces that have given values and slopes at their knots.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Knots, increasing, two at least.
-    value : ndarray, shape (n, k)
-    slope : ndarray, shape (n, k)
-    """
+    """The cubic pieces that have given values and slopes at their knots."""
 
     def __init__(self, t: FloatArray, value: FloatArray, slope: FloatArray) -> None:
         step = np.diff(t)[:, None]
@@ -31,19 +23,8 @@ class PiecewiseCubic:
             [value[:-1], slope[:-1], (secant - slope[:-1]) / step - bend, bend / step], axis=1
         )
 
-    def __call__(self, at: FloatArray, order: int = 0) -> FloatArray:
-        """Values, or first derivatives with `order` 1, at any times; the end pieces go on beyond the ends.
-
-        Parameters
-        ----------
-        at : ndarray, shape (...)
-        order : int
-            0 or 1.
-
-        Returns
-        -------
-        values : ndarray, shape (..., k)
-        """
+    def __call__(self, at: FloatArray, order: int = 0) -> FloatArray:  # at (...) -> (..., k)
+        """Values, or first derivatives with `order` 1, at any times; the end pieces go on beyond the ends."""
         piece = np.clip(np.searchsorted(self._t, at, side="right") - 1, 0, len(self._t) - 2)
         h = (at - self._t[piece])[..., None]
         c = self._powers[piece]
@@ -52,26 +33,12 @@ class PiecewiseCubic:
         return np.asarray(((c[..., 3, :] * h + c[..., 2, :]) * h + c[..., 1, :]) * h + c[..., 0, :])
 
 
-def cubic_spline(t: FloatArray, value: FloatArray, natural: bool = False) -> PiecewiseCubic:
-    """The interpolating cubic spline (de Boor, A Practical Guide to Splines, 1978).
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Knots, increasing; a line through two, a parabola through three.
-    value : ndarray, shape (n, k)
-    natural : bool
-        Straight at both ends; not-a-knot there otherwise.
-
-    Returns
-    -------
-    spline : PiecewiseCubic
-
-    Raises
-    ------
-    ValueError
-        The knots do not increase.
-    """
+def cubic_spline(
+    t: FloatArray,  # (n,)
+    value: FloatArray,  # (n, k)
+    natural: bool = False,
+) -> PiecewiseCubic:
+    """The interpolating cubic spline (de Boor, A Practical Guide to Splines, 1978)."""
     step = np.diff(t)
     if not (step > 0).all():
         raise ValueError("the spline's knots do not increase")

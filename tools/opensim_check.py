@@ -94,10 +94,7 @@ def check(trc: str, mot: str, side: str, rows: int) -> dict[str, object]:
 
 
 def arm_model():
-    """The chain of MoBL-ARMS, a joint a coordinate; y of each body points up along the bone.
-
-    MoBL-ARMS couples a fifth coordinate, which undoes the plane of elevation, to `elv_angle`.
-    """
+    """The chain of MoBL-ARMS, a joint a coordinate; y of each body points up along the bone."""
     import opensim
 
     model = opensim.Model()

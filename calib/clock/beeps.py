@@ -27,36 +27,20 @@ RING_S, TAIL_S = (1e-4, 0.006), 1.0
 
 @dataclass(frozen=True)
 class Step:
-    """The step of the complex envelope at the end of the direct sound.
+    """The step of the complex envelope at the end of the direct sound."""
 
-    Attributes
-    ----------
-    t_s : float, s
-        Where it is, to about a millisecond.
-    doubt_s : float, s
-        How far away an earlier step lies that is about as large; 0 where there is none.
-    """
-
-    t_s: float
-    doubt_s: float
+    t_s: float  # Where it is, to about a millisecond
+    doubt_s: float  # How far away an earlier step lies that is about as large; 0 where there is none
 
 
-def direct_end(samples: FloatArray, rate_hz: float, tone_hz: float, start_s: float, end_s: float) -> Step:
-    """The largest step of the tone's complex envelope before all sound has ended.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (N,)
-        The track.
-    tone_hz : float, Hz
-        The beep's tone.
-    start_s, end_s : float, s
-        Of all that sounds at that tone, to some 10 ms.
-
-    Returns
-    -------
-    Step
-    """
+def direct_end(
+    samples: FloatArray,  # (N,)
+    rate_hz: float,
+    tone_hz: float,
+    start_s: float,
+    end_s: float,
+) -> Step:
+    """The largest step of the tone's complex envelope before all sound has ended."""
     low = max(start_s + ONSET_S, end_s - LOOK_BACK_S)
     first = max(int((low - 2 * STEP_S) * rate_hz), 0)
     last = min(int((end_s + 5 * STEP_S) * rate_hz), len(samples))
@@ -82,54 +66,20 @@ def direct_end(samples: FloatArray, rate_hz: float, tone_hz: float, start_s: flo
 
 @dataclass(frozen=True)
 class Fall:
-    """A step to a decaying tail, fitted to a complex envelope.
+    """A step to a decaying tail, fitted to a complex envelope."""
 
-    Attributes
-    ----------
-    end_s : float, s
-        The step.
-    variance_s2 : float, s^2
-        The variance of it that the residuals leave.
-    tail : float
-        Size of the tail against the beep.
-    decay_s : float, s
-        Its time constant.
-    drop : float
-        What stops at once, against the beep; 1 without a tail.
-    fitted : ndarray, shape (n,)
-        The envelope's size as fitted.
-    """
-
-    end_s: float
-    variance_s2: float
-    tail: float
-    decay_s: float
-    drop: float
-    fitted: FloatArray
+    end_s: float  # The step
+    variance_s2: float  # The variance of it that the residuals leave
+    tail: float  # Size of the tail against the beep
+    decay_s: float  # Its time constant
+    drop: float  # What stops at once, against the beep; 1 without a tail
+    fitted: FloatArray  # (n,): the envelope's size as fitted
 
 
 def fit_fall(
     envelope: np.ndarray, kernel: FloatArray, t: FloatArray, rate_hz: float, near_s: float, slack_s: float
 ) -> Fall:
-    """The end of a beep: before it a constant, after it the buzzer's ring and the room's tail.
-
-    Beep and tail have a complex size each, for which the fit is linear (variable projection); end, ring and
-    decay are looked for about several starts.
-
-    Parameters
-    ----------
-    envelope : ndarray, shape (n,)
-        Complex, the tone brought to zero frequency and low-passed with `kernel` (symmetric, m samples,
-        sum 1); it begins m // 2 samples after `t` does and ends as much before.
-    t : ndarray, shape (n + 2 (m // 2),), s
-        Times of the samples that the envelope was made of.
-    near_s, slack_s : float, s
-        The end lies so near to this.
-
-    Returns
-    -------
-    Fall
-    """
+    """The end of a beep: before it a constant, after it the buzzer's ring and the room's tail."""
     half = len(kernel) // 2
     inside = slice(half, len(t) - half)
     before = t[inside] < near_s - 0.003
@@ -214,59 +164,26 @@ BATCH_S = 60.0
 
 @dataclass(frozen=True)
 class Beep:
-    """One beep.
+    """One beep."""
 
-    Attributes
-    ----------
-    start_s, end_s, sigma_s : float, s
-        After the track's first sample; sigma is of the end.
-    frequency_hz : float, Hz
-        Its tone.
-    above_quiet_db : float, dB
-        Level above the background.
-    decay_s : float, s
-        Time constant of its tail.
-    loud_room : bool
-        The room's answer is about as loud as the beep, so that its end is hard to tell.
-    t_s : ndarray, shape (n,), s
-        Times about its end.
-    envelope, fitted : ndarray, shape (n,)
-        The envelope there, and what was fitted to it.
-    """
-
-    start_s: float
-    end_s: float
-    sigma_s: float
-    frequency_hz: float
-    above_quiet_db: float
-    decay_s: float
-    loud_room: bool
-    t_s: FloatArray
-    envelope: FloatArray
-    fitted: FloatArray
+    start_s: float  # After the track's first sample; sigma is of the end
+    end_s: float  # After the track's first sample; sigma is of the end
+    sigma_s: float  # After the track's first sample; sigma is of the end
+    frequency_hz: float  # Its tone
+    above_quiet_db: float  # Level above the background
+    decay_s: float  # Time constant of its tail
+    loud_room: bool  # The room's answer is about as loud as the beep, so that its end is hard to tell
+    t_s: FloatArray  # (n,) s: times about its end
+    envelope: FloatArray  # (n,): the envelope there, and what was fitted to it
+    fitted: FloatArray  # (n,): the envelope there, and what was fitted to it
 
 
-def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None) -> list[Beep]:
-    """All beeps of a track, in order.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (N,)
-        Sound pressure in any unit.
-    rate_hz : float, Hz
-        Samples per second.
-    tone_hz : float, Hz, optional
-        The buzzer's tone, where it is known; else the clearest tone is taken.
-
-    Returns
-    -------
-    list of Beep
-
-    Raises
-    ------
-    CalibrationError
-        The track is too short or silent, or no tone stands out of it.
-    """
+def find_beeps(
+    samples: FloatArray,  # (N,)
+    rate_hz: float,
+    tone_hz: float | None = None,
+) -> list[Beep]:
+    """All beeps of a track, in order."""
     samples = np.asarray(samples, dtype=float)
     if len(samples) < 0.1 * rate_hz:
         raise CalibrationError(

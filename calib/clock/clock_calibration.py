@@ -26,27 +26,13 @@ SKEW_KNOWN_PPM = 20.0
 
 @dataclass(frozen=True)
 class ClockCalibration:
-    """The clocks of one session, and what they were solved from.
-
-    Attributes
-    ----------
-    session : str
-        Its name.
-    network : ClockNetwork
-        Every clock against every other.
-    receptions : tuple of Receptions
-        What several clocks heard.
-    beeps : tuple of Beep
-        Of the camera's sound.
-    motion : MotionClock, optional
-        The clock in a recording's motion.
-    """
+    """The clocks of one session, and what they were solved from."""
 
     session: str
-    network: ClockNetwork
-    receptions: tuple[Receptions, ...] = ()
-    beeps: tuple[Beep, ...] = ()
-    motion: MotionClock | None = None
+    network: ClockNetwork  # Every clock against every other
+    receptions: tuple[Receptions, ...] = ()  # What several clocks heard
+    beeps: tuple[Beep, ...] = ()  # Of the camera's sound
+    motion: MotionClock | None = None  # The clock in a recording's motion
 
 
 def calibrate_clocks(
@@ -56,49 +42,14 @@ def calibrate_clocks(
     motion: MotionClock | None = None,
     origin_ns: int = 0,
 ) -> ClockCalibration:
-    """Offsets and skews of all clocks of a session, from sound, broadcasts and motion together.
-
-    Parameters
-    ----------
-    session : str
-        Its name.
-    receptions : sequence of Receptions
-        See `beep_receptions`; broadcasts likewise.
-    beeps : sequence of Beep
-        That some of the receptions are made of.
-    motion : MotionClock, optional
-        See `clock_from_motion`.
-    origin_ns : int, ns
-        Of the recording of the motion, whose times count from there; the other sources' count from zero.
-
-    Returns
-    -------
-    calibration : ClockCalibration
-        See `clock_answer` for what belongs into a file.
-
-    Raises
-    ------
-    CalibrationError
-        No two clocks are linked by anything.
-    """
+    """Offsets and skews of all clocks of a session, from sound, broadcasts and motion together."""
     links = [] if motion is None else [replace(motion.link, at_s=motion.link.at_s + 1e-9 * origin_ns)]
     network = solve_clocks(receptions, links)
     return ClockCalibration(session, network, tuple(receptions), tuple(beeps), motion)
 
 
 def clock_answer(calibration: ClockCalibration) -> Answer:
-    """The clocks in the form that every calibration answers in.
-
-    Parameters
-    ----------
-    calibration : ClockCalibration
-        See `calibrate_clocks`.
-
-    Returns
-    -------
-    answer : Answer
-        Its table `clock` is of this session; recovering takes it as a prior.
-    """
+    """The clocks in the form that every calibration answers in."""
     network, beeps = calibration.network, calibration.beeps
     links = network.links()
     apart = disagreements(network)

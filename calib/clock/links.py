@@ -24,58 +24,29 @@ SKEW_SIGMA = 5e-4
 
 @dataclass(frozen=True)
 class Receptions:
-    """Which node heard what, and when on its own clock.
+    """Which node heard what, and when on its own clock."""
 
-    Attributes
-    ----------
-    event : ndarray of int, shape (M,)
-        Number of the event; rows of one event were heard at the same instant.
-    node : sequence of str
-        (M,) names, one per row.
-    t_s : ndarray, shape (M,), s
-        On the node's clock.
-    sigma_s : ndarray, shape (M,), s
-        Noise of a stamp, one standard deviation.
-    source : str
-        What it is called in messages and reports.
-    estimate_noise : bool
-        Whether the noise may turn out larger than stated (several events of one kind).
-    """
-
-    event: IntArray
-    node: Sequence[str]
-    t_s: FloatArray
-    sigma_s: FloatArray
-    source: str
+    event: IntArray  # int (M,): number of the event; rows of one event were heard at the same instant
+    node: Sequence[str]  # (M,) names, one per row
+    t_s: FloatArray  # (M,) s: on the node's clock
+    sigma_s: FloatArray  # (M,) s: noise of a stamp, one standard deviation
+    source: str  # What it is called in messages and reports
+    # Whether the noise may turn out larger than stated (several events of one kind)
     estimate_noise: bool = True
 
 
 @dataclass(frozen=True)
 class ClockLink:
-    """t_to = t_from + offset_s + 1e-6 skew_ppm (t_from - at_s); belongs to one recording.
+    """t_to = t_from + offset_s + 1e-6 skew_ppm (t_from - at_s); belongs to one recording."""
 
-    Attributes
-    ----------
-    from_clock, to_clock : str
-        Names of the nodes.
-    offset_s, sigma_s : float, s
-        Offset at `at_s` with its standard deviation.
-    skew_ppm, skew_sigma_ppm : float, ppm
-        How fast it grows; sigma is 500 where nothing was measured.
-    at_s : float, s
-        Time on `from_clock` for which the offset is stated.
-    source : str
-        What it comes from.
-    """
-
-    from_clock: str
-    to_clock: str
-    offset_s: float
-    sigma_s: float
-    skew_ppm: float = 0.0
-    skew_sigma_ppm: float = 1e6 * SKEW_SIGMA
-    at_s: float = 0.0
-    source: str = ""
+    from_clock: str  # Names of the nodes
+    to_clock: str  # Names of the nodes
+    offset_s: float  # Offset at `at_s` with its standard deviation
+    sigma_s: float  # Offset at `at_s` with its standard deviation
+    skew_ppm: float = 0.0  # ppm: how fast it grows; sigma is 500 where nothing was measured
+    skew_sigma_ppm: float = 1e6 * SKEW_SIGMA  # ppm: how fast it grows
+    at_s: float = 0.0  # Time on `from_clock` for which the offset is stated
+    source: str = ""  # What it comes from
 
     def at(self, t_from_s: FloatArray) -> FloatArray:
         """Times on `to_clock` for times on `from_clock`, s."""
@@ -85,70 +56,30 @@ class ClockLink:
 
 @dataclass(frozen=True)
 class Leftover:
-    """What a source's data leave unexplained.
-
-    Attributes
-    ----------
-    source : str
-        Its name.
-    node : tuple of str
-        (n,) who heard it, or the link's pair.
-    t_s : ndarray, shape (n,), s
-        On the clock of the group's first node.
-    residual_s : ndarray, shape (n,), s
-        Measured minus explained.
-    used : ndarray of bool, shape (n,)
-        False where it was rejected.
-    sigma_s : float, s
-        Noise found, one standard deviation of a stamp (of the offset for a link).
-    """
+    """What a source's data leave unexplained."""
 
     source: str
-    node: tuple[str, ...]
-    t_s: FloatArray
-    residual_s: FloatArray
-    used: BoolArray
-    sigma_s: float
+    node: tuple[str, ...]  # (n,) who heard it, or the link's pair
+    t_s: FloatArray  # (n,) s: on the clock of the group's first node
+    residual_s: FloatArray  # (n,) s: measured minus explained
+    used: BoolArray  # bool (n,): False where it was rejected
+    sigma_s: float  # Noise found, one standard deviation of a stamp (of the offset for a link)
 
 
 @dataclass(frozen=True)
 class ClockNetwork:
-    """Every clock against every other that it hangs together with.
+    """Every clock against every other that it hangs together with."""
 
-    Attributes
-    ----------
-    nodes : tuple of str
-        Names; the first of each group is that group's reference.
-    group : ndarray of int, shape (n,)
-        Number of the group that a node belongs to.
-    value : ndarray, shape (2 n,)
-        Offsets at tau0 (s), then skews (s/s), against the group's reference.
-    covariance : ndarray, shape (2 n, 2 n)
-        Of the same.
-    tau0_s : ndarray, shape (n,), s
-        Time on the group's reference that the offsets are stated for.
-    span_s : ndarray, shape (n, 2), s
-        First and last time on the reference at which the group was measured.
-    leftovers : tuple of Leftover
-        Residuals, a source each.
-    """
-
-    nodes: tuple[str, ...]
-    group: IntArray
-    value: FloatArray
-    covariance: FloatArray
-    tau0_s: FloatArray
-    span_s: FloatArray
-    leftovers: tuple[Leftover, ...]
+    nodes: tuple[str, ...]  # Names; the first of each group is that group's reference
+    group: IntArray  # int (n,): number of the group that a node belongs to
+    value: FloatArray  # (2 n,): offsets at tau0 (s), then skews (s/s), against the group's reference
+    covariance: FloatArray  # (2 n, 2 n): of the same
+    tau0_s: FloatArray  # (n,) s: time on the group's reference that the offsets are stated for
+    span_s: FloatArray  # (n, 2) s: first and last time on the reference at which the group was measured
+    leftovers: tuple[Leftover, ...]  # Residuals, a source each
 
     def between(self, from_clock: str, to_clock: str) -> ClockLink:
-        """The link between two clocks, stated for the time at which its offset is known best.
-
-        Raises
-        ------
-        CalibrationError
-            One of them is not known, or nothing links them.
-        """
+        """The link between two clocks, stated for the time at which its offset is known best."""
         for name in (from_clock, to_clock):
             if name not in self.nodes:
                 raise CalibrationError(f"there is no clock {name!r}; there are {', '.join(self.nodes)}")
@@ -215,27 +146,7 @@ class SoundTrack(Protocol):
 def beeps_of_tracks(
     tracks: Iterable[SoundTrack], tone_hz: float | None = None, start_s: float = 0.0
 ) -> list[Beep]:
-    """All beeps of a sound, on the clock of its stamps.
-
-    Parameters
-    ----------
-    tracks : iterable of SoundTrack
-        The sound; tracks without a beep are passed over if another has one.
-    tone_hz : float, Hz, optional
-        The buzzer's tone, where it is known.
-    start_s : float, s
-        Added to the tracks' own start: for files that begin at zero.
-
-    Returns
-    -------
-    beeps : list of Beep
-        In order of the tracks.
-
-    Raises
-    ------
-    CalibrationError
-        No track contains a beep; the reason is that of the last one.
-    """
+    """All beeps of a sound, on the clock of its stamps."""
     from .beeps import find_beeps
 
     beeps: list[Beep] = []
@@ -265,32 +176,7 @@ def beep_receptions(
     resolution_s: float = 0.3125e-3,
     source: str = "sound",
 ) -> Receptions:
-    """The ends of beeps on both clocks (Jatesiktat & Ang, II-G.1).
-
-    Parameters
-    ----------
-    beeps : sequence of Beep
-        In order of time, as the microphone heard them.
-    event_times_s : sequence of float, s
-        When each of them ended on the buzzer's clock; any order.
-    clocks : tuple of str
-        Names of the microphone's clock and the buzzer's.
-    distance_m : float, m
-        Buzzer to microphone.
-    resolution_s : float, s
-        Step of the event times.
-    source : str
-        What to call it in messages.
-
-    Returns
-    -------
-    receptions : Receptions
-
-    Raises
-    ------
-    CalibrationError
-        There are more or fewer beeps than event times.
-    """
+    """The ends of beeps on both clocks (Jatesiktat & Ang, II-G.1)."""
     if len(beeps) != len(event_times_s):
         ends = ", ".join(f"{beep.end_s:.2f} s" for beep in beeps[:12]) + (", .." if len(beeps) > 12 else "")
         raise CalibrationError(
@@ -328,24 +214,7 @@ TYPICAL_PPM = 50.0
 
 
 def measured_clock(file: CalibrationFile, recording: Recording) -> Clock | None:
-    """The link of a file's `[clock]` between the recording's camera and its IMU.
-
-    Parameters
-    ----------
-    file : CalibrationFile
-        As `unocclude calibrate clock` writes it.
-    recording : Recording
-
-    Returns
-    -------
-    clock : Clock or None
-        t_imu = t_camera + offset; None where the file has no `[clock]` or none of a camera.
-
-    Raises
-    ------
-    CalibrationError
-        A link lacks a number, or several may be meant.
-    """
+    """The link of a file's `[clock]` between the recording's camera and its IMU."""
     table = file.tables.get("clock")
     if not isinstance(table, dict) or not isinstance(table.get("links"), list):
         return None

@@ -44,26 +44,14 @@ PRIOR_SAMPLES = 4.0
 
 @dataclass(frozen=True)
 class MotionClock:
-    """The clock of a recording from motion.
+    """The clock of a recording from motion."""
 
-    Attributes
-    ----------
-    link : ClockLink
-        Camera to IMU; t_imu = t_camera + offset.
-    t_s, offset_s, sigma_s : ndarray, shape (k,), s
-        Of each excerpt: its middle on the camera's clock, what it found.
-    used : ndarray of bool, shape (k,)
-        Excerpts that agree.
-    calibration : ArmCalibration
-        How the IMU sits, as found on the way.
-    """
-
-    link: ClockLink
-    t_s: FloatArray
-    offset_s: FloatArray
-    sigma_s: FloatArray
-    used: BoolArray
-    calibration: ArmCalibration
+    link: ClockLink  # Camera to IMU; t_imu = t_camera + offset
+    t_s: FloatArray  # (k,) s: of each excerpt: its middle on the camera's clock, what it found
+    offset_s: FloatArray  # (k,) s: of each excerpt: its middle on the camera's clock, what it found
+    sigma_s: FloatArray  # (k,) s: of each excerpt: its middle on the camera's clock, what it found
+    used: BoolArray  # bool (k,): excerpts that agree
+    calibration: ArmCalibration  # How the IMU sits, as found on the way
 
 
 def clock_from_motion(
@@ -72,27 +60,7 @@ def clock_from_motion(
     config: Config | None = None,
     names: tuple[str, str] = ("camera", "imu"),
 ) -> MotionClock:
-    """Offset and skew of the IMU's clock against the camera's from what both saw of the motion.
-
-    Parameters
-    ----------
-    recording : Recording
-        One arm and its IMU.
-    known : ArmCalibration, optional
-        How the IMU sits on the arm, where it is known.
-    names : tuple of str
-        Of the camera's clock and the IMU's.
-
-    Returns
-    -------
-    MotionClock
-
-    Raises
-    ------
-    CalibrationError
-        The IMU and a visible forearm never come together, or too shortly; or the clocks are far apart and
-        the motion fits several offsets.
-    """
+    """Offset and skew of the IMU's clock against the camera's from what both saw of the motion."""
     config = config or Config()
     known = known or ArmCalibration(side=recording.side)
     coarse = coarse_offset(recording, COARSE_S)

@@ -24,30 +24,14 @@ PLAUSIBLE_SKEW = 2e-3
 
 
 def start_values(
-    event: IntArray,
-    node: IntArray,
-    t: FloatArray,
-    ends: IntArray,
+    event: IntArray,  # int (M,)
+    node: IntArray,  # int (M,)
+    t: FloatArray,  # int (M,)
+    ends: IntArray,  # int (L, 2)
     links: Sequence[ClockLink],
     count: int,
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """Offsets and skews of all nodes against the first of their group.
-
-    Parameters
-    ----------
-    event, node, t : ndarray of int and ndarray, shape (M,)
-        Receptions: event, node, time on the node's clock.
-    ends : ndarray of int, shape (L, 2)
-        Nodes of each link.
-    links : sequence of ClockLink
-        Measured in another way.
-    count : int
-        Number of nodes.
-
-    Returns
-    -------
-    a (n,) s, b (n,) s/s, group (n,), tau0 (groups,) time on a group's first node.
-    """
+    """Offsets and skews of all nodes against the first of their group."""
     edges = _pairs(event, node, t)
     for (u, v), link in zip(ends.tolist(), links, strict=True):
         edges.append((u, v, link.at_s, link.offset_s, 1e-6 * link.skew_ppm, 1))
@@ -155,24 +139,7 @@ TOO_GOOD = 0.5
 
 
 def solve_clocks(receptions: Sequence[Receptions], links: Sequence[ClockLink] = ()) -> ClockNetwork:
-    """Offsets and skews of all clocks from what was heard together and from measured links.
-
-    Parameters
-    ----------
-    receptions : sequence of Receptions
-        An event that one node alone heard is ignored.
-    links : sequence of ClockLink
-        Measured in another way (motion).
-
-    Returns
-    -------
-    ClockNetwork
-
-    Raises
-    ------
-    CalibrationError
-        No two clocks are linked by anything.
-    """
+    """Offsets and skews of all clocks from what was heard together and from measured links."""
     rows = _Rows.of(receptions)
     if not len(rows.t) and not links:
         raise CalibrationError("no event was received by two clocks, so nothing links them; broadcast again")

@@ -23,50 +23,20 @@ WORST_DIRECTION_RAD = np.radians(6.0)
 
 @dataclass(frozen=True)
 class ForearmFrame:
-    """The forearm's axes as far as the lever arms give them.
+    """The forearm's axes as far as the lever arms give them."""
 
-    Of a lever arm only the sigma per axis is known, not how the errors of two go together. What they have in
-    common moves the line (for the distance and the roll they are taken to be in common) and cancels in its
-    length and direction (for these they are taken as independent), so that the sigmas are rather too large.
-
-    Attributes
-    ----------
-    direction : ndarray, shape (3,)
-        Unit vector elbow to wrist in {A}.
-    direction_sigma_rad : float, rad
-        Its standard deviation.
-    length_m, length_sigma_m : float, m
-        Elbow to wrist.
-    distance_m, distance_sigma_m : float, m
-        Of the IMU from the elbow-wrist line.
-    roll_sigma_rad : float, rad
-        Of the angle about the forearm's axis; inf where the IMU is too near to the line.
-    R_F_A : ndarray, shape (3, 3), optional
-        None where the roll or the direction is not known well enough.
-    """
-
-    direction: FloatArray
-    direction_sigma_rad: float
-    length_m: float
-    length_sigma_m: float
-    distance_m: float
-    distance_sigma_m: float
-    roll_sigma_rad: float
-    R_F_A: FloatArray | None
+    direction: FloatArray  # (3,): unit vector elbow to wrist in {A}
+    direction_sigma_rad: float  # Its standard deviation
+    length_m: float  # Elbow to wrist
+    length_sigma_m: float  # Elbow to wrist
+    distance_m: float  # Of the IMU from the elbow-wrist line
+    distance_sigma_m: float  # Of the IMU from the elbow-wrist line
+    roll_sigma_rad: float  # Of the angle about the forearm's axis; inf where the IMU is too near to the line
+    R_F_A: FloatArray | None  # (3, 3): none where the roll or the direction is not known well enough
 
 
 def forearm_frame(calibration: ArmCalibration) -> ForearmFrame | None:
-    """The forearm's axes from the lever arms of elbow and wrist; None without both.
-
-    Parameters
-    ----------
-    calibration : ArmCalibration
-        Lever arms with sigmas; `R_F_A` in it is not looked at.
-
-    Returns
-    -------
-    ForearmFrame or None
-    """
+    """The forearm's axes from the lever arms of elbow and wrist; None without both."""
     along = calibration.forearm_direction
     if along is None:
         return None

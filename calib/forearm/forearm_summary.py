@@ -40,24 +40,14 @@ _BROKEN = {
 
 @dataclass(frozen=True)
 class Compared:
-    """One measure by the pose and by the motion.
+    """One measure by the pose and by the motion."""
 
-    Attributes
-    ----------
-    name, unit : str
-        What it is, and the unit of the numbers.
-    pose, motion : float
-        Its value by either.
-    pose_sigma, motion_sigma : float
-        Their standard deviations.
-    """
-
-    name: str
-    unit: str
-    pose: float
-    pose_sigma: float
-    motion: float
-    motion_sigma: float
+    name: str  # What it is, and the unit of the numbers
+    unit: str  # What it is, and the unit of the numbers
+    pose: float  # Its value by either
+    pose_sigma: float  # Their standard deviations
+    motion: float  # Its value by either
+    motion_sigma: float  # Their standard deviations
 
     @property
     def apart(self) -> float:
@@ -111,18 +101,7 @@ def compare(calibration: ForearmCalibration) -> list[Compared]:
 
 
 def forearm_answer(calibration: ForearmCalibration) -> Answer:
-    """Lever arms, measures and mounting in the form that every calibration answers in.
-
-    Parameters
-    ----------
-    calibration : ForearmCalibration
-        See `calibrate_forearm`.
-
-    Returns
-    -------
-    answer : Answer
-        Its table contains the arm, and under `forearm` what an arm has no key for.
-    """
+    """Lever arms, measures and mounting in the form that every calibration answers in."""
     rows = compare(calibration)
     arm, measures = without_wrong_axes(calibration.calibration, rows), calibration.measured.lengths
     sentences, left_open = verdict(calibration, rows), open_questions(calibration)

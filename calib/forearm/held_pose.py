@@ -39,30 +39,15 @@ _NEEDED = ("shoulder", "elbow", "wrist")
 
 @dataclass(frozen=True)
 class HeldPose:
-    """A stretch in which the pose is held, on the camera's clock.
-
-    Attributes
-    ----------
-    start_s, end_s : float, s
-    frames : ndarray of bool, shape (F,)
-        The camera's frames in it with shoulder, elbow and wrist tracked.
-    position : ndarray, shape (5, 3), m
-        Mean of the joints in {K}; nan where a joint is not tracked.
-    sigma_m : ndarray, shape (5,), m
-        Of the mean, per axis: noise that lasts some tenths of a second.
-    turning_rad_s : float, rad/s
-        Rms of the sensor's angular velocity.
-    chosen : str
-        "found" or "given".
-    """
+    """A stretch in which the pose is held, on the camera's clock."""
 
     start_s: float
     end_s: float
-    frames: BoolArray
-    position: FloatArray
-    sigma_m: FloatArray
-    turning_rad_s: float
-    chosen: str
+    frames: BoolArray  # bool (F,): the camera's frames in it with shoulder, elbow and wrist tracked
+    position: FloatArray  # (5, 3) m: mean of the joints in {K}; nan where a joint is not tracked
+    sigma_m: FloatArray  # (5,) m: of the mean, per axis: noise that lasts some tenths of a second
+    turning_rad_s: float  # Rms of the sensor's angular velocity
+    chosen: str  # "found" or "given"
 
 
 #: Noise of the camera's joints has a memory of about this, s.
@@ -73,26 +58,7 @@ FEWEST_FRAMES = 8
 def find_held_pose(
     recording: Recording, from_s: float | None = None, to_s: float | None = None, offset_s: float = 0.0
 ) -> HeldPose:
-    """The first held pose of a recording, or what is between two given times.
-
-    Parameters
-    ----------
-    recording : Recording
-        Arm with shoulder, elbow and wrist.
-    from_s, to_s : float, s, optional
-        On the camera's clock after the recording's origin; None to search.
-    offset_s : float, s
-        t_imu = t_camera + offset, as far as it is known.
-
-    Returns
-    -------
-    HeldPose
-
-    Raises
-    ------
-    CalibrationError
-        No such pose, or the arm is not visible between the times given, or moves there.
-    """
+    """The first held pose of a recording, or what is between two given times."""
     t = recording.arm.t_s
     seen = np.all([recording.arm.tracked(joint) for joint in _NEEDED], axis=0)
     low, high = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
@@ -157,10 +123,7 @@ def _turning(recording: Recording, t: FloatArray) -> FloatArray:
 
 
 def _bias(imu: ImuStream) -> FloatArray:
-    """(3,) what the gyroscope shows in the recording's quietest part, rad/s; zero if no bias is so large.
-
-    Quiet is where the angular velocity varies least, whatever it is about.
-    """
+    """(3,) what the gyroscope shows in the recording's quietest part, rad/s; zero if no bias is so large."""
     gyro = np.asarray(imu.gyro)
     width = max(int(SHORTEST_S * imu.rate_hz), 1)
     if len(gyro) < width:
@@ -219,26 +182,14 @@ SOLVED_S = 90.0
 
 @dataclass(frozen=True)
 class Measured:
-    """Measures of the forearm in the pose, m, each with its sigma; None where the pose does not show.
+    """Measures of the forearm in the pose, m, each with its sigma; None where the pose does not show."""
 
-    Attributes
-    ----------
-    radius : Length
-        r, from the forearm's core to the sensor.
-    strap_to_elbow, strap_to_wrist : Length
-        d_se and d_sw, along the forearm.
-    upper_arm, forearm : Length
-        d_ul, and elbow to wrist.
-    strap_from : str
-        "seen", "ruler" or "usual": where the strap's place comes from.
-    """
-
-    radius: Length
-    strap_to_elbow: Length
-    strap_to_wrist: Length
-    upper_arm: Length
-    forearm: Length
-    strap_from: str
+    radius: Length  # r, from the forearm's core to the sensor
+    strap_to_elbow: Length  # d_se and d_sw, along the forearm
+    strap_to_wrist: Length  # d_se and d_sw, along the forearm
+    upper_arm: Length  # d_ul, and elbow to wrist
+    forearm: Length  # d_ul, and elbow to wrist
+    strap_from: str  # "seen", "ruler" or "usual": where the strap's place comes from
 
     @property
     def lengths(self) -> dict[str, Length]:
@@ -254,37 +205,17 @@ class Measured:
 
 @dataclass(frozen=True)
 class ForearmCalibration:
-    """What the held pose showed.
+    """What the held pose showed."""
 
-    Attributes
-    ----------
-    calibration : ArmCalibration
-        Lever arms, upper arm and R_F_A; without the sensor's orientation the upper arm alone.
-    pose : HeldPose
-        When the pose was held, and where the joints were.
-    measured : Measured
-        r, d_se, d_sw, d_ul and the forearm's length.
-    R_K_F : ndarray, shape (3, 3)
-        The forearm in the pose: maps a vector from the forearm's axes {F} to the camera's {K}.
-    direction_sigma_rad, roll_sigma_rad : float, rad
-        Of R_F_A; nan without it.
-    motion : ArmCalibration, optional
-        What the motion of the same recording gave; None where it gave nothing.
-    recovery : Recovery, optional
-        The recording solved without the pose; None where that failed.
-    why_not : str
-        Why there is no R_F_A, "" where there is.
-    """
-
-    calibration: ArmCalibration
-    pose: HeldPose
-    measured: Measured
-    R_K_F: FloatArray
-    direction_sigma_rad: float
-    roll_sigma_rad: float
-    motion: ArmCalibration | None
-    recovery: Recovery | None
-    why_not: str = ""
+    calibration: ArmCalibration  # Lever arms, upper arm and R_F_A
+    pose: HeldPose  # When the pose was held, and where the joints were
+    measured: Measured  # r, d_se, d_sw, d_ul and the forearm's length
+    R_K_F: FloatArray  # (3, 3): the forearm in the pose
+    direction_sigma_rad: float  # Of R_F_A; nan without it
+    roll_sigma_rad: float  # Of R_F_A; nan without it
+    motion: ArmCalibration | None  # What the motion of the same recording gave; None where it gave nothing
+    recovery: Recovery | None  # The recording solved without the pose; None where that failed
+    why_not: str = ""  # Why there is no R_F_A, "" where there is
 
 
 def calibrate_forearm(
@@ -296,28 +227,7 @@ def calibrate_forearm(
     strap_to_wrist_m: float | None = None,
     config: Config | None = None,
 ) -> ForearmCalibration:
-    """Calibrate one mounting of the IMU from a held pose, and solve the same recording's motion beside it.
-
-    Parameters
-    ----------
-    recording : Recording
-        With shoulder, elbow and wrist; with `strap` where an image showed it.
-    from_s, to_s : float, s, optional
-        The pose's times on the camera's clock, after the recording's origin; None to find it.
-    radius_m, strap_to_wrist_m : float, m, optional
-        Measured by ruler, where the strap is not seen.
-    config : Config, optional
-        Settings; the defaults where None.
-
-    Returns
-    -------
-    found : ForearmCalibration
-
-    Raises
-    ------
-    CalibrationError
-        There is no held pose.
-    """
+    """Calibrate one mounting of the IMU from a held pose, and solve the same recording's motion beside it."""
     pose = find_held_pose(recording, from_s, to_s)
     recovery, why_not = _solve(recording, pose, config)
     if recovery is not None and from_s is None:

@@ -23,21 +23,11 @@ _CELLS = 100
 
 @dataclass(frozen=True)
 class Coverage:
-    """What was covered of the sphere.
+    """What was covered of the sphere."""
 
-    Attributes
-    ----------
-    hole_rad : float, rad
-        Radius of the largest cap without a direction in it.
-    towards : ndarray, shape (3,)
-        Unit vector, the middle of that cap.
-    share : float
-        Part of the sphere's 100 cells that contain a direction, 0 to 1.
-    """
-
-    hole_rad: float
-    towards: FloatArray
-    share: float
+    hole_rad: float  # Radius of the largest cap without a direction in it
+    towards: FloatArray  # (3,): unit vector, the middle of that cap
+    share: float  # Part of the sphere's 100 cells that contain a direction, 0 to 1
 
 
 def cover(direction: FloatArray) -> Coverage:
@@ -93,26 +83,14 @@ SAME_POSE_RAD = np.radians(8.0)
 
 @dataclass(frozen=True)
 class Rests:
-    """Times in which a sensor lay still.
+    """Times in which a sensor lay still."""
 
-    Attributes
-    ----------
-    ranges : ndarray, shape (n, 2)
-        First sample of each, and the one after the last.
-    acc, gyro : ndarray, shape (n, 3)
-        Means, m/s^2 and rad/s.
-    acc_sigma, gyro_sigma : ndarray, shape (3,)
-        Standard deviation of a sample at rest.
-    pose : ndarray, shape (n,)
-        Number of the pose; rests in the same direction share one.
-    """
-
-    ranges: np.ndarray
-    acc: FloatArray
-    gyro: FloatArray
-    acc_sigma: FloatArray
-    gyro_sigma: FloatArray
-    pose: np.ndarray
+    ranges: np.ndarray  # (n, 2): first sample of each, and the one after the last
+    acc: FloatArray  # (n, 3): means, m/s^2 and rad/s
+    gyro: FloatArray  # (n, 3): means, m/s^2 and rad/s
+    acc_sigma: FloatArray  # (3,): standard deviation of a sample at rest
+    gyro_sigma: FloatArray  # (3,): standard deviation of a sample at rest
+    pose: np.ndarray  # (n,): number of the pose; rests in the same direction share one
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -134,12 +112,7 @@ class Rests:
 
 
 def find_rests(imu: ImuStream) -> Rests:
-    """All rests of a stream.
-
-    A sample is at rest when accelerometer and gyroscope vary little around it, measured against the
-    quietest part of the same recording, and their means do not creep. A rest is cut at pauses of the
-    stream, and its ends, where the hand lets go, are left out.
-    """
+    """All rests of a stream."""
     rate = imu.rate_hz
     width = max(round(LOOK_S * rate), 5) | 1
     if len(imu) < 2 * width:
@@ -247,38 +220,17 @@ _DIRECTIONS = 400
 
 @dataclass(frozen=True)
 class AccelerometerCalibration:
-    """corrected = matrix @ (raw - offset), m/s^2.
+    """corrected = matrix @ (raw - offset), m/s^2."""
 
-    Attributes
-    ----------
-    offset : ndarray, shape (3,), m/s^2
-    matrix : ndarray, shape (3, 3)
-        Symmetric.
-    covariance : ndarray, shape (9, 9)
-        Of offset and the matrix' upper triangle (xx, xy, xz, yy, yz, zz).
-    poses : int
-        Different directions that gravity was seen from.
-    residual : ndarray, shape (n,), m/s^2
-        Corrected length less gravity, a rest each.
-    sigma : float, m/s^2
-        Root mean square over all directions of the corrected length's standard deviation.
-    worst_sigma : float, m/s^2
-        Its largest.
-    worst_direction : ndarray, shape (3,)
-        Where that is.
-    remarks : tuple of str
-        What is worth a word, one sentence each.
-    """
-
-    offset: FloatArray
-    matrix: FloatArray
-    covariance: FloatArray
-    poses: int
-    residual: FloatArray
-    sigma: float
-    worst_sigma: float
-    worst_direction: FloatArray
-    remarks: tuple[str, ...] = ()
+    offset: FloatArray  # (3,) m/s^2
+    matrix: FloatArray  # (3, 3): symmetric
+    covariance: FloatArray  # (9, 9): of offset and the matrix' upper triangle (xx, xy, xz, yy, yz, zz)
+    poses: int  # Different directions that gravity was seen from
+    residual: FloatArray  # (n,) m/s^2: corrected length less gravity, a rest each
+    sigma: float  # m/s^2: root mean square over all directions of the corrected length's standard deviation
+    worst_sigma: float  # m/s^2: its largest
+    worst_direction: FloatArray  # (3,): Where that is
+    remarks: tuple[str, ...] = ()  # What is worth a word, one sentence each
 
     @property
     def rms(self) -> float:
@@ -291,22 +243,7 @@ class AccelerometerCalibration:
 
 
 def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibration:
-    """Fit offset and matrix to the rests' means.
-
-    Parameters
-    ----------
-    gravity : float, m/s^2
-
-    Returns
-    -------
-    AccelerometerCalibration
-
-    Raises
-    ------
-    CalibrationError
-        There are fewer than nine different poses, or they leave a direction open; the text says
-        which pose to add.
-    """
+    """Fit offset and matrix to the rests' means."""
     if rests.poses < FEWEST_POSES:
         raise CalibrationError(
             f"{_poses_words(rests)}; at least {FEWEST_POSES} poses are needed, better twelve: lay the sensor"

@@ -21,18 +21,7 @@ GOOD_SIGMA = 0.005
 
 
 def imu_answer(calibration: ImuCalibration) -> Answer:
-    """Accelerometer and gyroscope in the form that every calibration answers in.
-
-    Parameters
-    ----------
-    calibration : ImuCalibration
-        See `calibrate_imu`.
-
-    Returns
-    -------
-    answer : Answer
-        Its table is `imu.NAME`.
-    """
+    """Accelerometer and gyroscope in the form that every calibration answers in."""
     acc, gyro, tables = calibration.accelerometer, calibration.gyroscope, calibration.tables()
     sentences, remarks = imu_verdict(calibration), acc.remarks if acc is not None else ()
     estimate, sigma = {"gyroscope_offset": gyro.offset}, {"gyroscope_offset": gyro.sigma}
@@ -82,20 +71,7 @@ def imu_answer(calibration: ImuCalibration) -> Answer:
 
 
 def magnetometer_answer(calibration: MagnetometerCalibration, imu_name: str) -> Answer:
-    """Hard and soft iron in the form that every calibration answers in.
-
-    Parameters
-    ----------
-    calibration : MagnetometerCalibration
-        See `calibrate_magnetometer`.
-    imu_name : str
-        Of the stream.
-
-    Returns
-    -------
-    answer : Answer
-        Its table is `imu.NAME.magnetometer`.
-    """
+    """Hard and soft iron in the form that every calibration answers in."""
     sentences = magnetometer_verdict(calibration)
     table = {
         "offset": calibration.offset.tolist(),

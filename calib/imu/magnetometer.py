@@ -42,33 +42,15 @@ STRAY_SHARE = 0.005
 
 @dataclass(frozen=True)
 class MagnetometerCalibration:
-    """corrected = matrix @ (raw - offset), of length 1 where the field is the local one.
+    """corrected = matrix @ (raw - offset), of length 1 where the field is the local one."""
 
-    Attributes
-    ----------
-    offset : ndarray, shape (3,)
-        Hard iron, in the sensor's unit.
-    matrix : ndarray, shape (3, 3)
-        Symmetric, one over the sensor's unit.
-    residual : float
-        Root mean square departure of the corrected length from 1.
-    radii : ndarray, shape (3,)
-        The ellipsoid's radii, in the sensor's unit, ascending.
-    samples : int
-        How many were used.
-    coverage : Coverage
-        Of the sphere by the corrected samples.
-    remarks : tuple of str
-        What is worth a word, one sentence each.
-    """
-
-    offset: FloatArray
-    matrix: FloatArray
-    residual: float
-    radii: FloatArray
-    samples: int
-    coverage: Coverage
-    remarks: tuple[str, ...] = ()
+    offset: FloatArray  # (3,): hard iron, in the sensor's unit
+    matrix: FloatArray  # (3, 3): symmetric, one over the sensor's unit
+    residual: float  # Root mean square departure of the corrected length from 1
+    radii: FloatArray  # (3,): the ellipsoid's radii, in the sensor's unit, ascending
+    samples: int  # How many were used
+    coverage: Coverage  # Of the sphere by the corrected samples
+    remarks: tuple[str, ...] = ()  # What is worth a word, one sentence each
 
     def apply(self, raw: FloatArray) -> FloatArray:
         """Corrected samples (N, 3) of raw ones (N, 3)."""
@@ -76,14 +58,7 @@ class MagnetometerCalibration:
 
 
 def calibrate_magnetometer(raw: FloatArray) -> MagnetometerCalibration:
-    """Fit the ellipsoid to raw samples (N, 3), in any unit.
-
-    Raises
-    ------
-    CalibrationError
-        There are too few samples, they do not lie on an ellipsoid, or they leave a part of the
-        sphere open (a rotation about one axis); the message states what to record.
-    """
+    """Fit the ellipsoid to raw samples (N, 3), in any unit."""
     samples = raw[np.isfinite(raw).all(axis=1)]
     if len(samples) < FEWEST_SAMPLES:
         raise CalibrationError(
@@ -129,11 +104,6 @@ def fit_ellipsoid(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Linear least squares on the nine coefficients of
     a x^2 + b y^2 + c z^2 + 2 d yz + 2 e xz + 2 f xy + 2 g x + 2 h y + 2 i z = 1 (Petrov 2009).
-
-    Raises
-    ------
-    CalibrationError
-        The surface that fits best is not an ellipsoid.
     """
     x, y, z = points.T
     design = np.stack([x * x, y * y, z * z, 2 * y * z, 2 * x * z, 2 * x * y, 2 * x, 2 * y, 2 * z], axis=1)

@@ -18,25 +18,13 @@ from ..file import CalibrationFile
 
 @dataclass(frozen=True)
 class SensorCalibration:
-    """Corrections of one sensor; None where not measured.
+    """Corrections of one sensor; None where not measured."""
 
-    Attributes
-    ----------
-    accelerometer : tuple of ndarray, optional
-        Offset (3,) and matrix (3, 3).
-    gyroscope : ndarray, optional
-        Offset (3,).
-    magnetometer : tuple of ndarray, optional
-        Offset (3,) and matrix (3, 3).
-    accelerometer_density, gyroscope_density : float, optional
-        White noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz).
-    """
-
-    accelerometer: tuple[FloatArray, FloatArray] | None = None
-    gyroscope: FloatArray | None = None
-    magnetometer: tuple[FloatArray, FloatArray] | None = None
-    accelerometer_density: float | None = None
-    gyroscope_density: float | None = None
+    accelerometer: tuple[FloatArray, FloatArray] | None = None  # Offset (3,) and matrix (3, 3)
+    gyroscope: FloatArray | None = None  # Offset (3,)
+    magnetometer: tuple[FloatArray, FloatArray] | None = None  # Offset (3,) and matrix (3, 3)
+    accelerometer_density: float | None = None  # White noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz)
+    gyroscope_density: float | None = None  # White noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz)
 
     def apply(self, imu: ImuStream) -> ImuStream:
         """The corrected stream."""
@@ -72,13 +60,7 @@ def sensor_name(topic: str) -> str:
 
 
 def sensor_of(file: CalibrationFile, topic: str) -> SensorCalibration | None:
-    """The calibration of a stream's sensor; None where the file has none of that name.
-
-    Raises
-    ------
-    CalibrationError
-        A value of its table is not what it should be.
-    """
+    """The calibration of a stream's sensor; None where the file has none of that name."""
     held = sensors_in(file).get(sensor_name(topic))
     if held is None:
         return None
@@ -145,21 +127,7 @@ _SAMPLES = 65536
 
 
 def corrected(recording: Recording, calibration: CalibrationFile, store: Store | None = None) -> Recording:
-    """The recording with its IMUs corrected where the file has their calibration, and a note of it.
-
-    Parameters
-    ----------
-    recording : Recording
-        As read.
-    calibration : CalibrationFile
-        Its tables `imu` are looked at.
-    store : Store, optional
-        Where the corrected samples are stored; in memory where None.
-
-    Returns
-    -------
-    recording : Recording
-    """
+    """The recording with its IMUs corrected where the file has their calibration, and a note of it."""
     store = store or Store()
     imu, notes = _corrected(recording.imu, calibration, store)
     base = recording.base_imu
@@ -186,20 +154,7 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
 
 
 def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tuple[list[ImuStream], bool]:
-    """Streams of one IMU corrected by the file's values, and whether its accelerometer is known.
-
-    Parameters
-    ----------
-    streams : sequence of ImuStream
-        One per pose; one that is there several times is corrected once and stays one.
-    file : CalibrationFile
-        Its tables `imu` are looked at.
-
-    Returns
-    -------
-    streams : list of ImuStream
-    accelerometer_known : bool
-    """
+    """Streams of one IMU corrected by the file's values, and whether its accelerometer is known."""
     sensor = sensor_of(file, streams[0].name)
     if sensor is None:
         return list(streams), False

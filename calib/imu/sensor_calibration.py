@@ -30,30 +30,14 @@ _SEEN = 0.25
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """One triaxial sensor at rest; per axis (3,), in SI: x is m/s^2 or rad/s.
+    """One triaxial sensor at rest; per axis (3,), in SI: x is m/s^2 or rad/s."""
 
-    Attributes
-    ----------
-    tau_s : ndarray, shape (k,), s
-        Averaging times.
-    deviation : ndarray, shape (k, 3)
-        Allan deviation, x.
-    density : ndarray, shape (3,)
-        White noise N, x/sqrt(Hz).
-    instability : ndarray, shape (3,)
-        Bias instability B, x; nan where the rest was too short to show it.
-    walk : ndarray, shape (3,)
-        Random walk K, x/sqrt(s); nan likewise.
-    duration_s : float, s
-        Of the rest.
-    """
-
-    tau_s: FloatArray
-    deviation: FloatArray
-    density: FloatArray
-    instability: FloatArray
-    walk: FloatArray
-    duration_s: float
+    tau_s: FloatArray  # (k,) s: averaging times
+    deviation: FloatArray  # (k, 3): allan deviation, x
+    density: FloatArray  # (3,): white noise N, x/sqrt(Hz)
+    instability: FloatArray  # (3,): bias instability B, x; nan where the rest was too short to show it
+    walk: FloatArray  # (3,): random walk K, x/sqrt(s); nan likewise
+    duration_s: float  # Of the rest
 
 
 def allan_noise(samples: FloatArray, rate_hz: float) -> SensorNoise | None:
@@ -113,23 +97,12 @@ _LARGEST_BIAS = np.radians(15.0)
 
 @dataclass(frozen=True)
 class GyroscopeCalibration:
-    """corrected = raw - offset, rad/s.
+    """corrected = raw - offset, rad/s."""
 
-    Attributes
-    ----------
-    offset : ndarray, shape (3,), rad/s
-    sigma : ndarray, shape (3,)
-        Its standard deviation, rad/s.
-    samples : int
-        How many it is the mean of.
-    rule : str
-        "rest" (mean of still samples) or "running" (mean of stable pairs: some tenths of a degree/s).
-    """
-
-    offset: FloatArray
-    sigma: FloatArray
-    samples: int
-    rule: str
+    offset: FloatArray  # (3,) rad/s
+    sigma: FloatArray  # (3,): its standard deviation, rad/s
+    samples: int  # How many it is the mean of
+    rule: str  # "rest" (mean of still samples) or "running" (mean of stable pairs: some tenths of a degree/s)
 
     def apply(self, raw: FloatArray) -> FloatArray:
         """Corrected samples (N, 3) of raw ones (N, 3), rad/s."""
@@ -137,13 +110,7 @@ class GyroscopeCalibration:
 
 
 def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
-    """The mean of the still samples (Le et al.); without 200 of them the running rule (`running_bias`).
-
-    Raises
-    ------
-    CalibrationError
-        The sensor was never still.
-    """
+    """The mean of the still samples (Le et al.); without 200 of them the running rule (`running_bias`)."""
     if rests.samples >= STILL_SAMPLES:
         length = (rests.ranges[:, 1] - rests.ranges[:, 0]).astype(float)
         offset = np.average(rests.gyro, axis=0, weights=length)
@@ -163,19 +130,8 @@ def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
     return GyroscopeCalibration(path[-1], sigma, int(stable.sum()), "running")
 
 
-def running_bias(gyro: FloatArray) -> tuple[FloatArray, np.ndarray]:
-    """The slow running mean of Jatesiktat and Ang (II-E.2) after each stable sample.
-
-    Two consecutive samples that differ by less than 3 degrees/s on every axis are treated as a sensor that is
-    considerably stable: the later one goes into the mean, which changes slowly.
-
-    Returns
-    -------
-    path : ndarray, shape (k, 3)
-        The mean after each stable sample, rad/s.
-    stable : ndarray, shape (N - 1,)
-        Which of the samples from the second on are stable.
-    """
+def running_bias(gyro: FloatArray) -> tuple[FloatArray, np.ndarray]:  # -> path (k, 3), stable (N - 1,)
+    """The slow running mean of Jatesiktat and Ang (II-E.2) after each stable sample."""
     stable = np.asarray((np.abs(np.diff(gyro, axis=0)) < STABLE_RAD_S).all(axis=1))
     values = gyro[1:][stable]
     if not len(values):
@@ -202,31 +158,16 @@ LONG_REST_S = 20.0
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """What a recording gave of accelerometer and gyroscope.
+    """What a recording gave of accelerometer and gyroscope."""
 
-    Attributes
-    ----------
-    name : str
-        Of the stream.
-    rests : Rests
-        Where the sensor lay still.
-    gyroscope : GyroscopeCalibration
-        Its bias.
-    accelerometer : AccelerometerCalibration, optional
-        None where the recording is one long rest, which gives the noise only.
-    accelerometer_noise, gyroscope_noise : SensorNoise, optional
-        From the longest rest; None where it is too short.
-    gravity : float, m/s^2
-        That the accelerometer was fitted to.
-    """
-
-    name: str
-    rests: Rests
-    gyroscope: GyroscopeCalibration
+    name: str  # Of the stream
+    rests: Rests  # Where the sensor lay still
+    gyroscope: GyroscopeCalibration  # Its bias
+    # None where the recording is one long rest, which gives the noise only
     accelerometer: AccelerometerCalibration | None
-    accelerometer_noise: SensorNoise | None
-    gyroscope_noise: SensorNoise | None
-    gravity: float = GRAVITY
+    accelerometer_noise: SensorNoise | None  # From the longest rest; None where it is too short
+    gyroscope_noise: SensorNoise | None  # From the longest rest; None where it is too short
+    gravity: float = GRAVITY  # m/s^2: that the accelerometer was fitted to
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """The sensor's tables for the calibration file; plain values."""
@@ -255,25 +196,7 @@ class ImuCalibration:
 
 
 def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
-    """Calibrate accelerometer and gyroscope from a recording of rest poses, or of one long rest.
-
-    Parameters
-    ----------
-    imu : ImuStream
-        As recorded.
-    gravity : float, m/s^2
-        Where the recording was made.
-
-    Returns
-    -------
-    found : ImuCalibration
-        See `imu_answer` for what belongs into a file.
-
-    Raises
-    ------
-    CalibrationError
-        The recording shows neither; the message states what to record.
-    """
+    """Calibrate accelerometer and gyroscope from a recording of rest poses, or of one long rest."""
     rests = find_rests(imu)
     noise: tuple[SensorNoise | None, SensorNoise | None] = (None, None)
     long_rest = False

@@ -39,52 +39,26 @@ from .motion_summary import (
 
 @dataclass(frozen=True)
 class JointError:
-    """Errors of the camera's samples of one joint, m per axis.
+    """Errors of the camera's samples of one joint, m per axis."""
 
-    Attributes
-    ----------
-    sample_m : float, m
-        Standard deviation of one sample.
-    bias_m : float, m
-        Length of the constant error against the other joints, nan where it was not looked for.
-    """
-
-    sample_m: float
+    sample_m: float  # Standard deviation of one sample
+    # Length of the constant error against the other joints, nan where it was not looked for
     bias_m: float = float("nan")
 
 
 @dataclass(frozen=True)
 class ArmEstimates:
-    """What one or several recordings showed of the arm, the sensor and the clocks.
+    """What one or several recordings showed of the arm, the sensor and the clocks."""
 
-    Attributes
-    ----------
-    calibration : ArmCalibration
-        Lever arms and lengths with their sigmas; carries over to other recordings.
-    frame : ForearmFrame, optional
-        The forearm's axes in the IMU with their sigmas, None without elbow and wrist.
-    offsets : tuple of ClockOffset
-        One per recording; never carried over.
-    evidence : Evidence
-        How long the forearm was seen, and how it moved.
-    not_determined : tuple of str
-        What the motion left open, one sentence each.
-    camera : dict of str to JointError
-        Errors of the camera's joints, by name.
-    joint_bias_sigma_m : float, m
-        How large a joint's constant error is, per axis.
-    given : tuple of str
-        What was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`.
-    """
-
-    calibration: ArmCalibration
+    calibration: ArmCalibration  # Lever arms and lengths with their sigmas; carries over to other recordings
+    # The forearm's axes in the IMU with their sigmas, None without elbow and wrist
     frame: ForearmFrame | None
-    offsets: tuple[ClockOffset, ...]
-    evidence: Evidence
-    not_determined: tuple[str, ...]
-    camera: dict[str, JointError] = field(default_factory=dict)
-    joint_bias_sigma_m: float = float("nan")
-    given: tuple[str, ...] = ()
+    offsets: tuple[ClockOffset, ...]  # One per recording; never carried over
+    evidence: Evidence  # How long the forearm was seen, and how it moved
+    not_determined: tuple[str, ...]  # What the motion left open, one sentence each
+    camera: dict[str, JointError] = field(default_factory=dict)  # Errors of the camera's joints, by name
+    joint_bias_sigma_m: float = float("nan")  # How large a joint's constant error is, per axis
+    given: tuple[str, ...] = ()  # What was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`
 
     @property
     def lengths(self) -> dict[str, tuple[float, float]]:
@@ -134,18 +108,7 @@ class ArmEstimates:
 
 
 def motion_answer(estimates: ArmEstimates) -> Answer:
-    """Lever arms, lengths and mounting in the form that every calibration answers in.
-
-    Parameters
-    ----------
-    estimates : ArmEstimates
-        See `calibrate_motion`.
-
-    Returns
-    -------
-    answer : Answer
-        Its table contains the arm alone: clock offsets belong to their recordings.
-    """
+    """Lever arms, lengths and mounting in the form that every calibration answers in."""
     arm = estimates.calibration
     levers = {f"lever_arm_{joint}": lever for joint, lever in arm.lever_arms.items()}
     estimate: dict[str, Any] = {name: lever.position_m for name, lever in levers.items()}
@@ -191,19 +154,7 @@ def with_given(recovery: Recovery, calibration: ArmCalibration | None) -> Recove
 
 
 def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstimates | None:
-    """What a recovery found; None for methods that need no calibration, or that find no orientation.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Its `estimates.given` names what was given beforehand (`names_given`); nothing is said of that.
-    recording : Recording, optional
-        What it was made of; shows how far the clock wandered.
-
-    Returns
-    -------
-    estimates : ArmEstimates or None
-    """
+    """What a recovery found; None for methods that need no calibration, or that find no orientation."""
     arm = recovery.calibration
     if arm is None or not any(np.isfinite(batch.quaternion).any() for batch in recovery.batches()):
         return None
@@ -257,41 +208,15 @@ ALONE_S = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class MotionCalibration(ArmEstimates):
-    """What the recordings showed, and what it was solved from.
+    """What the recordings showed, and what it was solved from."""
 
-    Attributes
-    ----------
-    self_calibration : SelfCalibration
-        All that was solved for together, clocks included.
-    """
-
-    self_calibration: SelfCalibration
+    self_calibration: SelfCalibration  # All that was solved for together, clocks included
 
 
 def calibrate_motion(
     recordings: Sequence[Recording], known: ArmCalibration | None = None, config: Config | None = None
 ) -> MotionCalibration:
-    """Calibrate one mounting of the IMU on one arm from visible motion, over all recordings together.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Of one person, arm and mounting; each keeps a clock offset and gravity of its own.
-    known : ArmCalibration, optional
-        What is measured already, a prior with its sigmas.
-    config : Config, optional
-        Settings; the defaults where None.
-
-    Returns
-    -------
-    found : MotionCalibration
-        See `motion_answer` for what belongs into a file.
-
-    Raises
-    ------
-    CalibrationError
-        No recording shows the forearm together with the IMU, or they are of different arms or mountings.
-    """
+    """Calibrate one mounting of the IMU on one arm from visible motion, over all recordings together."""
     from ..sigma_factor import (  # with SciPy, which `smooth` does not need
         hidden_gap_factors,
         short_recordings,
@@ -369,18 +294,7 @@ def _require_one_mounting(
 
 
 def mountings(alone: dict[str, ArmCalibration]) -> list[list[str]]:
-    """Recordings whose lever arms agree, as groups.
-
-    Parameters
-    ----------
-    alone : dict of str to ArmCalibration
-        By recording what it gives alone.
-
-    Returns
-    -------
-    groups : list of list of str
-        The best determined recording of a group leads it; those that fit several are in the first.
-    """
+    """Recordings whose lever arms agree, as groups."""
     groups: list[list[str]] = []
     for name in sorted(alone, key=lambda name: _worst_sigma_m(alone[name])):
         for group in groups:

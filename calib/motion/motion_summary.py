@@ -22,59 +22,26 @@ AXIAL_S = 10.0
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the camera saw, and how the forearm moved meanwhile.
+    """What the camera saw, and how the forearm moved meanwhile."""
 
-    Attributes
-    ----------
-    visible_s : float, s
-        Time with the forearm visible.
-    frames : dict of str to int
-        Accepted samples by joint; `upper_arm` counts frames with shoulder and elbow.
-    turning_rad_s : float, rad/s
-        Rms of the IMU's angular velocity in that time; nan without any.
-    axial_rad : float, rad
-        How far the forearm turned about its own axis within 10 s of it, at best; nan where its direction
-        is not known.
-    """
-
-    visible_s: float
-    frames: dict[str, int]
-    turning_rad_s: float
-    axial_rad: float
+    visible_s: float  # Time with the forearm visible
+    frames: dict[str, int]  # Accepted samples by joint; `upper_arm` counts frames with shoulder and elbow
+    turning_rad_s: float  # Rms of the IMU's angular velocity in that time; nan without any
+    axial_rad: float  # How far the forearm turned about its own axis within 10 s of it, at best
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """A recording's clock offset, t_imu = t_camera + offset; it belongs to that recording alone.
-
-    Attributes
-    ----------
-    recording : str
-        Its name.
-    offset_s, sigma_s : float, s
-        Mean offset and its standard deviation; nan where the recording showed nothing.
-    drift_s : float, s
-        How far the offset wandered.
-    """
+    """A recording's clock offset, t_imu = t_camera + offset; it belongs to that recording alone."""
 
     recording: str
-    offset_s: float = float("nan")
-    sigma_s: float = float("nan")
-    drift_s: float = float("nan")
+    offset_s: float = float("nan")  # Mean offset and its standard deviation
+    sigma_s: float = float("nan")  # Mean offset and its standard deviation
+    drift_s: float = float("nan")  # How far the offset wandered
 
 
-def gather(segments: Sequence[Segment], direction: FloatArray | None) -> Evidence:
-    """The evidence of the segments of one or several recordings.
-
-    Parameters
-    ----------
-    direction : ndarray, shape (3,), optional
-        Unit vector elbow to wrist in {A}, or None where it is not known.
-
-    Returns
-    -------
-    Evidence
-    """
+def gather(segments: Sequence[Segment], direction: FloatArray | None) -> Evidence:  # direction (3,)
+    """The evidence of the segments of one or several recordings."""
     frames = {joint: sum(_count(segment, joint) for segment in segments) for joint in JOINTS}
     frames["upper_arm"] = sum(_count(segment, "shoulder", "elbow") for segment in segments)
     square, time, axial = 0.0, 0.0, 0.0
@@ -130,10 +97,7 @@ def _turns(recovery: Recovery) -> tuple[FloatArray, BoolArray]:
 
 
 def _turn_between(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Rotation vectors (n, 3) of conj(before) * after, quaternions (n, 4) with qw first.
-
-    A fifth of the time that scipy's `Rotation` takes for it, which counts where every sample is asked.
-    """
+    """Rotation vectors (n, 3) of conj(before) * after, quaternions (n, 4) with qw first."""
     w0, w1, v0, v1 = before[:, 0], after[:, 0], before[:, 1:], after[:, 1:]
     w = w0 * w1 + np.einsum("ni,ni->n", v0, v1)
     v = w0[:, None] * v1 - w1[:, None] * v0 - np.cross(v0, v1)
@@ -216,26 +180,7 @@ def not_determined(
     known: ArmCalibration,
     joint_bias_m: float = 0.0,
 ) -> list[str]:
-    """What the motion left open, one sentence each, the causes first.
-
-    Parameters
-    ----------
-    calibration : ArmCalibration
-        What was found, `R_F_A` included.
-    frame : ForearmFrame, optional
-        The forearm's axes, None without both lever arms.
-    evidence : Evidence
-        What the recordings showed.
-    known : ArmCalibration
-        What was given beforehand; nothing is said of it.
-    joint_bias_m : float, m
-        Constant error of the camera's joints, per axis, a part of every sigma; it is named once, as it is no
-        fault of the motion.
-
-    Returns
-    -------
-    sentences : list of str
-    """
+    """What the motion left open, one sentence each, the causes first."""
     if is_point(evidence):
         return _causes(evidence, "sensor")
     return [
@@ -249,19 +194,7 @@ def not_determined(
 
 
 def motion_verdict(calibration: ArmCalibration, left_open: Sequence[str]) -> Verdict:
-    """How well the arm is known now, and what to record next.
-
-    Parameters
-    ----------
-    calibration : ArmCalibration
-        What was found.
-    left_open : sequence of str
-        See `not_determined`.
-
-    Returns
-    -------
-    verdict : Verdict
-    """
+    """How well the arm is known now, and what to record next."""
     if not calibration.lever_arms:
         return Verdict("not good enough", "no lever arm was found", (), (MOVE,))
     worst_m = max(float(np.max(lever.sigma_m)) for lever in calibration.lever_arms.values())

@@ -25,23 +25,11 @@ ON_A_LINE_M = 0.01
 
 @dataclass(frozen=True)
 class Panel:
-    """A flat panel with four markers in the shape of an L.
+    """A flat panel with four markers in the shape of an L."""
 
-    The panel frame {P}: x along the longer arm, y along the shorter, z = x cross y towards the camera.
-
-    Attributes
-    ----------
-    markers_P : ndarray, shape (4, 2), m
-        The first is the corner of the L, the origin.
-    extent_P : ndarray, shape (2, 2), m
-        Lower and upper corner of the panel.
-    height_m : float, m
-        Of the markers' centres above the panel; 0 for flat ones.
-    """
-
-    markers_P: FloatArray
-    extent_P: FloatArray
-    height_m: float = 0.0
+    markers_P: FloatArray  # (4, 2) m: the first is the corner of the L, the origin
+    extent_P: FloatArray  # (2, 2) m: lower and upper corner of the panel
+    height_m: float = 0.0  # Of the markers' centres above the panel; 0 for flat ones
 
     @property
     def size_m(self) -> float:
@@ -95,22 +83,7 @@ class _LensSection(_Section):
 
 
 def read_panel(path: str | os.PathLike[str]) -> Panel:
-    """Read the table `[panel]` of a TOML file: `markers`, `extent` and, if any, `marker_height` (m).
-
-    Parameters
-    ----------
-    path : path-like
-        The TOML file.
-
-    Returns
-    -------
-    panel : Panel
-
-    Raises
-    ------
-    CalibrationError
-        The file or a key is missing, or the markers are not four in the shape of an L.
-    """
+    """Read the table `[panel]` of a TOML file: `markers`, `extent` and, if any, `marker_height` (m)."""
     document = _load(Path(path))
     if not isinstance(document.get("panel"), dict):
         raise CalibrationError(f"{path} has no table [panel] with markers and extent.")
@@ -119,22 +92,7 @@ def read_panel(path: str | os.PathLike[str]) -> Panel:
 
 
 def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
-    """Read a lens from TOML: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3].
-
-    Parameters
-    ----------
-    path : path-like
-        The TOML file.
-
-    Returns
-    -------
-    lens : Intrinsics
-
-    Raises
-    ------
-    CalibrationError
-        The file or a key is missing, or a value is wrong.
-    """
+    """Read a lens from TOML: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]."""
     table = _load(Path(path))
     if is_no_pinhole(table):
         raise CalibrationError(
@@ -188,24 +146,7 @@ class Frame:
 def frame_of_points(
     points_K: FloatArray, along_x: BoolArray, along_y: BoolArray, about_R: FloatArray
 ) -> Frame | None:
-    """The panel in the camera by principal components, as published (JA II-F.1).
-
-    First component of the points along x and along y, third component of all of them; the origin is where
-    the two lines come nearest to each other.
-
-    Parameters
-    ----------
-    points_K : ndarray, shape (N, 3), m
-        Those of the plane group.
-    along_x, along_y : ndarray of bool, shape (N,)
-        Those of the strips along the arms.
-    about_R : ndarray, shape (3, 3)
-        The axes roughly, for the components' signs.
-
-    Returns
-    -------
-    The axes; None where a group has too few points.
-    """
+    """The panel in the camera by principal components, as published (JA II-F.1)."""
     if min(along_x.sum(), along_y.sum()) < FEWEST:
         return None
     centre_x, axes_x = principal(points_K[along_x])

@@ -30,15 +30,7 @@ _ORDERS = np.array(list(permutations(range(4))))
 
 
 class NotSeen(CalibrationError):
-    """The panel was not found in a view.
-
-    Attributes
-    ----------
-    final : bool
-        More spots, at a lower threshold, would not help.
-    view, blobs : View and Blobs, optional
-        What was looked at, for a picture; None where the camera is not to blame.
-    """
+    """The panel was not found in a view."""
 
     def __init__(self, text: str, final: bool = False):
         super().__init__(text)
@@ -69,53 +61,17 @@ class DepthMissing(NotSeen):
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read four points as the panel's markers.
+    """One way to read four points as the panel's markers."""
 
-    Attributes
-    ----------
-    index : tuple of int
-        (4,) which point is which marker.
-    misfit_m : float, m
-        Rms of the distances' differences, after `scale`.
-    scale : float
-        Distances over the panel's.
-    """
-
-    index: tuple[int, ...]
-    misfit_m: float
-    scale: float
+    index: tuple[int, ...]  # (4,) which point is which marker
+    misfit_m: float  # Rms of the distances' differences, after `scale`
+    scale: float  # Distances over the panel's
 
 
 def identify_spots(
     blobs: Blobs, depth_m: FloatArray, rays: FloatArray, panel: Panel, name: str
 ) -> tuple[Reading, FloatArray]:
-    """The spots that are the panel's markers.
-
-    Every set of four spots is put on the plane of the depth between them; the distances of the four points
-    identify each marker, and that the panel faces the camera leaves its mirror image out.
-
-    Parameters
-    ----------
-    blobs : Blobs
-        Bright spots.
-    depth_m : ndarray, shape (height, width), m
-        nan where there is none.
-    rays : ndarray, shape (height, width, 2)
-        Of every pixel, undistorted.
-    name : str
-        Of the view, for messages.
-
-    Returns
-    -------
-    Which spot is which marker, and the spots' places on their plane, (4, 3) m.
-
-    Raises
-    ------
-    NotIdentified
-        Fewer than four spots, none or several ways to read them.
-    MirrorImage, EdgeOn, DepthMissing
-        The definition is mirrored, the panel is seen too flat, the depth between the spots is missing.
-    """
+    """The spots that are the panel's markers."""
     if len(blobs) < 4:
         count = ("no bright spot is", "one bright spot is", "two bright spots are", "three bright spots are")
         raise NotIdentified(
@@ -152,23 +108,8 @@ def identify_spots(
     return best, places[row][where]
 
 
-def identify_markers(markers_E: FloatArray, panel: Panel, name: str) -> Reading:
-    """The mocap markers that are the panel's.
-
-    Parameters
-    ----------
-    markers_E : ndarray, shape (M, 3), m
-        In the mocap frame, M >= 4.
-
-    Returns
-    -------
-    Reading
-
-    Raises
-    ------
-    NotIdentified
-        Fewer than four markers, or none or several ways fit the panel.
-    """
+def identify_markers(markers_E: FloatArray, panel: Panel, name: str) -> Reading:  # markers_E (M, 3) m
+    """The mocap markers that are the panel's."""
     if len(markers_E) < 4:
         raise NotIdentified(f"{name}: {len(markers_E)} mocap markers were given and the panel has four.")
     if len(markers_E) > 40:

@@ -25,26 +25,11 @@ _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 
-def unpacked(packed: bytes, others: bool = False) -> NDArray:
-    """The pixels of an image, by OpenCV.
-
-    Parameters
-    ----------
-    packed : bytes
-        The file.
-    others : bool
-        Also unpack other formats than PNG and JPEG.
-
-    Returns
-    -------
-    ndarray, shape (height, width) or (height, width, channels)
-        As they are stored.
-
-    Raises
-    ------
-    ValueError
-        It is damaged, or larger than any camera's image.
-    """
+def unpacked(
+    packed: bytes,
+    others: bool = False,
+) -> NDArray:  # (height, width) or (height, width, channels)
+    """The pixels of an image, by OpenCV."""
     # What OpenCV itself holds for too large; it looks at it once, when it unpacks its first image.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     import cv2
@@ -61,24 +46,7 @@ def unpacked(packed: bytes, others: bool = False) -> NDArray:
 
 
 def stated_size(packed: bytes, others: bool = False) -> tuple[int, int]:
-    """Width and height of a PNG or a JPEG.
-
-    Parameters
-    ----------
-    packed : bytes
-        The file.
-    others : bool
-        Pass over images of other formats; their size is zero.
-
-    Returns
-    -------
-    width, height : int
-
-    Raises
-    ------
-    ValueError
-        It is neither, breaks off before it states its size, or is larger than any camera's image.
-    """
+    """Width and height of a PNG or a JPEG."""
     try:
         if packed[: len(_PNG)] == _PNG:
             width, height = struct.unpack_from(">II", packed, 16)
@@ -123,31 +91,15 @@ def _check_chunks(packed: bytes) -> None:
 
 @dataclass(frozen=True)
 class View:
-    """What the camera saw of the panel in one pose.
+    """What the camera saw of the panel in one pose."""
 
-    Attributes
-    ----------
-    depth_m : ndarray, shape (height, width), m
-        z of every pixel, m; nan where the camera has none.
-    infrared : ndarray, shape (height, width)
-        In the image's own unit.
-    name : str
-        What to call it in messages.
-    """
-
-    depth_m: FloatArray
-    infrared: FloatArray
-    name: str = "the view"
+    depth_m: FloatArray  # (height, width) m: z of every pixel, m; nan where the camera has none
+    infrared: FloatArray  # (height, width): in the image's own unit
+    name: str = "the view"  # What to call it in messages
 
 
 def read_view(depth_png: str | os.PathLike[str], infrared_png: str | os.PathLike[str]) -> View:
-    """Read a depth image (16 bit, mm, 0 where there is none) and its infrared image (8 or 16 bit).
-
-    Raises
-    ------
-    CalibrationError
-        A file is missing, is not an image, or the depth is not of 16 bit.
-    """
+    """Read a depth image (16 bit, mm, 0 where there is none) and its infrared image (8 or 16 bit)."""
     depth = _read(depth_png)
     if depth.dtype != np.uint16 or depth.ndim != 2:
         raise CalibrationError(
@@ -167,13 +119,7 @@ def view(depth_mm: NDArray, infrared: NDArray, name: str) -> View:
 
 
 def check_size(seen: View, lens: Intrinsics) -> None:
-    """Refuse images that the lens does not belong to.
-
-    Raises
-    ------
-    CalibrationError
-        Depth, infrared and intrinsics are not of one size.
-    """
+    """Refuse images that the lens does not belong to."""
     for what, image in (("depth", seen.depth_m), ("infrared", seen.infrared)):
         height, width = image.shape
         if (width, height) != (lens.width, lens.height):
@@ -216,46 +162,20 @@ FLOOR_PX = 0.04
 
 @dataclass(frozen=True)
 class Blobs:
-    """Bright spots, the strongest first.
+    """Bright spots, the strongest first."""
 
-    Attributes
-    ----------
-    pixels : ndarray, shape (N, 2)
-        Centroids.
-    rays : ndarray, shape (N, 2)
-        Undistorted, x/z and y/z.
-    sigmas_px : ndarray, shape (N,), pixels
-        Of a centroid, per axis.
-    radii_px : ndarray, shape (N,), pixels
-        Of a disc of the same area.
-    heights : ndarray, shape (N,)
-        Peak over the surroundings.
-    """
-
-    pixels: FloatArray
-    rays: FloatArray
-    sigmas_px: FloatArray
-    radii_px: FloatArray
-    heights: FloatArray
+    pixels: FloatArray  # (N, 2): centroids
+    rays: FloatArray  # (N, 2): undistorted, x/z and y/z
+    sigmas_px: FloatArray  # (N,) pixels: of a centroid, per axis
+    radii_px: FloatArray  # (N,) pixels: of a disc of the same area
+    heights: FloatArray  # (N,): peak over the surroundings
 
     def __len__(self) -> int:
         return len(self.pixels)
 
 
-def find_blobs(infrared: FloatArray, lens: Intrinsics) -> Iterator[Blobs]:
-    """Bright, compact spots at falling thresholds; a level that adds none is passed over.
-
-    Parameters
-    ----------
-    infrared : ndarray, shape (height, width)
-        In any unit.
-    lens : Intrinsics
-        For the undistorted rays.
-
-    Yields
-    ------
-    The spots of a level, at most `MOST`.
-    """
+def find_blobs(infrared: FloatArray, lens: Intrinsics) -> Iterator[Blobs]:  # infrared (height, width)
+    """Bright, compact spots at falling thresholds; a level that adds none is passed over."""
     surroundings = _surroundings(infrared)
     over = infrared - surroundings
     noise = float(robust_sigma(over))
@@ -347,22 +267,12 @@ LEAST_WIDTH = 1024
 SPOT, MARKER, TEXT = (0, 170, 255), (120, 220, 60), (255, 255, 255)
 
 
-def drawn_spots(infrared: FloatArray, blobs: Blobs, markers: tuple[int, ...] = ()) -> bytes:
-    """PNG of the infrared image with every bright spot ringed, the panel's markers numbered from 1.
-
-    Parameters
-    ----------
-    infrared : ndarray, shape (height, width)
-        In any unit.
-    blobs : Blobs
-        All bright spots.
-    markers : tuple of int
-        Which of them are the panel's, in its order; empty where they could not be identified.
-
-    Returns
-    -------
-    bytes
-    """
+def drawn_spots(
+    infrared: FloatArray,  # (height, width)
+    blobs: Blobs,
+    markers: tuple[int, ...] = (),
+) -> bytes:
+    """PNG of the infrared image with every bright spot ringed, the panel's markers numbered from 1."""
     import cv2
 
     factor = max(1, -(-LEAST_WIDTH // infrared.shape[1]))

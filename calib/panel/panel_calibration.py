@@ -36,41 +36,18 @@ LEAST_COVERED = 0.15
 
 @dataclass(frozen=True)
 class SeenPanel:
-    """The panel in one view.
+    """The panel in one view."""
 
-    Attributes
-    ----------
-    blobs : Blobs
-        All bright spots.
-    spots : tuple of int
-        Those of the four markers, in the panel's order.
-    reading : Reading
-        How well their distances fit the panel's.
-    regions, plane : Regions and Plane
-        Its depth pixels and the plane through them.
-    points_K : ndarray, shape (4, 3), m
-        The markers in the camera frame.
-    frame : Frame
-        The panel's axes and {P}'s origin in the camera frame, by markers and plane.
-    published : Frame, optional
-        The same as published, by principal components; its origin is the first marker. None where an arm
-        has too few depth points.
-    tilt_deg : float, degrees
-        Between the panel's normal and the line of sight.
-    distance_m : float, m
-        Of the markers' middle from the camera.
-    """
-
-    blobs: Blobs
-    spots: tuple[int, ...]
-    reading: Reading
-    regions: Regions
-    plane: Plane
-    points_K: FloatArray
-    frame: Frame
-    published: Frame | None
-    tilt_deg: float
-    distance_m: float
+    blobs: Blobs  # All bright spots
+    spots: tuple[int, ...]  # Those of the four markers, in the panel's order
+    reading: Reading  # How well their distances fit the panel's
+    regions: Regions  # Its depth pixels and the plane through them
+    plane: Plane  # Its depth pixels and the plane through them
+    points_K: FloatArray  # (4, 3) m: the markers in the camera frame
+    frame: Frame  # The panel's axes and {P}'s origin in the camera frame, by markers and plane
+    published: Frame | None  # The same as published, by principal components; its origin is the first marker
+    tilt_deg: float  # Between the panel's normal and the line of sight
+    distance_m: float  # Of the markers' middle from the camera
 
     @property
     def pixels(self) -> FloatArray:
@@ -80,34 +57,16 @@ class SeenPanel:
 
 @dataclass(frozen=True)
 class PanelCalibration:
-    """Camera to mocap with the data it is based on.
+    """Camera to mocap with the data it is based on."""
 
-    Attributes
-    ----------
-    solution : PanelSolution
-        The graph's answer.
-    published : Frame, optional
-        Camera from mocap as published (JA eq 4 and 5), the poses' mean; None where no pose has it.
-    seen : tuple of SeenPanel
-        By pose, the panel in the view.
-    markers_E : tuple of ndarray, shape (4, 3), m
-        By pose, the panel's mocap markers.
-    labels : tuple of tuple of str
-        By pose, their names.
-    names : tuple of str
-        Of the poses.
-    panel, lens : Panel and Intrinsics
-        What was known beforehand.
-    """
-
-    solution: PanelSolution
-    published: Frame | None
-    seen: tuple[SeenPanel, ...]
-    markers_E: tuple[FloatArray, ...]
-    labels: tuple[tuple[str, ...], ...]
-    names: tuple[str, ...]
-    panel: Panel
-    lens: Intrinsics
+    solution: PanelSolution  # The graph's answer
+    published: Frame | None  # Camera from mocap as published (JA eq 4 and 5), the poses' mean
+    seen: tuple[SeenPanel, ...]  # By pose, the panel in the view
+    markers_E: tuple[FloatArray, ...]  # (4, 3) m: by pose, the panel's mocap markers
+    labels: tuple[tuple[str, ...], ...]  # By pose, their names
+    names: tuple[str, ...]  # Of the poses
+    panel: Panel  # What was known beforehand
+    lens: Intrinsics  # What was known beforehand
 
 
 def calibrate_panel(
@@ -117,29 +76,7 @@ def calibrate_panel(
     lens: Intrinsics,
     mocap_sigma_m: float = MOCAP_SIGMA_M,
 ) -> PanelCalibration:
-    """Find camera from mocap from views of the panel, each with the mocap markers of the same moment.
-
-    Parameters
-    ----------
-    views : sequence of View
-        One per pose of the panel.
-    markers : sequence of dict of str to ndarray
-        By pose, positions (3,) m in the mocap frame by name; any names, any order.
-    panel, lens : Panel and Intrinsics
-        The panel's definition and the camera's lens.
-    mocap_sigma_m : float, m
-        Noise of a mocap marker, per axis.
-
-    Returns
-    -------
-    PanelCalibration
-
-    Raises
-    ------
-    CalibrationError
-        The panel cannot be found in a view, or its pose cannot be determined; the message gives the reason. A
-        `NotSeen` knows the view and its bright spots, for a picture.
-    """
+    """Find camera from mocap from views of the panel, each with the mocap markers of the same moment."""
     chosen = [choose_markers(each, panel, view.name) for each, view in zip(markers, views, strict=True)]
     seen = [see_panel(view, panel, lens) for view in views]
     markers_E = [
@@ -169,13 +106,7 @@ def calibrate_panel(
 
 
 def see_panel(view: View, panel: Panel, lens: Intrinsics) -> SeenPanel:
-    """Find the panel in a view: spots, which is which, regions, plane, axes.
-
-    Raises
-    ------
-    CalibrationError
-        See `calibrate_panel`.
-    """
+    """Find the panel in a view: spots, which is which, regions, plane, axes."""
     check_size(view, lens)
     blobs, reading, first = _spots(view, panel, lens)
     spots = list(reading.index)

@@ -34,33 +34,15 @@ CLEAR, EXPLAINED = 4.0, 3.0
 
 @dataclass(frozen=True)
 class PoseData:
-    """What one pose of the panel gives; markers in the panel's order.
+    """What one pose of the panel gives; markers in the panel's order."""
 
-    Attributes
-    ----------
-    rays : ndarray, shape (4, 2)
-        Of the markers, undistorted.
-    sigmas : ndarray, shape (4,)
-        Of a ray, per axis.
-    plane : Plane
-        From the depth.
-    markers_E : ndarray, shape (4, 3), m
-        In the mocap frame.
-    sigma_E_m : float, m
-        Of a marker, per axis.
-    height_m : float, m
-        Of the markers over the plane.
-    name : str
-        In messages.
-    """
-
-    rays: FloatArray
-    sigmas: FloatArray
-    plane: Plane
-    markers_E: FloatArray
-    sigma_E_m: float
-    height_m: float = 0.0
-    name: str = ""
+    rays: FloatArray  # (4, 2): of the markers, undistorted
+    sigmas: FloatArray  # (4,): of a ray, per axis
+    plane: Plane  # From the depth
+    markers_E: FloatArray  # (4, 3) m: in the mocap frame
+    sigma_E_m: float  # Of a marker, per axis
+    height_m: float = 0.0  # Of the markers over the plane
+    name: str = ""  # In messages
 
     def points_K(self, offset_m: float = 0.0) -> FloatArray:
         """The markers in the camera frame, (4, 3) m: their rays on the plane raised by their height."""
@@ -76,55 +58,26 @@ class PoseData:
 
 @dataclass(frozen=True)
 class PanelSolution:
-    """The graph's answer.
+    """The graph's answer."""
 
-    Attributes
-    ----------
-    camera_from_mocap : Frame
-        p_K = R p_E + origin.
-    covariance : ndarray, shape (6, 6)
-        Of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m): a point p in {K}
-        errs by v + w x p.
-    depth_offset_m, depth_offset_sigma_m : float, m
-        The camera's depth is this much too long; 0 and inf where it was not solved.
-    offset_apart_m, offset_apart_sigma_m : float, m
-        That error by the markers' spacing alone.
-    ray_residuals : ndarray, shape (poses, 4)
-        Of a marker's ray from where the answer puts the mocap marker; times the focal length in pixels.
-    marker_residuals_m : ndarray, shape (poses, 4), m
-        Distance between a marker in mocap and where the answer puts it.
-    plane_residuals_m : ndarray, shape (poses, 4), m
-        Mocap markers' distances from the depth's plane, signed, away positive.
-    misfit : float
-        Squared residuals over what the stated noise makes expected.
-    residuals : int
-        Number of independent residuals.
-    """
-
-    camera_from_mocap: Frame
+    camera_from_mocap: Frame  # p_K = R p_E + origin
+    # (6, 6): Of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m)
     covariance: FloatArray
-    depth_offset_m: float
-    depth_offset_sigma_m: float
-    offset_apart_m: float
-    offset_apart_sigma_m: float
-    ray_residuals: FloatArray
+    depth_offset_m: float  # The camera's depth is this much too long; 0 and inf where it was not solved
+    depth_offset_sigma_m: float  # The camera's depth is this much too long; 0 and inf where it was not solved
+    offset_apart_m: float  # That error by the markers' spacing alone
+    offset_apart_sigma_m: float  # That error by the markers' spacing alone
+    ray_residuals: FloatArray  # (poses, 4): of a marker's ray from where the answer puts the mocap marker
+    # (poses, 4) m: Distance between a marker in mocap and where the answer puts it
     marker_residuals_m: FloatArray
+    # (poses, 4) m: Mocap markers' distances from the depth's plane, signed, away positive
     plane_residuals_m: FloatArray
-    misfit: float
-    residuals: int
+    misfit: float  # Squared residuals over what the stated noise makes expected
+    residuals: int  # Number of independent residuals
 
 
 def solve(poses: list[PoseData]) -> PanelSolution:
-    """Solve for camera from mocap.
-
-    With one pose the depth's constant error is taken for none, unless the markers' spacing contradicts the
-    depth by more than chance allows and such an error explains all of it; with several it is a variable.
-
-    Raises
-    ------
-    CalibrationError
-        The poses contradict each other so much that there is no answer.
-    """
+    """Solve for camera from mocap."""
     free = _graph_solution(poses, solve_offset=True)
     clear = abs(free.depth_offset_m) > CLEAR * free.depth_offset_sigma_m and free.misfit < EXPLAINED
     answer = free if len(poses) > 1 or clear else _graph_solution(poses, solve_offset=False)
@@ -238,10 +191,7 @@ def _depth_factor(p: int, plane: Plane, solve_offset: bool) -> Any:
 
 
 def _on_plane_factor(p: int, k: int, height_m: float, noise: Any) -> Any:
-    """Signed distance of a marker from the pose's plane, less its height, m.
-
-    A Python factor: four per pose and a few iterations, not a hot path.
-    """
+    """Signed distance of a marker from the pose's plane, less its height, m."""
     import gtsam
 
     def error(this: Any, values: Any, jacobians: Any) -> FloatArray:

@@ -33,26 +33,13 @@ ENOUGH_POSES, ENOUGH_SPREAD_DEG = 4, 15.0
 
 @dataclass(frozen=True)
 class PanelAccuracy:
-    """Standard deviations of the answer.
+    """Standard deviations of the answer."""
 
-    Attributes
-    ----------
-    rotation_deg : ndarray, shape (3,), degrees
-        About the camera's axes.
-    translation_m : ndarray, shape (3,), m
-        Of the mocap's origin in the camera frame.
-    at_panel_m : ndarray, shape (3,), m
-        Of a point in the middle of the panel's places.
-    within_m : float, m
-        Square root of the trace for the worst point `WITHIN_M` away from there.
-    covariance : ndarray, shape (6, 6)
-        Of a small rotation about the camera's axes (rad) and of the translation (m).
-    """
-
-    rotation_deg: FloatArray
-    translation_m: FloatArray
-    at_panel_m: FloatArray
-    within_m: float
+    rotation_deg: FloatArray  # (3,) degrees: about the camera's axes
+    translation_m: FloatArray  # (3,) m: of the mocap's origin in the camera frame
+    at_panel_m: FloatArray  # (3,) m: of a point in the middle of the panel's places
+    within_m: float  # Square root of the trace for the worst point `WITHIN_M` away from there
+    # (6, 6): Of a small rotation about the camera's axes (rad) and of the translation (m)
     covariance: FloatArray
 
 
@@ -211,18 +198,7 @@ NAME = "camera_from_mocap"
 
 
 def panel_answer(calibration: PanelCalibration) -> Answer:
-    """Camera from mocap in the form that every calibration answers in.
-
-    Parameters
-    ----------
-    calibration : PanelCalibration
-        See `calibrate_panel`.
-
-    Returns
-    -------
-    answer : Answer
-        Its table is `camera_from_mocap`.
-    """
+    """Camera from mocap in the form that every calibration answers in."""
     sigma, words, table = accuracy(calibration), verdict(calibration), calibration_table(calibration)
     solution = calibration.solution
     known = bool(np.isfinite(solution.depth_offset_sigma_m))
@@ -245,11 +221,7 @@ def panel_answer(calibration: PanelCalibration) -> Answer:
 
 
 def calibration_table(calibration: PanelCalibration) -> dict[str, Any]:
-    """Plain values of the answer: p_camera = R p_mocap + t, m; camera optical, x right, y down, z forward.
-
-    Sigmas are one standard deviation; the covariance is of a small rotation about the camera's axes (rad) and
-    the translation (m). The published method's answer is beside in `published`.
-    """
+    """Plain values of the answer: p_camera = R p_mocap + t, m; camera optical, x right, y down, z forward."""
     found, said, solution = accuracy(calibration), verdict(calibration), calibration.solution
     table: dict[str, Any] = transform_values(solution.camera_from_mocap)
     table |= {

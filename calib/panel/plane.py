@@ -30,38 +30,17 @@ STEP_M = 0.01
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane in the camera frame {K}.
+    """A plane in the camera frame {K}."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (3,)
-        1/m; points fulfil theta . p = 1.
-    covariance : ndarray, shape (3, 3)
-        Of theta, widened for errors that neighbouring pixels share.
-    offset_rate, offset_curve : ndarray, shape (3,)
-        First and half the second derivative of theta after a constant depth error (m) that is taken off
-        every depth.
-    inliers : ndarray of bool, shape (N,)
-        Pixels that were used.
-    residuals_m : ndarray, shape (N,), m
-        Depth minus the plane's depth.
-    noise_m : float, m
-        Standard deviation of a pixel's depth.
-    share_common : float
-        Factor by which errors shared among neighbours widen sigma.
-    warp_m : float, m
-        How far the depth of the whole panel is bent, rms; a camera that bends a plane tilts it as well.
-    """
-
-    theta: FloatArray
-    covariance: FloatArray
-    offset_rate: FloatArray
-    offset_curve: FloatArray
-    inliers: BoolArray
-    residuals_m: FloatArray
-    noise_m: float
-    share_common: float
-    warp_m: float
+    theta: FloatArray  # (3,): 1/m; points fulfil theta . p = 1
+    covariance: FloatArray  # (3, 3): of theta, widened for errors that neighbouring pixels share
+    offset_rate: FloatArray  # (3,)
+    offset_curve: FloatArray  # (3,)
+    inliers: BoolArray  # bool (N,): pixels that were used
+    residuals_m: FloatArray  # (N,) m: depth minus the plane's depth
+    noise_m: float  # Standard deviation of a pixel's depth
+    share_common: float  # Factor by which errors shared among neighbours widen sigma
+    warp_m: float  # How far the depth of the whole panel is bent, rms
 
     @property
     def normal(self) -> FloatArray:
@@ -79,33 +58,13 @@ def on_plane(theta: FloatArray, rays: FloatArray) -> FloatArray:
     return full / (full @ theta)[..., None]
 
 
-def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: str = "the view") -> Plane:
-    """Fit a plane to depth pixels, most of which lie on it.
-
-    Least median of squares over random triples, then least squares on what lies near, twice. Sigma is that of
-    the pixels' noise, widened by what the means of blocks of neighbouring pixels scatter more than
-    independent pixels would.
-
-    Parameters
-    ----------
-    pixels : ndarray, shape (N, 2)
-        Whole pixels, for neighbourhood.
-    rays : ndarray, shape (N, 2)
-        Undistorted.
-    depth_m : ndarray, shape (N,), m
-        All finite.
-    what : str
-        Name of the view in messages.
-
-    Returns
-    -------
-    Plane
-
-    Raises
-    ------
-    CalibrationError
-        Too few pixels, or they do not lie on a plane.
-    """
+def fit_plane(
+    pixels: FloatArray,  # (N, 2)
+    rays: FloatArray,  # (N, 2)
+    depth_m: FloatArray,  # (N,) m
+    what: str = "the view",
+) -> Plane:
+    """Fit a plane to depth pixels, most of which lie on it."""
     if len(depth_m) < FEWEST:
         raise CalibrationError(
             f"{what}: depth is missing under the panel ({len(depth_m)} pixels have one); see that the camera"
@@ -240,52 +199,26 @@ STRIP_M = 0.03
 
 @dataclass(frozen=True)
 class Regions:
-    """Depth pixels of the panel.
+    """Depth pixels of the panel."""
 
-    Attributes
-    ----------
-    pixels : ndarray, shape (N, 2)
-        Whole pixels of the plane group.
-    rays : ndarray, shape (N, 2)
-        Theirs, undistorted.
-    depth_m : ndarray, shape (N,), m
-        Theirs.
-    panel_P : ndarray, shape (N, 2), m
-        Where they are on the panel by the first pose.
-    along_x, along_y : ndarray of bool, shape (N,)
-        Those of the strips.
-    covered : float
-        Share of the panel's usable pixels that have a depth.
-    cell_m : float, m
-        Two pixels on the panel.
-    """
-
-    pixels: FloatArray
-    rays: FloatArray
-    depth_m: FloatArray
-    panel_P: FloatArray
-    along_x: BoolArray
-    along_y: BoolArray
-    covered: float
-    cell_m: float
+    pixels: FloatArray  # (N, 2): whole pixels of the plane group
+    rays: FloatArray  # (N, 2): theirs, undistorted
+    depth_m: FloatArray  # (N,) m: theirs
+    panel_P: FloatArray  # (N, 2) m: Where they are on the panel by the first pose
+    along_x: BoolArray  # bool (N,): those of the strips
+    along_y: BoolArray  # bool (N,): those of the strips
+    covered: float  # Share of the panel's usable pixels that have a depth
+    cell_m: float  # Two pixels on the panel
 
 
-def panel_regions(depth_m: FloatArray, lens: Intrinsics, blobs: Blobs, panel: Panel, frame: Frame) -> Regions:
-    """Choose the panel's depth pixels, away from its rim and from every bright spot.
-
-    Parameters
-    ----------
-    depth_m : ndarray, shape (height, width), m
-        nan where there is none.
-    blobs : Blobs
-        All bright spots, the panel's or not.
-    frame : Frame
-        The panel in {K}; good to some millimetres.
-
-    Returns
-    -------
-    Regions
-    """
+def panel_regions(
+    depth_m: FloatArray,  # (height, width) m
+    lens: Intrinsics,
+    blobs: Blobs,
+    panel: Panel,
+    frame: Frame,
+) -> Regions:
+    """Choose the panel's depth pixels, away from its rim and from every bright spot."""
     v, u, xy = _panel_pixels(lens, panel, frame)
     pixels = np.column_stack([u, v]).astype(np.float64)
     # metres that a pixel covers on the panel, in its worse direction
@@ -333,11 +266,7 @@ def _panel_pixels(lens: Intrinsics, panel: Panel, frame: Frame) -> tuple[FloatAr
 
 
 def regions_on_plane(regions: Regions, inliers: BoolArray, panel: Panel) -> Regions:
-    """The same with strips of pixels that lie on the plane, alike to both sides of the arm's line.
-
-    Where a pixel is missing (a marker, a hand), the one across the line is left out too: else the principal
-    component would turn towards it.
-    """
+    """The same with strips of pixels that lie on the plane, alike to both sides of the arm's line."""
     strips = []
     for axis, strip in enumerate((regions.along_x, regions.along_y)):
         chosen = strip & inliers

@@ -29,69 +29,26 @@ _PAUSE_S = 0.1
 
 @dataclass(frozen=True)
 class Rest:
-    """Means over a time in which an IMU rests.
+    """Means over a time in which an IMU rests."""
 
-    Attributes
-    ----------
-    t_s : float, s
-        The pose's time.
-    acc : ndarray, shape (3,), m/s^2
-        Mean, about +9.81 upwards.
-    acc_sigma : ndarray, shape (3,), m/s^2
-        Of that mean.
-    gyro : ndarray, shape (3,), rad/s
-        The gyroscope's bias.
-    mag : ndarray, shape (3,), optional
-        In the sensor's unit, or None.
-    length_s : float, s
-        How long it rested.
-    """
-
-    t_s: float
-    acc: FloatArray
-    acc_sigma: FloatArray
-    gyro: FloatArray
-    mag: FloatArray | None
-    length_s: float
+    t_s: float  # The pose's time
+    acc: FloatArray  # (3,) m/s^2: mean, about +9.81 upwards
+    acc_sigma: FloatArray  # (3,) m/s^2: of that mean
+    gyro: FloatArray  # (3,) rad/s: the gyroscope's bias
+    mag: FloatArray | None  # (3,): in the sensor's unit, or None
+    length_s: float  # How long it rested
 
 
 @dataclass(frozen=True)
 class Turn:
-    """A rotation from one pose to the next by the gyroscope.
+    """A rotation from one pose to the next by the gyroscope."""
 
-    Attributes
-    ----------
-    R : ndarray, shape (3, 3)
-        Maps the later axes of the IMU to the earlier ones.
-    sigma_rad : float, rad
-        An axis.
-    """
-
-    R: FloatArray
-    sigma_rad: float
+    R: FloatArray  # (3, 3): maps the later axes of the IMU to the earlier ones
+    sigma_rad: float  # An axis
 
 
 def rest_at(imu: ImuStream, t_s: float, pose: str, what: str) -> Rest:
-    """Mean readings of an IMU while a pose is held.
-
-    Parameters
-    ----------
-    imu : ImuStream
-        Its samples; the whole session, or those of the pose.
-    t_s : float, s
-        Time of the pose's images on the IMU's clock (to some tenths of a second).
-    pose, what : str
-        Names of the pose and of the IMU for messages.
-
-    Returns
-    -------
-    Rest
-
-    Raises
-    ------
-    CalibrationError
-        The IMU has no samples there, or moves.
-    """
+    """Mean readings of an IMU while a pose is held."""
     near = np.flatnonzero(np.abs(imu.t_s - t_s) <= REACH_S)
     if len(near) < 5:
         raise CalibrationError(
@@ -181,29 +138,15 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class WorldPose:
-    """One pose of the panel, as camera and IMUs know it.
+    """One pose of the panel, as camera and IMUs know it."""
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    R_K_P : ndarray, shape (3, 3)
-        The panel in the camera, from its images.
-    covariance : ndarray, shape (3, 3)
-        Of its rotation vector, rad^2 in {K}.
-    panel, base : Rest
-        The IMUs at rest.
-    panel_turn, base_turn : Turn, optional
-        Their rotation since the pose before, or None.
-    """
-
-    name: str
-    R_K_P: FloatArray
-    covariance: FloatArray
-    panel: Rest
-    base: Rest
-    panel_turn: Turn | None = None
-    base_turn: Turn | None = None
+    name: str  # For messages
+    R_K_P: FloatArray  # (3, 3): the panel in the camera, from its images
+    covariance: FloatArray  # (3, 3): of its rotation vector, rad^2 in {K}
+    panel: Rest  # The IMUs at rest
+    base: Rest  # The IMUs at rest
+    panel_turn: Turn | None = None  # Their rotation since the pose before, or None
+    base_turn: Turn | None = None  # Their rotation since the pose before, or None
 
     @property
     def has_north(self) -> bool:
@@ -213,24 +156,13 @@ class WorldPose:
 
 @dataclass(frozen=True)
 class Attitudes:
-    """The unknowns.
+    """The unknowns."""
 
-    Attributes
-    ----------
-    R_K_B, R_P_I : Rotation
-        Camera from base IMU, panel from its IMU.
-    R_W_B, R_W_I : Rotation
-        The IMUs in the world (z up), one per pose.
-    rest : ndarray, shape (14,)
-        Biases: accelerometers of base and panel (m/s^2), magnetometers of both (shares of the field),
-        magnetic dip at both (rad).
-    """
-
-    R_K_B: Rotation
-    R_P_I: Rotation
-    R_W_B: Rotation
-    R_W_I: Rotation
-    rest: FloatArray
+    R_K_B: Rotation  # Camera from base IMU, panel from its IMU
+    R_P_I: Rotation  # Camera from base IMU, panel from its IMU
+    R_W_B: Rotation  # The IMUs in the world (z up), one per pose
+    R_W_I: Rotation  # The IMUs in the world (z up), one per pose
+    rest: FloatArray  # (14,): biases
 
     def moved(self, step: FloatArray) -> Attitudes:
         """Rotated by small angles: `R_K_B` in {K}, the others in their own axes."""
@@ -246,11 +178,7 @@ class Attitudes:
 
 
 class Problem:
-    """Residuals over their sigmas, and their derivatives, at any attitudes.
-
-    Rows: camera, base IMU, panel IMU (three each) of every pose, then fields, turns, what is known before.
-    Columns: `R_K_B` in {K}, `R_P_I`, then `R_W_B` and `R_W_I` of every pose in their own axes, the biases.
-    """
+    """Residuals over their sigmas, and their derivatives, at any attitudes."""
 
     def __init__(
         self,

@@ -34,32 +34,7 @@ def calibrate_world_from_views(
     lens: Intrinsics,
     file: CalibrationFile | None = None,
 ) -> WorldCalibration:
-    """Camera from base IMU from images of the panel and the IMUs' samples (JA II-F.2).
-
-    Parameters
-    ----------
-    views : sequence of View
-        Depth and infrared image, one pair a pose.
-    t_s : sequence of float, s
-        Time of each pair on the IMUs' clock.
-    panel_imu, base_imu : sequence of ImuStream
-        One per pose; the same stream for every pose of a session that was recorded in one go.
-    panel : Panel
-        Its markers and outline.
-    lens : Intrinsics
-        Of the depth camera.
-    file : CalibrationFile, optional
-        What is known of the IMUs (`[imu.NAME]`) is taken off first.
-
-    Returns
-    -------
-    found : WorldCalibration
-
-    Raises
-    ------
-    CalibrationError
-        The panel cannot be found in a view, the IMUs rest in no pose, or the poses contradict each other.
-    """
+    """Camera from base IMU from images of the panel and the IMUs' samples (JA II-F.2)."""
     file = file or CalibrationFile()
     panel_imu, panel_known = corrected_streams(panel_imu, file)
     base_imu, base_known = corrected_streams(base_imu, file)
@@ -71,13 +46,7 @@ def calibrate_world_from_views(
 
 
 def common_time(panel_imu: ImuStream, base_imu: ImuStream) -> float:
-    """The middle of the time in which both IMUs were recorded, s: when a pose of its own was held.
-
-    Raises
-    ------
-    CalibrationError
-        They do not overlap.
-    """
+    """The middle of the time in which both IMUs were recorded, s: when a pose of its own was held."""
     first, last = max(panel_imu.t_s[0], base_imu.t_s[0]), min(panel_imu.t_s[-1], base_imu.t_s[-1])
     if last <= first:
         raise CalibrationError("the IMUs' samples do not overlap in time")
@@ -85,37 +54,13 @@ def common_time(panel_imu: ImuStream, base_imu: ImuStream) -> float:
 
 
 def view_panel(view: View, t_s: float, panel: Panel, lens: Intrinsics) -> PanelView:
-    """Find the panel in a pair of images.
-
-    Parameters
-    ----------
-    view : View
-        Depth and infrared image.
-    t_s : float, s
-        Time of the images on the IMUs' clock.
-    panel : Panel
-        Its markers and outline.
-    lens : Intrinsics
-        Of the camera.
-
-    Returns
-    -------
-    seen : PanelView
-
-    Raises
-    ------
-    CalibrationError
-        See `see_panel`.
-    """
+    """Find the panel in a pair of images."""
     seen = see_panel(view, panel, lens)
     return PanelView(view.name, t_s, seen.frame.R, rotation_covariance(seen, lens))
 
 
 def rotation_covariance(seen: SeenPanel, lens: Intrinsics) -> FloatArray:
-    """Covariance (3, 3) of the panel's rotation vector, rad^2 in {K}.
-
-    The plane gives the tilt, n = theta / |theta|; the markers' pixels tell the turn about n.
-    """
+    """Covariance (3, 3) of the panel's rotation vector, rad^2 in {K}."""
     theta = seen.plane.theta
     size = float(np.linalg.norm(theta))
     n = theta / size

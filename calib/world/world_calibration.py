@@ -27,21 +27,7 @@ _DIP_RAD = 0.8
 
 
 def first_guesses(poses: list[WorldPose], lined_up: bool) -> list[Attitudes]:
-    """Start values, the likeliest first; the right one is good to some degrees.
-
-    Gravity (and the magnetic field) is one direction seen in {B} and, through the panel, in {I}: given the
-    mounting, Wahba's problem gives `R_K_B`; given that, another gives the mounting. In turn, from every way
-    that an IMU can be lined up with a panel. Few poses may have several answers: all that differ are given.
-
-    Parameters
-    ----------
-    lined_up : bool
-        The panel's IMU was lined up with the panel's axes, so that only that start is tried.
-
-    Returns
-    -------
-    list of Attitudes
-    """
+    """Start values, the likeliest first; the right one is good to some degrees."""
     pairs = _Pairs(poses)
     if lined_up:
         return [_attitudes(poses, pairs, np.eye(3))]
@@ -141,51 +127,23 @@ _SMALL = 1e-8
 
 @dataclass(frozen=True)
 class WorldSolution:
-    """Attitudes and how well they are known.
+    """Attitudes and how well they are known."""
 
-    Attributes
-    ----------
-    at : Attitudes
-        The solution.
-    covariance : ndarray, shape (9, 9)
-        Of `R_K_B` in {K} (rad), the base accelerometer's bias (m/s^2), `R_P_I` in {I} (rad).
-    camera_rad : ndarray, shape (n, 3), rad
-        What is left of `R_K_P`, in {K}.
-    worst_sigma : ndarray, shape (n,)
-        The largest misfit of a pose in sigmas.
-    cost : float
-        Sum of squares of all misfits.
-    """
-
-    at: Attitudes
+    at: Attitudes  # The solution
+    # (9, 9): Of `R_K_B` in {K} (rad), the base accelerometer's bias (m/s^2), `R_P_I` in {I} (rad)
     covariance: FloatArray
-    camera_rad: FloatArray
-    worst_sigma: FloatArray
-    cost: float
+    camera_rad: FloatArray  # (n, 3) rad: what is left of `R_K_P`, in {K}
+    worst_sigma: FloatArray  # (n,): the largest misfit of a pose in sigmas
+    cost: float  # Sum of squares of all misfits
 
 
 def solve(
     poses: list[WorldPose],
     start: Attitudes,
     mounting_sigma_rad: float | None,
-    bias_m_s2: float = BIAS_M_S2,
+    bias_m_s2: float = BIAS_M_S2,  # m/s^2
 ) -> WorldSolution:
-    """Solve the chain over all poses, by Gauss and Newton with Levenberg's damping.
-
-    Parameters
-    ----------
-    start : Attitudes
-        See `first_guesses`.
-    mounting_sigma_rad : float, rad, optional
-        How far `R_P_I` may lie from no rotation at all: the IMU was lined up with the panel by eye. None
-        where the poses alone decide.
-    bias_m_s2 : float, m/s^2
-        Sigma of the accelerometers' biases, per axis.
-
-    Returns
-    -------
-    WorldSolution
-    """
+    """Solve the chain over all poses, by Gauss and Newton with Levenberg's damping."""
     problem = Problem(poses, start, mounting_sigma_rad, bias_m_s2)
     at, damping = start, 1e-6
     misfit, jacobian = problem.linearise(at)
@@ -221,26 +179,13 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class WorldCalibration:
-    """Camera from base IMU, and the data it is based on.
+    """Camera from base IMU, and the data it is based on."""
 
-    Attributes
-    ----------
-    solution : WorldSolution
-        Rotations with covariance.
-    poses : tuple of WorldPose
-        Those that were used.
-    by_eye : bool
-        The poses did not give the mounting of the panel's IMU: it was taken as lined up by eye.
-    notes : tuple of str
-        What was left out, and why.
-    accelerometer_corrected : bool
-        The base IMU's accelerometer was corrected by a calibration of its own before.
-    """
-
-    solution: WorldSolution
-    poses: tuple[WorldPose, ...]
-    by_eye: bool
-    notes: tuple[str, ...]
+    solution: WorldSolution  # Rotations with covariance
+    poses: tuple[WorldPose, ...]  # Those that were used
+    by_eye: bool  # The poses did not give the mounting of the panel's IMU: it was taken as lined up by eye
+    notes: tuple[str, ...]  # What was left out, and why
+    # The base IMU's accelerometer was corrected by a calibration of its own before
     accelerometer_corrected: bool = False
 
     @property
@@ -256,50 +201,18 @@ class WorldCalibration:
 
 @dataclass(frozen=True)
 class PanelView:
-    """The panel in the camera in one pose.
+    """The panel in the camera in one pose."""
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    t_s : float, s
-        Time of the images on the IMUs' clock.
-    R_K_P : ndarray, shape (3, 3)
-        Panel axes to camera axes.
-    covariance : ndarray, shape (3, 3), rad^2
-        Of its rotation vector in {K}.
-    """
-
-    name: str
-    t_s: float
-    R_K_P: FloatArray
-    covariance: FloatArray
+    name: str  # For messages
+    t_s: float  # Time of the images on the IMUs' clock
+    R_K_P: FloatArray  # (3, 3): panel axes to camera axes
+    covariance: FloatArray  # (3, 3) rad^2: of its rotation vector in {K}
 
 
 def world_poses(
     views: Sequence[PanelView], panel: Sequence[ImuStream], base: Sequence[ImuStream]
 ) -> tuple[list[WorldPose], list[str]]:
-    """Each pose as measured by camera and IMUs; poses in which an IMU moves are left out, with a note.
-
-    Parameters
-    ----------
-    views : sequence of PanelView
-        One per pose.
-    panel, base : sequence of ImuStream
-        The IMUs' samples, one per pose. The same stream for every pose where the session was recorded in one
-        go: then the gyroscopes link the poses.
-
-    Returns
-    -------
-    poses : list of WorldPose
-    notes : list of str
-        What was left out, and why.
-
-    Raises
-    ------
-    CalibrationError
-        In no pose both IMUs rest.
-    """
+    """Each pose as measured by camera and IMUs; poses in which an IMU moves are left out, with a note."""
     poses: list[WorldPose] = []
     notes: list[str] = []
     last = -1
@@ -329,29 +242,7 @@ def world_poses(
 def calibrate_world(
     poses: Sequence[WorldPose], notes: Sequence[str] = (), bias_m_s2: float = BIAS_M_S2
 ) -> WorldCalibration:
-    """Find `R_K_B`, and how the panel's IMU sits on the panel.
-
-    From few poses, or poses that are alike, the mounting is taken as lined up by eye: the paper's way.
-
-    Parameters
-    ----------
-    poses : sequence of WorldPose
-        See `world_poses`.
-    notes : sequence of str
-        What happened before.
-    bias_m_s2 : float, m/s^2
-        Sigma of the accelerometers' biases, per axis.
-
-    Returns
-    -------
-    found : WorldCalibration
-        See `world_answer` for what belongs into a file.
-
-    Raises
-    ------
-    CalibrationError
-        The poses contradict each other.
-    """
+    """Find `R_K_B`, and how the panel's IMU sits on the panel."""
     kept, sentences = list(poses), list(notes)
     while True:
         solution, by_eye = _solve(kept, bias_m_s2)
@@ -388,22 +279,12 @@ def _solve(poses: list[WorldPose], bias_m_s2: float) -> tuple[WorldSolution, boo
     return solve(poses, first_guesses(poses, lined_up=True)[0], BY_EYE_RAD, bias_m_s2), True
 
 
-def tilt_covariance(R_K_B: FloatArray, covariance: FloatArray, acc: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of down in {K} (rad^2 across it) for a reading of the base accelerometer.
-
-    Parameters
-    ----------
-    R_K_B : ndarray, shape (3, 3)
-        Base IMU axes to camera axes.
-    covariance : ndarray, shape (6, 6)
-        Of `R_K_B` in {K} (rad) and of the accelerometer's bias (m/s^2).
-    acc : ndarray, shape (3,), m/s^2
-        Bias taken off.
-
-    Returns
-    -------
-    covariance : ndarray, shape (3, 3), rad^2
-    """
+def tilt_covariance(
+    R_K_B: FloatArray,  # (3, 3)
+    covariance: FloatArray,  # (6, 6)
+    acc: FloatArray,  # (3,) m/s^2
+) -> FloatArray:  # (3, 3) rad^2
+    """Covariance (3, 3) of down in {K} (rad^2 across it) for a reading of the base accelerometer."""
     size = float(np.linalg.norm(acc))
     up = acc / size
     slope = np.hstack([-skew(R_K_B @ up), -R_K_B @ (np.eye(3) - np.outer(up, up)) / size])

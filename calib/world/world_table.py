@@ -25,27 +25,14 @@ FREE_DEG = 15.0
 
 @dataclass(frozen=True)
 class WorldAccuracy:
-    """Standard deviations, degrees.
+    """Standard deviations, degrees."""
 
-    Attributes
-    ----------
-    rotation_deg : ndarray, shape (3,), degrees
-        Of camera from base IMU about the camera's axes.
-    tilt_deg : float, degrees
-        Of down in the camera, per axis, for a camera placed as in the poses (the worst of them).
-    heading_deg : float, degrees
-        Of the turn between camera and base IMU about the vertical.
-    mounting_deg : ndarray, shape (3,), degrees
-        Of the panel's IMU on the panel, about the IMU's axes.
-    off_deg : float, degrees
-        How far that mounting is from lined up.
-    """
-
-    rotation_deg: FloatArray
+    rotation_deg: FloatArray  # (3,) degrees: of camera from base IMU about the camera's axes
+    # Of down in the camera, per axis, for a camera placed as in the poses (the worst of them)
     tilt_deg: float
-    heading_deg: float
-    mounting_deg: FloatArray
-    off_deg: float
+    heading_deg: float  # Of the turn between camera and base IMU about the vertical
+    mounting_deg: FloatArray  # (3,) degrees: of the panel's IMU on the panel, about the IMU's axes
+    off_deg: float  # How far that mounting is from lined up
 
     @property
     def heading_free(self) -> bool:
@@ -138,39 +125,17 @@ NAME = "camera_from_base"
 
 @dataclass(frozen=True)
 class CameraFromBase:
-    """The base IMU on the camera, as a calibration file has it.
+    """The base IMU on the camera, as a calibration file has it."""
 
-    Attributes
-    ----------
-    R_K_B : ndarray, shape (3, 3)
-        Base IMU axes to camera axes; camera optical, x right, y down, z forward.
-    accelerometer_bias : ndarray, shape (3,), m/s^2
-        In {B}.
-    covariance : ndarray, shape (6, 6)
-        Of a small rotation in {K} (rad), and of the bias (m/s^2).
-    accelerometer_corrected : bool
-        The base IMU's own calibration (`[imu.base]`) was taken off before.
-    """
-
-    R_K_B: FloatArray
-    accelerometer_bias: FloatArray
-    covariance: FloatArray
+    R_K_B: FloatArray  # (3, 3): base IMU axes to camera axes; camera optical, x right, y down, z forward
+    accelerometer_bias: FloatArray  # (3,) m/s^2: in {B}
+    covariance: FloatArray  # (6, 6): of a small rotation in {K} (rad), and of the bias (m/s^2)
+    # The base IMU's own calibration (`[imu.base]`) was taken off before
     accelerometer_corrected: bool = False
 
 
 def world_answer(calibration: WorldCalibration) -> Answer:
-    """Camera from base IMU in the form that every calibration answers in.
-
-    Parameters
-    ----------
-    calibration : WorldCalibration
-        See `calibrate_world`.
-
-    Returns
-    -------
-    answer : Answer
-        Its tables are `camera_from_base`, `panel_from_imu` and `world`.
-    """
+    """Camera from base IMU in the form that every calibration answers in."""
     sigma, words, tables = accuracy(calibration), verdict(calibration), calibration_tables(calibration)
     heading = ("the heading between camera and base IMU",) if sigma.heading_free else ()
     mounting = ("how the IMU sits on the panel",) if calibration.by_eye else ()
@@ -238,23 +203,7 @@ def pose_rows(calibration: WorldCalibration) -> list[dict[str, Any]]:
 
 
 def read_table(file: CalibrationFile) -> CameraFromBase | None:
-    """The base IMU on the camera.
-
-    Parameters
-    ----------
-    file : CalibrationFile
-        As read from disk.
-
-    Returns
-    -------
-    table : CameraFromBase or None
-        None where the file does not say.
-
-    Raises
-    ------
-    CalibrationError
-        The table is there, and a value of it is wrong.
-    """
+    """The base IMU on the camera."""
     table = file.tables.get(NAME)
     if table is None:
         return None
@@ -297,16 +246,7 @@ _FROM_OPTICAL = {CameraFrame.OPTICAL: np.eye(3), CameraFrame.KINECT: np.diag([-1
 
 
 def with_gravity(recording: Recording, file: CalibrationFile) -> Recording:
-    """The recording with down in the camera from its base IMU, where both know it.
-
-    `gravity_hint` and `gravity_sigma_rad` are set, with a note. Without a base IMU or without
-    `[camera_from_base]` the recording is given back as it is.
-
-    Raises
-    ------
-    CalibrationError
-        `[camera_from_base]` cannot be used.
-    """
+    """The recording with down in the camera from its base IMU, where both know it."""
     known = read_table(file)
     if known is None or recording.base_imu is None or len(recording.base_imu) == 0:
         return recording

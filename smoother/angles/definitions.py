@@ -10,25 +10,12 @@ UPRIGHT = "the trunk upright and facing the camera"
 
 @dataclass(frozen=True)
 class JointAngle:
-    """A joint angle, as all outputs name it.
+    """A joint angle, as all outputs name it."""
 
-    Attributes
-    ----------
-    name : str
-        Its columns are `NAME_deg` and `NAME_sigma_deg`.
-    title : str
-        For pages and plots.
-    meaning : str
-        What it is, its zero and the direction in which it grows; the column's description.
-    isb : str
-        Section of Wu et al., J Biomech 38:981-992 (2005), and which turn of its sequence it is. The mirror
-        image of a left arm is measured.
-    """
-
-    name: str
-    title: str
-    meaning: str
-    isb: str
+    name: str  # Its columns are `NAME_deg` and `NAME_sigma_deg`
+    title: str  # For pages and plots
+    meaning: str  # What it is, its zero and the direction in which it grows; the column's description
+    isb: str  # Section of Wu et al., J Biomech 38:981-992 (2005), and which turn of its sequence it is
 
     @property
     def column(self) -> str:

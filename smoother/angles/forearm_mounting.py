@@ -28,42 +28,17 @@ _CALIBRATE = "`unocclude calibrate forearm` measures it, `smooth --calibration` 
 
 @dataclass(frozen=True)
 class ForearmMounting:
-    """The forearm's anatomical axes in the IMU's.
+    """The forearm's anatomical axes in the IMU's."""
 
-    Attributes
-    ----------
-    R_F_A : ndarray, shape (3, 3), or None
-        Maps IMU axes to forearm axes (y elbow to wrist, x to the back of the hand); None where not known.
-    roll_sigma_deg : float, degrees
-        About the forearm, constant over the recording.
-    reason : str
-        Why it is not known, a sentence; "" where it is.
-    estimated : bool
-        From the motion, not from a calibration.
-    """
-
+    # (3, 3): Maps IMU axes to forearm axes (y elbow to wrist, x to the back of the hand)
     R_F_A: FloatArray | None
-    roll_sigma_deg: float = float("nan")
-    reason: str = ""
-    estimated: bool = False
+    roll_sigma_deg: float = float("nan")  # About the forearm, constant over the recording
+    reason: str = ""  # Why it is not known, a sentence; "" where it is
+    estimated: bool = False  # From the motion, not from a calibration
 
 
 def forearm_mounting(arm: MovingArm) -> ForearmMounting:
-    """The mounting as it was calibrated, else from the motion where that shows it.
-
-    The motion shows the turn of the elbow's axis about the forearm, which is pronation but for a constant.
-    The constant lies where all that was seen fits between a forearm's limits: the farther the forearm turned,
-    the less is left open (evenly likely, `LEAST_DEG` to `MOST_DEG`).
-
-    Parameters
-    ----------
-    arm : MovingArm
-        The whole recording.
-
-    Returns
-    -------
-    mounting : ForearmMounting
-    """
+    """The mounting as it was calibrated, else from the motion where that shows it."""
     calibration = arm.calibration
     if calibration is not None and calibration.R_F_A is not None:
         return ForearmMounting(calibration.R_F_A, CALIBRATED_DEG)

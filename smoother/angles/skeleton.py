@@ -43,43 +43,21 @@ MOST_SIGMA_DEG = 180.0
 _NO_PLANE = 1e-12
 
 
-def skeleton_angles(arm: MovingArm, mounting: ForearmMounting) -> tuple[Angles, Angles]:
-    """The angles of an arm as its joints and the forearm's IMU have them, the trunk upright.
-
-    Parameters
-    ----------
-    arm : MovingArm
-        Of N samples.
-    mounting : ForearmMounting
-        Of the whole recording.
-
-    Returns
-    -------
-    angles, sigmas : dict of str to ndarray, shape (N,), deg
-        By the names in `JOINT_ANGLES` but for those against the trunk. nan where not known; near a hanging
-        or upright arm plane and rotation are hardly determined, near a straight elbow rotation and pronation:
-        sigma grows there to 180 degrees, which means that the angle is unknown.
-    """
+def skeleton_angles(
+    arm: MovingArm,
+    mounting: ForearmMounting,
+) -> tuple[Angles, Angles]:  # angles dict of (N,) deg, sigmas dict of (N,) deg
+    """The angles of an arm as its joints and the forearm's IMU have them, the trunk upright."""
     names = [angle.name for angle in (*SHOULDER, PRONATION)]
     values, sigmas = _with_sigma(arm, mounting, names, None, None)
     return values, sigmas | {ELBOW_FLEXION.name: elbow_flexion_sigma(arm)}
 
 
-def skeleton_trunk_angles(arm: MovingArm, mounting: ForearmMounting) -> tuple[Angles, Angles]:
-    """The shoulder's angles against the thorax, by the joints.
-
-    Parameters
-    ----------
-    arm : MovingArm
-        Of N samples, with the trunk's motion.
-    mounting : ForearmMounting
-        Of the whole recording.
-
-    Returns
-    -------
-    angles, sigmas : dict of str to ndarray, shape (N,), deg
-        By the names of the angles against the trunk; sigma includes the trunk's orientation and its mounting.
-    """
+def skeleton_trunk_angles(
+    arm: MovingArm,
+    mounting: ForearmMounting,
+) -> tuple[Angles, Angles]:  # angles dict of (N,) deg, sigmas dict of (N,) deg
+    """The shoulder's angles against the thorax, by the joints."""
     trunk = arm.trunk
     if trunk is None:
         nothing = {angle.name: np.full(len(arm), np.nan) for angle in SHOULDER_TRUNK}
@@ -97,18 +75,7 @@ def skeleton_trunk_angles(arm: MovingArm, mounting: ForearmMounting) -> tuple[An
 def widened_elevation(
     elevation_deg: FloatArray, sigma_deg: FloatArray, plane_sigma_deg: FloatArray
 ) -> FloatArray:
-    """Sigma (N,) of an elevation with what it has of the error across it, degrees.
-
-    Elevation has no sign: near a hanging (or upright) arm any error across the plane lengthens it,
-    by half its square over the elevation, and by itself at most.
-
-    Parameters
-    ----------
-    elevation_deg, sigma_deg : ndarray, shape (N,), deg
-        As linearised.
-    plane_sigma_deg : ndarray, shape (N,), deg
-        Of the plane of elevation, not limited.
-    """
+    """Sigma (N,) of an elevation with what it has of the error across it, degrees."""
     sine = np.maximum(np.abs(np.sin(np.radians(elevation_deg))), _NO_PLANE)
     across = np.minimum(np.radians(plane_sigma_deg) * sine, 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -117,10 +84,7 @@ def widened_elevation(
 
 
 def direction_variance(arm: MovingArm) -> float:
-    """How far the forearm's direction may be off in the IMU's axes, rad^2 per axis.
-
-    By the lever arms of elbow and wrist without what both have in common, and by strap and skin.
-    """
+    """How far the forearm's direction may be off in the IMU's axes, rad^2 per axis."""
     calibration = arm.calibration
     levers = {} if calibration is None else calibration.lever_arms
     if "elbow" not in levers or "wrist" not in levers:
@@ -196,18 +160,8 @@ def _values(
 
 def _slopes(
     upper: FloatArray, fore: FloatArray, down: FloatArray, R_K_T: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of the angles of a right arm; those of a left one are these or their negatives.
-
-    With u and v the unit vectors from elbow to shoulder and from wrist to elbow, Y the thorax's up, and
-    z = u x v / |u x v| the axis that the elbow bends about. A turn of the forearm moves v and z.
-
-    Returns
-    -------
-    apart, forearm : ndarray, shape (N, 3, 4)
-        Of plane, elevation, rotation and pronation by the shoulder's place against the elbow's, rad/m in
-        {K}, and by a turn of the forearm, rad/rad.
-    """
+) -> tuple[FloatArray, FloatArray]:  # apart (N, 3, 4), forearm (N, 3, 4)
+    """Derivatives of the angles of a right arm; those of a left one are these or their negatives."""
     T = np.full((3, 3), np.nan) if R_K_T is None else R_K_T
     if R_K_T is None and np.isfinite(down).all():
         T = torso_axes(down)

@@ -23,25 +23,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class AngleTable:
-    """Joint angles sample by sample, in degrees.
+    """Joint angles sample by sample, in degrees."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (N,), s
-        As in the recovery.
-    angles : tuple of JointAngle
-        Its rows, in the order of columns.
-    values, sigmas : dict of str to ndarray, shape (N,), deg
-        By the angles' names: the angle in (-180, 180], and one standard deviation; nan where not known.
-    reasons : dict of str to str
-        Why an angle is empty, throughout or in part, or has no row; a sentence by its name.
-    """
-
-    t_s: FloatArray
-    angles: tuple[JointAngle, ...]
-    values: Angles
-    sigmas: Angles
-    reasons: dict[str, str]
+    t_s: FloatArray  # (N,) s: as in the recovery
+    angles: tuple[JointAngle, ...]  # Its rows, in the order of columns
+    values: Angles  # dict of (N,) deg: by the angles' names
+    sigmas: Angles  # dict of (N,) deg: by the angles' names
+    reasons: dict[str, str]  # Why an angle is empty, throughout or in part, or has no row
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -66,50 +54,26 @@ class AngleTable:
         return columns
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """`t_s` and the columns of `to_arrays` as a pandas table.
-
-        Raises
-        ------
-        UnoccludeError
-            pandas is not installed.
-        """
+        """`t_s` and the columns of `to_arrays` as a pandas table."""
         pandas = pandas_module()
         return pandas.DataFrame({"t_s": self.t_s, **self.to_arrays()})
 
 
 @dataclass(frozen=True)
 class _Source:
-    """Angles that are computed together; a sensor on a further segment is one more of these.
+    """Angles that are computed together; a sensor on a further segment is one more of these."""
 
-    Attributes
-    ----------
-    angles : tuple of JointAngle
-        Rows of the table.
-    compute : callable
-        (samples, the recording's mounting) to values and sigmas by name, nan where not known.
-    missing : callable
-        (recording, its mounting, an angle's name) to the reason why it is nowhere known.
-    is_shown : callable
-        Whether a recording has these rows at all.
-    absent : str
-        The reason why not, a sentence; "" where it is obvious.
-    """
-
-    angles: tuple[JointAngle, ...]
+    angles: tuple[JointAngle, ...]  # Rows of the table
+    # (samples, the recording's mounting) to values and sigmas by name, nan where not known
     compute: Callable[[MovingArm, ForearmMounting], tuple[Angles, Angles]]
+    # (recording, its mounting, an angle's name) to the reason why it is nowhere known
     missing: Callable[[MovingArm, ForearmMounting, str], str]
-    is_shown: Callable[[MovingArm], bool] = lambda arm: True
-    absent: str = ""
+    is_shown: Callable[[MovingArm], bool] = lambda arm: True  # Whether a recording has these rows at all
+    absent: str = ""  # The reason why not, a sentence; "" where it is obvious
 
 
 class JointAngles:
-    """Computes the angles of a recording: what is the same in all of it is found once.
-
-    Parameters
-    ----------
-    arm : MovingArm
-        The whole recording.
-    """
+    """Computes the angles of a recording: what is the same in all of it is found once."""
 
     def __init__(self, arm: MovingArm) -> None:
         self._arm = arm
@@ -171,20 +135,7 @@ class JointAngles:
 
 
 def joint_angles(arm: MovingArm) -> AngleTable:
-    """Every joint angle of a recovery with its sigma.
-
-    Parameters
-    ----------
-    arm : MovingArm
-        A `Recovery`.
-
-    Returns
-    -------
-    table : AngleTable
-        Elbow flexion, the shoulder's three angles and pronation always; the shoulder's against the trunk
-        where that is known. Order of turns: Wu et al., J Biomech 38:981-992 (2005), humerus to thorax Y-X-Y,
-        forearm to humerus Z-X-Y.
-    """
+    """Every joint angle of a recovery with its sigma."""
     return JointAngles(arm).table()
 
 

@@ -19,27 +19,11 @@ from .skeleton import Angles
 _STEEP = 0.05
 
 
-def wrist_angles(samples: MovingArm, mounting: ForearmMounting) -> tuple[Angles, Angles]:
-    """Flexion and deviation of the wrist, and their sigmas.
-
-    Of the unit vector d from wrist to hand in the forearm's axes {F} (x to the back of the hand, y elbow to
-    wrist, z to the thumb of a right arm) flexion is atan2(-d_x, d_y) and deviation asin(d_z). Errors of both
-    IMUs' orientations, of the lever arms that d and {F} come from, of the forearm's roll and of soft tissue
-    go through the derivatives of both; they are treated as independent, which overstates what both IMUs
-    share.
-
-    Parameters
-    ----------
-    samples : MovingArm
-        N samples.
-    mounting : ForearmMounting
-        Of the whole recording.
-
-    Returns
-    -------
-    values, sigmas : dict of str to ndarray, shape (N,), deg
-        nan where either IMU has no samples, or the mounting is not known.
-    """
+def wrist_angles(
+    samples: MovingArm,
+    mounting: ForearmMounting,
+) -> tuple[Angles, Angles]:  # values dict of (N,) deg, sigmas dict of (N,) deg
+    """Flexion and deviation of the wrist, and their sigmas."""
     count = len(samples.t_s)
     values, sigmas = ({angle.name: np.full(count, np.nan) for angle in WRIST} for _ in range(2))
     motion, calibration = samples.segments.get(HAND.name), samples.calibration

@@ -41,15 +41,7 @@ _MARKS = str.maketrans(dict.fromkeys(",=#", "_"))
 
 
 class AppError(UnoccludeError):
-    """A request that cannot be met.
-
-    Parameters
-    ----------
-    sentence : str
-        What is wrong, and what to do.
-    status : int
-        Of the answer.
-    """
+    """A request that cannot be met."""
 
     def __init__(self, sentence: str, status: int = 400) -> None:
         super().__init__(sentence)
@@ -58,60 +50,29 @@ class AppError(UnoccludeError):
 
 @dataclass
 class Choices:
-    """What the user chose for a recording.
+    """What the user chose for a recording."""
 
-    Attributes
-    ----------
-    places : dict of str to str
-        Where an IMU is worn (`forearm_right`, ..; "" leaves it to the motion, "-" leaves it out), by
-        `FILE` or `FILE#SENSOR`.
-    left_out : list of str
-        Files that take no part.
-    imu_starts_at_s : float, s, optional
-        When the first IMU sample was taken, after the camera's first frame.
-    side : str
-        "left", "right", or "" for all arms that have an IMU.
-    body : int, optional
-        The person.
-    remedy : str
-        Options that undo a wrong set-up, as `check` proposes them ("--mirror x").
-    video_mirrored : bool
-        The video used as the camera is a mirror image.
-    video_turn : int
-        Its pictures are turned clockwise by this many degrees (0, 90, 180, 270).
-    """
-
-    places: dict[str, str] = field(default_factory=dict)
-    left_out: list[str] = field(default_factory=list)
+    places: dict[str, str] = field(default_factory=dict)  # Where an IMU is worn
+    left_out: list[str] = field(default_factory=list)  # Files that take no part
+    # When the first IMU sample was taken, after the camera's first frame
     imu_starts_at_s: float | None = None
-    side: str = ""
-    body: int | None = None
-    remedy: str = ""
-    video_mirrored: bool = False
-    video_turn: int = 0
+    side: str = ""  # "left", "right", or "" for all arms that have an IMU
+    body: int | None = None  # The person
+    remedy: str = ""  # Options that undo a wrong set-up, as `check` proposes them ("--mirror x")
+    video_mirrored: bool = False  # The video used as the camera is a mirror image
+    video_turn: int = 0  # Its pictures are turned clockwise by this many degrees (0, 90, 180, 270)
 
 
 @dataclass
 class KeptRecording:
-    """What is kept of a recording besides its files.
+    """What is kept of a recording besides its files."""
 
-    Attributes
-    ----------
-    name, person, date, task : str
-        As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it.
-    created_s : float, s
-        Since 1970.
-    revision : int
-        Rises with every change, so that two pages do not overwrite each other's.
-    choices : Choices
-    """
-
-    name: str = ""
-    person: str = ""
-    date: str = ""
-    task: str = ""
-    created_s: float = 0.0
-    revision: int = 0
+    name: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
+    person: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
+    date: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
+    task: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
+    created_s: float = 0.0  # Since 1970
+    revision: int = 0  # Rises with every change, so that two pages do not overwrite each other's
     choices: Choices = field(default_factory=Choices)
 
 
@@ -125,18 +86,7 @@ _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 
 
 class AppFolder:
-    """A folder of recordings.
-
-    Parameters
-    ----------
-    path : Path
-        Made where it is not there.
-
-    Raises
-    ------
-    UnoccludeError
-        It cannot be written to.
-    """
+    """A folder of recordings."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.resolve()
@@ -171,13 +121,7 @@ class AppFolder:
         _second_name(file, self.models / file.name)
 
     def take_up(self, name: str) -> str:
-        """Make a recording of a loose MCAP file, which stays where it is; its name on disk.
-
-        Raises
-        ------
-        AppError
-            There is no such file.
-        """
+        """Make a recording of a loose MCAP file, which stays where it is; its name on disk."""
         file = next((path for path in self.loose_files() if path.name == name), None)
         if file is None:
             raise AppError("There is no such file in the folder, or a recording has it already.", 404)
@@ -221,13 +165,7 @@ class AppFolder:
                 yield each.name
 
     def of(self, name: str) -> Path:
-        """The folder of a recording.
-
-        Raises
-        ------
-        AppError
-            There is none of that name.
-        """
+        """The folder of a recording."""
         if not _ID.fullmatch(name) or not (self.path / name / "app.json").is_file():
             raise AppError("There is no such recording in this folder; it may have been removed.", 404)
         return self.path / name
@@ -289,13 +227,7 @@ def slug(text: str) -> str:
 
 
 def file_name(name: str) -> str:
-    """The name under which a dropped file is kept.
-
-    Raises
-    ------
-    AppError
-        It is none, leads elsewhere, or some system could not write it.
-    """
+    """The name under which a dropped file is kept."""
     plain = unicodedata.normalize("NFC", name)
     hostile = (
         not plain.strip(" .")
@@ -328,19 +260,7 @@ def write_kept(folder: Path, kept: KeptRecording) -> None:
 
 
 def changed(kept: KeptRecording, wish: dict[str, Any]) -> KeptRecording:
-    """What is kept, with a page's changes.
-
-    Parameters
-    ----------
-    kept : KeptRecording
-    wish : dict
-        The `revision` that the page saw, and the fields to change.
-
-    Raises
-    ------
-    AppError
-        Another page changed it meanwhile, or a value cannot be.
-    """
+    """What is kept, with a page's changes."""
     if wish.get("revision") != kept.revision:
         raise AppError("Another page changed this recording meanwhile; its choices are shown now.", 409)
     for key in ("name", "person", "date", "task"):
@@ -368,13 +288,7 @@ def _is_date(text: str) -> bool:
 
 
 def one_line(value: object) -> str:
-    """A short text on one line.
-
-    Raises
-    ------
-    AppError
-        It is none.
-    """
+    """A short text on one line."""
     if not isinstance(value, str) or len(value) > 200:
         raise AppError("A name is a text of at most 200 characters.")
     return " ".join("".join(c for c in value if c.isprintable()).split())

@@ -34,16 +34,7 @@ OTHER_SITE = "Refused: the request came from another site.\n"
 
 
 class Guard:
-    """Lets requests through to the app that may come; see the module.
-
-    Parameters
-    ----------
-    app : ASGI application
-    token : str
-        Of the address that was printed; a cookie has it after the first visit.
-    port : int
-        On which is served.
-    """
+    """Lets requests through to the app that may come; see the module."""
 
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:
         self.app = app

@@ -28,43 +28,21 @@ _SHOWN_BYTES = 20_000
 
 @dataclass(frozen=True)
 class JobState:
-    """How far a job is.
+    """How far a job is."""
 
-    Attributes
-    ----------
-    number : int
-        Of the recording's jobs, from 1.
-    kind : str
-        What it is for ("describe", "recover", ..).
-    state : str
-        "waiting", "running", "done", "failed", "held" (by the check, the result could not be trusted),
-        "cancelled" by the user, or "stopped" with the program or the computer.
-    step, steps : int
-        The command that runs or was the last, from 0, and how many there are.
-    step_name : str
-    share : float
-        Part done of that command, 0 to 1; -1 where it does not say.
-    text : str
-        What it is doing.
-    sentence : str
-        Why it failed, in the command's words.
-    printed : str
-        What its commands printed, where that was asked for; empty while it runs.
-    stamp : str
-        Of what went in.
-    """
-
-    number: int
-    kind: str
+    number: int  # Of the recording's jobs, from 1
+    kind: str  # What it is for ("describe", "recover", ..)
+    # "waiting", "running", "done", "failed", "held" (by the check, the result could not be trusted),
+    # "cancelled" by the user, or "stopped" with the program or the computer
     state: str
-    step: int
-    steps: int
+    step: int  # The command that runs or was the last, from 0, and how many there are
+    steps: int  # The command that runs or was the last, from 0, and how many there are
     step_name: str
-    share: float
-    text: str
-    sentence: str
-    printed: str
-    stamp: str
+    share: float  # Part done of that command, 0 to 1; -1 where it does not say
+    text: str  # What it is doing
+    sentence: str  # Why it failed, in the command's words
+    printed: str  # What its commands printed, where that was asked for; empty while it runs
+    stamp: str  # Of what went in
 
 
 def latest(folder: Path) -> Path | None:
@@ -75,15 +53,7 @@ def latest(folder: Path) -> Path | None:
 
 
 def state_of(job: Path, printed: bool = False) -> JobState:
-    """How far a job is, by its files on disk.
-
-    Parameters
-    ----------
-    job : Path
-        Its folder.
-    printed : bool
-        Also read what its commands printed.
-    """
+    """How far a job is, by its files on disk."""
     words, state = read_json(job / "job.json"), read_json(job / "state.json")
     steps = words.get("steps", [])
     step = min(int(state.get("step", 0)), max(len(steps) - 1, 0))
@@ -137,12 +107,7 @@ def is_locked(job: Path) -> bool:
 
 
 class JobDesk:
-    """Starts jobs in the order in which they came, and stops them.
-
-    Parameters
-    ----------
-    folder : AppFolder
-    """
+    """Starts jobs in the order in which they came, and stops them."""
 
     def __init__(self, folder: AppFolder) -> None:
         self.folder = folder
@@ -165,24 +130,7 @@ class JobDesk:
                 self._queue.append(job)
 
     def add(self, place: Path, kind: str, steps: list[dict[str, Any]], stamp: str = "") -> int:
-        """Put a job at the end of the queue; its number.
-
-        Parameters
-        ----------
-        place : Path
-            The recording's folder.
-        kind : str
-            What it is for.
-        steps : list of dict
-            `name`, `argv` of a command (or `link`), exit codes that are `ok` and that are `held`.
-        stamp : str
-            Of the inputs.
-
-        Raises
-        ------
-        AppError
-            Another job of the recording is not over.
-        """
+        """Put a job at the end of the queue; its number."""
         with self._lock:
             last = latest(place)
             if last is not None and state_of(last).state in OPEN:

@@ -53,17 +53,7 @@ NO_SPACE = "no space left on the disk; make room and run again"
 
 
 def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlette:
-    """The application.
-
-    Parameters
-    ----------
-    folder : AppFolder
-    desk : JobDesk
-    token : str
-        Of the address.
-    port : int
-        On which it will be served.
-    """
+    """The application."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -276,24 +266,7 @@ async def _begin(request: Request) -> Any:
 
 
 def begin(folder: AppFolder, desk: JobDesk, place: Path, kind: str, wish: dict[str, Any]) -> None:
-    """Put a recording's job on the desk.
-
-    Parameters
-    ----------
-    folder : AppFolder
-    desk : JobDesk
-    place : Path
-        The recording's.
-    kind : str
-        "describe", "check", "recover", or "export".
-    wish : dict
-        `anyway` of "recover", `formats` of "export".
-
-    Raises
-    ------
-    AppError
-        It cannot be done yet; the message names what is missing.
-    """
+    """Put a recording's job on the desk."""
     if kind == "describe":
         todo = steps.describe_steps(folder, place)
     elif kind == "check":

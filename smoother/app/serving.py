@@ -29,23 +29,7 @@ _NO_TRAP = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def serve(folder: AppFolder, port: int | None, ready: Callable[[str], None]) -> None:
-    """Serve a folder until the process is stopped.
-
-    Where another server has the folder already, its address is given instead, and this one ends.
-
-    Parameters
-    ----------
-    folder : AppFolder
-    port : int, optional
-        None takes the one of the last time where it is free, so that a page that was left open goes on.
-    ready : callable
-        Gets the address, with the token, as soon as it answers.
-
-    Raises
-    ------
-    UnoccludeError
-        The port is in use.
-    """
+    """Serve a folder until the process is stopped."""
     from filelock import FileLock, Timeout
 
     about = folder.hidden / "server.json"

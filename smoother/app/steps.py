@@ -204,15 +204,7 @@ def _imu_words(files: Sequence[dict[str, Any]], choices: Choices, every: bool = 
 
 
 def _whole(halves: dict[str, list[tuple[str, str]]]) -> dict[str, list[tuple[str, str]]]:
-    """Accelerometers and gyroscopes in files of their own, by where they are worn, put together.
-
-    What was chosen for one file of an IMU counts for its other one too, where there is one answer.
-
-    Raises
-    ------
-    AppError
-        There are several answers.
-    """
+    """Accelerometers and gyroscopes in files of their own, by where they are worn, put together."""
     parts = {worn: list(files) for worn, files in halves.items()}
     for holds, file in halves.get("", []):
         lacking = [w for w, own in parts.items() if w and holds not in [each for each, _ in own]]
@@ -259,16 +251,7 @@ def check_steps(folder: AppFolder, place: Path, strict: bool = False) -> list[St
 
 
 def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[Step]:
-    """Import, check, recover, and write the report.
-
-    Parameters
-    ----------
-    folder : AppFolder
-    place : Path
-        The recording's.
-    anyway : bool
-        Also where by the check the result is not to be trusted.
-    """
+    """Import, check, recover, and write the report."""
     kept = read_kept(place)
     words = ["smooth", recording_of(place), "-o", RESULT, "--report", REPORT, "--json", FIGURES, "--force"]
     words += ["--draws", str(USUAL_DRAWS), *_arm_words(place, kept)]
@@ -276,13 +259,7 @@ def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[
 
 
 def export_steps(place: Path, formats: Sequence[str]) -> list[Step]:
-    """The result in other formats, into `exports/`.
-
-    Raises
-    ------
-    AppError
-        A format is not known, or there is no result.
-    """
+    """The result in other formats, into `exports/`."""
     if not (place / RESULT).is_file():
         raise AppError("There is no result yet; recover the recording first.")
     wrong = [each for each in formats if each not in EXPORTS]
@@ -300,23 +277,7 @@ def export_steps(place: Path, formats: Sequence[str]) -> list[Step]:
 
 
 def compare_steps(folder: AppFolder, place: Path, person: str) -> list[Step]:
-    """Measure all of a person's recordings and compare the sessions.
-
-    The study is one of `batch --measures`, which computes only what is new; the page is that of `progress`.
-
-    Parameters
-    ----------
-    folder : AppFolder
-    place : Path
-        The comparison's folder, where the list and the table of sessions are written.
-    person : str
-        Whose.
-
-    Raises
-    ------
-    AppError
-        There are no two recordings of the person that have been recovered.
-    """
+    """Measure all of a person's recordings and compare the sessions."""
     mine = []
     for name in folder.recordings():
         kept = read_kept(folder.of(name))

@@ -38,14 +38,7 @@ _SHOWN = ("trusted", "verdict", "reasons", "cautions", "cause", "remedies", "sig
 
 
 def overview(folder: AppFolder, version: str) -> dict[str, Any]:
-    """The first page.
-
-    Parameters
-    ----------
-    folder : AppFolder
-    version : str
-        The program's.
-    """
+    """The first page."""
     return {
         "folder": str(folder.path),
         "version": version,
@@ -123,10 +116,7 @@ def _camera_video(folder: AppFolder, choices: Choices, files: list[dict[str, Any
 
 
 def _proposals(place: Path, choices: Choices, files: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Where each IMU is worn by `match`, by the key that a choice names it with.
-
-    The import states each file's topic; of several sensors of a file in their order.
-    """
+    """Where each IMU is worn by `match`, by the key that a choice names it with."""
     matches = {each["imu"]: each for each in read_json(place / MATCHES).get("matches", [])}
     topics: dict[str, list[str]] = {}
     for report in read_json(place / IMPORTED).get("files", []):

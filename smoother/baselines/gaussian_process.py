@@ -45,11 +45,6 @@ class Posterior:
     """The positions given the measurements (4.24, with the covariance 4.23 belongs to).
 
     Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, algorithm 2.1.
-
-    Parameters
-    ----------
-    kernel : Kernel
-    data : Measurements
     """
 
     def __init__(self, kernel: Kernel, data: Measurements) -> None:
@@ -86,31 +81,13 @@ def _to_measurements(
 
 
 def predict(
-    kernel: Kernel, data: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
-) -> tuple[FloatArray, FloatArray]:
-    """The autoregressive predictor: the position now, from late frames and prompt accelerations (4.3).
-
-    At each time the last `order` frames that have arrived, and the accelerations from the oldest of them up
-    to now. Without accelerations in `data` it is the position-only predictor.
-
-    Parameters
-    ----------
-    kernel : Kernel
-    data : Measurements
-        `frame_t` are the times that the frames show; they arrive `latency_s` later.
-    at : ndarray, shape (k,), s
-        Increasing times.
-    latency_s : float, s
-    order : int
-        How many frames the prediction looks back.
-
-    Returns
-    -------
-    mean : ndarray, shape (k, c), m
-        Predicted positions; nan before the first frame arrives.
-    sigma : ndarray, shape (k,), m
-        Their standard deviations.
-    """
+    kernel: Kernel,
+    data: Measurements,
+    at: FloatArray,
+    latency_s: float = 0.1,
+    order: int = 5,  # at (k,) s
+) -> tuple[FloatArray, FloatArray]:  # mean (k, c) m, sigma (k,) m
+    """The autoregressive predictor: the position now, from late frames and prompt accelerations (4.3)."""
     mean, sigma = np.full((len(at), data.position.shape[1]), np.nan), np.full(len(at), np.nan)
     arrived = np.searchsorted(data.frame_t + latency_s, at + 1e-9, side="right")
     for k in np.flatnonzero(arrived):
@@ -143,15 +120,7 @@ LEAST_SIGMA_M = 2e-4
 
 
 def gaussian_process(scene: Scene, kernel: Kernel | None = None) -> Path:
-    """Recover one segment.
-
-    Parameters
-    ----------
-    kernel : Kernel, optional
-        Hyper-parameters; the likeliest where None.
-
-    Gives position and velocity, with the position's covariance.
-    """
+    """Recover one segment."""
     if scene.visible.sum() < 2:
         return no_answer(scene)
     n = len(scene.t)

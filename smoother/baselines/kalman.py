@@ -17,48 +17,23 @@ from .scene import Path, Scene, no_answer
 
 @dataclass(frozen=True)
 class Chain:
-    """A Gauss-Markov chain of n states of dimension d, and what was measured of it.
+    """A Gauss-Markov chain of n states of dimension d, and what was measured of it."""
 
-    x[k + 1] = F[k] x[k] + drift[k] + w, w ~ N(0, Q[k]); measurements z = H x + N(0, R) of state k enter
-    as sums of H' R^-1 H and H' R^-1 z. States are (..., d, c): the c columns share all covariances
-    (the axes of one motion), the leading axes have their own.
-
-    Attributes
-    ----------
-    F, Q : ndarray, shape (n - 1, ..., d, d)
-        Transitions and covariances of the process noise.
-    drift : ndarray, shape (n - 1, ..., d, c) or what broadcasts to it
-    information : ndarray, shape (n, ..., d, d)
-        Sum of H' R^-1 H; zero where nothing was measured.
-    vector : ndarray, shape (n, ..., d, c)
-        Sum of H' R^-1 z.
-    mean : ndarray, shape (..., d, c)
-        Of the first state before it is measured.
-    covariance : ndarray, shape (..., d, d)
-        Likewise.
-    """
-
-    F: FloatArray
-    Q: FloatArray
-    drift: FloatArray
-    information: FloatArray
-    vector: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
+    F: FloatArray  # (n - 1, ..., d, d): transitions and covariances of the process noise
+    Q: FloatArray  # (n - 1, ..., d, d): transitions and covariances of the process noise
+    drift: FloatArray  # (n - 1, ..., d, c) or what broadcasts to it
+    information: FloatArray  # (n, ..., d, d): sum of H' R^-1 H; zero where nothing was measured
+    vector: FloatArray  # (n, ..., d, c): sum of H' R^-1 z
+    mean: FloatArray  # (..., d, c): of the first state before it is measured
+    covariance: FloatArray  # (..., d, d): likewise
 
 
 @dataclass(frozen=True)
 class FilterEstimates:
-    """What is known of a chain's states.
+    """What is known of a chain's states."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (n, ..., d, c)
-    covariance : ndarray, shape (n, ..., d, d)
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
+    mean: FloatArray  # (n, ..., d, c)
+    covariance: FloatArray  # (n, ..., d, d)
 
 
 def constant_acceleration(dt: FloatArray) -> FloatArray:
@@ -70,19 +45,7 @@ def constant_acceleration(dt: FloatArray) -> FloatArray:
 
 
 def kalman_filter(chain: Chain) -> tuple[FilterEstimates, FilterEstimates]:
-    """Each state from the measurements so far (Kalman, J. Basic Engineering 82:35-45, 1960).
-
-    Parameters
-    ----------
-    chain : Chain
-
-    Returns
-    -------
-    filtered : Estimates
-        With the state's own measurements.
-    predicted : Estimates
-        Without them.
-    """
+    """Each state from the measurements so far (Kalman, J. Basic Engineering 82:35-45, 1960)."""
     n, size = len(chain.information), chain.covariance.shape[-1]
     shape = np.broadcast_shapes(chain.mean.shape[:-2], chain.information.shape[1:-2])
     columns = chain.mean.shape[-1]
@@ -108,16 +71,7 @@ def kalman_filter(chain: Chain) -> tuple[FilterEstimates, FilterEstimates]:
 
 
 def rts_smoother(chain: Chain) -> FilterEstimates:
-    """Each state from all measurements (Rauch, Tung and Striebel, AIAA Journal 3:1445-1450, 1965).
-
-    Parameters
-    ----------
-    chain : Chain
-
-    Returns
-    -------
-    smoothed : Estimates
-    """
+    """Each state from all measurements (Rauch, Tung and Striebel, AIAA Journal 3:1445-1450, 1965)."""
     filtered, predicted = kalman_filter(chain)
     mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
     for k in range(len(mean) - 2, -1, -1):
@@ -140,20 +94,7 @@ LEAST_SIGMA_ACC = 1e-3
 
 
 def kalman(scene: Scene) -> Path:
-    """Recover one segment; nan before the camera first sees the arm (Le, thesis, Texas A&M 2017).
-
-    A Kalman filter [p v a] per axis behind low-passes, at its best within what was published: the work was
-    done offline in MATLAB and does not state the direction of filtering, so the low-passes run forwards and
-    backwards and delay nothing. The Kalman filter itself is a filter: inside a gap it has seen the camera
-    only up to the gap, and it jumps where the camera comes back. The gyroscope's low-pass belongs to the
-    orientation, which the scene gives. While the camera sees, he recommends to trust it much more than the
-    IMU: gravity that a wrong orientation leaves does not show at rest, so it is added to the IMU's deviation.
-
-    Order: what is left of a movement by a low-pass of 2 Hz; on error-free sensors centimetres at the pace of
-    a reaching arm (each Hz of its motion weakened by 1/(1 + (f/2)^4)), millimetres at half of it.
-
-    Gives position and velocity, with the position's covariance.
-    """
+    """Recover one segment; nan before the camera first sees the arm (Le, thesis, Texas A&M 2017)."""
     frame_t, point = scene.visible_points
     first = int(np.searchsorted(scene.t, frame_t[0])) if len(frame_t) else len(scene.t)
     if first >= len(scene.t) - 1:
@@ -186,12 +127,7 @@ def low_pass(values: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray
 
 
 def camera_at_samples(t: FloatArray, frame_t: FloatArray, point: FloatArray) -> FloatArray:
-    """(n, 3) m: the low-passed camera at the IMU sample nearest to each frame, nan elsewhere.
-
-    Those samples between frames to which the method gives the last frame's value are given infinite
-    variance by it too, so nothing is lost by leaving them out. Frames that follow each other are filtered
-    together, those after a gap anew.
-    """
+    """(n, 3) m: the low-passed camera at the IMU sample nearest to each frame, nan elsewhere."""
     out = np.full((len(t), 3), np.nan)
     period = float(np.median(np.diff(frame_t))) if len(frame_t) > 1 else 1.0
     apart = np.flatnonzero(np.diff(frame_t) > LONGEST_STEP_FRAMES * period) + 1
@@ -207,11 +143,7 @@ def camera_at_samples(t: FloatArray, frame_t: FloatArray, point: FloatArray) -> 
 def deviations_at_rest(
     camera: FloatArray, acceleration: FloatArray, point_sigma_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations (3,) of camera and acceleration over 200 samples, m and m/s^2.
-
-    His recordings begin at rest; here the 200 samples count whose acceleration varies least. Where those are
-    not at rest either, the camera's is never more than the noise that the scene knows.
-    """
+    """Standard deviations (3,) of camera and acceleration over 200 samples, m and m/s^2."""
     count = min(REST_SAMPLES, len(acceleration) // 2)
     spread = [
         float(np.linalg.norm(acceleration[k : k + count].std(axis=0)))
@@ -233,26 +165,7 @@ def deviations_at_rest(
 def state_model(
     t: FloatArray, camera: FloatArray, acceleration: FloatArray, sigma_m: FloatArray, sigma_acc: FloatArray
 ) -> Chain:
-    """Equations 10-15 for the three axes; Q with its entry [3, 1] as dt^2/2 (misprinted).
-
-    The measurement of a state acts on that state (H x_k, misprinted as x_{k-1} in 11).
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        Times of the IMU's samples.
-    camera : ndarray, shape (n, 3), m
-        Positions; nan where there is none.
-    acceleration : ndarray, shape (n, 3), m/s^2
-        Without gravity, in {K}.
-    sigma_m, sigma_acc : ndarray, shape (3,), m and m/s^2
-        Standard deviations of the two, per axis each.
-
-    Returns
-    -------
-    chain : Chain
-        Of [p v a], each axis for itself: (n, 3, 3, 1).
-    """
+    """Equations 10-15 for the three axes; Q with its entry [3, 1] as dt^2/2 (misprinted)."""
     dt = np.diff(t)
     F = constant_acceleration(dt)[:, None]
     push = np.stack([0.5 * dt**2, dt, np.ones_like(dt)], axis=1)
@@ -285,56 +198,30 @@ LEAST_CAMERA_SIGMA_M = 1e-4
 
 @dataclass(frozen=True)
 class FilterNoise:
-    """Standard deviations of the measurements.
+    """Standard deviations of the measurements."""
 
-    Attributes
-    ----------
-    sigma_m : float, m
-        Of a position.
-    acc_still, acc_moving : float, m/s^2
-        Of an acceleration of a still and of a moving hand.
-    """
-
-    sigma_m: float = POSITION_SIGMA_M
-    acc_still: float = ACC_SIGMA_STILL
-    acc_moving: float = ACC_SIGMA_MOVING
+    sigma_m: float = POSITION_SIGMA_M  # Of a position
+    acc_still: float = ACC_SIGMA_STILL  # m/s^2: of an acceleration of a still and of a moving hand
+    acc_moving: float = ACC_SIGMA_MOVING  # m/s^2: of an acceleration of a still and of a moving hand
 
 
 @dataclass(frozen=True)
 class Events:
-    """Measurements in order of time.
+    """Measurements in order of time."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (m,), s
-    position : ndarray, shape (m, 3), m
-        Nan where the event is not a frame.
-    acceleration : ndarray, shape (m, 3), m/s^2
-        Nan where it is not a sample of the IMU.
-    """
-
-    t: FloatArray
-    position: FloatArray
-    acceleration: FloatArray
+    t: FloatArray  # (m,) s
+    position: FloatArray  # (m, 3) m: nan where the event is not a frame
+    acceleration: FloatArray  # (m, 3) m/s^2: nan where it is not a sample of the IMU
 
 
 def multirate_kalman(scene: Scene) -> Path:
     """Recover one segment; nan before the camera first sees the arm (Feng, Glasgow thesis 2014, chapter 3).
-
-    A Wiener-process acceleration model per axis, fed with positions when there is a frame and with
-    accelerations when there is an IMU sample: a filter at two rates, at its best within what was published,
-    every measurement at its own time. Inside a gap it has seen the camera only up to the gap.
 
     Published: q = 2000 mm^2/s^5, 8 mm, 10 mm/s^2 for a hand at rest and 100 mm/s^2 above 150 mm/s, where the
     process noise grows too, to a value that is not given: here the likeliest of `Q_MOVING` on the camera's
     samples of this segment. The camera's noise is the scene's; gravity that the scene's orientation may leave
     in the accelerations is added to theirs. The switch follows the speed of a first pass of the filter (the
     published one that of its last state).
-
-    Order: on error-free sensors millimetres, what a constant acceleration between samples and the sensor's
-    averaging over its interval leave.
-
-    Gives position and velocity, with the position's covariance.
     """
     frame_t, point = scene.visible_points
     frame_t, point = frame_t[frame_t <= scene.t[-1]], point[frame_t <= scene.t[-1]]
@@ -388,22 +275,6 @@ def multirate_model(
     """Equations 3.1-3.7 with the continuous Wiener-process acceleration model.
 
     Q's entry [2, 2] is dt^3/3 (Bar-Shalom et al. 2004; misprinted as dt^3/6 in 3.3).
-
-    Parameters
-    ----------
-    events : Events
-        What was measured.
-    moving : ndarray, shape (m,)
-        Whether the hand moves at the events.
-    noise : FilterNoise
-        Of the measurements.
-    q_moving : float or ndarray, shape (c,), m^2/s^5
-        Process noise of a moving hand; several candidates give a chain with that leading axis.
-
-    Returns
-    -------
-    chain : Chain
-        Of [p v a], the three axes as columns: (m, 3, 3) or (m, c, 3, 3).
     """
     q = np.asarray(q_moving, dtype=np.float64)
 

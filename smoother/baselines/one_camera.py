@@ -13,21 +13,7 @@ from ..result import Recovery
 
 
 def of_best_camera(recording: Recording, graph: Recovery) -> tuple[Recording, Recovery]:
-    """A recording and the graph's recovery of it with the frames of one camera, in the first one's frame.
-
-    Parameters
-    ----------
-    recording : Recording
-    graph : Recovery
-        Of this very recording.
-
-    Returns
-    -------
-    recording : Recording
-        With one camera.
-    graph : Recovery
-        With that camera's frames, residuals and gaps; the motion stays that of all cameras.
-    """
+    """A recording and the graph's recovery of it with the frames of one camera, in the first one's frame."""
     if recording.arm.camera is None and recording.cameras:
         recording, _ = join_cameras(recording)
     if graph.arm.camera is None or recording.arm.camera is None or len(graph.arm) != len(recording.arm):

@@ -31,28 +31,13 @@ FIELD_SPREAD = 0.1
 
 @dataclass(frozen=True)
 class EvenSamples:
-    """Samples of a sensor, spread evenly.
+    """Samples of a sensor, spread evenly."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        Ends of the samples' intervals; a filter answers there.
-    step_s : float, s
-        Their distance.
-    acc : ndarray, shape (n, 3), m/s^2
-        Mean specific force of the interval in {A}.
-    gyro : ndarray, shape (n, 3), rad/s
-        Mean angular rate of the interval in {A}, its bias taken off.
-    mag : ndarray, shape (n, 3), optional
-        Direction of the magnetic field in {A}, nan where it is disturbed; None without a magnetometer that
-        can be used.
-    """
-
-    t: FloatArray
-    step_s: float
-    acc: FloatArray
-    gyro: FloatArray
-    mag: FloatArray | None = None
+    t: FloatArray  # (n,) s: ends of the samples' intervals; a filter answers there
+    step_s: float  # Their distance
+    acc: FloatArray  # (n, 3) m/s^2: mean specific force of the interval in {A}
+    gyro: FloatArray  # (n, 3) rad/s: mean angular rate of the interval in {A}, its bias taken off
+    mag: FloatArray | None = None  # (n, 3): direction of the magnetic field in {A}, nan where it is disturbed
 
     def __len__(self) -> int:
         return len(self.t)
@@ -61,18 +46,7 @@ class EvenSamples:
 def even_samples(
     signal: InertialSignal, rate_hz: float, gyroscope_bias: FloatArray, imu: ImuStream
 ) -> EvenSamples:
-    """The signal's means over even intervals.
-
-    Parameters
-    ----------
-    signal : InertialSignal
-    rate_hz : float, Hz
-        Of the even samples.
-    gyroscope_bias : ndarray, shape (3,), rad/s
-        Taken off.
-    imu : ImuStream
-        The samples of the signal, for their magnetometer.
-    """
+    """The signal's means over even intervals."""
     count = max(int(np.floor((signal.end_s - signal.start_s) * rate_hz)), 2)
     edges = np.linspace(signal.start_s, signal.end_s, count + 1)
     mean = signal.mean(edges[:-1], edges[1:])
@@ -86,10 +60,7 @@ def even_samples(
 
 
 def _field(imu: ImuStream, t: FloatArray) -> FloatArray | None:
-    """Direction of the magnetic field at times, nan where its strength is off; None where it mostly is.
-
-    A field whose strength changes as the sensor turns is that of an uncalibrated sensor or of iron near by.
-    """
+    """Direction of the magnetic field at times, nan where its strength is off; None where it mostly is."""
     if imu.mag is None:
         return None
     strength = np.linalg.norm(imu.mag, axis=1)
@@ -107,11 +78,7 @@ def _field(imu: ImuStream, t: FloatArray) -> FloatArray | None:
 
 
 def start_attitude(samples: EvenSamples) -> Rotation:
-    """`R_E_A` at the end of the first interval: its tilt from the force of the first seconds, x ahead.
-
-    The gyroscope turns the first seconds' force into the axes at the start, where its mean is nearly
-    gravity's alone also when the arm moves.
-    """
+    """`R_E_A` at the end of the first interval: its tilt from the force of the first seconds, x ahead."""
     count = min(len(samples), max(int(START_S / samples.step_s), 1))
     turns = Rotation.from_rotvec(samples.gyro[1:count] * samples.step_s)
     here = Rotation.identity()
@@ -180,12 +147,6 @@ def comotti(samples: EvenSamples) -> FloatArray:
     JA II-D: the gyroscope predicts the quaternion; gravity's and the magnetic field's directions give all
     three axes of the earth in the sensor (eq 1), which as a quaternion of the sign nearer to the prediction
     (eq 2) is the observation. Their noise figures are not given; ours are here.
-
-    Prediction q' = exp(w dt / 2) q; observation z with H = I. The transition is a rotation of the
-    four-space, and noise is alike on all four components, so the covariance stays p I and the gain is one
-    number: with q the gyroscope's, r the observation's variance of a quaternion's component (a quarter of
-    the angle's), p' = p + q, k = p' / (p' + r), p = (1 - k) p'. Without a field, or where it is disturbed,
-    the prediction's own heading is used instead: then only the tilt is observed.
     """
     q: Quaternion = tuple(start_attitude(samples).as_quat(scalar_first=True))
     quaternion = np.empty((len(samples), 4))
@@ -208,22 +169,7 @@ def comotti(samples: EvenSamples) -> FloatArray:
 
 
 def observed(predicted: Quaternion, up: Vector, field: Vector | None) -> Quaternion:
-    """The attitude that gravity and field show (eq 1), of the sign nearer to the prediction (eq 2).
-
-    Parameters
-    ----------
-    predicted : Quaternion
-        qw, qx, qy, qz of `R_E_A`.
-    up : Vector
-        Unit vector of the force in {A}.
-    field : Vector or None
-        The magnetic field in {A}; the prediction's x of {E} where None or not a number.
-
-    Returns
-    -------
-    quaternion : Quaternion
-        qw, qx, qy, qz of `R_E_A`.
-    """
+    """The attitude that gravity and field show (eq 1), of the sign nearer to the prediction (eq 2)."""
     if field is None or field[0] != field[0]:
         field = _north(predicted)
     west = _normalised(_cross(up, field))
@@ -293,9 +239,6 @@ def complementary(samples: EvenSamples) -> FloatArray:
     at zero without a magnetometer. Feng's text leaves open what rates are meant; here the gyroscope turns
     the attitude exactly, and the angles are blended after that. It has a compass; where there is none, the
     blend turns about the level alone, so that the heading is the gyroscope's.
-
-    The angles are singular where the sensor's x axis is vertical. Which axis of a sensor is called x is
-    free, so it is the one that keeps farthest from the vertical in this recording.
     """
     R_B_A = level_axes(samples)
     acc, gyro = R_B_A.apply(samples.acc), R_B_A.apply(samples.gyro)
@@ -375,9 +318,8 @@ def angles_of(R: FloatArray) -> Angles:
 
 
 def same_heading(R: FloatArray, roll: float, pitch: float) -> float:
-    """The heading with which an attitude (3, 3) gets another roll and pitch by turning about the level alone.
-
-    Without a compass nothing would undo what a correction of roll turns about the vertical.
+    """The heading with which an attitude (3, 3) gets another roll and pitch by turning about the level
+    alone.
     """
     up = matrix_of(roll, pitch, 0.0)[2]  # of the earth, in the sensor
     x, y, z = R @ up
@@ -406,24 +348,7 @@ def orientation_filter(name: str) -> Filter:
 def attitude_by(
     name: str, signal: InertialSignal, imu: ImuStream, rate_hz: float, gyroscope_bias: FloatArray
 ) -> InertialAttitude:
-    """Run a filter over a signal.
-
-    Parameters
-    ----------
-    name : str
-        One of `baselines.registry.ORIENTATIONS`.
-    signal, imu : InertialSignal and ImuStream
-        A segment, as a signal and as samples.
-    rate_hz : float, Hz
-        The filter's rate.
-    gyroscope_bias : ndarray, shape (3,), rad/s
-        Taken off before the filter.
-
-    Returns
-    -------
-    attitude : InertialAttitude
-        `R_E_A` over time.
-    """
+    """Run a filter over a signal."""
     samples = even_samples(signal, rate_hz, gyroscope_bias, imu)
     quaternion = orientation_filter(name)(samples)
     attitude = rotation.Rotation.from_quat(quaternion, scalar_first=True)

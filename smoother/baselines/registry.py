@@ -24,27 +24,13 @@ DEFAULT_ORIENTATION = "vqf"
 
 @dataclass(frozen=True)
 class BaselineEntry:
-    """One method to compare with.
+    """One method to compare with."""
 
-    Attributes
-    ----------
-    name : str
-        As users call it; the function is the module's of that name, with underscores.
-    words : str
-        What it is, and whose, in a paper's sentence; keys as in `report.methods`.
-    needs_orientation : bool
-        The answer depends on the orientation filter.
-    options : frozenset of str
-        Keyword arguments of the function that a user may set.
-    module : str
-        Where the function is; the module of its own name where "".
-    """
-
-    name: str
-    words: str = ""
-    needs_orientation: bool = True
-    options: frozenset[str] = frozenset()
-    module: str = ""
+    name: str  # As users call it; the function is the module's of that name, with underscores
+    words: str = ""  # What it is, and whose, in a paper's sentence; keys as in `report.methods`
+    needs_orientation: bool = True  # The answer depends on the orientation filter
+    options: frozenset[str] = frozenset()  # Keyword arguments of the function that a user may set
+    module: str = ""  # Where the function is; the module of its own name where ""
 
     def function(self, options: Mapping[str, Any]) -> Baseline:
         """The method, from a scene to a path, its options set."""
@@ -115,31 +101,7 @@ def recover(
     orientation: str = DEFAULT_ORIENTATION,
     options: Mapping[str, Any] | None = None,
 ) -> Recovery:
-    """Recover a recording by a baseline.
-
-    Parameters
-    ----------
-    recording : Recording
-        One arm and its forearm IMU; its truth is not looked at. Of several cameras the best one counts.
-    graph : Recovery
-        The graph's recovery of this very recording, of which a baseline gets calibration, clock, accepted
-        samples, gravity and gaps.
-    method : str
-        One of `BASELINES` or `LIVE_BASELINES`.
-    orientation : str
-        One of `ORIENTATIONS`.
-    options : mapping, optional
-        Of the method, by name, see `BaselineEntry.options`.
-
-    Returns
-    -------
-    recovery : Recovery
-
-    Raises
-    ------
-    UnoccludeError
-        Method, orientation or option is unknown, or nothing can be recovered; in one sentence.
-    """
+    """Recover a recording by a baseline."""
     from .one_camera import of_best_camera
     from .scene import recovery_of, scenes_of
 

@@ -43,30 +43,15 @@ INTEGRATION_VARIANCE = 1e-6
 
 @dataclass(frozen=True)
 class InertialTrajectory:
-    """States at the nodes.
+    """States at the nodes."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-    p, v : ndarray, shape (n, 3), m and m/s
-        Of the IMU in {K}.
-    R : ndarray, shape (n, 3, 3)
-        Orientation `R_K_A`.
-    bias : ndarray, shape (n, 6), m/s^2 and rad/s
-        Of accelerometer and gyroscope in {A}.
-    gravity : ndarray, shape (n, 3), m/s^2
-        In {K}.
-    shoulder : ndarray, shape (n, 3), m
-        In {K}.
-    """
-
-    t: FloatArray
-    p: FloatArray
-    v: FloatArray
-    R: FloatArray
-    bias: FloatArray
-    gravity: FloatArray
-    shoulder: FloatArray
+    t: FloatArray  # (n,) s
+    p: FloatArray  # (n, 3) m and m/s: of the IMU in {K}
+    v: FloatArray  # (n, 3) m and m/s: of the IMU in {K}
+    R: FloatArray  # (n, 3, 3): orientation `R_K_A`
+    bias: FloatArray  # (n, 6) m/s^2 and rad/s: of accelerometer and gyroscope in {A}
+    gravity: FloatArray  # (n, 3) m/s^2: in {K}
+    shoulder: FloatArray  # (n, 3) m: in {K}
 
     def moved(self, error: FloatArray) -> InertialTrajectory:
         """The states with errors (n, 21) added."""
@@ -167,17 +152,7 @@ def defects(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
 def white_noise(
     h: FloatArray, acc: FloatArray | float, gyro: FloatArray | float, size: int = SIZE
 ) -> FloatArray:
-    """Covariance (k, size, size) of what white noise of the IMU adds to p, v and the orientation.
-
-    Parameters
-    ----------
-    h : ndarray, shape (k,), s
-        Lengths of the intervals.
-    acc, gyro : ndarray, shape (k,), or float, (m/s^2)^2/Hz and (rad/s)^2/Hz
-        Squares of the densities.
-    size : int
-        Of the state, which begins with `P`, `V` and `TURN`.
-    """
+    """Covariance (k, size, size) of what white noise of the IMU adds to p, v and the orientation."""
     Q = np.zeros((len(h), size, size))
     for rows, columns, value in (
         (P, P, acc * h**3 / 3.0 + INTEGRATION_VARIANCE * h),
@@ -193,19 +168,7 @@ def white_noise(
 def process_noise(
     signal: InertialSignal, t: FloatArray, motion: Preintegration, noise: ImuNoise, shoulder_walk: float
 ) -> FloatArray:
-    """Covariance (n - 1, 21, 21) of what happens between nodes; the densities grow with the motion.
-
-    Parameters
-    ----------
-    signal : InertialSignal
-    t : ndarray, shape (n,), s
-        Times of the nodes.
-    motion : Preintegration
-        The signal integrated between the nodes.
-    noise : ImuNoise
-        Densities, their share of the motion, and the biases' walks.
-    shoulder_walk : float, m/sqrt(s)
-    """
+    """Covariance (n - 1, 21, 21) of what happens between nodes; the densities grow with the motion."""
     h = motion.dt
     force = np.linalg.norm(motion.delta_v, axis=1) / h - units.GRAVITY
     rate = Rotation.from_matrix(motion.delta_R).magnitude() / h
@@ -255,32 +218,17 @@ SHOULDER_JOINT = JOINTS.index("shoulder")
 
 @dataclass(frozen=True)
 class CameraAtNodes:
-    """What the camera saw at the nodes.
+    """What the camera saw at the nodes."""
 
-    Attributes
-    ----------
-    joints : ndarray, shape (n, 5, 3), m
-        In {K}; nan where nothing was seen.
-    sigma_m : ndarray, shape (5,), m
-        Noise of the joints, per axis.
-    levers : dict of ndarray, shape (3,), m
-        Lever arms in {A}, by joint.
-    upper_arm_m, upper_arm_sigma_m : float, m
-        Length shoulder to elbow and how it varies; nan where unknown.
-    """
-
-    joints: FloatArray
-    sigma_m: FloatArray
-    levers: dict[str, FloatArray]
-    upper_arm_m: float
-    upper_arm_sigma_m: float
+    joints: FloatArray  # (n, 5, 3) m: in {K}; nan where nothing was seen
+    sigma_m: FloatArray  # (5,) m: noise of the joints, per axis
+    levers: dict[str, FloatArray]  # dict of (3,) m: lever arms in {A}, by joint
+    upper_arm_m: float  # Length shoulder to elbow and how it varies; nan where unknown
+    upper_arm_sigma_m: float  # Length shoulder to elbow and how it varies; nan where unknown
 
 
 def rts(scene: Scene) -> Path:
-    """Recover one segment from all that was seen in it, before and after.
-
-    Gives position, velocity and orientation, with the covariances of position and orientation.
-    """
+    """Recover one segment from all that was seen in it, before and after."""
     levers = levers_of(scene)
     if not levers or scene.visible.sum() < 2:
         return no_answer(scene)
@@ -369,24 +317,7 @@ def with_noise_of(camera: CameraAtNodes, states: InertialTrajectory, scene: Scen
 def linearised(
     states: InertialTrajectory, camera: CameraAtNodes, signal: InertialSignal, scene: Scene
 ) -> Chain:
-    """The chain of the errors of the states: transitions, what the IMU and the camera state of them.
-
-    Parameters
-    ----------
-    states : InertialTrajectory
-        Where to linearise.
-    camera : CameraAtNodes
-        What the camera saw at the states' nodes.
-    signal : InertialSignal
-        The IMU.
-    scene : Scene
-        For the prior of the first node.
-
-    Returns
-    -------
-    chain : Chain
-        Of the error states of dimension 21.
-    """
+    """The chain of the errors of the states: transitions, what the IMU and the camera state of them."""
     motion = integrate(signal, states.t, states.bias[:-1])
     information, vector = _measured(states, camera)
     mean, covariance = _prior(states, scene)

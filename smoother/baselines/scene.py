@@ -34,54 +34,24 @@ TOO_LITTLE_SEEN = "The camera saw too little of this segment."
 
 @dataclass(frozen=True)
 class Scene:
-    """One segment as a baseline gets it; all times on the IMU's clock, all vectors in {K} unless said.
+    """One segment as a baseline gets it; all times on the IMU's clock, all vectors in {K} unless said."""
 
-    Attributes
-    ----------
-    imu : ImuStream, n samples
-        In {A}, the calibration's biases taken off.
-    R_K_A : ndarray, shape (n, 3, 3)
-        Orientation at the samples by the chosen filter, aligned to the camera.
-    attitude_sigma_rad : float, rad
-        One standard deviation of that orientation, per axis.
-    gravity : ndarray, shape (3,), m/s^2
-    acceleration : ndarray, shape (n, 3), m/s^2
-        Of the sensor, without gravity, from that orientation.
-    frame_t : ndarray, shape (f,), s
-        Times of the camera frames, increasing.
-    joints : ndarray, shape (f, 5, 3), m
-        Accepted joints in the order of `JOINTS`; nan where there is none.
-    camera_joints : ndarray, shape (f, 5, 3), m
-        Whatever the camera stated, `inferred` included; nan where it stated nothing.
-    point : ndarray, shape (f, 3), m
-        The IMU's position at visible frames, the mean over joints of joint - R_K_A lever; nan elsewhere.
-    point_sigma_m : float, m
-        Noise of `point`, per axis.
-    gaps : tuple of Gap
-        The gaps inside.
-    calibration : ArmCalibration
-        Lever arms and measures.
-    point_effective_sigma_m : float, m
-        Deviation of a white noise with the long-run variance of the noise of `point`, which has a memory:
-        what a filter of independent samples needs, per axis; nan where unknown.
-    rows : slice
-        Which of the recording's IMU samples these are.
-    """
-
-    imu: ImuStream
-    R_K_A: FloatArray
-    attitude_sigma_rad: float
-    gravity: FloatArray
-    acceleration: FloatArray
-    frame_t: FloatArray
-    joints: FloatArray
-    camera_joints: FloatArray
+    imu: ImuStream  # In {A}, the calibration's biases taken off
+    R_K_A: FloatArray  # (n, 3, 3): orientation at the samples by the chosen filter, aligned to the camera
+    attitude_sigma_rad: float  # One standard deviation of that orientation, per axis
+    gravity: FloatArray  # (3,) m/s^2
+    acceleration: FloatArray  # (n, 3) m/s^2: of the sensor, without gravity, from that orientation
+    frame_t: FloatArray  # (f,) s: times of the camera frames, increasing
+    joints: FloatArray  # (f, 5, 3) m: accepted joints in the order of `JOINTS`; nan where there is none
+    camera_joints: FloatArray  # (f, 5, 3) m: whatever the camera stated, `inferred` included
+    # (f, 3) m: The IMU's position at visible frames, the mean over joints of joint - R_K_A lever
     point: FloatArray
-    point_sigma_m: float
-    gaps: tuple[Gap, ...]
-    calibration: ArmCalibration
+    point_sigma_m: float  # Noise of `point`, per axis
+    gaps: tuple[Gap, ...]  # The gaps inside
+    calibration: ArmCalibration  # Lever arms and measures
+    # Deviation of a white noise with the long-run variance of the noise of `point`, which has a memory
     point_effective_sigma_m: float = float("nan")
-    rows: slice = field(default_factory=lambda: slice(None))
+    rows: slice = field(default_factory=lambda: slice(None))  # Which of the recording's IMU samples these are
 
     @property
     def t(self) -> FloatArray:
@@ -105,42 +75,23 @@ class Scene:
 
     @property
     def shoulder(self) -> FloatArray:
-        """(n, 3) shoulder at the samples, m, linear between accepted frames (Jatesiktat and Ang, II-K.4).
-
-        nan where it was never seen.
-        """
+        """(n, 3) shoulder at the samples, m, linear between accepted frames (Jatesiktat and Ang, II-K.4)."""
         return between(self.frame_t, self.joints[:, JOINTS.index("shoulder")], self.t)
 
 
 @dataclass(frozen=True)
 class Path:
-    """A baseline's answer at the scene's IMU times, in {K}; nan where it has none.
+    """A baseline's answer at the scene's IMU times, in {K}; nan where it has none."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (n, 3), m
-        Of the IMU.
-    velocity : ndarray, shape (n, 3), m/s, optional
-        None where the method has none.
-    covariance : ndarray, shape (n, 3, 3), m^2, optional
-        Of the position; None where the method states none.
-    R_K_A : ndarray, shape (n, 3, 3), optional
-        Orientation; None where it is the scene's.
-    attitude_covariance : ndarray, shape (n, 3, 3), rad^2, optional
-        Of the orientation's error as a rotation vector in {K}.
-    joints : dict of ndarray, shape (n, 3), m
-        By joint, where the method gets them otherwise than by pose and lever arm.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    """
-
-    position: FloatArray
-    velocity: FloatArray | None = None
-    covariance: FloatArray | None = None
-    R_K_A: FloatArray | None = None
+    position: FloatArray  # (n, 3) m: of the IMU
+    velocity: FloatArray | None = None  # (n, 3) m/s: none where the method has none
+    covariance: FloatArray | None = None  # (n, 3, 3) m^2: of the position; None where the method states none
+    R_K_A: FloatArray | None = None  # (n, 3, 3): orientation; None where it is the scene's
+    # (n, 3, 3) rad^2: Of the orientation's error as a rotation vector in {K}
     attitude_covariance: FloatArray | None = None
+    # dict of (n, 3) m: By joint, where the method gets them otherwise than by pose and lever arm
     joints: dict[str, FloatArray] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
 
 #: A method: one scene in, its answer out.
@@ -159,10 +110,7 @@ def finite_rows(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def between(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Linear interpolation (n, 3) between the finite rows of the values (f, 3), held beyond the ends.
-
-    nan where no row is finite.
-    """
+    """Linear interpolation (n, 3) between the finite rows of the values (f, 3), held beyond the ends."""
     t, values = finite_rows(t, values)
     return interpolate(t, values, at) if len(t) else np.full((len(at), 3), np.nan)
 
@@ -172,27 +120,7 @@ VERTICAL_SIGMA_RAD = np.radians(0.5)
 
 
 def scenes_of(recording: Recording, graph: Recovery, orientation: str = "vqf") -> list[Scene]:
-    """The segments of a recording in which the graph answers, as a baseline gets them.
-
-    Parameters
-    ----------
-    recording : Recording
-        One arm and its forearm IMU; its truth is not looked at.
-    graph : Recovery
-        The graph's recovery of this very recording.
-    orientation : str
-        Which filter, see `baselines.registry.ORIENTATIONS`.
-
-    Returns
-    -------
-    scenes : list of Scene
-        In order of time, one for each segment with an answer.
-
-    Raises
-    ------
-    SolveError
-        The recovery is of another recording, or has no answer anywhere.
-    """
+    """The segments of a recording in which the graph answers, as a baseline gets them."""
     if len(graph) != len(recording.imu) or len(graph.arm) != len(recording.arm) or graph.residuals is None:
         raise SolveError(f"{recording.name}: what the baselines get is the result of another recording")
     answered = graph.answered
@@ -273,10 +201,7 @@ def _segment(
     joints: FloatArray,
     used: BoolArray,
 ) -> Segment:
-    """The segment as the alignment takes it, its attitude by the chosen filter.
-
-    A gyroscope bias without calibration is estimated from the IMU alone, for every filter alike.
-    """
+    """The segment as the alignment takes it, its attitude by the chosen filter."""
     signal, rate_hz = InertialSignal(imu), min(imu.rate_hz, FILTER_RATE_HZ)
     bias = inertial_attitude(signal, rate_hz).gyroscope_bias
     return Segment(
@@ -362,29 +287,8 @@ def recovery_of(
     method: str,
     settings: dict[str, object] | None = None,
 ) -> Recovery:
-    """A baseline's answer at every IMU sample; nan where it has none, covariances nan where it states none.
-
-    Joints are pose and lever arm unless the path gives them; the shoulder is the camera's, linear between
-    its frames.
-
-    Parameters
-    ----------
-    recording : Recording
-        One arm and its forearm IMU.
-    graph : Recovery
-        The graph's recovery of this very recording, see `scenes_of`.
-    scenes : sequence of Scene
-        The segments, see `scenes_of`.
-    paths : sequence of Path
-        The baseline's answers, one for each scene.
-    method : str
-        The baseline's name.
-    settings : dict, optional
-        The baseline's options by name; they are kept in the result's figures.
-
-    Returns
-    -------
-    recovery : Recovery
+    """A baseline's answer at every IMU sample; nan where it has none, covariances nan where it states
+    none.
     """
     assert graph.residuals is not None
     n, frames = len(recording.imu), len(graph.arm)

@@ -26,11 +26,6 @@ def hold(scene: Scene) -> Path:
     which is what a live display shows. Before the first visible frame: that frame's. Position is
     the camera's point, linear between frames; orientation is the filter's, held through a gap with the
     position, so that the joints stand still too.
-
-    Order: without noise and gaps, linear between frames: off by acceleration x (frame period)^2 / 8 and by
-    the filter's orientation over the lever arms.
-
-    Gives position and orientation, without covariance.
     """
     t, point = scene.visible_points
     position = between(t, point, scene.t)
@@ -52,11 +47,6 @@ def pchip(scene: Scene) -> Path:
     the tracks of a skeleton. Orientation: the filter's, which is at hand, and far better over a gap than to
     turn evenly from the last visible orientation to the next. Beyond the first and last visible frame the
     value is held: an extrapolated cubic is not a result.
-
-    Order: without noise and gaps exact at the frames; between them third order where the path is monotone
-    and second where it turns: below acceleration x (frame period)^2 / 8.
-
-    Gives position and joints, without covariance.
     """
     joints = {}
     for joint in ("shoulder", *(name for name in FOREARM_JOINTS if name != "strap")):
@@ -82,11 +72,6 @@ def camera_only(scene: Scene) -> Path:
     gives nothing, the last and the next value are joined by a straight line. A recording with a
     `strap` alone has the strap itself; with a wrist alone, the wrist. No orientation is given: elbow and
     wrist do not show how the forearm is rolled.
-
-    Order: without noise exact at the frames but for the distance from the axis; between frames linear,
-    off by acceleration x (frame period)^2 / 8.
-
-    Gives position and joints, without orientation or covariance.
     """
     tracks = {name: scene.camera_joints[:, JOINTS.index(name)] for name in JOINTS}
     joints = {name: between(scene.frame_t, track, scene.t) for name, track in tracks.items()}
@@ -120,25 +105,7 @@ Boundary = tuple[FloatArray, FloatArray]
 
 
 def linear_drift(scene: Scene, boundary_s: float = BOUNDARY_S) -> Path:
-    """Recover every gap as published (Jatesiktat and Ang, EMBC 2017, II-K, II-L, eq 11-13).
-
-    Lines through the visible points of `boundary_s` on both sides give position and velocity at the ends;
-    the net acceleration is integrated to velocities, whose error at the far end is spread linearly in time;
-    these to positions, likewise; at last each position is moved radially onto the sphere on which the elbow
-    is an upper arm's length from the shoulder. The paper's r, d_se and R_F_A are one lever arm here. A
-    gap that is open on one side is integrated from the side that there is, without what the other side
-    would correct. Outside the gaps: the camera's point, linear between frames.
-
-    Order: without noise, in the gap off by the boundary lines' error, acceleration x boundary_s^2 / 12 in
-    position and acceleration x boundary_s / 2 in velocity; outside by acceleration x (frame period)^2 / 8.
-
-    Parameters
-    ----------
-    boundary_s : float, s
-        What the lines are fitted through.
-
-    Gives position, without covariance.
-    """
+    """Recover every gap as published (Jatesiktat and Ang, EMBC 2017, II-K, II-L, eq 11-13)."""
     t, point = scene.visible_points
     position = between(t, point, scene.t)
     for gap in scene.gaps:
@@ -155,25 +122,7 @@ def linear_drift(scene: Scene, boundary_s: float = BOUNDARY_S) -> Path:
 def boundary(
     t: FloatArray, point: FloatArray, start_s: float, end_s: float, at_end: bool = True
 ) -> Boundary | None:
-    """Position and velocity at the later (or earlier) of two times, by a line through the samples between.
-
-    One visible point alone gives no velocity: zero is used instead. None without any point.
-
-    Parameters
-    ----------
-    t : ndarray, shape (v,), s
-        Times of the visible frames.
-    point : ndarray, shape (v, 3), m
-        The IMU's positions there.
-    start_s, end_s : float, s
-        The two times.
-    at_end : bool
-        At the later time.
-
-    Returns
-    -------
-    boundary : Boundary or None
-    """
+    """Position and velocity at the later (or earlier) of two times, by a line through the samples between."""
     rows = slice(*np.searchsorted(t, [start_s - 1e-9, end_s + 1e-9]))
     u, x = t[rows] - (end_s if at_end else start_s), point[rows]
     if not len(u):
@@ -199,25 +148,13 @@ def _drift_through(
     return integrated(t, acceleration, before, after)[1:-1]
 
 
-def integrated(t: FloatArray, acceleration: FloatArray, start: Boundary, end: Boundary | None) -> FloatArray:
-    """Integrate twice, by trapezoids, and spread each integration's error at the end linearly (II-L.1-2).
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        From the gap's start to its end.
-    acceleration : ndarray, shape (n, 3), m/s^2
-        Without gravity, in {K}.
-    start : Boundary
-        Position and velocity at the start.
-    end : Boundary or None
-        At the end; without it nothing is spread.
-
-    Returns
-    -------
-    position : ndarray, shape (n, 3), m
-        In {K}.
-    """
+def integrated(
+    t: FloatArray,  # (n,) s
+    acceleration: FloatArray,  # (n, 3) m/s^2
+    start: Boundary,
+    end: Boundary | None,
+) -> FloatArray:  # (n, 3) m
+    """Integrate twice, by trapezoids, and spread each integration's error at the end linearly (II-L.1-2)."""
     share = ((t - t[0]) / (t[-1] - t[0]))[:, None]
     velocity = start[1] + cumulative_trapezoid(acceleration, t, axis=0, initial=0)
     if end is not None:
@@ -229,11 +166,7 @@ def integrated(t: FloatArray, acceleration: FloatArray, start: Boundary, end: Bo
 
 
 def snapped(scene: Scene, rows: np.ndarray, position: FloatArray) -> FloatArray:
-    """Positions (k, 3) m of rows, moved radially to the sphere of the upper arm's length about C (eq 13).
-
-    C = S - R_K_A lever_elbow: where the IMU would be with its elbow on the shoulder. Unchanged where the
-    shoulder, the upper arm's length or the elbow's lever arm is not known.
-    """
+    """Positions (k, 3) m of rows, moved radially to the sphere of the upper arm's length about C (eq 13)."""
     elbow, upper_arm = lever_of(scene.calibration, "elbow"), scene.calibration.upper_arm
     if elbow is None or upper_arm is None:
         return position
@@ -269,13 +202,6 @@ def autoregressive(scene: Scene, latency_s: float = LATENCY_S) -> Path:
     Feng, thesis, Glasgow 2014, section 4.3. The hyper-parameters are the likeliest over the whole segment,
     and the orientation behind the accelerations is the offline filter's: better than a live predictor would
     have them.
-
-    Parameters
-    ----------
-    latency_s : float, s
-        Of the camera.
-
-    Gives position and its covariance.
     """
     if scene.visible.sum() < 2:
         return no_answer(scene)
@@ -288,15 +214,7 @@ def autoregressive(scene: Scene, latency_s: float = LATENCY_S) -> Path:
 
 
 def constant_velocity(scene: Scene, latency_s: float = LATENCY_S) -> Path:
-    """The last positions that have arrived, and the velocity of the last `FRAMES` of them, going on.
-
-    Parameters
-    ----------
-    latency_s : float, s
-        Of the camera.
-
-    Gives position and its covariance, as if the velocity wandered by `VELOCITY_WALK`.
-    """
+    """The last positions that have arrived, and the velocity of the last `FRAMES` of them, going on."""
     frame_t, point = scene.visible_points
     if len(frame_t) < 2:
         return no_answer(scene)

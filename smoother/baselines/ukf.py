@@ -39,29 +39,16 @@ SIZE = 9
 
 @dataclass(frozen=True)
 class NavigationState:
-    """Where the IMU is, and how well that is known.
+    """Where the IMU is, and how well that is known."""
 
-    Attributes
-    ----------
-    p, v : ndarray, shape (3,), m and m/s
-        In {K}.
-    R : ndarray, shape (3, 3)
-        Orientation `R_K_A`.
-    covariance : ndarray, shape (9, 9)
-        Of the errors of p, v and the orientation (a rotation vector in {K}).
-    """
-
-    p: FloatArray
-    v: FloatArray
-    R: FloatArray
-    covariance: FloatArray
+    p: FloatArray  # (3,) m and m/s: in {K}
+    v: FloatArray  # (3,) m and m/s: in {K}
+    R: FloatArray  # (3, 3): orientation `R_K_A`
+    covariance: FloatArray  # (9, 9): of the errors of p, v and the orientation (a rotation vector in {K})
 
 
 def ukf(scene: Scene) -> Path:
-    """Recover one segment; nan before the camera first sees the arm.
-
-    Gives position, velocity and orientation, with the covariances of position and orientation.
-    """
+    """Recover one segment; nan before the camera first sees the arm."""
     levers = levers_of(scene)
     first_visible = np.flatnonzero(scene.visible & (scene.frame_t < scene.t[-1]))
     if not levers or len(first_visible) < 2:
@@ -125,19 +112,6 @@ def predicted(
     """The state after interval k of the IMU; the interval's rotation is common to all sigma points.
 
     Julier and Uhlmann, Proc. IEEE 92:401-422 (2004), the time update.
-
-    Parameters
-    ----------
-    state : NavigationState
-        At the beginning of the interval.
-    motion : Preintegration
-        All intervals.
-    k : int
-        Which of them.
-    gravity : ndarray, shape (3,), m/s^2
-        In {K}.
-    noise : ndarray, shape (9, 9)
-        Covariance of the process noise of the interval.
     """
     h = motion.dt[k]
     points = sigma_points(state.covariance)
@@ -156,20 +130,13 @@ def predicted(
     )
 
 
-def updated(state: NavigationState, joints: FloatArray, arms: FloatArray, sigma_m: float) -> NavigationState:
-    """The state with a frame's joints (Julier and Uhlmann 2004, the measurement update).
-
-    Parameters
-    ----------
-    state : NavigationState
-        Without the frame.
-    joints : ndarray, shape (j, 3), m
-        In {K}; nan where not seen.
-    arms : ndarray, shape (j, 3), m
-        The joints' lever arms in {A}.
-    sigma_m : float, m
-        Noise of a joint, per axis.
-    """
+def updated(
+    state: NavigationState,
+    joints: FloatArray,  # (j, 3) m
+    arms: FloatArray,  # (j, 3) m
+    sigma_m: float,
+) -> NavigationState:
+    """The state with a frame's joints (Julier and Uhlmann 2004, the measurement update)."""
     seen = np.isfinite(joints[:, 0])
     points = sigma_points(state.covariance)
     arm_K = state.R @ arms[seen].T

@@ -56,45 +56,22 @@ ELBOW, WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """How the inertial frame stands to the camera, the forearm to the sensor, and the camera's clock.
+    """How the inertial frame stands to the camera, the forearm to the sensor, and the camera's clock."""
 
-    Attributes
-    ----------
-    Q : ndarray, shape (3, 3)
-        `R_K_E`.
-    along_A : ndarray, shape (3,)
-        Unit vector elbow to wrist in {A}.
-    offset_s : float, s
-        t_imu = t_camera + offset.
-    misfit : float
-        Mean robust loss.
-    """
-
-    Q: FloatArray
-    along_A: FloatArray
-    offset_s: float
-    misfit: float = np.inf
+    Q: FloatArray  # (3, 3): `R_K_E`
+    along_A: FloatArray  # (3,): unit vector elbow to wrist in {A}
+    offset_s: float  # t_imu = t_camera + offset
+    misfit: float = np.inf  # Mean robust loss
 
 
 @dataclass(frozen=True)
 class RayBlock:
-    """Frames of a camera without depth, and the IMU's attitude at their time.
+    """Frames of a camera without depth, and the IMU's attitude at their time."""
 
-    Attributes
-    ----------
-    rows : ndarray of int, shape (f,)
-        Of the recording's frames.
-    t : ndarray, shape (f,), s
-        On the camera's clock.
-    elbow, wrist : ndarray, shape (f, 3)
-        Rays.
-    attitude : InertialAttitude
-    """
-
-    rows: IntArray
-    t: FloatArray
-    elbow: FloatArray
-    wrist: FloatArray
+    rows: IntArray  # int (f,): of the recording's frames
+    t: FloatArray  # (f,) s: on the camera's clock
+    elbow: FloatArray  # (f, 3): rays
+    wrist: FloatArray  # (f, 3): rays
     attitude: InertialAttitude
 
     @property
@@ -115,21 +92,7 @@ class RayBlock:
 
 
 def lift_alone(recording: Recording, forearm_m: float, store: Store) -> Recording:
-    """A recording of one camera without depth whose joints have depths to start from.
-
-    Parameters
-    ----------
-    recording : Recording
-    forearm_m : float, m
-        Elbow to wrist, about.
-    store : Store
-        Where the points are to lie.
-
-    Raises
-    ------
-    SolveError
-        Elbow and wrist are not seen together with the IMU, or do not move as the IMU does.
-    """
+    """A recording of one camera without depth whose joints have depths to start from."""
     arm, down = recording.arm, traits_of(recording).down
     blocks = list(_blocks(recording))
     if not blocks:

@@ -21,17 +21,7 @@ CANDIDATES = 6
 
 
 def candidate_offsets(first: JointTracks, other: JointTracks) -> list[float]:
-    """Offsets (first camera's clock less the other's) that the motion allows, the likeliest first.
-
-    Parameters
-    ----------
-    first, other : JointTracks
-
-    Returns
-    -------
-    offsets_s : list of float, s
-        To some hundredths; zero is always among them.
-    """
+    """Offsets (first camera's clock less the other's) that the motion allows, the likeliest first."""
     start, signals = _signals(first)
     other_start, other_signals = _signals(other)
     total, weight = None, None

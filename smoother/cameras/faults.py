@@ -31,25 +31,13 @@ PLACED_M = 0.065
 
 @dataclass(frozen=True)
 class Move:
-    """A camera that stood elsewhere from a time on.
+    """A camera that stood elsewhere from a time on."""
 
-    Attributes
-    ----------
-    t_s : float, s
-        On the first camera's clock, to some seconds.
-    between_s : tuple of float, s
-        The middles of the parts before and after: the part that it falls into looks like the larger half.
-    turned_rad, shifted_m : float
-        By how much; the second where it sees the arm.
-    misfit_m : float, m
-        Median distance of the joints, each part at its own place.
-    """
-
-    t_s: float
-    between_s: tuple[float, float]
-    turned_rad: float
-    shifted_m: float
-    misfit_m: float
+    t_s: float  # On the first camera's clock, to some seconds
+    between_s: tuple[float, float]  # The middles of the parts before and after
+    turned_rad: float  # By how much; the second where it sees the arm
+    shifted_m: float  # By how much; the second where it sees the arm
+    misfit_m: float  # Median distance of the joints, each part at its own place
 
     def sentence(self, first: str) -> str:
         """What is said of the camera; `first` is the other one's name."""
@@ -63,18 +51,7 @@ class Move:
 def fault_of(
     found: Sequence[tuple[Placement, Overlap]], best: Placement, first: str
 ) -> tuple[str, tuple[float, float] | None]:
-    """Why a camera cannot be used, in words ("" where it can), and between when one of the two was moved.
-
-    Parameters
-    ----------
-    found : sequence of (Placement, Overlap)
-        Of the camera against the first one, at every clock offset that was tried: with a wrong pose the right
-        offset need not fit best.
-    best : Placement
-        The one that fits best.
-    first : str
-        The first camera's name.
-    """
+    """Why a camera cannot be used, in words ("" where it can), and between when one of the two was moved."""
     mirrored_m = min(start(together.mirrored(), each.clock).misfit_m for each, together in found)
     if best.misfit_m > MIRRORED_M and mirrored_m < MIRRORED_SHARE * best.misfit_m:
         return (
@@ -110,21 +87,10 @@ def moved(placement: Placement, together: Overlap) -> Move | None:
 def move_between(
     shifts: Sequence[tuple[FloatArray, FloatArray, float]],
     parts: Sequence[slice],
-    t: FloatArray,
+    t: FloatArray,  # (n,) s
     placed_m: float = PLACED_M,
 ) -> Move | None:
-    """The time that parts the parts' places best, if they differ by more than chance.
-
-    Parameters
-    ----------
-    shifts : sequence of (ndarray, ndarray, float)
-        Turn and shift (6,) of each part against the whole, rad and m, their variances, and its misfit, m.
-    parts : sequence of slice
-        Rows of each part.
-    t : ndarray, shape (n,), s
-    placed_m : float, m
-        Parts that fit worse by themselves are ignored.
-    """
+    """The time that parts the parts' places best, if they differ by more than chance."""
     values, variances = np.array([each[0] for each in shifts]), np.array([each[1] for each in shifts])
     misfit_m = float(np.median([each[2] for each in shifts]))
     if misfit_m > placed_m:
@@ -203,18 +169,8 @@ def _variances(placement: Placement, together: Overlap) -> FloatArray:
     )
 
 
-def moved_from(found: CameraPose, known: CameraPose, points: FloatArray) -> str:
-    """What is said of a camera that does not stand where a calibration says; "" where it does.
-
-    Parameters
-    ----------
-    found : CameraPose
-        By the joints alone.
-    known : CameraPose
-        The calibration's.
-    points : ndarray, shape (F, 5, 3), m
-        Where the arm is, in {K}.
-    """
+def moved_from(found: CameraPose, known: CameraPose, points: FloatArray) -> str:  # points (F, 5, 3) m
+    """What is said of a camera that does not stand where a calibration says; "" where it does."""
     centre = np.nanmedian(points.reshape(-1, 3), axis=0)
     in_C = found.R_K_C.T @ (centre - found.p_K_C_m)
     shifted_m = float(np.linalg.norm(known.to_first(in_C) - centre))

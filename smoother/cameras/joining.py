@@ -31,26 +31,7 @@ FOREARM_M = 0.25
 def join_cameras(
     recording: Recording, store: Store | None = None, forearm_m: float = FOREARM_M
 ) -> tuple[Recording, CameraRig | None]:
-    """A recording whose `arm` contains the frames of all cameras that agree.
-
-    Constant errors of the joints differ between cameras; each camera's joints are moved to the mean of all.
-
-    Parameters
-    ----------
-    recording : Recording
-        With or without further cameras.
-    store : Store, optional
-        Where the joined frames are to lie; in memory where None.
-    forearm_m : float, m
-        Elbow to wrist, about, where one camera without depth is all there is.
-
-    Returns
-    -------
-    recording : Recording
-        Without further cameras; as it was where it has none.
-    rig : CameraRig or None
-        Where they stand and which were left out; None where there is one camera.
-    """
+    """A recording whose `arm` contains the frames of all cameras that agree."""
     if recording.arm.pixel_rad is not None and not recording.cameras:
         return lift_alone(recording, forearm_m, store or Store()), None
     if recording.arm.pixel_rad is not None:
@@ -69,21 +50,7 @@ def join_cameras(
 
 
 def placed_camera(camera: Camera, first: JointTracks, name: str = FIRST_CAMERA) -> RigCamera:
-    """A camera's row of the table, found from what it and the first one see together.
-
-    Parameters
-    ----------
-    camera : Camera
-    first : JointTracks
-        The first camera's.
-    name : str
-        Of the first camera.
-
-    Returns
-    -------
-    row : RigCamera
-        With its pose as a prior where it was measured beforehand, unless the joints contradict that.
-    """
+    """A camera's row of the table, found from what it and the first one see together."""
     if camera.arm.pixel_rad is not None:
         return placed_keypoints(camera, first, name)
     row = _placed(camera, first, name)

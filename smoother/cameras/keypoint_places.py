@@ -37,39 +37,19 @@ COARSE_S, FARTHEST_S = 0.1, 60.0
 
 @dataclass(frozen=True)
 class KeypointPlacement:
-    """A camera without depth as the joints tell it: `R_K_C`, its origin, its clock, by how much it misses.
+    """A camera without depth as the joints tell it: `R_K_C`, its origin, its clock, by how much it misses."""
 
-    Attributes
-    ----------
-    R, p : ndarray, shape (3, 3) and (3,), m
-    clock : RelativeClock
-    misfit_m : float, m
-        Median distance of the joints from their rays.
-    covariance : ndarray, shape (7, 7)
-        Of a turn about the joints' centre, a shift there, and the clock.
-    offset_m : ndarray, shape (5, 3), m
-        Offset of the first camera's joints from this one's of the same name, in {K}: constant errors.
-    """
-
-    R: FloatArray
-    p: FloatArray
+    R: FloatArray  # (3, 3) and (3,) m
+    p: FloatArray  # (3, 3) and (3,) m
     clock: RelativeClock
-    misfit_m: float
-    covariance: FloatArray
+    misfit_m: float  # Median distance of the joints from their rays
+    covariance: FloatArray  # (7, 7): of a turn about the joints' centre, a shift there, and the clock
+    # (5, 3) m: Offset of the first camera's joints from this one's of the same name, in {K}: constant errors
     offset_m: FloatArray
 
 
 def placed_keypoints(camera: Camera, first: JointTracks, name: str) -> RigCamera:
-    """A camera without depth as a row of the table, by what it and the first one see together.
-
-    Parameters
-    ----------
-    camera : Camera
-    first : JointTracks
-        The first camera's, with depth.
-    name : str
-        Of the first camera.
-    """
+    """A camera without depth as a row of the table, by what it and the first one see together."""
     best, length_s = None, 0.0
     moves: list[Move] = []
     for offset_s in candidate_offsets(first, camera.arm):
@@ -270,10 +250,7 @@ def _misfit(together: Overlap, R: FloatArray, p: FloatArray) -> float:
 
 
 def clock_of_known_place(camera: Camera, first: JointTracks) -> tuple[RelativeClock, float]:
-    """The clock of a camera whose place is known against another without depth, and the rays' distance, m.
-
-    At the right offset the rays of both meet: the median distance between them is smallest there.
-    """
+    """The clock of a camera whose place is known against another without depth, and the rays' distance, m."""
     assert camera.pose is not None
     ranges = np.arange(-FARTHEST_S, FARTHEST_S + 1e-9, COARSE_S)
     loss = np.array([_ray_distance(camera, first, float(offset), 400) for offset in ranges])

@@ -22,18 +22,7 @@ PARALLEL = 0.05
 def depth_by_points(
     flat: JointTracks, pose: CameraPose, clock: RelativeClock, with_depth: JointTracks
 ) -> FloatArray:
-    """Depths (F, 5) m of a camera's joints by those that a camera with depth saw in {K}, bridged between.
-
-    Parameters
-    ----------
-    flat : JointTracks
-        On its own clock, rays in {C}.
-    pose : CameraPose
-        Of {C} in {K}.
-    clock : RelativeClock
-        Takes the flat camera's times to the other's.
-    with_depth : JointTracks
-    """
+    """Depths (F, 5) m of a camera's joints by those that a camera with depth saw in {K}, bridged between."""
     t = clock.to_first(np.asarray(flat.t_s))
     depth = np.full(flat.state.shape, np.nan)
     for column, joint in enumerate(JOINTS):
@@ -49,17 +38,7 @@ def depth_by_points(
 def depth_by_rays(
     flat: JointTracks, pose: CameraPose, clock: RelativeClock, other: JointTracks, other_pose: CameraPose
 ) -> tuple[FloatArray, BoolArray]:
-    """Depths (F, 5) m of a camera's joints where the rays of another one meet them, and where they do.
-
-    Parameters
-    ----------
-    flat, other : JointTracks
-        Rays, each in its own axes and on its own clock.
-    pose, other_pose : CameraPose
-        In {K}.
-    clock : RelativeClock
-        Takes the flat camera's times to the other's.
-    """
+    """Depths (F, 5) m of a camera's joints where the rays of another one meet them, and where they do."""
     t, other_t = clock.to_first(np.asarray(flat.t_s)), np.asarray(other.t_s)
     after = np.clip(np.searchsorted(other_t, t), 1, max(len(other_t) - 1, 1))
     before = after - 1

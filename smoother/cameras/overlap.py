@@ -20,31 +20,15 @@ MOST_MOMENTS = 12_000
 
 @dataclass(frozen=True)
 class Overlap:
-    """Joints that both cameras track, at the first one's frames.
+    """Joints that both cameras track, at the first one's frames."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        On the first camera's clock.
-    first : ndarray, shape (n, 5, 3), m
-        In {K}.
-    other : ndarray, shape (n, 5, 3), m
-        In {C}, between its frames.
-    velocity : ndarray, shape (n, 5, 3), m/s
-        Of the first camera's joints, by frames on both sides of each moment: noise of the moment itself is
-        in neither, and does not draw the clock to where frames interleave. Zero where unknown.
-    both : ndarray of bool, shape (n, 5)
-        Tracked by both.
-    step_s : float, s
-        Time that a moment represents.
-    """
-
-    t: FloatArray
-    first: FloatArray
-    other: FloatArray
+    t: FloatArray  # (n,) s: on the first camera's clock
+    first: FloatArray  # (n, 5, 3) m: in {K}
+    other: FloatArray  # (n, 5, 3) m: in {C}, between its frames
+    # (n, 5, 3) m/s: Of the first camera's joints, by frames on both sides of each moment
     velocity: FloatArray
-    both: BoolArray
-    step_s: float
+    both: BoolArray  # bool (n, 5): tracked by both
+    step_s: float  # Time that a moment represents
 
     def __len__(self) -> int:
         return len(self.t)
@@ -74,17 +58,7 @@ class Overlap:
 def overlap(
     first: JointTracks, other: JointTracks, clock: RelativeClock, most: int = MOST_MOMENTS
 ) -> Overlap:
-    """The moments at which both cameras track a joint.
-
-    Parameters
-    ----------
-    first, other : JointTracks
-        Each on its own clock, in its own frame.
-    clock : RelativeClock
-        Takes the other's times to the first's.
-    most : int
-        Moments of longer recordings are thinned out evenly.
-    """
+    """The moments at which both cameras track a joint."""
     t = np.asarray(first.t_s)
     other_t = np.asarray(other.t_s)
     empty = np.zeros((0, len(JOINTS), 3))

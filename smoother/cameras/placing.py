@@ -41,33 +41,16 @@ SIZE = OFFSETS.stop
 
 @dataclass(frozen=True)
 class Placement:
-    """A camera's pose and clock as the joints tell them.
+    """A camera's pose and clock as the joints tell them."""
 
-    Attributes
-    ----------
-    R, p : ndarray, shape (3, 3) and (3,), m
-        `R_K_C`, and {C}'s origin in {K}.
-    clock : RelativeClock
-    offset_m : ndarray, shape (5, 3), m
-        The first camera's joints less this one's in {K}: their constant errors.
-    centre_m : ndarray, shape (3,), m
-        Mean place of the joints in {K}, that the turn is about.
-    covariance : ndarray, shape (SIZE, SIZE)
-        Of the columns.
-    misfit_m : float, m
-        Median distance of the joints, each joint's own taken in the middle.
-    spread_m : float, m
-        How far the joints move about their means, as a median over them.
-    """
-
-    R: FloatArray
-    p: FloatArray
+    R: FloatArray  # (3, 3) and (3,) m: `R_K_C`, and {C}'s origin in {K}
+    p: FloatArray  # (3, 3) and (3,) m: `R_K_C`, and {C}'s origin in {K}
     clock: RelativeClock
-    offset_m: FloatArray
-    centre_m: FloatArray
-    covariance: FloatArray
-    misfit_m: float
-    spread_m: float
+    offset_m: FloatArray  # (5, 3) m: the first camera's joints less this one's in {K}: their constant errors
+    centre_m: FloatArray  # (3,) m: mean place of the joints in {K}, that the turn is about
+    covariance: FloatArray  # (SIZE, SIZE): of the columns
+    misfit_m: float  # Median distance of the joints, each joint's own taken in the middle
+    spread_m: float  # How far the joints move about their means, as a median over them
 
     @property
     def pose(self) -> CameraPose:
@@ -81,23 +64,7 @@ class Placement:
 def place(
     first: JointTracks, other: JointTracks, clock: RelativeClock, known: CameraPose | None = None
 ) -> tuple[Placement, Overlap] | None:
-    """Pose and clock of a camera, from a clock that is right to some hundredths of a second.
-
-    Parameters
-    ----------
-    first, other : JointTracks
-        Each on its own clock, in its own frame.
-    clock : RelativeClock
-        To begin with.
-    known : CameraPose, optional
-        A prior.
-
-    Returns
-    -------
-    placement : Placement
-    together : Overlap
-        What it was found from. None instead of both where they see too little together.
-    """
+    """Pose and clock of a camera, from a clock that is right to some hundredths of a second."""
     together = overlap(first, other, clock)
     if len(together) < 10:
         return None

@@ -13,24 +13,12 @@ from ..recording import JOINTS, CameraPose
 
 @dataclass(frozen=True)
 class RelativeClock:
-    """t_first = t_own + offset, which may drift.
+    """t_first = t_own + offset, which may drift."""
 
-    Attributes
-    ----------
-    offset_s : float, s
-        At the time `middle_s`.
-    skew : float, s/s
-        Steady drift.
-    middle_s : float, s
-        On the camera's own clock.
-    sigma_s : float, s
-        One standard deviation of the offset.
-    """
-
-    offset_s: float = 0.0
-    skew: float = 0.0
-    middle_s: float = 0.0
-    sigma_s: float = 0.0
+    offset_s: float = 0.0  # At the time `middle_s`
+    skew: float = 0.0  # Steady drift
+    middle_s: float = 0.0  # On the camera's own clock
+    sigma_s: float = 0.0  # One standard deviation of the offset
 
     def to_first(self, t: FloatArray) -> FloatArray:
         """Own times (n,) on the first camera's clock, s."""
@@ -43,37 +31,19 @@ class RelativeClock:
 
 @dataclass(frozen=True)
 class RigCamera:
-    """A camera of a recording, where it stands, and its clock.
-
-    Attributes
-    ----------
-    name : str
-    pose : CameraPose or None
-        In the first camera's frame; None where it could not be found.
-    clock : RelativeClock
-        Against the first camera's.
-    joint_offset_m : ndarray, shape (5, 3), m
-        How far its joints lie from the first camera's, in {K}, beyond its pose: constant errors of both.
-    misfit_m : float, m
-        Median distance between its joints and the first camera's, all that is constant taken off.
-    together_s : float, s
-        Time during which both saw some part of the arm.
-    reason : str
-        Why it was left out; "" where it is used.
-    note : str
-        What is to be known of one that is used, after its name.
-    moved_s : tuple of float, s, optional
-        On the first camera's clock, between when it or the first one was moved.
-    """
+    """A camera of a recording, where it stands, and its clock."""
 
     name: str
-    pose: CameraPose | None = None
-    clock: RelativeClock = field(default_factory=RelativeClock)
+    pose: CameraPose | None = None  # In the first camera's frame; None where it could not be found
+    clock: RelativeClock = field(default_factory=RelativeClock)  # Against the first camera's
+    # (5, 3) m: How far its joints lie from the first camera's, in {K}, beyond its pose
     joint_offset_m: FloatArray = field(default_factory=lambda: np.zeros((len(JOINTS), 3)))
+    # Median distance between its joints and the first camera's, all that is constant taken off
     misfit_m: float = float("nan")
-    together_s: float = float("nan")
-    reason: str = ""
-    note: str = ""
+    together_s: float = float("nan")  # Time during which both saw some part of the arm
+    reason: str = ""  # Why it was left out; "" where it is used
+    note: str = ""  # What is to be known of one that is used, after its name
+    # On the first camera's clock, between when it or the first one was moved
     moved_s: tuple[float, float] | None = None
 
     @property
@@ -89,15 +59,9 @@ def first_camera(name: str) -> RigCamera:
 
 @dataclass(frozen=True)
 class CameraRig:
-    """All cameras of a recording.
+    """All cameras of a recording."""
 
-    Attributes
-    ----------
-    cameras : tuple of RigCamera
-        The first one, then the further ones in their order.
-    """
-
-    cameras: tuple[RigCamera, ...]
+    cameras: tuple[RigCamera, ...]  # The first one, then the further ones in their order
 
     def __len__(self) -> int:
         return len(self.cameras)

@@ -34,15 +34,7 @@ _OWN_STREAMS = ("live", "import files", "match", "calibrate imu", "calibrate mag
 
 
 def group_of(command: str, option: str) -> str:
-    """The group under which an option is shown, "" for those that come first.
-
-    Parameters
-    ----------
-    command : str
-        Its words, as "simulate arm".
-    option : str
-        Its long name without the dashes.
-    """
+    """The group under which an option is shown, "" for those that come first."""
     if command in _OWN_STREAMS and option in _SHARED["Which arm"]:
         return ""
     if command.startswith("simulate "):
@@ -89,24 +81,12 @@ class WholeSentences(TyperGroup):
 
 @dataclass(frozen=True)
 class CommandSpec:
-    """Where a command is.
+    """Where a command is."""
 
-    Attributes
-    ----------
-    module : str
-        Of this package; its function has the command's name, with `_` for `-`.
-    epilog : str
-        Text below its help: an example.
-    cls : str
-        The command's class in the module, where it is not typer's.
-    has_settings : bool
-        `--set` takes the settings that the module's `NAME_settings()` gives.
-    """
-
-    module: str
-    epilog: str
-    cls: str = ""
-    has_settings: bool = False
+    module: str  # Of this package; its function has the command's name, with `_` for `-`
+    epilog: str  # Text below its help: an example
+    cls: str = ""  # The command's class in the module, where it is not typer's
+    has_settings: bool = False  # `--set` takes the settings that the module's `NAME_settings()` gives
 
     def command(self, name: str) -> Any:
         """The command, imported now."""
@@ -122,14 +102,7 @@ class CommandSpec:
 
 
 class LazyCommands(Mapping[str, Any]):
-    """Commands by name; each is imported when it is looked up.
-
-    Parameters
-    ----------
-    specs : mapping of str to CommandSpec
-    groups : mapping
-        Groups by name, as typer made them; they come last.
-    """
+    """Commands by name; each is imported when it is looked up."""
 
     def __init__(self, specs: Mapping[str, CommandSpec], groups: Mapping[str, Any]) -> None:
         self._specs, self._commands = specs, dict(groups)
@@ -148,18 +121,7 @@ class LazyCommands(Mapping[str, Any]):
 
 
 def lazy_group(specs: Mapping[str, CommandSpec]) -> type[WholeSentences]:
-    """A kind of group that contains commands.
-
-    Parameters
-    ----------
-    specs : mapping of str to CommandSpec
-        By the commands' names, in the order of the help.
-
-    Returns
-    -------
-    group : type
-        For `typer.Typer(cls=...)`.
-    """
+    """A kind of group that contains commands."""
 
     class LazyGroup(WholeSentences):
         def __init__(self, *, commands: Any = None, **attributes: Any) -> None:

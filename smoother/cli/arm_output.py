@@ -29,13 +29,6 @@ def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict
 
     With several, `trusted`, `verdict` and `reasons` at the top are those of all arms together, and `pairing`
     is that of the arm whose is proved least.
-
-    Parameters
-    ----------
-    arms : sequence of Recording or Recovery
-        Whose side and body are stated.
-    figures : sequence of dict
-        Of the arms, in the same order.
     """
     if len(figures) == 1:
         return figures[0]
@@ -68,13 +61,7 @@ def _least_proved(pairings: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def each_arm(
     recordings: Sequence[Recording], work: Callable[[int], Answer]
 ) -> tuple[list[tuple[Recording, Answer]], list[str]]:
-    """Some work on every arm; one of several that cannot be worked on is left out, and said.
-
-    Raises
-    ------
-    UnoccludeError
-        No arm can be worked on: the first one's sentence.
-    """
+    """Some work on every arm; one of several that cannot be worked on is left out, and said."""
     answers, left_out, errors = [], [], []
     for number, recording in enumerate(recordings):
         try:

@@ -320,19 +320,7 @@ def batch(
 
 
 def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> None:
-    """Write the report of each result of a study that has none, or one that is older than the result.
-
-    Parameters
-    ----------
-    rows : pyarrow.Table
-        Of the study.
-    folder : Path
-        The study's.
-    processes : int
-        Worker processes, 0 = one per core.
-    anew : bool
-        Write all of them.
-    """
+    """Write the report of each result of a study that has none, or one that is older than the result."""
     from ..report.study import report_of
     from ..runtime.outputs import check_output
     from ..runtime.pool import Pool

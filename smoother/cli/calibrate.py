@@ -40,17 +40,7 @@ Paths = Iterable[Path | None]
 def load_existing_calibration(
     output: Path | None, to: Outputs, inputs: Paths, *, known: Paths = ()
 ) -> CalibrationFile:
-    """What the file contains already; before the work, as what cannot be read cannot be added to.
-
-    Parameters
-    ----------
-    output : Path, optional
-        The calibration file, which may exist.
-    to : Outputs
-        What is written besides.
-    inputs, known : iterable of Path
-        What is read; a calibration in `known` may be the output too.
-    """
+    """What the file contains already; before the work, as what cannot be read cannot be added to."""
     from calib.file import CalibrationFile, read_calibration
 
     others = [path for path in (to.json_file, to.report) if path is not None]
@@ -77,20 +67,7 @@ def write_answer(
     title: str,
     notes: Iterable[str] = (),
 ) -> None:
-    """Write what a calibration found to all its outputs.
-
-    Parameters
-    ----------
-    answer : Answer
-    output : Path, optional
-        The calibration file, which is added to.
-    to : Outputs
-        The page, and the figures with the notes.
-    title : str
-        Of the page.
-    notes : iterable of str
-        What must be known of the input.
-    """
+    """Write what a calibration found to all its outputs."""
     from calib.file import write_calibration
 
     notes = list(dict.fromkeys(notes))
@@ -185,13 +162,7 @@ def _by_side(
     known_file: Path | None,
     selection: ArmSelection,
 ) -> list[tuple[list[Recording], ArmCalibration | None]]:
-    """The recordings of each arm, with what is known of it; one arm unless recordings have both.
-
-    Raises
-    ------
-    CalibrationError
-        Recordings are of several people, or do not state which of two arms was recorded.
-    """
+    """The recordings of each arm, with what is known of it; one arm unless recordings have both."""
     loaded = [(path, *arm) for path in recording_files for arm in load_arms(path, known_file, selection)]
     for path, recording, _ in loaded:
         if recording.body is not None:

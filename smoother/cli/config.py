@@ -21,26 +21,14 @@ def read_config(
     anatomy: str | None = None,
     height_m: float | None = None,
 ) -> Config:
-    """Read a configuration; what neither it nor the options name keeps its default.
-
-    Raises
-    ------
-    UnoccludeError
-        The file is not TOML, or a setting is unknown or out of range; the text names it.
-    """
+    """Read a configuration; what neither it nor the options name keeps its default."""
     config = with_processes(read_settings(path, Config), processes)
     config = config if anatomy is None else with_anatomy(config, anatomy)
     return config if height_m is None else with_height(config, height_m)
 
 
 def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
-    """Read settings of any kind; what the file does not name keeps its default.
-
-    Raises
-    ------
-    UnoccludeError
-        As of `read_config`.
-    """
+    """Read settings of any kind; what the file does not name keeps its default."""
     if path is None:
         return kind()
     check_input(path)
@@ -109,19 +97,7 @@ def _value(value: Any) -> str:
 
 
 def with_anatomy(config: Config, name: str) -> Config:
-    """The configuration for another person's arm.
-
-    Parameters
-    ----------
-    config : Config
-    name : str
-        "adult", "child" or "any".
-
-    Raises
-    ------
-    typer.BadParameter
-        It is none of these.
-    """
+    """The configuration for another person's arm."""
     import typer
 
     from ..config import Anatomy
@@ -132,13 +108,7 @@ def with_anatomy(config: Config, name: str) -> Config:
 
 
 def with_height(config: Config, height_m: float) -> Config:
-    """The configuration for a person of this height, m.
-
-    Raises
-    ------
-    typer.BadParameter
-        Nobody is that tall; with 175 it is likely to be in cm.
-    """
+    """The configuration for a person of this height, m."""
     import typer
     from pydantic import ValidationError
 

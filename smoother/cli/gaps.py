@@ -302,13 +302,7 @@ def _unlike(name: str, others: Sequence[str]) -> str:
 def keep(
     factors: Sequence[LengthFactor], table: GapTable, recordings: Sequence[Recording], path: Path
 ) -> None:
-    """Add the factors of sigma to a calibration file.
-
-    Raises
-    ------
-    CalibrationError
-        No gap has an answer, or the errors are too large for a sigma factor.
-    """
+    """Add the factors of sigma to a calibration file."""
     from calib.file import CalibrationFile, with_sigma_table, write_calibration
     from calib.sigma_factor import LARGEST_FACTOR
 

@@ -35,15 +35,6 @@ class StopRequest:
     """Takes signals and keys down; nothing is interrupted, so that the recording stays whole.
 
     Keys on a terminal: `q` ends, `s` ends and smooths what was recorded.
-
-    Attributes
-    ----------
-    wanted : bool
-        The session is to end.
-    smooth : bool
-        And to be smoothed.
-    killed : bool
-        By another signal than Ctrl-C: nothing more is to be begun.
     """
 
     def __init__(self) -> None:

@@ -29,13 +29,7 @@ def sides_of(arms: str, side: str | None, gyro: str | None) -> list[str | None]:
 
 
 def streams_of_arms(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | None, str | None]:
-    """The IMU's stream of each arm, of `--imu`.
-
-    Raises
-    ------
-    typer.BadParameter
-        They are not one for each arm.
-    """
+    """The IMU's stream of each arm, of `--imu`."""
     if len(sides) == 1:
         if len(given) > 1:
             raise typer.BadParameter("--imu is given twice; IMUs beside the forearm's are --further-imu")
@@ -50,13 +44,7 @@ def streams_of_arms(given: Sequence[str], sides: Sequence[str | None]) -> dict[s
 
 
 def further_streams(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | None, dict[str, str]]:
-    """Names of streams by arm and segment, of `--further-imu`.
-
-    Raises
-    ------
-    typer.BadParameter
-        A segment is none of the arm's, or given twice.
-    """
+    """Names of streams by arm and segment, of `--further-imu`."""
     from ..body import FURTHER
 
     streams: dict[str | None, dict[str, str]] = {side: {} for side in sides}
@@ -78,13 +66,7 @@ def further_streams(given: Sequence[str], sides: Sequence[str | None]) -> dict[s
 
 
 def check_arms(infos: Sequence[SourceInfo], replay: Path | None) -> None:
-    """Refuse two arms of which one stream is to be both.
-
-    Raises
-    ------
-    UnoccludeError
-        The streams do not say which IMU is on which arm.
-    """
+    """Refuse two arms of which one stream is to be both."""
     names = [name for info in infos for name in (info.imu, *info.further.values())]
     if replay is not None and len(set(names)) < len(names):
         raise UnoccludeError(

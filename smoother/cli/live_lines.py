@@ -42,12 +42,7 @@ class Lines:
 
 
 class Aside:
-    """Shows a session from a thread of its own: a slow terminal delays no answer.
-
-    Parameters
-    ----------
-    lines : Lines
-    """
+    """Shows a session from a thread of its own: a slow terminal delays no answer."""
 
     def __init__(self, lines: Lines) -> None:
         self._lines = lines

@@ -31,17 +31,9 @@ DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
 
 @dataclass(frozen=True)
 class Solving:
-    """How a calibration solves a recording of an arm, as a group of its options.
+    """How a calibration solves a recording of an arm, as a group of its options."""
 
-    Attributes
-    ----------
-    config_file : Path, optional
-        Settings.
-    arm : ArmSelection
-    processes : int, optional
-    """
-
-    config_file: ConfigFile = None
+    config_file: ConfigFile = None  # Settings
     arm: ArmSelection = ANY_ARM
     processes: Processes = None
 
@@ -105,13 +97,7 @@ def _say_chosen(path: Path, recording: Recording) -> None:
 
 
 def load_recoveries(path: Path, side: str | None = None, body: int | None = None) -> list[Recovery]:
-    """The recoveries of a file, or those of a side or body.
-
-    Raises
-    ------
-    UnoccludeError
-        There is none.
-    """
+    """The recoveries of a file, or those of a side or body."""
     from ..io import read_recovery
 
     recoveries = read_recovery(path)
@@ -184,35 +170,21 @@ ClockSigma = Annotated[
 
 @dataclass(frozen=True)
 class SetUp:
-    """Those options together, as a group of a command's options.
+    """Those options together, as a group of a command's options."""
 
-    Attributes
-    ----------
-    mirror, swap, negate, camera_frame : str, optional
-        What to undo.
-    clock_offset, clock_sigma : float, s
-        The measured clock, if any; its sigma is 0.02 s unless given.
-    """
-
-    mirror: Mirror = None
-    swap: Swap = None
-    negate: Negate = None
-    camera_frame: CameraAxes = None
-    clock_offset: ClockOffset = None
-    clock_sigma: ClockSigma = None
+    mirror: Mirror = None  # What to undo
+    swap: Swap = None  # What to undo
+    negate: Negate = None  # What to undo
+    camera_frame: CameraAxes = None  # What to undo
+    clock_offset: ClockOffset = None  # s: the measured clock, if any; its sigma is 0.02 s unless given
+    clock_sigma: ClockSigma = None  # s: the measured clock, if any; its sigma is 0.02 s unless given
 
     def __post_init__(self) -> None:
         if self.clock_sigma is not None and self.clock_offset is None:
             raise typer.BadParameter("--clock-sigma belongs to --clock-offset: give the measured clock too")
 
     def remedy(self) -> tuple[Remedy, bool]:
-        """What the options undo, and whether left and right are to be swapped.
-
-        Raises
-        ------
-        typer.BadParameter
-            A value is not known.
-        """
+        """What the options undo, and whether left and right are to be swapped."""
         from ..measurements.remedy import Remedy
         from ..recording import CameraFrame
 
@@ -231,14 +203,8 @@ class SetUp:
             raise typer.BadParameter(str(error)) from error
 
     def clock(self, calibration_file: Path | None, recording: Recording) -> Clock | None:
-        """The clock that was measured: by option, else by the calibration file; None where it is to be found.
-
-        Raises
-        ------
-        typer.BadParameter
-            A number cannot be.
-        CalibrationError
-            The file's [clock] cannot be used.
+        """The clock that was measured: by option, else by the calibration file; None where it is to be
+        found.
         """
         from calib.clock.links import measured_clock
         from calib.file import read_calibration
@@ -269,17 +235,9 @@ def _names(text: str | None) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ArmInput:
-    """Which arms of a recording are read, and how, as a group of a command's options.
+    """Which arms of a recording are read, and how, as a group of a command's options."""
 
-    Attributes
-    ----------
-    calibration_file : Path, optional
-        Of the arm; its [clock], if any, is a measured clock.
-    arm : ArmSelection
-    set_up : SetUp
-    """
-
-    calibration_file: Calibration = None
+    calibration_file: Calibration = None  # Of the arm; its [clock], if any, is a measured clock
     arm: ArmSelection = ANY_ARM
     set_up: SetUp = AS_RECORDED
 

@@ -24,13 +24,7 @@ if TYPE_CHECKING:
 
 
 def choose(names: str) -> list[str]:
-    """The methods of a comma-separated list; "all" is every one.
-
-    Raises
-    ------
-    typer.BadParameter
-        A name is unknown; the text lists those that are there.
-    """
+    """The methods of a comma-separated list; "all" is every one."""
     wanted = [name.strip() for name in names.split(",") if name.strip()]
     if wanted == ["all"]:
         return list(METHODS)
@@ -45,13 +39,7 @@ def choose(names: str) -> list[str]:
 def baseline_settings(
     names: Sequence[str], orientation: str | None, boundary_s: float | None
 ) -> BaselineSettings:
-    """Check what was set for the baselines among the chosen methods.
-
-    Raises
-    ------
-    typer.BadParameter
-        A value is out of range, or nothing that was chosen knows the option.
-    """
+    """Check what was set for the baselines among the chosen methods."""
     if orientation is None:
         orientation = DEFAULT_ORIENTATION
     elif orientation not in ORIENTATIONS:
@@ -84,13 +72,7 @@ def usual_draws(draws: int | None) -> int:
 
 
 def drawn_motions(draws: int | None, seed: int | None, method: str) -> int:
-    """How many motions are drawn from the posterior: as usual unless something else was said.
-
-    Raises
-    ------
-    typer.BadParameter
-        The method has no posterior and motions or a seed were asked for, or a seed and no motions.
-    """
+    """How many motions are drawn from the posterior: as usual unless something else was said."""
     if method != GRAPH:
         for option in [*(["--draws"] if draws else []), *(["--seed"] if seed is not None else [])]:
             raise typer.BadParameter(f"{option} belongs to the method {GRAPH}: '{method}' has no posterior")
@@ -115,11 +97,6 @@ def recover_arms(
     """The arms of a recording by one method; those that cannot be recovered are left out.
 
     Motions are drawn from the graph's posterior only.
-
-    Raises
-    ------
-    UnoccludeError
-        No arm can be recovered.
     """
     from ..several_arms import smooth_arms, together
 
@@ -173,20 +150,7 @@ def with_strap_note(recovery: Recovery) -> Recovery:
 
 
 def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
-    """Mark the samples whose position is less certain than asked for; they stay as they are.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    max_sigma_m : float or None, m
-        Largest standard deviation on the worst axis that is of use; None marks nothing.
-
-    Returns
-    -------
-    recovery : Recovery
-        With the limit among its estimates, from which `io.usable` derives the marks, and a note on how
-        many samples it concerns.
-    """
+    """Mark the samples whose position is less certain than asked for; they stay as they are."""
     if max_sigma_m is None:
         return recovery
     from ..result.untrusted import certain

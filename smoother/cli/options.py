@@ -195,22 +195,12 @@ LatencyS = Annotated[
 
 @dataclass(frozen=True)
 class ArmSelection:
-    """Which arm of a recording, as a group of a command's options.
+    """Which arm of a recording, as a group of a command's options."""
 
-    Attributes
-    ----------
-    imu, skeleton : str, optional
-        Topics.
-    side : str, optional
-        "left" or "right".
-    body : int, optional
-        The person.
-    """
-
-    imu: Imu = None
-    skeleton: Skeleton = None
-    side: Side = None
-    body: Body = None
+    imu: Imu = None  # Topics
+    skeleton: Skeleton = None  # Topics
+    side: Side = None  # "left" or "right"
+    body: Body = None  # The person
 
     def reading(self) -> Selection:
         """As keywords for what reads a recording; checks `--side`."""
@@ -228,18 +218,11 @@ ANY_ARM = ArmSelection()
 
 @dataclass(frozen=True)
 class Outputs:
-    """What is written besides, as a group of a command's options.
-
-    Attributes
-    ----------
-    report, json_file : Path, optional
-    force : bool
-        Overwrite what exists.
-    """
+    """What is written besides, as a group of a command's options."""
 
     report: Report = None
     json_file: Json = None
-    force: Force = False
+    force: Force = False  # Overwrite what exists
 
 
 #: Nothing besides.
@@ -285,22 +268,7 @@ def parsed_settings(given: Iterable[str], settings: Mapping[str, FieldInfo]) -> 
 def with_groups(
     command: Callable[..., None], settings: Mapping[str, FieldInfo] | None = None
 ) -> Callable[..., None]:
-    """The command with the options of its groups in the groups' places, and `--set` for its settings.
-
-    Parameters
-    ----------
-    command : callable
-        Parameters whose type is a dataclass are replaced by its fields, which are annotated as options, or
-        groups again.
-    settings : mapping of str to FieldInfo, optional
-        Of a simulation, which the command takes as `**settings`, None where it is not given; those of
-        `DAILY` have options of their own.
-
-    Returns
-    -------
-    command : callable
-        For typer, under the same name.
-    """
+    """The command with the options of its groups in the groups' places, and `--set` for its settings."""
     signature = inspect.signature(command, eval_str=True)
     own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
     options = [option for each in own for option in _options(each)]

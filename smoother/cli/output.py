@@ -31,27 +31,16 @@ LONGEST_WORD = 32
 _LINED, _PLAIN = (3, 1), (2, 0)
 
 
-def laid_out(title: str, columns: Sequence[str], cells: Cells, width: int) -> RenderableType:
+def laid_out(
+    title: str,
+    columns: Sequence[str],
+    cells: Cells,  # (rows, n)
+    width: int,
+) -> RenderableType:
     """A table that fits into `width` characters with its words whole.
 
     With lines between the columns where there is room; else without; else turned, its rows as columns; else
     a paragraph for each row.
-
-    Parameters
-    ----------
-    title : str
-        Above the table.
-    columns : sequence of str, length n
-        Heads.
-    cells : sequence of sequence of str, shape (rows, n)
-        The first of a row is its title.
-    width : int, characters
-        Of the terminal.
-
-    Returns
-    -------
-    table : rich renderable
-        For rich's console.
     """
     from rich.console import Group
     from rich.text import Text
@@ -205,14 +194,7 @@ _TRUTH = "Simulated: what the calibration of these files should find."
 
 
 def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
-    """Refuse outputs that could not be written in the end, before any work is done for them.
-
-    Raises
-    ------
-    UnoccludeError
-        An output exists and `--force` is not given, two are one file, one is an input (under this name or
-        another: a link), or an input is not a file.
-    """
+    """Refuse outputs that could not be written in the end, before any work is done for them."""
     from ..runtime.inputs import check_input
     from ..runtime.outputs import check_output, is_stream, remove_stale_tempfiles
 
@@ -254,11 +236,6 @@ def check_mcap(path: Path, exports: bool = False) -> None:
     """Refuse to write MCAP to a file whose ending says something else.
 
     `exports`: what is written is a result, which `unocclude export` writes in other formats.
-
-    Raises
-    ------
-    UnoccludeError
-        In one sentence, with the command that writes what the ending says.
     """
     ending = path.suffix.lower().removeprefix(".")
     if exports and ending in _OTHER_ENDINGS:

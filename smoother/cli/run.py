@@ -81,18 +81,7 @@ STOPPED = "interrupted; no output is left half written"
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run `unocclude` with these arguments.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-
-    Returns
-    -------
-    code : int
-        0 if done, 1 if it could not be done, 2 for wrong use, 3 if a result is not to be trusted (`check`,
-        and --strict).
-    """
+    """Run `unocclude` with these arguments."""
     from .app import app
 
     if not debugging():

@@ -27,22 +27,12 @@ _MAP_HEAD = """# Markers of {name}: the mean of a joint's markers is its centre.
 
 @dataclass(frozen=True)
 class MocapFiles:
-    """Names of what a motion capture is written to.
+    """Names of what a motion capture is written to."""
 
-    Attributes
-    ----------
-    c3d, trc : Path
-        The markers, alike.
-    map : Path
-        Which markers make a joint.
-    calibration : Path
-        Where [camera_from_mocap] goes if no other file is named.
-    """
-
-    c3d: Path
-    trc: Path
-    map: Path
-    calibration: Path
+    c3d: Path  # The markers, alike
+    trc: Path  # The markers, alike
+    map: Path  # Which markers make a joint
+    calibration: Path  # Where [camera_from_mocap] goes if no other file is named
 
     @classmethod
     def beside(cls, recording: Path, calibration: Path | None) -> MocapFiles:

@@ -33,24 +33,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulatedFile:
-    """A simulated recording and its truth, as a group of a command's options.
+    """A simulated recording and its truth, as a group of a command's options."""
 
-    Attributes
-    ----------
-    output : Path
-        The recording.
-    seed : int
-        Of the simulation.
-    json_file : Path, optional
-        For the figures.
-    force : bool
-        Overwrite what exists.
-    """
-
-    output: Output
-    seed: Seed = 0
-    json_file: Json = None
-    force: Force = False
+    output: Output  # The recording
+    seed: Seed = 0  # Of the simulation
+    json_file: Json = None  # For the figures
+    force: Force = False  # Overwrite what exists
 
     @property
     def truth(self) -> Path:

@@ -24,13 +24,7 @@ def window(file: Path) -> list[str]:
 
 
 def program() -> Path:
-    """Rerun's viewer itself: its wrapper in Python hides how it ended, and lives on when it is stopped.
-
-    Raises
-    ------
-    UnoccludeError
-        rerun-sdk does not bring one for this machine.
-    """
+    """Rerun's viewer itself: its wrapper in Python hides how it ended, and lives on when it is stopped."""
     spec = find_spec("rerun_cli")
     folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
     names = ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe")
@@ -59,13 +53,7 @@ def environment() -> dict[str, str]:
 
 
 def show(arguments: list[str]) -> None:
-    """Run the viewer until it is closed.
-
-    Raises
-    ------
-    UnoccludeError
-        It ended with an error; its last words are in the sentence.
-    """
+    """Run the viewer until it is closed."""
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as words:
         viewer = subprocess.Popen(arguments, env=environment(), stdout=words, stderr=subprocess.STDOUT)
         # Ending this command ends the viewer, and the file with the patient's motion is deleted.

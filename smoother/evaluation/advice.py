@@ -28,31 +28,15 @@ from .summary import GapSummary, gap_summaries
 
 @dataclass(frozen=True)
 class Rejected:
-    """The samples of one joint that were rejected for one reason.
+    """The samples of one joint that were rejected for one reason."""
 
-    Attributes
-    ----------
-    reason : str
-        The reason's name ("jump").
-    why : str
-        The same in words.
-    joint : str
-        The joint.
-    count : int
-        Samples.
-    share : float
-        Their part of the joint's tracked ones.
-    first_s, last_s : float, s
-        Times of the first and the last, on the IMU's clock.
-    """
-
-    reason: str
-    why: str
-    joint: str
-    count: int
-    share: float
-    first_s: float
-    last_s: float
+    reason: str  # The reason's name ("jump")
+    why: str  # The same in words
+    joint: str  # The joint
+    count: int  # Samples
+    share: float  # Their part of the joint's tracked ones
+    first_s: float  # Times of the first and the last, on the IMU's clock
+    last_s: float  # Times of the first and the last, on the IMU's clock
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
@@ -108,21 +92,7 @@ NOTHING = "No changes recommended: record the next one in the same way."
 
 
 def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
-    """What to do better next time, one sentence each, what helps most first.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        The result, with its residuals.
-    estimates : ArmEstimates or None
-        Its estimates of arm, sensor and clock (`calib.motion.motion_calibration.found_in`).
-
-    Returns
-    -------
-    sentences : list of str
-        At least one. Of a result that is not to be trusted only what corrects it: all else would presume that
-        the set-up was sound.
-    """
+    """What to do better next time, one sentence each, what helps most first."""
     if recovery.estimates.trusted is False:
         return _set_up(recovery)
     sentences = [

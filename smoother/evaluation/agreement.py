@@ -29,49 +29,30 @@ FORGOTTEN = 0.05
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of an answer with a reference, in the unit of both; None where there are too few samples.
+    """Agreement of an answer with a reference, in the unit of both; None where there are too few samples."""
 
-    Attributes
-    ----------
-    rmse : float or None
-        Root mean square of answer minus reference.
-    bias : float or None
-        Mean of answer minus reference.
-    limits_low, limits_high : float or None
-        Limits of agreement, bias -+ 1.96 standard deviations.
-    icc, icc_low, icc_high : float or None
-        ICC(A,1) with its 95 % interval.
-    samples : int
-        How many were compared.
-    independent : float
-        Samples as the interval counts them: neighbours in time are not independent.
-    """
-
-    rmse: float | None
-    bias: float | None
-    limits_low: float | None
-    limits_high: float | None
-    icc: float | None
-    icc_low: float | None
-    icc_high: float | None
-    samples: int
-    independent: float
+    rmse: float | None  # Root mean square of answer minus reference
+    bias: float | None  # Mean of answer minus reference
+    limits_low: float | None  # Limits of agreement, bias -+ 1.96 standard deviations
+    limits_high: float | None  # Limits of agreement, bias -+ 1.96 standard deviations
+    icc: float | None  # ICC(A,1) with its 95 % interval
+    icc_low: float | None  # ICC(A,1) with its 95 % interval
+    icc_high: float | None  # ICC(A,1) with its 95 % interval
+    samples: int  # How many were compared
+    independent: float  # Samples as the interval counts them: neighbours in time are not independent
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
         return asdict(self)
 
 
-def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = False) -> Agreement:
-    """Agreement of two series; a pair with nan is left out.
-
-    Parameters
-    ----------
-    answer, reference : ndarray, shape (n,)
-        In the order of time.
-    degrees : bool
-        Angles, whose differences are taken the short way round.
-    """
+def agreement(
+    answer: FloatArray,  # (n,)
+    reference: FloatArray,  # (n,)
+    *,
+    degrees: bool = False,
+) -> Agreement:
+    """Agreement of two series; a pair with nan is left out."""
     good = np.isfinite(answer) & np.isfinite(reference)
     answer, reference = answer[good], reference[good]
     if degrees:
@@ -119,17 +100,10 @@ def memory(values: FloatArray) -> float:
 
 
 def icc_a1(
-    ratings: FloatArray, independent: float | None = None
+    ratings: FloatArray,
+    independent: float | None = None,  # ratings (n, k)
 ) -> tuple[float | None, float | None, float | None]:
-    """ICC(A,1) and its 95 % interval.
-
-    Parameters
-    ----------
-    ratings : ndarray, shape (n, k)
-        n subjects (here samples) by k raters.
-    independent : float, optional
-        Number of independent subjects for the interval; n if None.
-    """
+    """ICC(A,1) and its 95 % interval."""
     from scipy.stats import f as f_distribution
 
     n, k = ratings.shape
@@ -169,37 +143,21 @@ FEWEST_PAIRS = 3
 
 @dataclass(frozen=True)
 class AgreementLimits:
-    """Mean difference and limits of agreement, each with its 95 % interval.
+    """Mean difference and limits of agreement, each with its 95 % interval."""
 
-    Attributes
-    ----------
-    bias, bias_low, bias_high : float
-        Mean of the differences.
-    low, low_from, low_to, high, high_from, high_to : float
-        Mean -+ 1.96 standard deviations.
-    """
-
-    bias: float
-    bias_low: float
-    bias_high: float
-    low: float
-    low_from: float
-    low_to: float
-    high: float
-    high_from: float
-    high_to: float
+    bias: float  # Mean of the differences
+    bias_low: float  # Mean of the differences
+    bias_high: float  # Mean of the differences
+    low: float  # Mean -+ 1.96 standard deviations
+    low_from: float  # Mean -+ 1.96 standard deviations
+    low_to: float  # Mean -+ 1.96 standard deviations
+    high: float  # Mean -+ 1.96 standard deviations
+    high_from: float  # Mean -+ 1.96 standard deviations
+    high_to: float  # Mean -+ 1.96 standard deviations
 
 
-def limits_of_agreement(difference: FloatArray) -> AgreementLimits:
-    """Limits of agreement with exact intervals (Carkeet, Optometry and Vision Science 92:e71-e80, 2015).
-
-    A normal quantile's estimate has a noncentral t distribution: the intervals hold for few pairs too.
-
-    Parameters
-    ----------
-    difference : ndarray, shape (n,)
-        Independent, three or more.
-    """
+def limits_of_agreement(difference: FloatArray) -> AgreementLimits:  # difference (n,)
+    """Limits of agreement with exact intervals (Carkeet, Optometry and Vision Science 92:e71-e80, 2015)."""
     from scipy.stats import nct
     from scipy.stats import t as student
 
@@ -218,62 +176,31 @@ def limits_of_agreement(difference: FloatArray) -> AgreementLimits:
 
 @dataclass(frozen=True)
 class PairAgreement:
-    """Agreement of pairs of values, in their unit; None where there are too few pairs.
+    """Agreement of pairs of values, in their unit; None where there are too few pairs."""
 
-    Attributes
-    ----------
-    pairs : int
-        How many were compared.
-    bias : float or None
-        Mean of answer minus reference.
-    limits_low, limits_high : float or None
-        Limits of agreement, bias -+ 1.96 standard deviations.
-    limits_low_from, limits_low_to, limits_high_from, limits_high_to : float or None
-        Their 95 % intervals.
-    icc, icc_low, icc_high : float or None
-        ICC(2,1) with its 95 % interval.
-    sem : float or None
-        Standard error of measurement of the answer: the standard deviation of the differences, since the
-        reference is taken as free of error.
-    mdc95 : float or None
-        Minimal detectable change, 1.96 sqrt(2) SEM: of two sessions without any change 95 % differ by less.
-    mdc95_low, mdc95_high : float or None
-        The 95 % interval of it: few pairs say little about a standard deviation.
-    """
-
-    pairs: int
-    bias: float | None = None
-    limits_low: float | None = None
-    limits_high: float | None = None
-    icc: float | None = None
-    icc_low: float | None = None
-    icc_high: float | None = None
-    sem: float | None = None
-    mdc95: float | None = None
-    mdc95_low: float | None = None
-    mdc95_high: float | None = None
-    limits_low_from: float | None = None
-    limits_low_to: float | None = None
-    limits_high_from: float | None = None
-    limits_high_to: float | None = None
+    pairs: int  # How many were compared
+    bias: float | None = None  # Mean of answer minus reference
+    limits_low: float | None = None  # Limits of agreement, bias -+ 1.96 standard deviations
+    limits_high: float | None = None  # Limits of agreement, bias -+ 1.96 standard deviations
+    icc: float | None = None  # ICC(2,1) with its 95 % interval
+    icc_low: float | None = None  # ICC(2,1) with its 95 % interval
+    icc_high: float | None = None  # ICC(2,1) with its 95 % interval
+    sem: float | None = None  # Standard error of measurement of the answer
+    mdc95: float | None = None  # Minimal detectable change, 1.96 sqrt(2) SEM
+    mdc95_low: float | None = None  # The 95 % interval of it: few pairs say little about a standard deviation
+    mdc95_high: float | None = None  # The 95 % interval of it
+    limits_low_from: float | None = None  # Their 95 % intervals
+    limits_low_to: float | None = None  # Their 95 % intervals
+    limits_high_from: float | None = None  # Their 95 % intervals
+    limits_high_to: float | None = None  # Their 95 % intervals
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
         return asdict(self)
 
 
-def pair_agreement(answer: FloatArray, reference: FloatArray) -> PairAgreement:
-    """Agreement of pairs; one with nan is left out.
-
-    Parameters
-    ----------
-    answer, reference : ndarray, shape (n,)
-        A pair a recording or movement.
-
-    Returns
-    -------
-    PairAgreement
-    """
+def pair_agreement(answer: FloatArray, reference: FloatArray) -> PairAgreement:  # answer (n,); reference (n,)
+    """Agreement of pairs; one with nan is left out."""
     good = np.isfinite(answer) & np.isfinite(reference)
     answer, reference = answer[good], reference[good]
     count, difference = len(answer), answer - reference
@@ -301,18 +228,9 @@ def pair_agreement(answer: FloatArray, reference: FloatArray) -> PairAgreement:
     )
 
 
-def measurement_error(ratings: FloatArray) -> float:
-    """Standard error of measurement of alike trials or raters: sqrt of the error's mean square (Weir 2005).
-
-    Parameters
-    ----------
-    ratings : ndarray, shape (n, k)
-        n subjects by k trials.
-
-    Returns
-    -------
-    sem : float
-        In the unit of the ratings; systematic differences between trials are not in it.
+def measurement_error(ratings: FloatArray) -> float:  # ratings (n, k)
+    """Standard error of measurement of alike trials or raters: sqrt of the error's mean square (Weir
+    2005).
     """
     n, k = ratings.shape
     rows, columns = ratings.mean(axis=1), ratings.mean(axis=0)
@@ -347,25 +265,14 @@ WORDS = {
 
 @dataclass(frozen=True)
 class AngleComparison:
-    """Angles of answer and truth at the answer's times, degrees; nan where not known or not defined.
+    """Angles of answer and truth at the answer's times, degrees; nan where not known or not defined."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,), s
-        Times.
-    answer, truth : dict[str, ndarray], shape (n,)
-        By the names of `smoother.joint_angles.ANGLES`.
-    carrying_truth_deg : float, degrees, or None
-        Median of the truth's carrying angle, None without markers on the epicondyles.
-    notes : tuple of str
-        Notes on the comparison, one sentence each.
-    """
-
-    t_s: FloatArray
-    answer: dict[str, FloatArray]
-    truth: dict[str, FloatArray]
+    t_s: FloatArray  # (n,) s: times
+    answer: dict[str, FloatArray]  # dict of (n,): by the names of `smoother.joint_angles.ANGLES`
+    truth: dict[str, FloatArray]  # dict of (n,): by the names of `smoother.joint_angles.ANGLES`
+    # Median of the truth's carrying angle, None without markers on the epicondyles
     carrying_truth_deg: float | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # Notes on the comparison, one sentence each
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -385,24 +292,10 @@ class AngleComparison:
 def compare_angles(
     recovery: Recovery,
     reference: Truth,
-    landmarks: dict[str, FloatArray] | None = None,
-    landmark_t_s: FloatArray | None = None,
+    landmarks: dict[str, FloatArray] | None = None,  # dict of (m, 3) m
+    landmark_t_s: FloatArray | None = None,  # (m,) s
 ) -> AngleComparison | None:
-    """Angles of a recovery beside those of a truth; None where they share none.
-
-    Both have the humerus of ISB's second definition, the same direction of gravity (the answer's) and the
-    same forearm axes in the IMU. Samples near a singular posture, in the truth or the answer, are left out.
-
-    Parameters
-    ----------
-    reference : Truth
-        The truth at the recovery's times, with joints.
-    landmarks : dict[str, ndarray], shape (m, 3), m, optional
-        Positions of markers on the bones, in {K}. The styloids give the truth's forearm its own axes, the
-        epicondyles its carrying angle.
-    landmark_t_s : ndarray, shape (m,), s, optional
-        Their times.
-    """
+    """Angles of a recovery beside those of a truth; None where they share none."""
     count = len(recovery)
     joints = {
         name: np.where(reference.score[:, None], place, np.nan) for name, place in reference.joints.items()

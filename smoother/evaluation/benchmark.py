@@ -42,44 +42,18 @@ class BenchmarkTask(NamedTuple):
 
 @dataclass(frozen=True)
 class BenchmarkRun:
-    """What came out.
+    """What came out."""
 
-    Attributes
-    ----------
-    tables : dict of (str, str) to GapTable
-        By data set and split.
-    trials : dict of (str, str) to int
-        How many trials each holds.
-    digest : str
-        SHA-256 over the files that were read: two runs with the same one saw the same data.
-    notes : tuple of str
-    """
-
-    tables: dict[tuple[str, str], GapTable]
-    trials: dict[tuple[str, str], int]
-    digest: str
+    tables: dict[tuple[str, str], GapTable]  # By data set and split
+    trials: dict[tuple[str, str], int]  # How many trials each holds
+    digest: str  # SHA-256 over the files that were read: two runs with the same one saw the same data
     notes: tuple[str, ...] = field(default=())
 
 
 def find_trials(
     folder: Path, datasets: Sequence[str], splits: Sequence[str], most: int | None = None
 ) -> tuple[list[BenchmarkTrial], list[str]]:
-    """The trials that are there, and a sentence on each data set that is not.
-
-    Parameters
-    ----------
-    folder : Path
-        Holds one folder per data set.
-    datasets, splits : sequence of str
-        What is wanted.
-    most : int, optional
-        Most trials of a data set's split, spread over them.
-
-    Raises
-    ------
-    UnoccludeError
-        There are none.
-    """
+    """The trials that are there, and a sentence on each data set that is not."""
     found: list[BenchmarkTrial] = []
     notes = []
     for key in datasets:
@@ -201,10 +175,7 @@ def _collected(
 
 
 def placed_gaps(task: BenchmarkTask, recording: Recording, seed: int) -> list[tuple[float, HiddenGap]]:
-    """The gaps of a copy with their lengths, s, in order of time.
-
-    The longest are placed first, each length by a generator of its own.
-    """
+    """The gaps of a copy with their lengths, s, in order of time."""
     placed: list[tuple[float, HiddenGap]] = []
     for length_s in sorted(task.lengths_s, reverse=True):
         rng = np.random.default_rng([task.trial.seed(seed), round(1000 * length_s)])
@@ -229,27 +200,14 @@ def _digest(trials: Sequence[BenchmarkTrial]) -> str:
 
 @dataclass(frozen=True)
 class MethodRow:
-    """A method over one data set and split.
-
-    Attributes
-    ----------
-    method : str
-    median_m : dict of float to float or None, m
-        By length: the median over the gaps of their rms.
-    rms_m : dict of float to float or None, m
-        By length: over all samples.
-    inside_95 : float or None
-        Share of all samples inside the stated 95 % region, over all lengths; None where no sigma is stated.
-    gaps, failed : int
-        That were tried, and those of them without an answer.
-    """
+    """A method over one data set and split."""
 
     method: str
-    median_m: dict[float, float | None]
-    rms_m: dict[float, float | None]
-    inside_95: float | None
-    gaps: int
-    failed: int
+    median_m: dict[float, float | None]  # By length: the median over the gaps of their rms
+    rms_m: dict[float, float | None]  # By length: over all samples
+    inside_95: float | None  # Share of all samples inside the stated 95 % region, over all lengths
+    gaps: int  # That were tried, and those of them without an answer
+    failed: int  # That were tried, and those of them without an answer
 
 
 def method_rows(table: GapTable) -> list[MethodRow]:

@@ -37,69 +37,32 @@ PARTS = ("all", "occluded", "visible")
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What one method made of the recording.
-
-    Attributes
-    ----------
-    method : str
-        Its name.
-    validation : Validation or None
-        Its figures, or None where it failed.
-    lag_s : float, s, or None
-        Lag of its answer behind the truth over all samples; None where there is none.
-    lag_occluded_s : float, s, or None
-        The same over the samples in gaps.
-    path : ndarray, shape (n, 3), m, or None
-        The compared point at the IMU's times, in {K}; nan where there is no answer.
-    failure : str
-        Why there is no answer, "" where there is one.
-    """
+    """What one method made of the recording."""
 
     method: str
-    validation: Validation | None
-    lag_s: float | None = None
-    lag_occluded_s: float | None = None
-    path: FloatArray | None = None
-    failure: str = ""
+    validation: Validation | None  # Its figures, or None where it failed
+    lag_s: float | None = None  # Lag of its answer behind the truth over all samples
+    lag_occluded_s: float | None = None  # The same over the samples in gaps
+    path: FloatArray | None = None  # (n, 3) m: the compared point at the IMU's times, in {K}
+    failure: str = ""  # Why there is no answer, "" where there is one
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """All methods on one recording.
+    """All methods on one recording."""
 
-    Attributes
-    ----------
-    rows : tuple of MethodResult
-        The methods, the best first (by the rms of the compared point in gaps, else over all samples); those
-        without an answer last.
-    point : str
-        What is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU.
-    clock_offset_s, clock_offset_sigma_s : float, s
-        `t_imu = t_camera + offset`, estimated by the graph, given to all.
-    camera_lag_s : dict[str, float], s
-        By joint, lag of the camera's own samples behind the truth, stamps as they came.
-    t_s : ndarray, shape (n,), s
-        The IMU's times.
-    gaps : tuple of Gap
-        Of the recording, on the IMU's clock.
-    truth : Truth
-        What all were held against.
-    alignment : ReferenceAlignment
-        How it was brought there.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    """
-
+    # The methods, the best first (by the rms of the compared point in gaps, else over all samples)
     rows: tuple[MethodResult, ...]
-    point: str
-    clock_offset_s: float
-    clock_offset_sigma_s: float
+    point: str  # What is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU
+    clock_offset_s: float  # `t_imu = t_camera + offset`, estimated by the graph, given to all
+    clock_offset_sigma_s: float  # `t_imu = t_camera + offset`, estimated by the graph, given to all
+    # By joint, lag of the camera's own samples behind the truth, stamps as they came
     camera_lag_s: dict[str, float]
-    t_s: FloatArray
-    gaps: tuple[Gap, ...]
-    truth: Truth
-    alignment: ReferenceAlignment
-    notes: tuple[str, ...] = ()
+    t_s: FloatArray  # (n,) s: the IMU's times
+    gaps: tuple[Gap, ...]  # Of the recording, on the IMU's clock
+    truth: Truth  # What all were held against
+    alignment: ReferenceAlignment  # How it was brought there
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
     @property
     def reference(self) -> FloatArray:
@@ -170,31 +133,7 @@ def compare(
     progress: Progress | None = None,
     processes: int = 1,
 ) -> Comparison:
-    """Run every method on one recording and hold each answer against the same truth.
-
-    Parameters
-    ----------
-    recording : Recording
-        What the methods are given; it should contain no truth.
-    graph : Recovery
-        The graph's recovery of this very recording, which also gave the clock.
-    truth : Truth
-        In the camera frame and on the IMU's clock.
-    methods : dict[str, Method]
-        By name, a function from a recording to its recovery.
-    alignment : ReferenceAlignment, optional
-        How the truth was brought there; None where it came so.
-    progress : Progress, optional
-        Called with (part done, what is being done).
-    processes : int
-        Methods that run side by side, each in a process; 0 for one per core. With more than one they must be
-        such as can be sent to another process (no local functions).
-
-    Raises
-    ------
-    RecordingError
-        Truth and recording do not overlap.
-    """
+    """Run every method on one recording and hold each answer against the same truth."""
     alignment = alignment or ReferenceAlignment()
     point = compared_point(validate(graph, truth, alignment), graph)
     report = progress or (lambda part, text: None)
@@ -223,13 +162,7 @@ def compare(
 
 
 def compared_point(validation: Validation, recovery: Recovery) -> str:
-    """The first of `POINTS` that truth and answer share.
-
-    Raises
-    ------
-    RecordingError
-        They share none.
-    """
+    """The first of `POINTS` that truth and answer share."""
     for point in POINTS:
         figures = figures_of(validation, point, "all")
         if figures is not None and figures.samples:
@@ -326,20 +259,7 @@ APART_S = 0.2
 
 
 class LivePlay:
-    """A recording played once into the live smoother, for several methods.
-
-    Parameters
-    ----------
-    graph : callable
-        The offline method; its clock gives the frames' arrival times, and its gaps are scored.
-    calibration : ArmCalibration or None
-        What is known beforehand.
-    config : Config
-    latency_s : float, s
-        From a frame's moment to its arrival.
-    lag_s : float, s
-        Of `live-settled`.
-    """
+    """A recording played once into the live smoother, for several methods."""
 
     def __init__(
         self,

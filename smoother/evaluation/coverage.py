@@ -22,21 +22,11 @@ MOST = 50_000
 
 @dataclass(frozen=True)
 class StatedAndActual:
-    """Errors of some samples with what was stated of them.
+    """Errors of some samples with what was stated of them."""
 
-    Attributes
-    ----------
-    squared : ndarray, shape (n,)
-        Squared error in sigmas; chi-square with three degrees of freedom where the statement is consistent.
-    sigma_m : ndarray, shape (n,), m
-        Stated standard deviation, mean over the axes.
-    error_m : ndarray, shape (n,), m
-        Length of the error over the square root of 3: the part per axis.
-    """
-
-    squared: FloatArray
-    sigma_m: FloatArray
-    error_m: FloatArray
+    squared: FloatArray  # (n,): squared error in sigmas
+    sigma_m: FloatArray  # (n,) m: stated standard deviation, mean over the axes
+    error_m: FloatArray  # (n,) m: length of the error over the square root of 3: the part per axis
 
     def coverage(self) -> FloatArray:
         """Share of the errors inside the region of each of `LEVELS`; nan without samples."""
@@ -69,13 +59,7 @@ def stated_and_actual(error_m: FloatArray, covariance: FloatArray) -> StatedAndA
 
 
 def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
-    """The camera's samples that were used, by joint: residual against camera noise and joint covariance.
-
-    The part of a joint's covariance that is there all the time (lever arms, the common part of the camera's
-    constant errors) is one error for all samples, which shows in no residual, and is left out. Estimated
-    constant errors of the joints are subtracted. Joints whose noise is not stated are left out; there is none
-    for methods that keep no residuals. Of long recordings `MOST` samples per joint are used.
-    """
+    """The camera's samples that were used, by joint: residual against camera noise and joint covariance."""
     residuals = recovery.residuals
     noise, bias = recovery.estimates.camera_sigma_m, recovery.estimates.joint_bias_m or {}
     if residuals is None or noise is None or len(recovery) < 1:

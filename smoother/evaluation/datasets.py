@@ -26,27 +26,13 @@ SPLITS = ("development", "test")
 
 @dataclass(frozen=True)
 class BenchmarkTrial:
-    """A recording in which gaps are hidden.
+    """A recording in which gaps are hidden."""
 
-    Attributes
-    ----------
-    dataset : str
-        Key of its data set.
-    name : str
-        As its files are called, without the ending.
-    split : str
-        One of `SPLITS`.
-    files : tuple of Path
-        What it is read from.
-    calibrated_on : str
-        The group of recordings that calibrate its arm beforehand; "" where nothing does.
-    """
-
-    dataset: str
-    name: str
-    split: str
-    files: tuple[Path, ...]
-    calibrated_on: str = ""
+    dataset: str  # Key of its data set
+    name: str  # As its files are called, without the ending
+    split: str  # One of `SPLITS`
+    files: tuple[Path, ...]  # What it is read from
+    calibrated_on: str = ""  # The group of recordings that calibrate its arm beforehand
 
     @property
     def key(self) -> str:
@@ -61,44 +47,20 @@ class BenchmarkTrial:
 
 @dataclass(frozen=True)
 class BenchmarkData:
-    """A public data set.
+    """A public data set."""
 
-    Attributes
-    ----------
-    key : str
-        Its folder, and what users call it.
-    title : str
-    source : str
-        The paper or the place to cite, with its licence.
-    point : str
-        What is scored, in words.
-    lengths_s : tuple of float, s
-        Of the gaps.
-    gaps : int
-        Most gaps of a length in a trial.
-    together : bool
-        Gaps of all lengths are in one copy of a trial, as long recordings allow; else a copy a length.
-    find : callable
-        From the data set's folder to its trials that are there, in a fixed order; those of which a file is
-        missing are left out.
-    open : callable
-        From a trial to its recording; raises `UnoccludeError`.
-    calibrations : callable
-        From the folder to the files of each group that calibrates, by the group's name.
-    layout : str
-        Which files are looked for, for messages.
-    """
-
-    key: str
+    key: str  # Its folder, and what users call it
     title: str
-    source: str
-    point: str
-    lengths_s: tuple[float, ...]
-    gaps: int
-    together: bool
+    source: str  # The paper or the place to cite, with its licence
+    point: str  # What is scored, in words
+    lengths_s: tuple[float, ...]  # Of the gaps
+    gaps: int  # Most gaps of a length in a trial
+    together: bool  # Gaps of all lengths are in one copy of a trial, as long recordings allow
+    # From the data set's folder to its trials that are there, in a fixed order
     find: Callable[[Path], Iterator[BenchmarkTrial]]
-    open: Callable[[BenchmarkTrial], Recording]
-    layout: str
+    open: Callable[[BenchmarkTrial], Recording]  # From a trial to its recording; raises `UnoccludeError`
+    layout: str  # Which files are looked for, for messages
+    # From the folder to the files of each group that calibrates, by the group's name
     calibrations: Callable[[Path], dict[str, list[BenchmarkTrial]]] = lambda folder: {}
 
 
@@ -190,22 +152,7 @@ def open_smartfallmm(trial: BenchmarkTrial) -> Recording:
 
 
 def imported(name: str, skeleton: Path, sensors: tuple[Path, ...], side: str = "right") -> Recording:
-    """The recording of files as devices write them.
-
-    Parameters
-    ----------
-    name : str
-        Of the recording.
-    skeleton : Path
-    sensors : tuple of Path
-        Of one IMU on the forearm.
-    side : str
-        "left" or "right".
-
-    Returns
-    -------
-    recording : Recording
-    """
+    """The recording of files as devices write them."""
     from ..io import ImuFiles, import_files, read_recording, write_recording
 
     with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:

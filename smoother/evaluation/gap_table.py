@@ -20,42 +20,18 @@ from .metrics import Figures, summarise
 
 @dataclass(frozen=True)
 class GapRow:
-    """One hidden gap and what a method made of it.
+    """One hidden gap and what a method made of it."""
 
-    Attributes
-    ----------
-    length_s : float, s
-        Length asked for.
-    method : str
-        Name of the method.
-    run : int
-        Which copy of the recording the gap was hidden in.
-    gap : HiddenGap
-        Where it was hidden, on the camera's clock.
-    reference : str
-        "truth", "wrist", "strap" ..: what the answer was compared with.
-    figures : Figures
-        Errors inside the gap.
-    sigma_max_m : float, m, or None
-        Largest stated standard deviation inside the gap, on one axis.
-    path_m : float, m, or None
-        Length of the hidden path.
-    failure : str
-        Why there is no answer, "" where there is one.
-    recording : str
-        Name of the recording.
-    """
-
-    length_s: float
-    method: str
-    run: int
-    gap: HiddenGap
-    reference: str
-    figures: Figures
-    sigma_max_m: float | None = None
-    path_m: float | None = None
-    failure: str = ""
-    recording: str = ""
+    length_s: float  # Length asked for
+    method: str  # Name of the method
+    run: int  # Which copy of the recording the gap was hidden in
+    gap: HiddenGap  # Where it was hidden, on the camera's clock
+    reference: str  # "truth", "wrist", "strap" ..: what the answer was compared with
+    figures: Figures  # Errors inside the gap
+    sigma_max_m: float | None = None  # Largest stated standard deviation inside the gap, on one axis
+    path_m: float | None = None  # Length of the hidden path
+    failure: str = ""  # Why there is no answer, "" where there is one
+    recording: str = ""  # Name of the recording
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
@@ -114,24 +90,13 @@ class GapFigures:
 
 @dataclass(frozen=True)
 class GapTable:
-    """Error against gap length.
+    """Error against gap length."""
 
-    Attributes
-    ----------
-    lengths : dict[float, dict[str, GapFigures]]
-        By gap length (s), by method, its figures over all gaps of that length.
-    rows : tuple of GapRow
-        Each gap by itself.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    errors : tuple of GapErrors
-        Of each row, sample by sample.
-    """
-
+    # By gap length (s), by method, its figures over all gaps of that length
     lengths: dict[float, dict[str, GapFigures]]
-    rows: tuple[GapRow, ...]
-    notes: tuple[str, ...] = ()
-    errors: tuple[GapErrors, ...] = ()
+    rows: tuple[GapRow, ...]  # Each gap by itself
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
+    errors: tuple[GapErrors, ...] = ()  # Of each row, sample by sample
 
     def sigma_factors(self, method: str = "graph") -> tuple[LengthFactor, ...]:
         """By what a method's sigma has to be multiplied to hold; empty without its answers."""
@@ -157,16 +122,7 @@ class GapTable:
 
 
 def table_of(rows: Sequence[GapRow], errors: Sequence[GapErrors], notes: Sequence[str]) -> GapTable:
-    """The gaps by length and method.
-
-    Parameters
-    ----------
-    rows : sequence of GapRow
-    errors : sequence of GapErrors
-        Of each row, sample by sample.
-    notes : sequence of str
-        None is stated twice.
-    """
+    """The gaps by length and method."""
     lengths: dict[float, dict[str, GapFigures]] = {}
     for length in dict.fromkeys(row.length_s for row in rows):
         for name in dict.fromkeys(row.method for row in rows):
@@ -193,29 +149,15 @@ def pooled(tables: Sequence[GapTable]) -> GapTable:
 
 @dataclass(frozen=True)
 class GapSpread:
-    """Errors gap by gap: quartiles over gaps of the rms inside each.
+    """Errors gap by gap: quartiles over gaps of the rms inside each."""
 
-    Attributes
-    ----------
-    low_m, median_m, high_m : float, m, or None
-        Quartiles (25, 50 and 75 %) of the gaps' rms; None without any.
-    rms_m : float, m, or None
-        Root mean square over gaps, each weighing the same.
-    worst_m : float, m, or None
-        The worst gap's rms.
-    gaps : int
-        Gaps that were tried.
-    failed : int
-        Those of them without an answer; they are in no other figure.
-    """
-
-    low_m: float | None
-    median_m: float | None
-    high_m: float | None
-    rms_m: float | None
-    worst_m: float | None
-    gaps: int
-    failed: int
+    low_m: float | None  # Quartiles (25, 50 and 75 %) of the gaps' rms; None without any
+    median_m: float | None  # Quartiles (25, 50 and 75 %) of the gaps' rms; None without any
+    high_m: float | None  # Quartiles (25, 50 and 75 %) of the gaps' rms; None without any
+    rms_m: float | None  # Root mean square over gaps, each weighing the same
+    worst_m: float | None  # The worst gap's rms
+    gaps: int  # Gaps that were tried
+    failed: int  # Those of them without an answer; they are in no other figure
 
     def to_dict(self) -> dict[str, float | int | None]:
         """Plain values by name."""
@@ -262,22 +204,14 @@ ALIKE = 1.15
 # movement shows what that costs.
 @dataclass(frozen=True)
 class RealGaps:
-    """Movement in the real gaps of some recordings against their hidden ones.
+    """Movement in the real gaps of some recordings against their hidden ones."""
 
-    Attributes
-    ----------
-    count : int
-        Real gaps.
-    turning_ratio, acceleration_ratio : float or None
-        Rms turn rate, and rms of specific force less gravity's size, in real gaps over those in hidden ones.
-    error_ratio : float or None
-        How much larger errors are to be expected in real gaps; None where hidden gaps do not say.
-    """
-
-    count: int
+    count: int  # Real gaps
+    # Rms turn rate, and rms of specific force less gravity's size, in real gaps over those in hidden ones
     turning_ratio: float | None = None
+    # Rms turn rate, and rms of specific force less gravity's size, in real gaps over those in hidden ones
     acceleration_ratio: float | None = None
-    error_ratio: float | None = None
+    error_ratio: float | None = None  # How much larger errors are to be expected in real gaps
 
     def to_dict(self) -> dict[str, float | int | None]:
         """Plain values by name."""
@@ -302,21 +236,7 @@ class RealGaps:
 
 
 def compare_real_gaps(recordings: Sequence[Recording], table: GapTable, method: str = "graph") -> RealGaps:
-    """Movement in real gaps against hidden ones, over some recordings.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        As they were, nothing hidden.
-    table : GapTable
-        Of these recordings.
-    method : str
-        Whose errors count.
-
-    Returns
-    -------
-    comparison : RealGaps
-    """
+    """Movement in real gaps against hidden ones, over some recordings."""
     by_name = {recording.name: recording for recording in recordings}
     real = [
         movement
@@ -392,18 +312,10 @@ BORDERS_S = (0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 30.0)
 
 @dataclass(frozen=True)
 class SinceFigures:
-    """A method's errors at some time since the last frame.
+    """A method's errors at some time since the last frame."""
 
-    Attributes
-    ----------
-    from_s, to_s : float, s
-        The time since the last frame.
-    method : str
-    figures : Figures
-    """
-
-    from_s: float
-    to_s: float
+    from_s: float  # The time since the last frame
+    to_s: float  # The time since the last frame
     method: str
     figures: Figures
 
@@ -422,19 +334,7 @@ class SinceFigures:
 
 
 def since_last_frame(table: GapTable, methods: Sequence[str]) -> list[SinceFigures]:
-    """Errors in hidden gaps by the time since each began.
-
-    Parameters
-    ----------
-    table : GapTable
-    methods : sequence of str
-        In the order wanted.
-
-    Returns
-    -------
-    rows : list of SinceFigures
-        By time, then by method; times that no gap reaches are left out.
-    """
+    """Errors in hidden gaps by the time since each began."""
     rows = []
     for from_s, to_s in pairwise(BORDERS_S):
         for method in methods:

@@ -23,18 +23,10 @@ Method = Callable[[Recording], Recovery]
 
 @dataclass
 class Collected:
-    """Rows and their samples while the runs go on.
-
-    Attributes
-    ----------
-    rows : list of GapRow
-    hidden : list of GapErrors
-        Of each row, sample by sample.
-    notes : list of str
-    """
+    """Rows and their samples while the runs go on."""
 
     rows: list[GapRow] = field(default_factory=list)
-    hidden: list[GapErrors] = field(default_factory=list)
+    hidden: list[GapErrors] = field(default_factory=list)  # Of each row, sample by sample
     notes: list[str] = field(default_factory=list)
 
     def add(self, other: Collected) -> None:
@@ -64,41 +56,7 @@ def evaluate_gaps(
     progress: Progress | None = None,
     processes: int = 1,
 ) -> GapTable:
-    """Hide visible frames at random, recover them, and measure the error there.
-
-    Each method gets a copy of the recording in which elbow, wrist, hand and strap are not tracked
-    inside the gaps and which has no truth: no step of it, calibration included, can see what is
-    scored. All methods get the same gaps. The answer in a gap is compared with the recording's truth
-    at the IMU's times where there is one, else with the hidden camera samples (wrist, or the
-    recording's only joint) at the frames' times on the IMU's clock, which the method estimated.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording, whole.
-    lengths_s : sequence of float, s
-        Gap lengths to try.
-    methods : dict[str, Method]
-        By name, a function from a recording to its recovery.
-    seed : int
-        Where the gaps fall.
-    repetitions : int
-        Copies with other gaps, a length.
-    gaps_per_run : int
-        Most gaps hidden in one copy.
-    margin_s : float, s
-        Visible time kept on both sides of a gap.
-    progress : Progress, optional
-        Called with (part done, what is being done).
-    processes : int
-        Copies that are recovered side by side, each in a process; 0 for one per core. With more than one the
-        methods must be such as can be sent to another process (no local functions).
-
-    Raises
-    ------
-    RecordingError
-        At none of the lengths can a gap be hidden.
-    """
+    """Hide visible frames at random, recover them, and measure the error there."""
     collected = Collected()
     # what is hidden is hidden from all cameras
     recording, _ = join_cameras(recording)
@@ -156,22 +114,7 @@ def _place_all(
 def try_methods(
     trial: GapCopy, recording: Recording, methods: Mapping[str, Method], one_noise: bool = False
 ) -> Collected:
-    """All methods on one copy; what one of them cannot do becomes rows without figures.
-
-    Parameters
-    ----------
-    trial : GapCopy
-    recording : Recording
-        The recording, whole.
-    methods : mapping of str to Method
-    one_noise : bool
-        Against hidden camera samples, whose noise counts beside sigma: the first method's residuals give it
-        for all, instead of each method's own.
-
-    Returns
-    -------
-    collected : Collected
-    """
+    """All methods on one copy; what one of them cannot do becomes rows without figures."""
     collected = Collected()
     copy = hide(recording, trial.gaps)
     noise_of: Recovery | None = None
@@ -224,20 +167,11 @@ WITHIN_M = 0.02
 
 @dataclass(frozen=True)
 class TriedGaps:
-    """How uncertain hidden gaps are by their length.
+    """How uncertain hidden gaps are by their length."""
 
-    Attributes
-    ----------
-    length_s, sigma_m : tuple of float, s and m
-        Of the gaps that could be hidden: the median of the largest sigma of the three axes, widened where the
-        errors against what was hidden are larger than stated.
-    not_determined : tuple of str
-        What the motion left open.
-    """
-
-    length_s: tuple[float, ...]
-    sigma_m: tuple[float, ...]
-    not_determined: tuple[str, ...] = ()
+    length_s: tuple[float, ...]  # Of the gaps that could be hidden
+    sigma_m: tuple[float, ...]  # Of the gaps that could be hidden
+    not_determined: tuple[str, ...] = ()  # What the motion left open
 
     @property
     def longest_s(self) -> float:
@@ -292,21 +226,7 @@ def try_gaps(
     progress: Progress | None = None,
     processes: int = 1,
 ) -> TriedGaps:
-    """Hide visible seconds and see how uncertain they become.
-
-    Parameters
-    ----------
-    recording : Recording
-        A short one: it is recovered once a length.
-    recover : callable
-        The method.
-    not_determined : sequence of str
-        What its motion left open.
-    progress : callable, optional
-        Called with (part done, what is being done).
-    processes : int
-        As `evaluate_gaps` has it.
-    """
+    """Hide visible seconds and see how uncertain they become."""
     methods = {"graph": recover}
     try:
         table = evaluate_gaps(

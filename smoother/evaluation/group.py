@@ -25,46 +25,27 @@ LONG = (
 
 @dataclass(frozen=True)
 class Spread:
-    """Values of several persons.
+    """Values of several persons."""
 
-    Attributes
-    ----------
-    count : int
-        Persons.
-    mean, sd : float
-        nan without any, and of one.
-    """
-
-    count: int
-    mean: float
-    sd: float
+    count: int  # Persons
+    mean: float  # nan without any, and of one
+    sd: float  # nan without any, and of one
 
 
 @dataclass(frozen=True)
 class GroupMeasure:
-    """One measure over the persons.
-
-    Attributes
-    ----------
-    side, task, key, name, unit : str
-    first, last : Spread
-        Of the persons' first sessions; of the last ones of those who have several.
-    change : float
-        Mean of last less first over those persons; nan without any.
-    low, high : float
-        95 % interval of that mean by Student's t over the persons; nan for fewer than two.
-    """
+    """One measure over the persons."""
 
     side: str
     task: str
     key: str
     name: str
     unit: str
-    first: Spread
-    last: Spread
-    change: float = math.nan
-    low: float = math.nan
-    high: float = math.nan
+    first: Spread  # Of the persons' first sessions; of the last ones of those who have several
+    last: Spread  # Of the persons' first sessions; of the last ones of those who have several
+    change: float = math.nan  # Mean of last less first over those persons; nan without any
+    low: float = math.nan  # 95 % interval of that mean by Student's t over the persons
+    high: float = math.nan  # 95 % interval of that mean by Student's t over the persons
 
 
 def write_long(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -77,18 +58,7 @@ def write_long(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[GroupMeasure]:
-    """The main measures over the persons, without what is not to be trusted.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        The long format.
-
-    Returns
-    -------
-    measures : list of GroupMeasure
-        By arm, task, and the order in which one looks at them.
-    """
+    """The main measures over the persons, without what is not to be trusted."""
     values: dict[tuple[str, str, str], dict[str, dict[int, float]]] = {}
     about: dict[str, tuple[str, str]] = {}
     for row in rows:

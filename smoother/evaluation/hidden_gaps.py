@@ -37,16 +37,10 @@ LEAST_SIDE_S = 0.4
 
 @dataclass(frozen=True)
 class HiddenGap:
-    """A gap to make, on the camera's clock.
+    """A gap to make, on the camera's clock."""
 
-    Attributes
-    ----------
-    start_s, end_s : float, s
-        The frames beside it, which stay visible.
-    """
-
-    start_s: float
-    end_s: float
+    start_s: float  # The frames beside it, which stay visible
+    end_s: float  # The frames beside it, which stay visible
 
     @property
     def length_s(self) -> float:
@@ -94,30 +88,7 @@ def place_gaps(
     count: int,
     margin_s: float = 1.5,
 ) -> list[HiddenGap]:
-    """Draw gaps of one length at random.
-
-    Each keeps `margin_s` of visible time on both sides and twice that to the next. A recording too
-    short for any gets one gap in the middle of its longest visible run if 0.4 s stay visible on
-    both sides. With a truth, at least half of a gap must be scored.
-
-    Parameters
-    ----------
-    recording : Recording
-        What they are to be hidden in.
-    length_s : float, s
-        Length of each.
-    rng : numpy.random.Generator
-        Where they fall.
-    count : int
-        Most gaps that are drawn.
-    margin_s : float, s
-        Visible time on each side.
-
-    Returns
-    -------
-    gaps : list of HiddenGap
-        In order of time; fewer, or none, where there is not enough visible time.
-    """
+    """Draw gaps of one length at random."""
     runs, visible_s = visible_runs(recording), visible_times(recording)
     open_starts = _starts(visible_s, runs, length_s, margin_s)
     chosen: list[HiddenGap] = []
@@ -184,35 +155,18 @@ REFERENCES = ("wrist", "strap", "hand", "elbow")
 
 @dataclass(frozen=True)
 class GapErrors:
-    """Errors sample by sample inside a gap.
+    """Errors sample by sample inside a gap."""
 
-    Attributes
-    ----------
-    reference : str
-        What the answer was compared with: "truth" or a joint.
-    distance_m, angle_deg, squared_sigmas : ndarray, shape (n,)
-        As in `metrics`; nan where there is no answer.
-    unanswered : int
-        Samples with a reference and without an answer.
-    sigma_max_m : float, m, or None
-        Largest stated standard deviation, on one axis.
-    path_m : float, m, or None
-        Length of the hidden path.
-    needed_factors : ndarray, shape (n, 2)
-        By what sigma has to be multiplied to hold, see `sigma_factor.needed_factors`.
-    since_s : ndarray, shape (n,), s
-        Time since the gap began.
-    """
-
-    reference: str
-    distance_m: FloatArray
-    angle_deg: FloatArray
-    squared_sigmas: FloatArray
-    unanswered: int = 0
-    sigma_max_m: float | None = None
-    path_m: float | None = None
+    reference: str  # What the answer was compared with: "truth" or a joint
+    distance_m: FloatArray  # (n,): as in `metrics`; nan where there is no answer
+    angle_deg: FloatArray  # (n,): as in `metrics`; nan where there is no answer
+    squared_sigmas: FloatArray  # (n,): as in `metrics`; nan where there is no answer
+    unanswered: int = 0  # Samples with a reference and without an answer
+    sigma_max_m: float | None = None  # Largest stated standard deviation, on one axis
+    path_m: float | None = None  # Length of the hidden path
+    # (n, 2): By what sigma has to be multiplied to hold, see `sigma_factor.needed_factors`
     needed_factors: FloatArray = field(default_factory=lambda: np.zeros((0, len(LEVELS))))
-    since_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    since_s: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,) s: time since the gap began
 
     def figures(self) -> Figures:
         """The figures of these samples."""
@@ -240,22 +194,7 @@ class GapErrors:
 def score_gap(
     recording: Recording, recovery: Recovery, gap: HiddenGap, noise_of: Recovery | None = None
 ) -> GapErrors:
-    """Errors of a recovery inside a gap of the recording, which still holds what was hidden.
-
-    Parameters
-    ----------
-    recording : Recording
-        With its truth, or with the camera samples that were hidden.
-    recovery : Recovery
-        The answer.
-    gap : HiddenGap
-    noise_of : Recovery, optional
-        Whose residuals give the noise of hidden camera samples; the answer's own where None.
-
-    Returns
-    -------
-    errors : GapErrors
-    """
+    """Errors of a recovery inside a gap of the recording, which still holds what was hidden."""
     if recording.truth is not None and len(recording.truth):
         errors, t_s = _against_truth(recording, recovery, gap)
     else:

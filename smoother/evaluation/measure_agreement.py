@@ -23,40 +23,20 @@ SAME_SHARE = 0.5
 
 @dataclass(frozen=True)
 class MeasurePair:
-    """A measure of the answer and of the reference.
+    """A measure of the answer and of the reference."""
 
-    Attributes
-    ----------
-    recording : str
-        What it was measured on.
-    side : str
-        The arm.
-    scope : str
-        "session", "movement" or "repetition".
-    movement : int or None
-        Of the answer; None for the session.
-    key, name, unit : str
-        As a `Measure` has them.
-    value, low, high : float
-        Of the answer; nan without an interval.
-    reference : float
-        Of the reference.
-    recovered_share : float, 0 to 1
-        How much of the answer's value comes from recovered samples.
-    """
-
-    recording: str
-    side: str
-    scope: str
-    movement: int | None
-    key: str
-    name: str
-    unit: str
-    value: float
-    low: float
-    high: float
-    reference: float
-    recovered_share: float
+    recording: str  # What it was measured on
+    side: str  # The arm
+    scope: str  # "session", "movement" or "repetition"
+    movement: int | None  # Of the answer; None for the session
+    key: str  # As a `Measure` has them
+    name: str  # As a `Measure` has them
+    unit: str  # As a `Measure` has them
+    value: float  # Of the answer; nan without an interval
+    low: float  # Of the answer; nan without an interval
+    high: float  # Of the answer; nan without an interval
+    reference: float  # Of the reference
+    recovered_share: float  # How much of the answer's value comes from recovered samples
 
     @property
     def difference(self) -> float:
@@ -87,20 +67,7 @@ def unique_pairs(pairs: Iterable[MeasurePair]) -> list[MeasurePair]:
 
 
 def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recovery]:
-    """Answer and reference as recoveries, each without what the other does not have.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        The answer.
-    reference : Truth
-        At its times.
-
-    Returns
-    -------
-    answer, motion : Recovery
-        Joints are nan where the reference has none; the reference has neither draws nor covariance.
-    """
+    """Answer and reference as recoveries, each without what the other does not have."""
     score = reference.score[:, None]
     position = np.where(score, reference.position, np.nan)
     has_pose = bool(np.isfinite(position).any())
@@ -183,30 +150,16 @@ def same_movements(ours: Sequence[Movement], others: Sequence[Movement]) -> list
 
 @dataclass(frozen=True)
 class KeyAgreement:
-    """How well a measure agrees over many pairs.
+    """How well a measure agrees over many pairs."""
 
-    Attributes
-    ----------
-    scope, key, name, unit : str
-        What is compared.
-    recordings : int
-        Of how many recordings the pairs are.
-    inside : int
-        Intervals that contain the reference.
-    intervals : int
-        Pairs with an interval.
-    agreement : PairAgreement
-        The figures.
-    """
-
-    scope: str
-    key: str
-    name: str
-    unit: str
-    recordings: int
-    inside: int
-    intervals: int
-    agreement: PairAgreement
+    scope: str  # What is compared
+    key: str  # What is compared
+    name: str  # What is compared
+    unit: str  # What is compared
+    recordings: int  # Of how many recordings the pairs are
+    inside: int  # Intervals that contain the reference
+    intervals: int  # Pairs with an interval
+    agreement: PairAgreement  # The figures
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
@@ -216,21 +169,11 @@ class KeyAgreement:
 
 @dataclass(frozen=True)
 class MeasureComparison:
-    """The measures of a recording beside those of its reference.
+    """The measures of a recording beside those of its reference."""
 
-    Attributes
-    ----------
-    pairs : tuple of MeasurePair
-        Those that both have; the session's first.
-    pooled : tuple of MeasurePair
-        Of earlier validations.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    """
-
-    pairs: tuple[MeasurePair, ...]
-    pooled: tuple[MeasurePair, ...] = ()
-    notes: tuple[str, ...] = ()
+    pairs: tuple[MeasurePair, ...]  # Those that both have; the session's first
+    pooled: tuple[MeasurePair, ...] = ()  # Of earlier validations
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
     @property
     def together(self) -> list[MeasurePair]:
@@ -265,26 +208,7 @@ def compare_measures(
     processes: int = 1,
     progress: Progress | None = None,
 ) -> MeasureComparison | None:
-    """Measure the answer and the reference by the same functions over the same samples.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        The result; its draws, if there are any, give the intervals.
-    reference : Truth
-        At the recovery's times, in the camera's frame.
-    pooled : sequence of MeasurePair
-        Of earlier validations (`measure_files.read_pairs`).
-    processes : int
-        Worker processes for the drawn motions, 0 = one per core.
-    progress : callable, optional
-        Called with the number of them measured so far.
-
-    Returns
-    -------
-    MeasureComparison or None
-        None where the reference has no motion to measure.
-    """
+    """Measure the answer and the reference by the same functions over the same samples."""
     from ..measures import measure
 
     answer, motion = same_samples(recovery, reference)
@@ -366,10 +290,7 @@ def pair_cells(
 def agreement_cells(
     comparison: MeasureComparison, keys: Collection[str] | None = None
 ) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Columns and rows of a table of agreement: the main measures with three pairs or more.
-
-    Or of those with these keys.
-    """
+    """Columns and rows of a table of agreement: the main measures with three pairs or more."""
     rows = [
         (
             one.name,

@@ -16,13 +16,7 @@ from .measure_agreement import MeasurePair
 
 
 def read_pairs(path: Path) -> list[MeasurePair]:
-    """The pairs of an earlier validation's `--json`.
-
-    Raises
-    ------
-    UnoccludeError
-        The file is none, or has no measures.
-    """
+    """The pairs of an earlier validation's `--json`."""
     figures = _figures(path)
     pairs = [pair for arm in figures for pair in arm.get("measures", {}).get("pairs", [])]
     names = set(MeasurePair.__dataclass_fields__)
@@ -38,19 +32,7 @@ def read_pairs(path: Path) -> list[MeasurePair]:
 
 
 def read_detectable(path: Path) -> dict[str, float]:
-    """Minimal detectable changes by the measures' keys.
-
-    Parameters
-    ----------
-    path : Path
-        What `validate --json` (those of sessions) or `progress --reliability --json` wrote, or a TOML with a
-        table `[mdc95]` of numbers, each in the unit of its measure.
-
-    Raises
-    ------
-    UnoccludeError
-        The file cannot be read, holds none, or one of a measure that does not exist.
-    """
+    """Minimal detectable changes by the measures' keys."""
     if path.suffix.lower() == ".toml":
         return _detectable_of_user(path)
     if (repeated := _json(path).get("reliability")) is not None:

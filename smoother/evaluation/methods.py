@@ -33,18 +33,10 @@ LIVE_METHODS = (*LIVE_SMOOTHER, *LIVE_BASELINES)
 
 @dataclass(frozen=True)
 class BaselineSettings:
-    """What the command line sets for the baselines.
+    """What the command line sets for the baselines."""
 
-    Attributes
-    ----------
-    orientation : str
-        The filter of those that need one.
-    options : mapping of str to object
-        By name; each is passed to the chosen methods that have it.
-    """
-
-    orientation: str = DEFAULT_ORIENTATION
-    options: Mapping[str, Any] = field(default_factory=dict)
+    orientation: str = DEFAULT_ORIENTATION  # The filter of those that need one
+    options: Mapping[str, Any] = field(default_factory=dict)  # By name
 
     def for_method(self, name: str) -> dict[str, Any]:
         """The options that a method knows."""
@@ -53,10 +45,7 @@ class BaselineSettings:
 
 
 class SharedGraph:
-    """The graph's recovery of a recording, solved once and kept until another recording comes.
-
-    What it cannot solve is kept too: the baselines fail with the same sentence.
-    """
+    """The graph's recovery of a recording, solved once and kept until another recording comes."""
 
     def __init__(
         self,
@@ -86,13 +75,7 @@ class SharedGraph:
         return self._answer
 
     def last(self) -> Recovery:
-        """The recovery of the recording that was solved last.
-
-        Raises
-        ------
-        UnoccludeError
-            It could not be solved, or none was.
-        """
+        """The recovery of the recording that was solved last."""
         if isinstance(self._answer, UnoccludeError):
             raise self._answer
         if self._answer is None:
@@ -120,13 +103,7 @@ def make_methods(
     clock: Clock | None = None,
     latency_s: float = 0.1,
 ) -> dict[str, Method]:
-    """The chosen methods by name; the baselines start from what the graph estimates, which they share.
-
-    Called in turn on the same recording object, the graph is solved once. Without a calibration the baselines
-    get the one that the graph estimated; with one they get it, and the graph's clock. The graph's answer lies
-    in `store`, the baselines' in memory. A clock that was measured is a prior of the graph's. The live
-    methods see a frame `latency_s` after its moment.
-    """
+    """The chosen methods by name; the baselines start from what the graph estimates, which they share."""
     graph, settings = SharedGraph(calibration, config, progress, store, clock), settings or BaselineSettings()
     live = _SharedPlay(graph, calibration, config, latency_s)
 

@@ -28,18 +28,11 @@ def position_error(answer: FloatArray, reference: FloatArray) -> FloatArray:
     return np.linalg.norm(np.asarray(answer) - np.asarray(reference), axis=1)
 
 
-def orientation_error_deg(answer: FloatArray, reference: FloatArray) -> FloatArray:
-    """Degrees of rotation between two orientations, 0 to 180.
-
-    The published measure: `deg' = arccos(Re(q_answer^-1 q_reference)) 360/pi`, then
-    `min(deg', 360 - deg')`. The angle is taken from sine and cosine together, because arccos
-    alone loses angles under 1e-6 degrees to rounding.
-
-    Parameters
-    ----------
-    answer, reference : ndarray, shape (n, 4)
-        Unit quaternions qw, qx, qy, qz of the same frames.
-    """
+def orientation_error_deg(
+    answer: FloatArray,  # (n, 4)
+    reference: FloatArray,  # (n, 4)
+) -> FloatArray:
+    """Degrees of rotation between two orientations, 0 to 180."""
     a, b = unit(answer), unit(reference)
     real = np.abs(np.einsum("ni,ni->n", a, b))  # the sign of a quaternion means nothing: eq 15
     # imaginary part of conj(a) * b
@@ -47,13 +40,12 @@ def orientation_error_deg(answer: FloatArray, reference: FloatArray) -> FloatArr
     return np.degrees(2.0 * np.arctan2(np.linalg.norm(imaginary, axis=1), real))
 
 
-def rotation_error(answer: FloatArray, reference: FloatArray) -> FloatArray:
-    """Rotation vectors (N, 3) rad in {K} that turn the reference into the answer; nan where one is missing.
-
-    Parameters
-    ----------
-    answer, reference : ndarray, shape (n, 4)
-        Quaternions qw, qx, qy, qz of `R_K_A`.
+def rotation_error(
+    answer: FloatArray,  # (n, 4)
+    reference: FloatArray,  # (n, 4)
+) -> FloatArray:
+    """Rotation vectors (N, 3) rad in {K} that turn the reference into the answer; nan where one is
+    missing.
     """
     result = np.full((len(answer), 3), np.nan)
     a, b = unit(answer), unit(reference)
@@ -69,16 +61,11 @@ def mean_vector(vectors: FloatArray) -> list[float] | None:
     return [float(x) for x in finite.mean(axis=0)] if len(finite) else None
 
 
-def squared_sigmas(error: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Squared error in sigmas, e' P^-1 e, (N,); nan where the covariance is missing or not positive.
-
-    Parameters
-    ----------
-    error : ndarray, shape (n, 3), m
-        Answer minus reference.
-    covariance : ndarray, shape (n, 3, 3), m^2
-        As stated with the answer.
-    """
+def squared_sigmas(
+    error: FloatArray,  # (n, 3) m
+    covariance: FloatArray,  # (n, 3, 3) m^2
+) -> FloatArray:
+    """Squared error in sigmas, e' P^-1 e, (N,); nan where the covariance is missing or not positive."""
     result = np.full(len(error), np.nan)
     usable = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     if usable.any():
@@ -109,10 +96,7 @@ def percentile(values: FloatArray, percent: float) -> float | None:
 
 
 def nees(squared: FloatArray) -> float | None:
-    """Mean squared position error in sigmas / 3: 1 where the stated covariance is consistent.
-
-    Above 1 the result is over-confident, below 1 under-confident.
-    """
+    """Mean squared position error in sigmas / 3: 1 where the stated covariance is consistent."""
     finite = _finite(squared)
     return float(finite.mean() / 3.0) if len(finite) else None
 
@@ -130,50 +114,26 @@ def _finite(values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Figures:
-    """Errors of one set of samples; None where there is nothing to measure.
+    """Errors of one set of samples; None where there is nothing to measure."""
 
-    Attributes
-    ----------
-    position_rms_m, position_median_m, position_p95_m, position_max_m : float, m, or None
-        Of the position error.
-    orientation_rms_deg, orientation_max_deg : float, degrees, or None
-        Of the angle of rotation between answer and reference.
-    nees : float or None
-        Mean squared position error in sigmas / 3.
-    coverage_95 : float or None
-        Part of the samples inside the stated 95 % region.
-    samples : int
-        Samples with a reference and an answer.
-    unanswered : int
-        Samples with a reference where the method gave no position.
-    joint_rms_m : dict[str, float | None], m
-        Rms of the position error of each joint that the reference has.
-    position_bias_m : list of float, shape (3,), m, or None
-        Mean of answer minus reference, in {K}.
-    orientation_p95_deg : float, degrees, or None
-        95 % of the orientation errors are smaller.
-    orientation_bias_deg : list of float, shape (3,), degrees, or None
-        Mean rotation vector from reference to answer, in {K}.
-    orientation_nees, orientation_coverage_95 : float or None
-        As for the position, of the rotation vector.
-    """
-
-    position_rms_m: float | None
-    position_max_m: float | None
-    orientation_rms_deg: float | None
-    orientation_max_deg: float | None
-    nees: float | None
-    samples: int
-    position_median_m: float | None = None
-    position_p95_m: float | None = None
-    coverage_95: float | None = None
-    unanswered: int = 0
+    position_rms_m: float | None  # Of the position error
+    position_max_m: float | None  # Of the position error
+    orientation_rms_deg: float | None  # Of the angle of rotation between answer and reference
+    orientation_max_deg: float | None  # Of the angle of rotation between answer and reference
+    nees: float | None  # Mean squared position error in sigmas / 3
+    samples: int  # Samples with a reference and an answer
+    position_median_m: float | None = None  # Of the position error
+    position_p95_m: float | None = None  # Of the position error
+    coverage_95: float | None = None  # Part of the samples inside the stated 95 % region
+    unanswered: int = 0  # Samples with a reference where the method gave no position
+    # Rms of the position error of each joint that the reference has
     joint_rms_m: dict[str, float | None] = field(default_factory=dict)
-    position_bias_m: list[float] | None = None
-    orientation_p95_deg: float | None = None
+    position_bias_m: list[float] | None = None  # (3,) m: mean of answer minus reference, in {K}
+    orientation_p95_deg: float | None = None  # 95 % of the orientation errors are smaller
+    # (3,) degrees: Mean rotation vector from reference to answer, in {K}
     orientation_bias_deg: list[float] | None = None
-    orientation_nees: float | None = None
-    orientation_coverage_95: float | None = None
+    orientation_nees: float | None = None  # As for the position, of the rotation vector
+    orientation_coverage_95: float | None = None  # As for the position, of the rotation vector
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
@@ -183,17 +143,7 @@ class Figures:
 def summarise(
     distance_m: FloatArray, angle_deg: FloatArray, squared: FloatArray, unanswered: int = 0
 ) -> Figures:
-    """The figures of a set of samples.
-
-    Parameters
-    ----------
-    distance_m : ndarray, shape (n,), m
-        Position errors, nan where there is none.
-    angle_deg : ndarray, shape (n,), degrees
-        Orientation errors, nan where there is none.
-    squared : ndarray, shape (n,)
-        Squared position errors in sigmas, nan where there is none.
-    """
+    """The figures of a set of samples."""
     return Figures(
         position_rms_m=rms(distance_m),
         position_max_m=maximum(distance_m),
@@ -216,12 +166,7 @@ STAMP_S = 1e-6
 
 
 def truth_at(truth: Truth, t_s: FloatArray) -> Truth:
-    """The truth at the given times (its own clock), nan where it has none.
-
-    Positions between samples are cubic (linear between fewer than four samples), orientations slerp.
-    Nothing is extrapolated, and samples more than 0.1 s apart are not bridged. A time is
-    scored where the samples on both sides of it are.
-    """
+    """The truth at the given times (its own clock), nan where it has none."""
     t_s = np.asarray(t_s, dtype=float)
     quaternion = np.full((len(t_s), 4), np.nan)
     if len(truth):
@@ -327,30 +272,12 @@ FEWEST, MOST = 20, 20_000
 # are and the reference, which is known everywhere, is read earlier or later: the same samples are used at
 # every lag, so that short gaps do not bias the peak (Feng 2014, 4.5.3, unbiased).
 def lag_s(
-    t_s: FloatArray,
-    samples: FloatArray,
-    reference: FloatArray,
-    reference_t_s: FloatArray | None = None,
-) -> float | None:
-    """Lag of samples behind a reference.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (n,), s
-        Times of the samples, rising.
-    samples : ndarray, shape (n, d)
-        nan rows take no part.
-    reference : ndarray, shape (m, d)
-        In the same unit; nan where there is none.
-    reference_t_s : ndarray, shape (m,), s, optional
-        Its times, rising, on the same clock; those of the samples if None.
-
-    Returns
-    -------
-    lag : float or None, s
-        Positive where the samples are late. None where nothing moves, too little is known, or the peak lies
-        beyond half a second: then the samples do not follow the reference.
-    """
+    t_s: FloatArray,  # (n,) s
+    samples: FloatArray,  # (n, d)
+    reference: FloatArray,  # (m, d)
+    reference_t_s: FloatArray | None = None,  # (m,) s
+) -> float | None:  # s
+    """Lag of samples behind a reference."""
     t_reference = t_s if reference_t_s is None else reference_t_s
     coarse = _coarse_lags()
     roughly = _peak(coarse, _correlations(t_s, samples, reference, t_reference, coarse))
@@ -362,10 +289,7 @@ def lag_s(
 
 
 def best_correlation(t_s: FloatArray, samples: FloatArray, reference: FloatArray) -> float | None:
-    """The largest correlation of samples and a reference (n, d), both at times (n,) s, at any lag.
-
-    None where nothing moves or too little is known.
-    """
+    """The largest correlation of samples and a reference (n, d), both at times (n,) s, at any lag."""
     r = _correlations(t_s, samples, reference, t_s, _coarse_lags())
     return float(np.nanmax(r)) if np.isfinite(r).any() else None
 

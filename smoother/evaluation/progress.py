@@ -113,45 +113,22 @@ HALF_95 = 1.959964
 
 @dataclass(frozen=True)
 class SessionValue:
-    """A measure of one session.
+    """A measure of one session."""
 
-    Attributes
-    ----------
-    session : str
-        What the session is called.
-    day : float
-        Days since the person's first session; nan where that is not known.
-    value, low, high : float
-        The value and its 95 % interval; nan without one.
-    sigma : float
-        Standard deviation by the draws; nan without them.
-    recovered_share : float, 0 to 1
-        How much of it comes from samples that the camera did not see.
-    n_draws : int
-        How many draws the interval is of.
-    note : str
-        A note on it; where the value is nan, the reason.
-    recording : str
-        What it was measured on.
-    """
-
-    session: str
-    day: float
-    value: float
-    low: float = math.nan
-    high: float = math.nan
-    sigma: float = math.nan
-    recovered_share: float = math.nan
-    n_draws: int = 0
-    note: str = ""
-    recording: str = ""
+    session: str  # What the session is called
+    day: float  # Days since the person's first session; nan where that is not known
+    value: float  # The value and its 95 % interval; nan without one
+    low: float = math.nan  # The value and its 95 % interval; nan without one
+    high: float = math.nan  # The value and its 95 % interval; nan without one
+    sigma: float = math.nan  # Standard deviation by the draws; nan without them
+    recovered_share: float = math.nan  # How much of it comes from samples that the camera did not see
+    n_draws: int = 0  # How many draws the interval is of
+    note: str = ""  # A note on it; where the value is nan, the reason
+    recording: str = ""  # What it was measured on
 
     @property
     def spread(self) -> float:
-        """Its standard deviation: of the draws, or of the interval's wider side; nan without both.
-
-        An interval to one side (the largest of noisy values lies above the true one) is treated as an error.
-        """
+        """Its standard deviation: of the draws, or of the interval's wider side; nan without both."""
         widths = [self.sigma, (self.high - self.value) / HALF_95, (self.value - self.low) / HALF_95]
         finite = [width for width in widths if math.isfinite(width)]
         return max(finite) if finite else math.nan
@@ -159,38 +136,18 @@ class SessionValue:
 
 @dataclass(frozen=True)
 class Change:
-    """A measure in two sessions.
+    """A measure in two sessions."""
 
-    Attributes
-    ----------
-    first, last : SessionValue
-        The two.
-    difference : float
-        Last minus first.
-    low, high : float
-        Its 95 % interval by the draws of both; nan without draws.
-    p : float
-        How likely so large a difference is without any change; nan without draws.
-    p_together : float
-        The same where all measures that were compared count together (Holm 1979).
-    mdc95 : float
-        The minimal detectable change that was given; nan without one.
-    word : str
-        "clearly more", "clearly less", "no clear change" or "cannot be assessed".
-    limits : tuple of str
-        What limits the statement, one sentence each.
-    """
-
-    first: SessionValue
-    last: SessionValue
-    difference: float
-    low: float
-    high: float
-    p: float
-    mdc95: float = math.nan
-    word: Word = UNKNOWN
-    limits: tuple[str, ...] = ()
-    p_together: float = math.nan
+    first: SessionValue  # The two
+    last: SessionValue  # The two
+    difference: float  # Last minus first
+    low: float  # Its 95 % interval by the draws of both; nan without draws
+    high: float  # Its 95 % interval by the draws of both; nan without draws
+    p: float  # How likely so large a difference is without any change; nan without draws
+    mdc95: float = math.nan  # The minimal detectable change that was given; nan without one
+    word: Word = UNKNOWN  # "clearly more", "clearly less", "no clear change" or "cannot be assessed"
+    limits: tuple[str, ...] = ()  # What limits the statement, one sentence each
+    p_together: float = math.nan  # The same where all measures that were compared count together (Holm 1979)
 
     @property
     def detectable(self) -> float:
@@ -222,17 +179,6 @@ def change_between(first: SessionValue, last: SessionValue, mdc95: float = math.
     the difference in sigmas has Student's t with the degrees of freedom of Welch and Satterthwaite
     (Welch, Biometrika 34:28-35, 1947). A change is clear where zero lies outside its 95 % interval and, if a
     minimal detectable change is given, it is larger than that.
-
-    Parameters
-    ----------
-    first, last : SessionValue
-        The two, in the order of time.
-    mdc95 : float
-        Minimal detectable change of the measure, in its unit; nan where it is not known.
-
-    Returns
-    -------
-    Change
     """
     difference = last.value - first.value
     spread = math.hypot(first.spread, last.spread)
@@ -297,16 +243,6 @@ def together(changes: Sequence[Change]) -> list[float]:
     """Probabilities of many comparisons together, each as Holm's step-down makes it.
 
     Source: Holm, Scandinavian Journal of Statistics 6:65-70 (1979).
-
-    Parameters
-    ----------
-    changes : sequence of Change
-        All that were looked at; those without a probability do not count.
-
-    Returns
-    -------
-    p : list of float
-        In their order; nan where there is none.
     """
     known = sorted((change.p, place) for place, change in enumerate(changes) if math.isfinite(change.p))
     adjusted, largest = [math.nan] * len(changes), 0.0
@@ -367,28 +303,16 @@ def _limits(
 
 @dataclass(frozen=True)
 class Series:
-    """A measure of one arm over a person's sessions.
+    """A measure of one arm over a person's sessions."""
 
-    Attributes
-    ----------
-    person, side, task : str
-        Whose, which arm, and of which recording of a session ("" where a session has one).
-    key, name, unit : str
-        As a `Measure` has them.
-    values : tuple of SessionValue
-        In the order of time.
-    changes : tuple of Change
-        Each session against the first.
-    """
-
-    person: str
-    side: str
-    task: str
-    key: str
-    name: str
-    unit: str
-    values: tuple[SessionValue, ...]
-    changes: tuple[Change, ...] = ()
+    person: str  # Whose, which arm, and of which recording of a session ("" where a session has one)
+    side: str  # Whose, which arm, and of which recording of a session ("" where a session has one)
+    task: str  # Whose, which arm, and of which recording of a session ("" where a session has one)
+    key: str  # As a `Measure` has them
+    name: str  # As a `Measure` has them
+    unit: str  # As a `Measure` has them
+    values: tuple[SessionValue, ...]  # In the order of time
+    changes: tuple[Change, ...] = ()  # Each session against the first
 
     @property
     def change(self) -> Change | None:
@@ -406,30 +330,14 @@ class Series:
 
 @dataclass(frozen=True)
 class PersonProgress:
-    """All measures of a person over the sessions.
+    """All measures of a person over the sessions."""
 
-    Attributes
-    ----------
-    person : str
-        What the study calls the person.
-    sessions : tuple of str
-        The sessions that have a measure, in the order of time.
-    days : tuple of float, d
-        Since the first of them; nan where that is not known.
-    series : tuple of Series
-        By arm, task and measure.
-    left_out : tuple of str
-        Recordings that take no part, and why; one sentence each.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    """
-
-    person: str
-    sessions: tuple[str, ...]
-    days: tuple[float, ...]
-    series: tuple[Series, ...]
-    left_out: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    person: str  # What the study calls the person
+    sessions: tuple[str, ...]  # The sessions that have a measure, in the order of time
+    days: tuple[float, ...]  # Since the first of them; nan where that is not known
+    series: tuple[Series, ...]  # By arm, task and measure
+    left_out: tuple[str, ...] = ()  # Recordings that take no part, and why; one sentence each
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
     @property
     def main(self) -> tuple[Series, ...]:

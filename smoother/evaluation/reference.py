@@ -39,28 +39,16 @@ LARGEST_PLATE_M = 0.15
 
 @dataclass(frozen=True)
 class ReferenceAlignment:
-    """How the truth was brought to the result.
+    """How the truth was brought to the result."""
 
-    Attributes
-    ----------
-    kind : {"none", "calibration", "solved"}
-        "none" (the truth came in the camera's frame and on the IMU's clock), "calibration" (the frame from a
-        calibration file, the clock solved) or "solved" (both solved from the recording).
-    clock : MocapClock or None
-        The truth's clock; None where the kind is "none".
-    frame : CameraFromMocap or None
-        The truth's frame; likewise.
-    landmarks : dict[str, ndarray], shape (m, 3), m, or None
-        Positions in {K} of single markers on the bones, by name, at the truth's times.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    """
-
+    # "none" (the truth came in the camera's frame and on the IMU's clock), "calibration" (the frame from a
+    # calibration file, the clock solved) or "solved" (both solved from the recording)
     kind: Literal["none", "calibration", "solved"] = "none"
-    clock: MocapClock | None = None
-    frame: CameraFromMocap | None = None
+    clock: MocapClock | None = None  # The truth's clock; None where the kind is "none"
+    frame: CameraFromMocap | None = None  # The truth's frame; likewise
+    # dict of (m, 3) m: Positions in {K} of single markers on the bones, by name, at the truth's times
     landmarks: dict[str, FloatArray] | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
     @property
     def title(self) -> str:
@@ -106,28 +94,7 @@ def read_reference(
     camera_frame: CameraFrame | None = None,
     align: bool = False,
 ) -> tuple[Truth, ReferenceAlignment]:
-    """Read a truth of any kind, in the camera frame and on the IMU's clock.
-
-    Parameters
-    ----------
-    path : path-like
-        `.csv` or `.mcap` of poses (as in `read_truth`), or markers, `.c3d` or `.trc`.
-    recovery : Recovery
-        The result that it is for.
-    markers : path-like, optional
-        Map of the markers, see `marker_map`; markers called as joints need none.
-    calibration : path-like, optional
-        A file with `[camera_from_mocap]`; without it, the frame of markers is solved.
-    camera_frame : CameraFrame, optional
-        Axes of the recording's camera, which a calibration is turned into.
-    align : bool
-        Align a truth of poses too, though it should need none.
-
-    Raises
-    ------
-    UnoccludeError
-        The file, the map or the calibration cannot be used, or the truth cannot be aligned.
-    """
+    """Read a truth of any kind, in the camera frame and on the IMU's clock."""
     from ..io.markers import MARKER_FORMATS, read_markers
 
     path = Path(path)
@@ -155,13 +122,7 @@ def read_reference(
 def align_reference(
     motion: MocapMotion, recovery: Recovery, frame: CameraFromMocap | None
 ) -> tuple[Truth, ReferenceAlignment]:
-    """A motion capture as a truth: its clock, its frame, the plate on the IMU.
-
-    Parameters
-    ----------
-    frame : CameraFromMocap or None
-        The transform where it is known; else it is solved from what the camera saw.
-    """
+    """A motion capture as a truth: its clock, its frame, the plate on the IMU."""
     clock = align_clock(recovery, motion)
     notes = [*motion.notes, _clock_words(clock), *clock.notes]
     if clock.R_A_P is not None:

@@ -23,52 +23,38 @@ FEWEST_PERSONS = 3
 
 @dataclass(frozen=True)
 class Reliability:
-    """How reliable a measure is over repeated sessions, in its unit.
+    """How reliable a measure is over repeated sessions, in its unit."""
 
-    Attributes
-    ----------
-    side, task, key, name, unit : str
-        What was measured.
-    persons, sessions : int
-        How many, each person with as many sessions.
-    icc_21, icc_21_low, icc_21_high : float or None
-        ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval.
-    sem_agreement, sem_agreement_low, sem_agreement_high : float
-        Standard error of measurement, with systematic differences between sessions, and its 95 % interval.
-    sdc : float
-        Smallest detectable change of one person, 1.96 sqrt(2) SEM_agreement (also called MDC95).
-    bias, bias_low, bias_high : float
-        Mean of the second session minus the first, with its interval.
-    limits_low, limits_low_from, limits_low_to, limits_high, limits_high_from, limits_high_to : float
-        Limits of agreement of these two sessions, each with its interval.
-    values : tuple of (float, float)
-        First and second session of each person.
-    """
-
-    side: str
-    task: str
-    key: str
-    name: str
-    unit: str
-    persons: int
-    sessions: int
+    side: str  # What was measured
+    task: str  # What was measured
+    key: str  # What was measured
+    name: str  # What was measured
+    unit: str  # What was measured
+    persons: int  # How many, each person with as many sessions
+    sessions: int  # How many, each person with as many sessions
+    # ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval
     icc_21: float | None
+    # ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval
     icc_21_low: float | None
+    # ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval
     icc_21_high: float | None
+    # Standard error of measurement, with systematic differences between sessions, and its 95 % interval
     sem_agreement: float
+    # Standard error of measurement, with systematic differences between sessions, and its 95 % interval
     sem_agreement_low: float
+    # Standard error of measurement, with systematic differences between sessions, and its 95 % interval
     sem_agreement_high: float
-    sdc: float
-    bias: float
-    bias_low: float
-    bias_high: float
-    limits_low: float
-    limits_low_from: float
-    limits_low_to: float
-    limits_high: float
-    limits_high_from: float
-    limits_high_to: float
-    values: tuple[tuple[float, float], ...]
+    sdc: float  # Smallest detectable change of one person, 1.96 sqrt(2) SEM_agreement (also called MDC95)
+    bias: float  # Mean of the second session minus the first, with its interval
+    bias_low: float  # Mean of the second session minus the first, with its interval
+    bias_high: float  # Mean of the second session minus the first, with its interval
+    limits_low: float  # Limits of agreement of these two sessions, each with its interval
+    limits_low_from: float  # Limits of agreement of these two sessions, each with its interval
+    limits_low_to: float  # Limits of agreement of these two sessions, each with its interval
+    limits_high: float  # Limits of agreement of these two sessions, each with its interval
+    limits_high_from: float  # Limits of agreement of these two sessions, each with its interval
+    limits_high_to: float  # Limits of agreement of these two sessions, each with its interval
+    values: tuple[tuple[float, float], ...]  # First and second session of each person
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
@@ -76,20 +62,7 @@ class Reliability:
 
 
 def reliability_of(persons: Sequence[PersonProgress]) -> list[Reliability]:
-    """The main measures over the sessions of persons in whom nothing changed.
-
-    Each arm and task by itself; of persons with more sessions than the others the first ones count.
-
-    Parameters
-    ----------
-    persons : sequence of PersonProgress
-        Those with one session take no part.
-
-    Returns
-    -------
-    found : list of Reliability
-        Of the measures that three persons or more have twice.
-    """
+    """The main measures over the sessions of persons in whom nothing changed."""
     values: dict[tuple[str, str, str], list[list[float]]] = {}
     about: dict[str, tuple[str, str]] = {}
     for person in persons:
@@ -140,14 +113,8 @@ def _mean_squares(ratings: FloatArray) -> tuple[float, float, float]:
     return float(between), float(n * columns.var(ddof=1)), measurement_error(ratings) ** 2
 
 
-def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:
-    """SEM_agreement, sqrt(variance between sessions + error), and its 95 % interval (Satterthwaite).
-
-    Parameters
-    ----------
-    ratings : ndarray, shape (n, k)
-        n persons by k sessions.
-    """
+def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:  # ratings (n, k)
+    """SEM_agreement, sqrt(variance between sessions + error), and its 95 % interval (Satterthwaite)."""
     from scipy.stats import chi2
 
     n, k = ratings.shape

@@ -19,36 +19,17 @@ _MOST_POOLED = 4000
 
 @dataclass(frozen=True)
 class GapSummary:
-    """One gap of a recovery.
+    """One gap of a recovery."""
 
-    Attributes
-    ----------
-    gap : Gap
-        On the IMU's clock.
-    sigma_max_m : float or None, m
-        Largest standard deviation of the IMU's position in it, on one axis.
-    sigma_max_deg : float or None, degrees
-        Largest standard deviation of the orientation in it.
-    sigma_max_flexion_deg : float or None, degrees
-        Likewise of the elbow's flexion.
-    answered : float
-        Part of the samples in it that have an answer, 0 to 1.
-    verdict : GapVerdict or None
-        Whether its answer is to be trusted; None where not judged.
-    error_95_m : float or None, m
-        The IMU's position lies within this distance in 95 of 100 cases, at the least certain moment of it.
-    orientation_95_deg : float or None, degrees
-        Likewise of the orientation.
-    """
-
-    gap: Gap
-    sigma_max_m: float | None
-    sigma_max_deg: float | None
-    sigma_max_flexion_deg: float | None
-    answered: float
-    verdict: GapVerdict | None = None
+    gap: Gap  # On the IMU's clock
+    sigma_max_m: float | None  # Largest standard deviation of the IMU's position in it, on one axis
+    sigma_max_deg: float | None  # Largest standard deviation of the orientation in it
+    sigma_max_flexion_deg: float | None  # Likewise of the elbow's flexion
+    answered: float  # Part of the samples in it that have an answer, 0 to 1
+    verdict: GapVerdict | None = None  # Whether its answer is to be trusted; None where not judged
+    # The IMU's position lies within this distance in 95 of 100 cases, at the least certain moment of it
     error_95_m: float | None = None
-    orientation_95_deg: float | None = None
+    orientation_95_deg: float | None = None  # Likewise of the orientation
 
     @property
     def one_sided(self) -> bool:
@@ -167,35 +148,21 @@ def camera_sentences(recovery: Recovery) -> list[str]:
     return sentences
 
 
-def sigma_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str, dict[str, float | None]]:
-    """Median and largest standard deviation of the position on its worst axis, m, while seen and in gaps.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    only : ndarray of bool, shape (N,), optional
-        Samples that count; None for all.
-    """
+def sigma_figures(
+    recovery: Recovery,
+    only: BoolArray | None = None,  # bool (N,)
+) -> dict[str, dict[str, float | None]]:
+    """Median and largest standard deviation of the position on its worst axis, m, while seen and in gaps."""
     sigma, occluded = recovery.worst_sigma_m, recovery.occluded
     counts = np.ones(len(recovery), bool) if only is None else only
     return {"visible": _sigmas(sigma, counts & ~occluded), "occluded": _sigmas(sigma, counts & occluded)}
 
 
-def error_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str, dict[str, float | None]]:
-    """How far off the IMU's position is in 95 of 100 cases, m, while seen and in gaps.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    only : ndarray of bool, shape (N,), optional
-        Samples that count; None for all.
-
-    Returns
-    -------
-    figures : dict
-        Under `visible` and `occluded`: `all`, over all of these samples (what a truth's 95th percentile of
-        3D errors is compared with), and `max`, at the least certain moment; None where nothing is stated.
-    """
+def error_figures(
+    recovery: Recovery,
+    only: BoolArray | None = None,  # bool (N,)
+) -> dict[str, dict[str, float | None]]:
+    """How far off the IMU's position is in 95 of 100 cases, m, while seen and in gaps."""
     radius, occluded = recovery.error_95_m, recovery.occluded
     counts = np.isfinite(radius) if only is None else only & np.isfinite(radius)
     figures = {}
@@ -208,10 +175,7 @@ def error_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str
 
 
 def verdict_figures(estimates: Estimates) -> dict[str, object]:
-    """The verdict as plain values, as `smooth --json` and `check --json` write it.
-
-    `self_check` and `pairing` are None where there is none.
-    """
+    """The verdict as plain values, as `smooth --json` and `check --json` write it."""
     check, pairing = estimates.self_check, estimates.pairing
     return {
         "trusted": estimates.trusted,
@@ -226,15 +190,7 @@ def verdict_figures(estimates: Estimates) -> dict[str, object]:
 
 
 def trust_word(trusted: bool | None, gaps: int | None, untrusted: int | None) -> str:
-    """For a table over results: "no", "2 of 5 gaps not", "yes", or "" where not judged.
-
-    Parameters
-    ----------
-    trusted : bool, optional
-        The verdict.
-    gaps, untrusted : int, optional
-        How many gaps there are, and how many of them are not to be trusted.
-    """
+    """For a table over results: "no", "2 of 5 gaps not", "yes", or "" where not judged."""
     if trusted is False:
         return "no"
     if untrusted:

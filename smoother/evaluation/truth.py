@@ -23,21 +23,7 @@ _ORIENTATION = ("qw", "qx", "qy", "qz")
 
 
 def read_truth(path: Path | str, recovery: Recovery) -> Truth:
-    """Read the pose of the forearm IMU in the camera frame, on the IMU's clock.
-
-    Parameters
-    ----------
-    path : path-like
-        `.csv` with the columns t_s, x, y, z, qw, qx, qy, qz (m; the orientation columns may be missing or
-        empty), or `.mcap` with `PoseInFrame`, `PoseStamped` or a recording's `/truth`.
-    recovery : Recovery
-        Whose origin the times are to count from.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, of another kind, or has no pose.
-    """
+    """Read the pose of the forearm IMU in the camera frame, on the IMU's clock."""
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise RecordingError(
@@ -53,13 +39,7 @@ def read_truth(path: Path | str, recovery: Recovery) -> Truth:
 
 
 def read_truth_csv(path: Path) -> Truth:
-    """Read a truth from a CSV file, its times as written.
-
-    Raises
-    ------
-    RecordingError
-        A column is missing, or a cell is not a number; the text names the line.
-    """
+    """Read a truth from a CSV file, its times as written."""
     check_input(path, RecordingError)
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
@@ -115,15 +95,7 @@ def _overlap(a: FloatArray, b: FloatArray) -> bool:
 
 
 def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
-    """Read the truth of an MCAP file: the topic `/truth`, else its only topic of poses.
-
-    Topics that name another side or body than the recovery's are another arm's.
-
-    Raises
-    ------
-    RecordingError
-        The file has no pose, or several and none is called `/truth`.
-    """
+    """Read the truth of an MCAP file: the topic `/truth`, else its only topic of poses."""
     from ..io import open_recording
     from ..io.recording.selection import is_of_other_arm
 
@@ -175,17 +147,7 @@ RATE_HZ, SHORTEST_S = 20.0, 4.0
 
 
 def truth_notes(recovery: Recovery, truth: Truth, aligned: bool = False) -> list[str]:
-    """What makes a truth look wrong, one sentence each; usually none.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Judged where the camera saw the arm: there it can hardly be wrong.
-    truth : Truth
-        On the IMU's clock and in {K}, or what was given as such.
-    aligned : bool
-        Its clock and frame were solved, or its frame is calibrated: only its unit is looked at.
-    """
+    """What makes a truth look wrong, one sentence each; usually none."""
     at = truth_at(truth, recovery.t_s)
     chosen = at.score & ~recovery.occluded
     distance_m = _distance_m(recovery, at, chosen)

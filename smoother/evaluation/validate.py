@@ -37,22 +37,12 @@ from .truth import truth_notes
 
 @dataclass(frozen=True)
 class TableRow:
-    """One line of the table.
+    """One line of the table."""
 
-    Attributes
-    ----------
-    errors : str
-        "Orientation errors (degree)" ...
-    figure : str
-        "RMS" or "Maximum".
-    camera, answer : float or None
-        The errors, in the unit of the line; None where there is none.
-    """
-
-    errors: str
-    figure: str
-    camera: float | None
-    answer: float | None
+    errors: str  # "Orientation errors (degree)"
+    figure: str  # "RMS" or "Maximum"
+    camera: float | None  # The errors, in the unit of the line; None where there is none
+    answer: float | None  # The errors, in the unit of the line; None where there is none
 
     @property
     def reduction(self) -> float | None:
@@ -74,21 +64,11 @@ class TableRow:
 
 @dataclass(frozen=True)
 class TableOne:
-    """Table I of Jatesiktat and Ang (2017): the camera's skeleton, the answer, what it gains.
+    """Table I of Jatesiktat and Ang (2017): the camera's skeleton, the answer, what it gains."""
 
-    Attributes
-    ----------
-    rows : tuple of TableRow
-        Its lines.
-    camera_share : float
-        Part of the scored samples for which the camera states a position at all.
-    note : str
-        A note for the reader, in a sentence.
-    """
-
-    rows: tuple[TableRow, ...]
-    camera_share: float
-    note: str
+    rows: tuple[TableRow, ...]  # Its lines
+    camera_share: float  # Part of the scored samples for which the camera states a position at all
+    note: str  # A note for the reader, in a sentence
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
@@ -107,15 +87,6 @@ def table_one(
     The camera's estimate of the IMU's position is their eq 16, D = L + d_se / (d_sw + d_se) (T - L), between
     the camera's elbow L and wrist T, inferred samples included, read at the IMU's times between samples
     0.1 s apart at most. A skeleton states no orientation; the direction elbow to wrist stands below instead.
-
-    Parameters
-    ----------
-    reference : Truth
-        The truth at the recovery's times.
-    scored : ndarray of bool, shape (n,)
-        Samples to score.
-    distance_m, angle_deg : ndarray, shape (n,), m and degrees
-        Errors of the answer.
     """
     position, direction = camera_estimate(recovery)
     own = np.where(scored, np.linalg.norm(position - reference.position, axis=1), np.nan)
@@ -173,43 +144,20 @@ def _between_deg(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class SampleErrors:
-    """Errors sample by sample, at the recovery's times; nan where there is nothing to compare.
+    """Errors sample by sample, at the recovery's times; nan where there is nothing to compare."""
 
-    Attributes
-    ----------
-    reference : Truth
-        The truth at the recovery's times.
-    scored : ndarray of bool, shape (n,)
-        The reference has a position there that is to be scored.
-    distance_m : ndarray, shape (n,), m
-        Position error.
-    angle_deg : ndarray, shape (n,), degrees
-        Orientation error, as an angle of rotation.
-    squared_sigmas : ndarray, shape (n,)
-        Squared position error in sigmas.
-    joint_distance_m : dict[str, ndarray], shape (n,), m
-        Position error of the joints that the reference has, by joint.
-    difference_m : ndarray, shape (n, 3), m
-        Answer minus reference, in {K}.
-    turn_rad : ndarray, shape (n, 3), rad
-        Rotation vector from reference to answer, in {K}.
-    turn_squared_sigmas : ndarray, shape (n,)
-        Squared orientation error in sigmas.
-    joint_difference_m, joint_squared_sigmas : dict[str, ndarray], shape (n, 3) and (n,)
-        Likewise by joint.
-    """
-
-    reference: Truth
-    scored: BoolArray
-    distance_m: FloatArray
-    angle_deg: FloatArray
-    squared_sigmas: FloatArray
+    reference: Truth  # The truth at the recovery's times
+    scored: BoolArray  # bool (n,): the reference has a position there that is to be scored
+    distance_m: FloatArray  # (n,) m: position error
+    angle_deg: FloatArray  # (n,) degrees: orientation error, as an angle of rotation
+    squared_sigmas: FloatArray  # (n,): squared position error in sigmas
+    # dict of (n,) m: Position error of the joints that the reference has, by joint
     joint_distance_m: dict[str, FloatArray]
-    difference_m: FloatArray
-    turn_rad: FloatArray
-    turn_squared_sigmas: FloatArray
-    joint_difference_m: dict[str, FloatArray]
-    joint_squared_sigmas: dict[str, FloatArray]
+    difference_m: FloatArray  # (n, 3) m: answer minus reference, in {K}
+    turn_rad: FloatArray  # (n, 3) rad: rotation vector from reference to answer, in {K}
+    turn_squared_sigmas: FloatArray  # (n,): squared orientation error in sigmas
+    joint_difference_m: dict[str, FloatArray]  # dict of (n, 3) and (n,): likewise by joint
+    joint_squared_sigmas: dict[str, FloatArray]  # dict of (n, 3) and (n,): likewise by joint
 
     def figures(self, chosen: BoolArray) -> Figures:
         """The figures of the chosen samples (N,)."""
@@ -238,44 +186,23 @@ class SampleErrors:
 
 @dataclass(frozen=True)
 class Validation:
-    """A recovery held against a reference.
+    """A recovery held against a reference."""
 
-    Attributes
-    ----------
-    all, occluded, visible : Figures
-        Figures of all samples, of those in gaps, and of the others.
-    notes : tuple of str
-        Notes on the comparison for the reader, one sentence each.
-    points : dict[str, dict[str, Figures]]
-        Figures of each joint that truth and answer share, by joint and part.
-    gaps : tuple[tuple[Gap, Figures], ...]
-        Figures of each gap that contains a sample with truth.
-    angles : AngleComparison or None
-        Joint angles of both.
-    angle_figures : dict[str, dict[str, Agreement]]
-        Agreement of the angles by part and angle.
-    lag_s : float, s, or None
-        How late the answer's position is against the truth's.
-    table : TableOne or None
-        The layout of Jatesiktat and Ang's table I.
-    alignment : ReferenceAlignment
-        How the truth was brought to the result.
-    measures : MeasureComparison or None
-        What clinicians read, of both.
-    """
-
-    all: Figures
-    occluded: Figures
-    visible: Figures
-    notes: tuple[str, ...] = ()
+    all: Figures  # Figures of all samples, of those in gaps, and of the others
+    occluded: Figures  # Figures of all samples, of those in gaps, and of the others
+    visible: Figures  # Figures of all samples, of those in gaps, and of the others
+    notes: tuple[str, ...] = ()  # Notes on the comparison for the reader, one sentence each
+    # Figures of each joint that truth and answer share, by joint and part
     points: dict[str, dict[str, Figures]] = field(default_factory=dict)
-    gaps: tuple[tuple[Gap, Figures], ...] = ()
-    angles: AngleComparison | None = None
+    gaps: tuple[tuple[Gap, Figures], ...] = ()  # Figures of each gap that contains a sample with truth
+    angles: AngleComparison | None = None  # Joint angles of both
+    # Agreement of the angles by part and angle
     angle_figures: dict[str, dict[str, Agreement]] = field(default_factory=dict)
-    lag_s: float | None = None
-    table: TableOne | None = None
+    lag_s: float | None = None  # How late the answer's position is against the truth's
+    table: TableOne | None = None  # The layout of Jatesiktat and Ang's table I
+    # How the truth was brought to the result
     alignment: ReferenceAlignment = field(default_factory=ReferenceAlignment)
-    measures: MeasureComparison | None = None
+    measures: MeasureComparison | None = None  # What clinicians read, of both
 
     def to_dict(self) -> dict[str, Any]:
         """The figures by name, as `--json` writes them."""

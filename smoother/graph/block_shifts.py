@@ -37,22 +37,12 @@ SLOW_M = 0.015
 
 @dataclass(frozen=True)
 class Cells:
-    """A window's camera samples in cells: no cell reaches over a gap or a jump.
+    """A window's camera samples in cells: no cell reaches over a gap or a jump."""
 
-    Attributes
-    ----------
-    start_s, end_s : ndarray, shape (k,), s
-        On the IMU's clock.
-    segment : ndarray of int, shape (k,)
-        Cells of one segment follow each other without a gap or a jump.
-    camera : ndarray of int, shape (k,)
-        The camera whose samples they hold; those of a camera follow each other.
-    """
-
-    start_s: FloatArray
-    end_s: FloatArray
-    segment: IntArray
-    camera: IntArray
+    start_s: FloatArray  # (k,) s: on the IMU's clock
+    end_s: FloatArray  # (k,) s: on the IMU's clock
+    segment: IntArray  # int (k,): cells of one segment follow each other without a gap or a jump
+    camera: IntArray  # int (k,): the camera whose samples they hold; those of a camera follow each other
 
     def __len__(self) -> int:
         return len(self.start_s)
@@ -148,14 +138,7 @@ class CameraBlocks:
         return columns
 
     def shifts(self, system: LinearSystem) -> tuple[BlockShift, ...]:
-        """The shift of every block.
-
-        Parameters
-        ----------
-        system : LinearSystem
-            With `columns` as the last of its extra columns; the constant errors are the first of them where
-            the window considers them.
-        """
+        """The shift of every block."""
         information, vector = self._reduced(system)
         cells, shifts = self.cells, []
         for rows in _blocks(cells):

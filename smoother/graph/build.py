@@ -74,47 +74,22 @@ def node_of_variables(window: Window) -> dict[int, int]:
 
 @dataclass(frozen=True)
 class FactorGroup:
-    """Factors of one kind that follow each other in a graph.
+    """Factors of one kind that follow each other in a graph."""
 
-    Attributes
-    ----------
-    kind : str
-        What they are, as "camera".
-    of : str
-        The joint or the segment that they are about.
-    factors : range
-        Their numbers in the graph.
-    rows : slice
-        Their rows in its whitened Jacobian.
-    nodes : ndarray of int, shape (m,)
-        The node of each; empty where they have none.
-    camera : int
-        The camera whose samples they are.
-    """
-
-    kind: str
-    of: str
-    factors: range
-    rows: slice
-    nodes: IntArray
-    camera: int = 0
+    kind: str  # What they are, as "camera"
+    of: str  # The joint or the segment that they are about
+    factors: range  # Their numbers in the graph
+    rows: slice  # Their rows in its whitened Jacobian
+    nodes: IntArray  # int (m,): the node of each; empty where they have none
+    camera: int = 0  # The camera whose samples they are
 
 
 class WindowGraph(NamedTuple):
-    """A window's graph.
-
-    Attributes
-    ----------
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        Initial ones, of every variable.
-    groups : list of FactorGroup
-        Of all factors, in their order.
-    """
+    """A window's graph."""
 
     graph: gtsam.NonlinearFactorGraph
-    values: gtsam.Values
-    groups: list[FactorGroup]
+    values: gtsam.Values  # Initial ones, of every variable
+    groups: list[FactorGroup]  # Of all factors, in their order
 
     def add(
         self,
@@ -135,16 +110,7 @@ class WindowGraph(NamedTuple):
 
 
 def build(window: Window) -> WindowGraph:
-    """The graph of a window with all of its IMUs, and its initial values.
-
-    Parameters
-    ----------
-    window : Window
-
-    Returns
-    -------
-    graph : WindowGraph
-    """
+    """The graph of a window with all of its IMUs, and its initial values."""
     built = WindowGraph(gtsam.NonlinearFactorGraph(), gtsam.Values(), [])
     biases = bias_of_intervals(window)
     forearm = window.forearm
@@ -196,10 +162,7 @@ def _add_joints(built: WindowGraph, window: Window) -> None:
 
 
 def ray_roots(measured: JointMeasurements, nodes: IntArray, sigmas: FloatArray) -> FloatArray | None:
-    """Square roots of information (m, 3, 3) of a joint's stacked samples; None of a camera with depth.
-
-    Samples that share a node are milliseconds apart and share a ray, the mean of theirs.
-    """
+    """Square roots of information (m, 3, 3) of a joint's stacked samples; None of a camera with depth."""
     rays = measured.rays
     if rays is None:
         return None
@@ -212,27 +175,8 @@ def ray_roots(measured: JointMeasurements, nodes: IntArray, sigmas: FloatArray) 
 
 def stacked_measurements(
     measured: JointMeasurements, cauchy: float
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """A joint's samples node by node.
-
-    Samples that share a node are averaged, each weighted by Cauchy's loss about their median, so that one
-    that is far off costs itself and not the others.
-
-    Parameters
-    ----------
-    measured : JointMeasurements
-    cauchy : float
-        Length of a residual, in sigmas, where its weight is halved.
-
-    Returns
-    -------
-    node : ndarray of int, shape (m,)
-        Increasing, each once.
-    position : ndarray, shape (m, 3), m
-        The joint at the node in {K}.
-    sigma_m : ndarray, shape (m,), m
-        Standard deviation per axis.
-    """
+) -> tuple[IntArray, FloatArray, FloatArray]:  # node int (m,), position (m, 3) m, sigma_m (m,) m
+    """A joint's samples node by node."""
     at_node = measured.position - measured.shift
     node, first, count = np.unique(measured.node, return_index=True, return_counts=True)
     if len(node) == len(measured.node):
@@ -285,24 +229,11 @@ def _add_shoulder(built: WindowGraph, window: Window) -> None:
 
 
 def upper_arm_factors(
-    window: Window, sigma_m: FloatArray, knots: IntArray | None = None
+    window: Window,
+    sigma_m: FloatArray,
+    knots: IntArray | None = None,  # sigma_m (k,) m; knots int (k,)
 ) -> Iterator[gtsam.RangeFactorWithTransformBias3D]:
-    """The elbow's distance from shoulder knots; the length's correction is the variable U.
-
-    Parameters
-    ----------
-    window : Window
-        With a shoulder, and an upper arm among the shared quantities.
-    sigma_m : ndarray, shape (k,), m
-        How far from constant the length is, at each knot.
-    knots : ndarray of int, shape (k,), optional
-        Of the shoulder; all where None.
-
-    Yields
-    ------
-    factor : gtsam.RangeFactorWithTransformBias3D
-        One a knot.
-    """
+    """The elbow's distance from shoulder knots; the length's correction is the variable U."""
     assert window.shoulder is not None
     layout, mean = window.priors.layout, window.priors.shared.mean
     length, elbow = float(mean[layout.upper_arm][0]), mean[layout.lever("elbow")]
@@ -378,16 +309,7 @@ def _tissue(window: Window, run: SegmentRun, nodes: IntArray) -> list[float]:
     return [float(each) for each in tissue_sigma(window.noise, run.segment, step_s)]
 
 
-def tissue_sigma(noise: NoiseModel, segment: str, step_s: FloatArray) -> FloatArray:
-    """Sigma of a joint in an IMU's axes (k,), m: tissue moves slowly, denser samples add nothing.
-
-    Parameters
-    ----------
-    noise : NoiseModel
-    segment : str
-        That the IMU is on.
-    step_s : ndarray, shape (k,), s
-        Times between samples.
-    """
+def tissue_sigma(noise: NoiseModel, segment: str, step_s: FloatArray) -> FloatArray:  # step_s (k,) s
+    """Sigma of a joint in an IMU's axes (k,), m: tissue moves slowly, denser samples add nothing."""
     sigma = dict(noise.tissue_m)[segment] * np.sqrt(np.maximum(TISSUE_S / step_s, 1.0))
     return np.asarray(np.round(sigma, 3))

@@ -31,25 +31,8 @@ from .variables import keys_of
 
 def constant_error_columns(
     jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup], biases: IntArray, R: FloatArray
-) -> FloatArray:
-    """Columns of the whitened Jacobian for the constant errors (see `window.shared`).
-
-    Parameters
-    ----------
-    jacobian : Jacobian
-    window : Window
-    groups : sequence of FactorGroup
-        Of the graph.
-    biases : ndarray of int, shape (n - 1,)
-        From `bias_of_intervals`.
-    R : ndarray, shape (n, 3, 3)
-        Orientations `R_K_A` of the nodes.
-
-    Returns
-    -------
-    columns : ndarray, shape (r, SIZE)
-        Of the first r rows; the errors are in no others.
-    """
+) -> FloatArray:  # (r, SIZE)
+    """Columns of the whitened Jacobian for the constant errors (see `window.shared`)."""
     (own,) = (group for group in groups if group.kind == "imu" and group.of == FOREARM.name)
     count, columns = len(own.factors), jacobian.columns
     all_biases = slice(columns[B(0)].start, columns[B(int(biases[-1]))].stop)
@@ -110,29 +93,14 @@ def is_place(joint: str, window: Window) -> bool:
 
 @dataclass(frozen=True)
 class CameraRows:
-    """The rows of a joint's camera factors in the whitened Jacobian.
-
-    Attributes
-    ----------
-    joint : str
-    nodes : ndarray of int, shape (m,)
-        The node of each factor.
-    rows : slice
-        Three a factor, in {K}.
-    weight : ndarray, shape (3 m,), 1/m
-        How a shift of the joint counts in each.
-    camera : int
-        The camera whose samples they are.
-    roots : ndarray, shape (m, 3, 3), 1/m, or None
-        Of a camera without depth: how a shift counts in the three rows, in place of the weights.
-    """
+    """The rows of a joint's camera factors in the whitened Jacobian."""
 
     joint: str
-    nodes: IntArray
-    rows: slice
-    weight: FloatArray
-    camera: int = 0
-    roots: FloatArray | None = None
+    nodes: IntArray  # int (m,): the node of each factor
+    rows: slice  # Three a factor, in {K}
+    weight: FloatArray  # (3 m,) 1/m: how a shift of the joint counts in each
+    camera: int = 0  # The camera whose samples they are
+    roots: FloatArray | None = None  # (m, 3, 3) 1/m: of a camera without depth
 
     def whitened(self, shift: FloatArray) -> FloatArray:
         """Rows (3 m, q) of the whitened Jacobian for quantities that shift the joint by (m, 3, q)."""
@@ -147,20 +115,7 @@ class CameraRows:
 
 
 def camera_rows(jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup]) -> Iterator[CameraRows]:
-    """Where each joint's camera factors are in a window's Jacobian, in their order.
-
-    Parameters
-    ----------
-    jacobian : Jacobian
-    window : Window
-    groups : sequence of FactorGroup
-        Of the graph.
-
-    Yields
-    ------
-    factors : CameraRows
-        Of a joint; the shoulder's last.
-    """
+    """Where each joint's camera factors are in a window's Jacobian, in their order."""
     for group in groups:
         if group.kind == "camera":
             weight = _weight(jacobian, group.rows, group.of, window)
@@ -222,25 +177,7 @@ def _weight(jacobian: Jacobian, rows: slice, joint: str, window: Window) -> Floa
 def evidence(
     system: LinearSystem, values: gtsam.Values, mean: FloatArray, window: Window, biases: IntArray
 ) -> ErrorEvidence:
-    """A window's evidence on the shared constants and the constant errors.
-
-    Parameters
-    ----------
-    system : LinearSystem
-        With the columns of the constant errors.
-    values : gtsam.Values
-        The solution.
-    mean : ndarray, shape (s,)
-        The same as the shared vector.
-    window : Window
-        Its prior on the constants is independent of that on the biases.
-    biases : ndarray of int, shape (n - 1,)
-        From `bias_of_intervals`.
-
-    Returns
-    -------
-    evidence : ErrorEvidence
-    """
+    """A window's evidence on the shared constants and the constant errors."""
     layout, keys = window.priors.layout, shared_keys(window, biases)
     jacobian = shared_jacobian(layout, values.atUnit3(G(0)))[6:, 6:]
     back = np.linalg.inv(jacobian)
@@ -267,23 +204,8 @@ def evidence(
 
 def offset_column(
     jacobian: Jacobian, window: Window, groups: Sequence[FactorGroup], states: Mapping[str, States]
-) -> FloatArray:
-    """Column of the whitened Jacobian for a clock offset of the window's own.
-
-    Parameters
-    ----------
-    jacobian : Jacobian
-    window : Window
-    groups : sequence of FactorGroup
-        Of the graph.
-    states : mapping of str to States
-        Of each segment at the nodes.
-
-    Returns
-    -------
-    column : ndarray, shape (r, 1), 1/s
-        Of the first r rows; the offset is in no others.
-    """
+) -> FloatArray:  # (r, 1) 1/s
+    """Column of the whitened Jacobian for a clock offset of the window's own."""
     by_key = {measured.key: measured for measured in window.joint_measurements}
     column = np.zeros((0, 1))
     for factors in camera_rows(jacobian, window, groups):
@@ -302,26 +224,9 @@ def stamp_columns(
     window: Window,
     groups: Sequence[FactorGroup],
     states: Mapping[str, States],
-    knots: FloatArray,
-) -> FloatArray:
-    """Columns of the whitened Jacobian for errors of the frames' times, linear between knots.
-
-    Parameters
-    ----------
-    jacobian : Jacobian
-    window : Window
-    groups : sequence of FactorGroup
-        Of the graph.
-    states : mapping of str to States
-        Of each segment at the nodes.
-    knots : ndarray, shape (m,), s
-        Even, from before the first node to after the last.
-
-    Returns
-    -------
-    columns : ndarray, shape (r, m), 1/s
-        Of the first r rows; the errors are in no others.
-    """
+    knots: FloatArray,  # (m,) s
+) -> FloatArray:  # (r, m) 1/s
+    """Columns of the whitened Jacobian for errors of the frames' times, linear between knots."""
     column = offset_column(jacobian, window, groups, states)
     columns = np.zeros((len(column), len(knots)))
     for factors in camera_rows(jacobian, window, groups):
@@ -335,22 +240,7 @@ def stamp_columns(
 def offset_information(
     system: LinearSystem, column: int, window: Window, states: Mapping[str, States]
 ) -> float:
-    """Information on one clock offset for the whole window, all variables eliminated.
-
-    Parameters
-    ----------
-    system : LinearSystem
-        With `offset_column` among its extra columns.
-    column : int
-        Its number among them; the others are held fixed.
-    window : Window
-    states : mapping of str to States
-        The solution's, of each segment at the nodes.
-
-    Returns
-    -------
-    information : float, 1/s^2
-    """
+    """Information on one clock offset for the whole window, all variables eliminated."""
     scatter = sum(
         _velocity_at_nodes(measured, states[measured.segment])[1] for measured in window.joint_measurements
     )
@@ -358,10 +248,7 @@ def offset_information(
 
 
 def _velocity_at_nodes(measured: JointMeasurements, states: States) -> tuple[FloatArray, float]:
-    """A joint's mean velocity (m, 3) m/s at each of its camera factors, in their order.
-
-    And the information 1/s^2 in how samples that share a node differ in velocity, which no state follows.
-    """
+    """A joint's mean velocity (m, 3) m/s at each of its camera factors, in their order."""
     node = np.unique(measured.node)
     velocity, rays = states.v[measured.node] + measured.velocity, measured.rays
     group = np.searchsorted(node, measured.node)

@@ -28,23 +28,11 @@ DENSITY_STEP = 1.25
 
 
 def imu_factors(
-    window: Window, run: SegmentRun, biases: IntArray
+    window: Window,
+    run: SegmentRun,
+    biases: IntArray,  # int (n - 1,)
 ) -> Iterator[gtsam.ImuFactorWithGravityDirection]:
-    """An IMU between neighbouring nodes of a window.
-
-    Parameters
-    ----------
-    window : Window
-        Its times and noise.
-    run : SegmentRun
-    biases : ndarray of int, shape (n - 1,)
-        Which bias variable each of the window's intervals uses.
-
-    Yields
-    ------
-    factor : gtsam.ImuFactorWithGravityDirection
-        One an interval.
-    """
+    """An IMU between neighbouring nodes of a window."""
     keys, increments, gravity = keys_of(run.segment), run.increments, window.gravity_magnitude
     levels = noise_levels(increments, np.diff(window.t[run.nodes]), window.noise, gravity)
     params = {level: preintegration_parameters(window.noise, gravity, *level) for level in set(levels)}
@@ -96,24 +84,12 @@ def imu_factor(
 
 
 def noise_levels(
-    increments: ImuIncrements, dt: FloatArray, noise: NoiseModel, gravity_magnitude: float
+    increments: ImuIncrements,
+    dt: FloatArray,
+    noise: NoiseModel,
+    gravity_magnitude: float,  # dt (n - 1,) s
 ) -> list[tuple[int, int]]:
-    """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s.
-
-    Parameters
-    ----------
-    increments : ImuIncrements
-        Of n - 1 intervals.
-    dt : ndarray, shape (n - 1,), s
-        Their lengths.
-    noise : NoiseModel
-    gravity_magnitude : float, m/s^2
-
-    Returns
-    -------
-    levels : list of tuple of int
-        One an interval, for `preintegration_parameters`.
-    """
+    """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s."""
     count = np.diff(increments.first)
     force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - gravity_magnitude
     rate = np.linalg.norm(increments.gyro, axis=1)

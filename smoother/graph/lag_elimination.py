@@ -25,25 +25,13 @@ _NUMBER = (1 << _LETTER_BIT) - 1
 
 @dataclass(frozen=True)
 class LagIteration:
-    """What an iteration answers.
+    """What an iteration answers."""
 
-    Attributes
-    ----------
-    before, values : gtsam.Values
-        Where it was linearised, and after the step.
-    step : ndarray, shape (c,)
-        Of the variables that are read, in GTSAM's own coordinates.
-    covariance : ndarray, shape (c, c)
-        Joint, of the same.
-    columns : dict of int to slice
-        Where each of them is in both.
-    """
-
-    before: gtsam.Values
-    values: gtsam.Values
-    step: FloatArray
-    covariance: FloatArray
-    columns: dict[int, slice]
+    before: gtsam.Values  # Where it was linearised, and after the step
+    values: gtsam.Values  # Where it was linearised, and after the step
+    step: FloatArray  # (c,): of the variables that are read, in GTSAM's own coordinates
+    covariance: FloatArray  # (c, c): joint, of the same
+    columns: dict[int, slice]  # Where each of them is in both
 
     def moved_m(self, pose: int) -> float:
         """How far the step moved a pose that is read."""
@@ -55,25 +43,7 @@ def iterate(
     values: gtsam.Values,
     query_keys: Sequence[int],
 ) -> LagIteration:
-    """One Gauss-Newton step: eliminate all but what is read, invert what is left, and substitute back.
-
-    Parameters
-    ----------
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        Where to linearise.
-    query_keys : sequence of int
-        Keys of the variables that are read.
-
-    Returns
-    -------
-    iteration : LagIteration
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        A direction is left free.
-    """
+    """One Gauss-Newton step: eliminate all but what is read, invert what is left, and substitute back."""
     others = gtsam.Ordering()
     for key in in_order(set(values.keys()) - set(query_keys)):
         others.push_back(key)
@@ -124,22 +94,7 @@ def _inverse(information: FloatArray) -> FloatArray:
 def marginalise(
     factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values, leaving: Sequence[int]
 ) -> list[gtsam.NonlinearFactor]:
-    """Eliminate variables.
-
-    Parameters
-    ----------
-    factors : sequence of gtsam.NonlinearFactor
-        All that touch them, and any others.
-    values : gtsam.Values
-        Where to linearise; the variables are erased from it.
-    leaving : sequence of int
-        Keys of the variables, in the order of elimination.
-
-    Returns
-    -------
-    factors : list of gtsam.NonlinearFactor
-        The others as they were, then Gaussians (`LinearContainerFactor`) on what stays.
-    """
+    """Eliminate variables."""
     touching, rest = split(factors, set(leaving))
     graph, order = gtsam.NonlinearFactorGraph(), gtsam.Ordering()
     for factor in touching:

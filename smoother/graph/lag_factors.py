@@ -36,21 +36,11 @@ FIRST_TURN_RAD, FIRST_POSITION_M, FIRST_VELOCITY = 0.5, 0.5, 1.5
 
 @dataclass
 class LagBody:
-    """A segment with an IMU at a node.
+    """A segment with an IMU at a node."""
 
-    Attributes
-    ----------
-    before : int
-        Number of the node that the IMU's factor begins at; -1 where there is no such factor.
-    imu : gtsam.NonlinearFactor or None
-        The IMU's from that node.
-    others : list of gtsam.NonlinearFactor
-        All others of the segment: at this node alone.
-    """
-
-    before: int = -1
-    imu: gtsam.NonlinearFactor | None = None
-    others: list[gtsam.NonlinearFactor] = field(default_factory=list)
+    before: int = -1  # Number of the node that the IMU's factor begins at; -1 where there is no such factor
+    imu: gtsam.NonlinearFactor | None = None  # The IMU's from that node
+    others: list[gtsam.NonlinearFactor] = field(default_factory=list)  # All others of the segment
 
     def release(self) -> list[gtsam.NonlinearFactor]:
         """The IMU's factor, which is taken from it."""
@@ -60,31 +50,16 @@ class LagBody:
 
 @dataclass
 class LagNode:
-    """A node with its factors.
+    """A node with its factors."""
 
-    Attributes
-    ----------
-    number : int
-        Of its variables.
-    t : float, s
-    epoch : int
-        Number of its bias variables.
-    bodies : dict of str to LagBody
-        The segments that have variables at it, the forearm first.
-    camera : list of gtsam.NonlinearFactor
-        What the camera saw at it.
-    others : list of gtsam.NonlinearFactor
-        All others at it.
-    waiting : list of (str, ndarray)
-        Joints that the camera saw, of segments that have no variables at it yet.
-    """
-
-    number: int
-    t: float
-    epoch: int
+    number: int  # Of its variables
+    t: float  # s
+    epoch: int  # Number of its bias variables
+    # The segments that have variables at it, the forearm first
     bodies: dict[str, LagBody] = field(default_factory=lambda: {FOREARM.name: LagBody()})
-    camera: list[gtsam.NonlinearFactor] = field(default_factory=list)
-    others: list[gtsam.NonlinearFactor] = field(default_factory=list)
+    camera: list[gtsam.NonlinearFactor] = field(default_factory=list)  # What the camera saw at it
+    others: list[gtsam.NonlinearFactor] = field(default_factory=list)  # All others at it
+    # Joints that the camera saw, of segments that have no variables at it yet
     waiting: list[tuple[str, FloatArray]] = field(default_factory=list)
 
     @property
@@ -106,17 +81,7 @@ def state_keys_of(segment: str, number: int) -> list[int]:
 
 
 class LagFactors:
-    """Makes the factors of a lag window.
-
-    Parameters
-    ----------
-    priors : Priors
-        On the shared quantities.
-    noise : NoiseModel
-    sigma_m : ndarray, shape (5,), m
-        Noise of the camera's joints, per axis.
-    gravity_magnitude : float, m/s^2
-    """
+    """Makes the factors of a lag window."""
 
     def __init__(
         self, priors: Priors, noise: NoiseModel, sigma_m: FloatArray, gravity_magnitude: float

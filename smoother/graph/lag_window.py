@@ -34,27 +34,14 @@ from .variables import keys_of
 
 @dataclass(frozen=True)
 class LagReading:
-    """Which variables a solution is about.
+    """Which variables a solution is about."""
 
-    Attributes
-    ----------
-    newest, settled : LagNode
-        The newest node, and the one a lag ago.
-    epoch : int
-        Of the newest bias.
-    knot : int or None
-        The newest shoulder knot; None before the camera saw one.
-    layout : SharedLayout
-        Which lever arms there are.
-    gravity_magnitude : float, m/s^2
-    """
-
-    newest: LagNode
-    settled: LagNode
-    epoch: int
-    knot: int | None
-    layout: SharedLayout
-    gravity_magnitude: float
+    newest: LagNode  # The newest node, and the one a lag ago
+    settled: LagNode  # The newest node, and the one a lag ago
+    epoch: int  # Of the newest bias
+    knot: int | None  # The newest shoulder knot; None before the camera saw one
+    layout: SharedLayout  # Which lever arms there are
+    gravity_magnitude: float  # m/s^2
 
     @property
     def keys(self) -> list[int]:
@@ -64,15 +51,7 @@ class LagReading:
         return list(dict.fromkeys([*nodes, B(self.epoch), *constant_keys(self.layout), *knot]))
 
     def read(self, iteration: LagIteration, iterations: int) -> LagSolution:
-        """The solution with its covariance in physical coordinates.
-
-        Parameters
-        ----------
-        iteration : LagIteration
-            The last one, of `keys`.
-        iterations : int
-            How many there were.
-        """
+        """The solution with its covariance in physical coordinates."""
         values = iteration.values
         newest, settled = state_of(values, self.newest), state_of(values, self.settled)
         physical, rows = self._physical(iteration, newest.R, settled.R)
@@ -162,19 +141,7 @@ ITERATIONS = 4
 
 
 class LagWindow:
-    """Nodes of the last moments with their factors.
-
-    Parameters
-    ----------
-    priors : Priors
-        On the shared quantities, before the first node.
-    noise : NoiseModel
-    sigma_m : ndarray, shape (5,), m
-        Noise of the camera's joints, per axis.
-    gravity_magnitude : float, m/s^2
-    length_s : float, s
-        Nodes older than this against the newest leave.
-    """
+    """Nodes of the last moments with their factors."""
 
     def __init__(
         self,
@@ -233,11 +200,7 @@ class LagWindow:
         return state_of(self._values, self._nodes[index], segment)
 
     def is_due(self, index: int, segment: str, since_s: float) -> bool:
-        """Whether a further segment whose last node is at a time is to have variables at a node.
-
-        Where the shoulder has some, and where the camera saw a joint of it; between, tissue moves too slowly
-        for denser ones to add anything.
-        """
+        """Whether a further segment whose last node is at a time is to have variables at a node."""
         node = self._nodes[index]
         is_seen = any(self._layout.segment_of(joint) == segment for joint, _ in node.waiting)
         return is_seen or self._values.exists(S(node.number)) or node.t - since_s > KNOT_S
@@ -249,17 +212,7 @@ class LagWindow:
     def add(
         self, state: NodeState, increments: ImuIncrements | None, velocity_change: float = np.inf
     ) -> None:
-        """Add a node after the newest.
-
-        Parameters
-        ----------
-        state : NodeState
-            Where to start.
-        increments : ImuIncrements or None
-            Of the interval from the newest node; None for the first one.
-        velocity_change : float, m/s
-            How much the velocity may change in the interval; inf where nothing is known of it.
-        """
+        """Add a node after the newest."""
         self._next_epoch(state.t)
         node = LagNode(self._count, state.t, self._epoch)
         self._values.insert(X(node.number), Pose3(Rot3(state.R), state.p))
@@ -278,19 +231,7 @@ class LagWindow:
     def attach(
         self, index: int, segment: str, state: NodeState, increments: ImuIncrements | None = None
     ) -> None:
-        """Give a further segment with an IMU its variables at a node.
-
-        Parameters
-        ----------
-        index : int
-            Of the node; the segment has none at it yet, nor at a later one.
-        segment : str
-            One of the priors' layout.
-        state : NodeState
-            Where to start.
-        increments : ImuIncrements or None
-            Of the interval from the segment's last node; None where it begins.
-        """
+        """Give a further segment with an IMU its variables at a node."""
         node, before = self._nodes[index], self.nodes_of(segment)
         lever = self._factors.shared_joint_m[segment]
         pose, velocity, point = state_keys_of(segment, node.number)
@@ -326,13 +267,7 @@ class LagWindow:
             self._values.erase(key)
 
     def misfit(self, segment: str, since_s: float) -> float:
-        """How badly a further segment's IMU fits to the rest at nodes from a time on.
-
-        Returns
-        -------
-        misfit : float
-            Mean squared error in sigmas of its factors; nan without any.
-        """
+        """How badly a further segment's IMU fits to the rest at nodes from a time on."""
         bodies = [
             node.bodies[segment] for node in self._nodes if segment in node.bodies and node.t >= since_s
         ]
@@ -343,17 +278,7 @@ class LagWindow:
         return 2.0 * sum(each.error(self._values) for each in factors) / rows
 
     def set_increments(self, index: int, increments: ImuIncrements, segment: str = FOREARM.name) -> None:
-        """Set an IMU's way to a node from its one before, also where there was one already.
-
-        Parameters
-        ----------
-        index : int
-            Of the node; where the segment begins there is nothing to set.
-        increments : ImuIncrements
-            Of one interval.
-        segment : str
-            That the IMU is on.
-        """
+        """Set an IMU's way to a node from its one before, also where there was one already."""
         node = self._nodes[index]
         before = next((each for each in self._nodes if each.number == node.bodies[segment].before), None)
         if before is not None:
@@ -392,18 +317,7 @@ class LagWindow:
                 node.waiting.clear()
 
     def solve(self, settled_s: float) -> LagSolution:
-        """Optimise (Gauss-Newton), read the newest node and one a lag ago, let old nodes leave.
-
-        Parameters
-        ----------
-        settled_s : float, s
-            The last node that is no later is the one a lag ago.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            A direction is left free.
-        """
+        """Optimise (Gauss-Newton), read the newest node and one a lag ago, let old nodes leave."""
         graph, reading = self._graph(), self._reading(settled_s)
         query_keys = reading.keys
         change_m, iterations = np.inf, 0

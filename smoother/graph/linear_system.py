@@ -23,27 +23,14 @@ from .variables import sizes_of
 
 @dataclass(frozen=True)
 class Jacobian:
-    """The entries that are not zero, factor by factor.
+    """The entries that are not zero, factor by factor."""
 
-    Attributes
-    ----------
-    row, column : ndarray of int, shape (m,)
-        Rows in the order of the graph's factors.
-    value : ndarray, shape (m,)
-    rhs : ndarray, shape (r,)
-        The right-hand side: minus the whitened errors.
-    columns : mapping of int to slice
-        Columns of each variable, by key.
-    width : int
-        Columns of all variables.
-    """
-
-    row: IntArray
-    column: IntArray
-    value: FloatArray
-    rhs: FloatArray
-    columns: Mapping[int, slice]
-    width: int
+    row: IntArray  # int (m,): rows in the order of the graph's factors
+    column: IntArray  # int (m,): rows in the order of the graph's factors
+    value: FloatArray  # (m,)
+    rhs: FloatArray  # (r,): the right-hand side: minus the whitened errors
+    columns: Mapping[int, slice]  # Columns of each variable, by key
+    width: int  # Columns of all variables
 
     @classmethod
     def of(cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Jacobian:
@@ -83,24 +70,7 @@ ExtraColumns = Callable[[Jacobian], FloatArray]
 
 
 class LinearSystem:
-    """The normal equations of a linearised graph, reduced to its border.
-
-    Parameters
-    ----------
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        Every variable of the graph, where it is linearised.
-    node_of : mapping of int to int
-        The node whose time a variable has, by key; what is not in it belongs to the border.
-    extra : sequence of callable
-        Each gives columns (r, e) of the whitened Jacobian for quantities that are not variables of the graph,
-        from the Jacobian; rows beyond the r-th have none.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        A direction is left free.
-    """
+    """The normal equations of a linearised graph, reduced to its border."""
 
     def __init__(
         self,
@@ -152,19 +122,11 @@ class LinearSystem:
         #: the group of every row of the Jacobian, one more than there are of those about the border alone
         self._group_of_row = np.where(last >= 0, group_of_node[first], len(starts) - 1)
 
-    def _table(self, given: Sequence[FloatArray]) -> tuple[FloatArray, IntArray, IntArray]:
-        """The Jacobian by groups, dense.
-
-        Returns
-        -------
-        table : ndarray, shape (r, w + w + s)
-            Rows in the order of their groups; columns of the group and of the next one, both of the widest
-            one's width w, and s others: the border, the extra columns and the right-hand side.
-        starts : ndarray of int, shape (g + 1,)
-            Where the rows of each group start, and the last one's end.
-        reaching : ndarray of int, shape (g,)
-            How many of a group's rows, the first ones, reach into the next.
-        """
+    def _table(
+        self,
+        given: Sequence[FloatArray],
+    ) -> tuple[FloatArray, IntArray, IntArray]:
+        """The Jacobian by groups, dense."""
         jacobian, groups = self.jacobian, len(self._bounds) - 1
         wide, borders = int(np.diff(self._bounds).max()), len(self._border)
         row, column, group = jacobian.row, jacobian.column, self._group_of_row
@@ -259,10 +221,7 @@ class LinearSystem:
         return blocks
 
     def covariances(self, keys: Sequence[int], held: Sequence[int] = ()) -> FloatArray:
-        """Covariances (k, d, d) of variables in time, all of one dimension; extra quantities held fixed.
-
-        So are the border's variables `held`.
-        """
+        """Covariances (k, d, d) of variables in time, all of one dimension; extra quantities held fixed."""
         place = self._places(keys)
         group = np.searchsorted(self._bounds, place[:, 0], side="right") - 1
         scale, rows = self._scale[place], place - self._bounds[group, None]
@@ -274,28 +233,14 @@ class LinearSystem:
         across = follows @ shared @ np.swapaxes(follows, 1, 2)
         return np.asarray(own * scale[:, :, None] * scale[:, None, :] + across)
 
-    def sensitivities(self, keys: Sequence[int], shared: FloatArray) -> FloatArray:
-        """How variables in time, all of one dimension, follow the first e extra quantities, (k, d, e).
-
-        Parameters
-        ----------
-        keys : sequence of int
-        shared : ndarray, shape (b, e)
-            How the border follows them (`shared_sensitivity`).
-        """
+    def sensitivities(self, keys: Sequence[int], shared: FloatArray) -> FloatArray:  # shared (b, e)
+        """How variables in time, all of one dimension, follow the first e extra quantities, (k, d, e)."""
         follows = self._solved[self._places(keys)]
         borders, extras = len(self._border), self._first_extras(shared.shape[1])
         return np.asarray(-follows[:, :, extras] - follows[:, :, :borders] @ shared)
 
-    def shared_sensitivity(self, pull: FloatArray | None = None) -> FloatArray:
-        """How the border's variables follow the first e extra quantities, (b, e).
-
-        Parameters
-        ----------
-        pull : ndarray, shape (b, e), optional
-            Information of the border's prior times how its mean follows them; it does not where None, and
-            the answer is for all of them.
-        """
+    def shared_sensitivity(self, pull: FloatArray | None = None) -> FloatArray:  # pull (b, e)
+        """How the border's variables follow the first e extra quantities, (b, e)."""
         count = self.extra_count if pull is None else pull.shape[1]
         across = self.information[: len(self._border), self._first_extras(count)]
         return np.asarray(self._shared_covariance @ ((0.0 if pull is None else pull) - across))
@@ -306,23 +251,12 @@ class LinearSystem:
         across = self.information[:borders, row]
         return float(max(self.information[row, row] - across @ self._shared_covariance @ across, 0.0))
 
-    def sample(self, normals: FloatArray, given: FloatArray) -> FloatArray:
-        """Draw all variables in time, given the border's and the extra quantities (back substitution).
-
-        It is what `GaussianBayesNet.sample` does, which knows no extra quantities.
-
-        Parameters
-        ----------
-        normals : ndarray, shape (k, c)
-            Standard normals of k draws, by column of the Jacobian; those of the border are not used.
-        given : ndarray, shape (k, b + e)
-            Errors of the border's variables and of the first e extra quantities.
-
-        Returns
-        -------
-        errors : ndarray, shape (k, c)
-            Zero of the border.
-        """
+    def sample(
+        self,
+        normals: FloatArray,  # (k, c)
+        given: FloatArray,  # (k, b + e)
+    ) -> FloatArray:  # (k, c)
+        """Draw all variables in time, given the border's and the extra quantities (back substitution)."""
         numbers, drawn = normals[:, self._chain].T, np.empty((len(self._chain), len(normals)))
         after = np.empty((0, len(normals)))
         for g in range(len(self._gains) - 1, -1, -1):

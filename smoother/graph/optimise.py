@@ -48,26 +48,13 @@ LAST_ITERATIONS, LAST_TOLERANCE = 30, 1e-3
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the optimiser ended.
+    """Where the optimiser ended."""
 
-    Attributes
-    ----------
-    graph : gtsam.NonlinearFactorGraph
-        What the values are the optimum of.
-    values : gtsam.Values
-    iterations : int
-        Of all stages.
-    error : float
-        Half the weighted squared sum.
-    accepted : bool
-        The model explains long gaps; where False the graph's upper arm is loose in them.
-    """
-
-    graph: gtsam.NonlinearFactorGraph
+    graph: gtsam.NonlinearFactorGraph  # What the values are the optimum of
     values: gtsam.Values
-    iterations: int
-    error: float
-    accepted: bool = True
+    iterations: int  # Of all stages
+    error: float  # Half the weighted squared sum
+    accepted: bool = True  # The model explains long gaps; where False the graph's upper arm is loose in them
 
 
 def optimise(
@@ -78,36 +65,14 @@ def optimise(
     tolerance: float,
     start: gtsam.Values | None = None,
 ) -> Optimum:
-    """Optimise a window's graph (`LevenbergMarquardtOptimizer`), in stages where there is a long gap.
-
-    Parameters
-    ----------
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        That the graph was built with.
-    groups : sequence of FactorGroup
-        Of the graph.
-    window : Window
-        What the graph was built from.
-    tolerance : float
-        The optimiser stops when an iteration lowers the error by less than this share of it.
-    start : gtsam.Values, optional
-        Where to start, if elsewhere.
-
-    Returns
-    -------
-    optimum : Optimum
-    """
+    """Optimise a window's graph (`LevenbergMarquardtOptimizer`), in stages where there is a long gap."""
     order = elimination_order(window, values)
     optimum = _in_stages(graph, start or values, groups, window, tolerance, order)
     return _in_axes_of_gravity(optimum, gravity_axes(values), tolerance, order)
 
 
 def elimination_order(window: Window, values: gtsam.Values) -> gtsam.Ordering:
-    """Variables in the order of their nodes' times, a bias after all nodes that use it; shared ones last.
-
-    A chain with a border fills in least this way; COLAMD, which finds one anew, took a quarter longer.
-    """
+    """Variables in the order of their nodes' times, a bias after all nodes that use it; shared ones last."""
     biases = bias_of_intervals(window)
     turns = {key: (node, 0) for key, node in node_of_variables(window).items()}
     for number, last in enumerate(np.searchsorted(biases, np.arange(biases[-1] + 1), "right").tolist()):
@@ -120,15 +85,7 @@ def elimination_order(window: Window, values: gtsam.Values) -> gtsam.Ordering:
 
 
 def marginal_covariance(optimum: Optimum, window: Window, keys: Sequence[int]) -> FloatArray:
-    """Joint covariance of variables, in the order of the keys: everything else is eliminated.
-
-    It is what `Marginals.jointMarginalCovariance` gives, which takes far longer for as many variables.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        A direction is left free.
-    """
+    """Joint covariance of variables, in the order of the keys: everything else is eliminated."""
     order, kept = gtsam.Ordering(), gtsam.Ordering()
     for key in keys:
         kept.push_back(key)
@@ -147,10 +104,7 @@ def marginal_covariance(optimum: Optimum, window: Window, keys: Sequence[int]) -
 def _in_axes_of_gravity(
     optimum: Optimum, before: FloatArray, tolerance: float, order: gtsam.Ordering
 ) -> Optimum:
-    """The optimum where the prior on gravity is written in the axes that GTSAM uses there.
-
-    Until then it was written in those `before`, (3, 2) in {K}: of where the optimiser started.
-    """
+    """The optimum where the prior on gravity is written in the axes that GTSAM uses there."""
     for _ in range(MOST_TURNS):
         now = gravity_axes(optimum.values)
         if not have_turned(before, now):
@@ -211,27 +165,12 @@ def _in_stages(
 
 
 def explained(excess: float, knots: int) -> bool:
-    """Whether the model explains a long gap: a likelihood-ratio test of the upper arm's length in it.
-
-    Parameters
-    ----------
-    excess : float
-        How much the upper arm raises the error (half the weighted squared sum): twice that is chi-square.
-    knots : int
-        Shoulder knots in the gap: the degrees of freedom.
-
-    Returns
-    -------
-    explained : bool
-    """
+    """Whether the model explains a long gap: a likelihood-ratio test of the upper arm's length in it."""
     return excess <= 0.0 or _tail(excess, knots) > FALSE_ALARM
 
 
 def _tail(half: float, freedom: int) -> float:
-    """Probability that chi-square of this many degrees of freedom, 1 or more, exceeds 2 half.
-
-    (Abramowitz and Stegun 26.4.4 and 26.4.5; `scipy.stats.chi2.sf` takes long to load.)
-    """
+    """Probability that chi-square of this many degrees of freedom, 1 or more, exceeds 2 half."""
     first, tail = (0.5, math.erfc(math.sqrt(half))) if freedom % 2 else (1.0, math.exp(-half))
     steps = range((freedom - 1) // 2)
     return tail + sum(
@@ -266,10 +205,7 @@ def _gauss_newton(
     tolerance: float,
     order: gtsam.Ordering,
 ) -> Optimum | None:
-    """The optimum without damping, in seven eighths of the time; None where a step raises the error.
-
-    From a good start its steps are those of Levenberg and Marquardt to rounding.
-    """
+    """The optimum without damping, in seven eighths of the time; None where a step raises the error."""
     params = gtsam.GaussNewtonParams()
     params.setOrdering(order)
     optimizer = gtsam.GaussNewtonOptimizer(graph, values, params)

@@ -41,32 +41,12 @@ def sample_window(
     system: LinearSystem,
     values: gtsam.Values,
     window: Window,
-    biases: IntArray,
+    biases: IntArray,  # int (n - 1,)
     plan: DrawPlan,
-    shared_sensitivity: FloatArray | None,
-    lost: FloatArray,
+    shared_sensitivity: FloatArray | None,  # (b, e)
+    lost: FloatArray,  # (3, 3) rad^2
 ) -> WindowDraws:
-    """Draw motions with the covariance that the window states (GTSAM: `GaussianBayesNet.sample`).
-
-    Parameters
-    ----------
-    system : LinearSystem
-        At the solution.
-    values : gtsam.Values
-        The solution.
-    window : Window
-    biases : ndarray of int, shape (n - 1,)
-        From `bias_of_intervals`.
-    plan : DrawPlan
-    shared_sensitivity : ndarray, shape (b, e), or None
-        How the border follows considered errors; None without any.
-    lost : ndarray, shape (3, 3), rad^2
-        Covariance of the attitude, in {K}, that the solver's priors lack.
-
-    Returns
-    -------
-    draws : WindowDraws
-    """
+    """Draw motions with the covariance that the window states (GTSAM: `GaussianBayesNet.sample`)."""
     # 1. What all windows share, drawn once, and the biases given that.
     border = _border(system, values, window, biases, plan)
     # 2. Errors that are considered: constant over the recording, and of made-up frame times.
@@ -141,10 +121,7 @@ def _border(
 
 
 def _bias_normals(system: LinearSystem, window: Window, biases: IntArray, plan: DrawPlan) -> FloatArray:
-    """Standard normals (count, b) of the border's rows that are biases; zero of the others.
-
-    A bias covers some seconds; its numbers are sums over slices of that time.
-    """
+    """Standard normals (count, b) of the border's rows that are biases; zero of the others."""
     normals = np.zeros((plan.count, system.extras.start))
     count = int(biases[-1]) + 1
     edges = np.linspace(window.t[0], window.t[-1], count + 1)

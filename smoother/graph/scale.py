@@ -33,18 +33,7 @@ FREE = 6.0
 def coordinates_by_pixels(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, groups: Sequence[FactorGroup]
 ) -> float:
-    """How many coordinates of positions keypoints determine in a window at its optimum.
-
-    Parameters
-    ----------
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        Its optimum.
-    window : Window
-        What it was built from; all of its rays are of one camera.
-    groups : sequence of FactorGroup
-        Of the graph.
-    """
+    """How many coordinates of positions keypoints determine in a window at its optimum."""
     system = LinearSystem(graph, values, node_of_variables(window))
     layout = window.priors.layout
     held = [G(0), *([U(0)] if layout.has_upper_arm else []), *lever_keys(layout)]
@@ -75,15 +64,7 @@ def _rows(system: LinearSystem, group: FactorGroup, keys: Sequence[int]) -> Floa
 
 
 def with_scale_term(priors: Priors, coordinates: float) -> Priors:
-    """The prior on what all share times the forearm's length to the power of `coordinates`.
-
-    Parameters
-    ----------
-    priors : Priors
-        With lever arms of elbow and wrist.
-    coordinates : float
-        From `coordinates_by_pixels`.
-    """
+    """The prior on what all share times the forearm's length to the power of `coordinates`."""
     layout, shared = priors.layout, priors.shared
     wrist, elbow = layout.lever("wrist", FOREARM.name), layout.lever("elbow", FOREARM.name)
     apart = shared.mean[wrist] - shared.mean[elbow]

@@ -16,25 +16,11 @@ from .variables import DIMENSION, keys_of, values_of
 
 
 def shared_factors(
-    values: gtsam.Values, window: Window, biases: IntArray
+    values: gtsam.Values,
+    window: Window,
+    biases: IntArray,  # int (n - 1,)
 ) -> Iterator[tuple[str, str, list[gtsam.NonlinearFactor], int]]:
-    """A random walk of the biases (`BetweenFactor..`), one joint Gaussian prior (`HessianFactor`).
-
-    Parameters
-    ----------
-    values : gtsam.Values
-        Initial values of the shared variables are added to it.
-    window : Window
-    biases : ndarray of int, shape (n - 1,)
-        From `bias_of_intervals`.
-
-    Yields
-    ------
-    kind, of : str
-    factors : list of gtsam.NonlinearFactor
-    dimension : int
-        Of each.
-    """
+    """A random walk of the biases (`BetweenFactor..`), one joint Gaussian prior (`HessianFactor`)."""
     priors, layout, mean = window.priors, window.priors.layout, window.priors.shared.mean
     count = int(biases[-1]) + 1
     walk = noiseModel.Diagonal.Sigmas(priors.bias_walk * np.sqrt((window.t[-1] - window.t[0]) / count))
@@ -54,19 +40,7 @@ def bias_walk(before: int, bias: int, model: noiseModel.Base) -> gtsam.BetweenFa
 
 
 def prior_factor(priors: Priors, keys: list[int]) -> gtsam.LinearContainerFactor:
-    """The joint Gaussian prior on what windows share.
-
-    Parameters
-    ----------
-    priors : Priors
-    keys : list of int
-        Its variables, in the order of `shared_keys`.
-
-    Returns
-    -------
-    factor : gtsam.LinearContainerFactor
-        Linearised at the prior's mean.
-    """
+    """The joint Gaussian prior on what windows share."""
     layout, mean = priors.layout, priors.shared.mean
     # the prior's mean is the initial value, so only its information matrix is needed
     jacobian = shared_jacobian(layout, Unit3(layout.down(mean)))
@@ -89,20 +63,8 @@ def insert_constants(values: gtsam.Values, layout: SharedLayout, mean: FloatArra
             values.insert(keys_of(segment).lever_of(joint), mean[rows])
 
 
-def shared_keys(window: Window, biases: IntArray) -> list[int]:
-    """Keys of the shared variables in the order of the shared vector; the bias of the window's middle.
-
-    Parameters
-    ----------
-    window : Window
-    biases : ndarray of int, shape (n - 1,)
-        From `bias_of_intervals`.
-
-    Returns
-    -------
-    keys : list of int
-        As many as there are shared quantities.
-    """
+def shared_keys(window: Window, biases: IntArray) -> list[int]:  # biases int (n - 1,)
+    """Keys of the shared variables in the order of the shared vector; the bias of the window's middle."""
     layout = window.priors.layout
     middle = (int(biases[-1]) + 1) // 2
     first, *further = (keys_of(segment).bias + middle for segment in layout.segments)
@@ -121,22 +83,8 @@ def bias_keys(layout: SharedLayout, keys: Sequence[int]) -> list[int]:
     return [keys[0], *keys[len(keys) - len(layout.further) :]]
 
 
-def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:
-    """Shared vector's change for a change of GTSAM's own coordinates.
-
-    They differ for gravity (its tangent basis, `Unit3.basis`) and for the upper arm: the range factor's
-    error is range + U - length, so the length falls as U grows.
-
-    Parameters
-    ----------
-    layout : SharedLayout
-    down : gtsam.Unit3
-        Gravity's direction in {K}.
-
-    Returns
-    -------
-    jacobian : ndarray, shape (s, s)
-    """
+def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:  # -> (s, s)
+    """Shared vector's change for a change of GTSAM's own coordinates."""
     jacobian = np.eye(layout.size)
     jacobian[layout.upper_arm, layout.upper_arm] *= -1.0
     jacobian[layout.gravity, layout.gravity] = layout.gravity_axes @ down.basis()
@@ -153,23 +101,11 @@ def _blocks(layout: SharedLayout) -> list[slice]:
 def gaussian_factor(
     keys: list[int],
     blocks: list[slice],
-    information: FloatArray,
-    vector: FloatArray | None = None,
+    information: FloatArray,  # (s, s)
+    vector: FloatArray | None = None,  # (s,)
     error: float = 0.0,
 ) -> gtsam.HessianFactor:
-    """A Gaussian over any number of variables, put together from its pairs.
-
-    Parameters
-    ----------
-    keys : list of int
-    blocks : list of slice
-        Rows of each variable.
-    information : ndarray, shape (s, s)
-    vector : ndarray, shape (s,), optional
-        Information times the mean; zero where None.
-    error : float
-        Half the weighted squared distance of the mean.
-    """
+    """A Gaussian over any number of variables, put together from its pairs."""
     vector = np.zeros(len(information)) if vector is None else vector
     pairs = gtsam.GaussianFactorGraph()
     for i, (key, rows) in enumerate(zip(keys, blocks, strict=True)):
@@ -208,24 +144,11 @@ def have_turned(before: FloatArray, now: FloatArray) -> bool:
 
 
 def turned_with_axes(
-    factors: list[gtsam.NonlinearFactor], values: gtsam.Values, before: FloatArray
+    factors: list[gtsam.NonlinearFactor],
+    values: gtsam.Values,
+    before: FloatArray,  # (3, 2)
 ) -> list[gtsam.NonlinearFactor]:
-    """Gaussians written in the axes across gravity that are in use now.
-
-    Parameters
-    ----------
-    factors : list of gtsam.NonlinearFactor
-        Those on gravity are `LinearContainerFactor`s; others stay as they are.
-    values : gtsam.Values
-        The present ones; the Gaussians are then linear about them.
-    before : ndarray, shape (3, 2)
-        The axes in {K} that the Gaussians were written in.
-
-    Returns
-    -------
-    factors : list of gtsam.NonlinearFactor
-        In the same order.
-    """
+    """Gaussians written in the axes across gravity that are in use now."""
     left, _, right = np.linalg.svd(before.T @ gravity_axes(values))
     turn = left @ right
     return [_turned(factor, values, turn) if G(0) in set(factor.keys()) else factor for factor in factors]

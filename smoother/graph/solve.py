@@ -54,49 +54,18 @@ CHAIN_COVARIANCE_S = 0.25
 
 @dataclass(frozen=True)
 class WindowOptimum:
-    """A window at its optimum: what a solution is read from; it does not travel between processes.
+    """A window at its optimum: what a solution is read from; it does not travel between processes."""
 
-    Attributes
-    ----------
-    window : Window
-        With what cameras without depth saw linearised there.
-    given : Window
-        As it was given.
-    optimum : Optimum
-    groups : sequence of FactorGroup
-        Of its graph.
-    tighten : int
-        Number of the tightening in `TIGHTEN` that it was found with.
-    tolerance : float
-        That it was found with.
-    """
-
-    window: Window
-    given: Window
+    window: Window  # With what cameras without depth saw linearised there
+    given: Window  # As it was given
     optimum: Optimum
-    groups: Sequence[FactorGroup]
-    tighten: int
-    tolerance: float
+    groups: Sequence[FactorGroup]  # Of its graph
+    tighten: int  # Number of the tightening in `TIGHTEN` that it was found with
+    tolerance: float  # That it was found with
 
 
 def optimise_window(window: Window, tolerance: float = RELATIVE_TOLERANCE) -> WindowOptimum:
-    """Optimise a window (see `optimise`).
-
-    Parameters
-    ----------
-    window : Window
-    tolerance : float
-        The optimiser stops when an iteration lowers the error by less than this share of it.
-
-    Returns
-    -------
-    optimised : WindowOptimum
-
-    Raises
-    ------
-    SolveError
-        The window leaves something free; the text names the time.
-    """
+    """Optimise a window (see `optimise`)."""
     return _optimised(window, tolerance, 0)
 
 
@@ -123,35 +92,7 @@ def solution_of(
     plan: DrawPlan | None = None,
     with_blocks: bool = False,
 ) -> Solution:
-    """Read the answer of a window that is at its optimum.
-
-    Where a direction turns out free the window is optimised again, with a tighter prior.
-
-    Parameters
-    ----------
-    optimised : WindowOptimum
-    with_covariance : bool
-        Also the covariance of every node (a third of the time).
-    with_offset : bool
-        Also the information on the clock offset.
-    with_message : bool
-        Also the covariance of the message; its mean is there in any case.
-    with_evidence : bool
-        Also the window's evidence on errors that are constant over the recording.
-    plan : DrawPlan, optional
-        Also motions drawn from the posterior; needs the covariance.
-    with_blocks : bool
-        Also every block of the camera's samples against the rest; not together with `with_offset`.
-
-    Returns
-    -------
-    solution : Solution
-
-    Raises
-    ------
-    SolveError
-        The window leaves something free; the text names the time.
-    """
+    """Read the answer of a window that is at its optimum."""
     while True:
         try:
             return _read(
@@ -316,10 +257,7 @@ def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) ->
 
 
 def _bodies(values: gtsam.Values, window: Window, biases: IntArray) -> list[SegmentSolution]:
-    """The solution of each IMU, read from the variables, without covariances.
-
-    GTSAM hands out a letter's variables in the order of their numbers, and poses in that of the letters.
-    """
+    """The solution of each IMU, read from the variables, without covariances."""
     poses, bodies, n = gtsam.utilities.extractPose3(values), [], len(window.t)
     for name in window.priors.layout.segments:
         keys = keys_of(name)
@@ -346,11 +284,7 @@ def _stamp_knots(window: Window) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Following:
-    """Covariances of a system's variables in time, with what they follow of considered errors.
-
-    `shared` gives the border's response to the errors, `covariance` their size: first those that are
-    constant over the recording, then those of the frames' times at knots.
-    """
+    """Covariances of a system's variables in time, with what they follow of considered errors."""
 
     system: LinearSystem
     shared: FloatArray | None
@@ -365,10 +299,7 @@ class _Following:
         biases: IntArray,
         knots: FloatArray,
     ) -> _Following:
-        """With the window's considered errors, if any, and those of the frames' times at knots (m,).
-
-        The window's prior on what all share follows the constant errors too: other windows had the same.
-        """
+        """With the window's considered errors, if any, and those of the frames' times at knots (m,)."""
         if window.considered is None:
             return cls(system, None, None)
         constant = len(window.considered.covariance)
@@ -386,10 +317,7 @@ class _Following:
         return cls(system, system.shared_sensitivity(pull), covariance)
 
     def of_variables(self, keys: Sequence[int], at_strap: bool = False) -> FloatArray:
-        """Covariances (k, d, d) of variables in time, all of one dimension.
-
-        Poses `at_strap` are the tracked point's, which may be off the sensor: the answer is to be there.
-        """
+        """Covariances (k, d, d) of variables in time, all of one dimension."""
         covariance = self.system.covariances(keys)
         if self.shared is None or self.covariance is None:
             return covariance
@@ -400,11 +328,7 @@ class _Following:
 
 
 def _with_covariance(body: SegmentSolution, following: _Following, window: Window) -> SegmentSolution:
-    """The covariances of an IMU's states at the nodes, of (position, rotation) in {K}.
-
-    They change slowly where the camera sees the arm: they are taken more often near a gap and in it, and
-    interpolated between. The forearm's place is the tracked point's, where that is used for the IMU.
-    """
+    """The covariances of an IMU's states at the nodes, of (position, rotation) in {K}."""
     t, nodes, keys = window.t, _covariance_nodes(window), keys_of(body.segment)
     is_forearm = body.segment == FOREARM.name
     at_strap = is_forearm and any(is_place(each.joint, window) for each in window.joint_measurements)

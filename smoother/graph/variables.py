@@ -16,23 +16,13 @@ from ..recording import JOINTS
 
 
 class SegmentKeys(NamedTuple):
-    """The first key of each kind of a segment's variables; the n-th key is n more.
+    """The first key of each kind of a segment's variables; the n-th key is n more."""
 
-    Attributes
-    ----------
-    pose, velocity, point : int
-        By node; the point is that of the joint that the segment shares with its parent.
-    bias : int
-        By number of the bias.
-    lever : int
-        By number of the joint in `JOINTS`.
-    """
-
-    pose: int
-    velocity: int
-    bias: int
-    lever: int
-    point: int
+    pose: int  # By node; the point is that of the joint that the segment shares with its parent
+    velocity: int  # By node; the point is that of the joint that the segment shares with its parent
+    bias: int  # By number of the bias
+    lever: int  # By number of the joint in `JOINTS`
+    point: int  # By node; the point is that of the joint that the segment shares with its parent
 
     def lever_of(self, joint: str) -> int:
         """Key of a joint's lever arm."""

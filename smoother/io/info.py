@@ -26,54 +26,26 @@ from .result.write import RESULT
 
 @dataclass(frozen=True)
 class ArmInfo:
-    """An arm that would be recovered.
+    """An arm that would be recovered."""
 
-    Attributes
-    ----------
-    label : str
-        As "left arm".
-    imu, skeleton, side : str
-        What would be taken.
-    body : int, optional
-        The camera's number of the person, where there are several.
-    upper_imu, hand_imu, trunk_imu : str
-        The IMUs on the same upper arm, hand and trunk that would be used; empty without one.
-    joints : list of str
-        Of the skeleton.
-    imu_rate_hz, camera_rate_hz : float, Hz, optional
-        Median rates.
-    duration_s : float, s
-        Time that IMU and camera share.
-    gaps : int
-        Number of gaps.
-    gap_total_s, gap_longest_s : float, s
-        Their length together, and the longest.
-    allows : str
-        What the recording allows, in a line.
-    ready : bool
-        There is no sign that no answer could be trusted.
-    cameras : list of str
-        Further cameras that saw the arm, a line each.
-    """
-
-    label: str
-    imu: str
-    skeleton: str
-    side: str
-    body: int | None
-    upper_imu: str
-    hand_imu: str
-    trunk_imu: str
-    joints: list[str]
-    imu_rate_hz: float | None
-    camera_rate_hz: float | None
-    duration_s: float
-    gaps: int
-    gap_total_s: float
-    gap_longest_s: float
-    allows: str
-    ready: bool
-    cameras: list[str] = field(default_factory=list)
+    label: str  # As "left arm"
+    imu: str  # What would be taken
+    skeleton: str  # What would be taken
+    side: str  # What would be taken
+    body: int | None  # The camera's number of the person, where there are several
+    upper_imu: str  # The IMUs on the same upper arm, hand and trunk that would be used; empty without one
+    hand_imu: str  # The IMUs on the same upper arm, hand and trunk that would be used; empty without one
+    trunk_imu: str  # The IMUs on the same upper arm, hand and trunk that would be used; empty without one
+    joints: list[str]  # Of the skeleton
+    imu_rate_hz: float | None  # Median rates
+    camera_rate_hz: float | None  # Median rates
+    duration_s: float  # Time that IMU and camera share
+    gaps: int  # Number of gaps
+    gap_total_s: float  # Their length together, and the longest
+    gap_longest_s: float  # Their length together, and the longest
+    allows: str  # What the recording allows, in a line
+    ready: bool  # There is no sign that no answer could be trusted
+    cameras: list[str] = field(default_factory=list)  # Further cameras that saw the arm, a line each
 
 
 def describe_arm(recording: Recording) -> ArmInfo:
@@ -123,108 +95,50 @@ _DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "fo
 
 @dataclass(frozen=True)
 class TopicRow:
-    """A topic.
+    """A topic."""
 
-    Attributes
-    ----------
-    name, schema : str
-        The topic and its schema.
-    count : int
-        Number of messages.
-    rate_hz : float, Hz, optional
-        Mean rate; of a skeleton that of its frames, each of which may be several messages.
-    duration_s : float, s
-        First to last log time.
-    """
-
-    name: str
-    schema: str
-    count: int
-    rate_hz: float | None
-    duration_s: float
+    name: str  # The topic and its schema
+    schema: str  # The topic and its schema
+    count: int  # Number of messages
+    rate_hz: float | None  # Mean rate
+    duration_s: float  # First to last log time
 
 
 @dataclass
 class RecordingInfo:
-    """What `unocclude info` shows.
-
-    Attributes
-    ----------
-    path : str
-    size_bytes : int
-        The file.
-    topics : list of TopicRow
-        All topics.
-    imus, skeletons, poses : list of str
-        Streams found, as sentences a line each.
-    arms : list of ArmInfo
-        The arms that would be recovered; empty where that is not settled.
-    imu, skeleton, side : str
-        What would be taken for the first of them, as all that follows; empty where that is not settled.
-    upper_imu, hand_imu : str
-        Those on the same upper arm and hand that would be used; empty without one.
-    trunk_imu : str
-        The one on the trunk; empty without one.
-    joints : list of str
-        Of the skeleton that would be taken.
-    imu_rate_hz, camera_rate_hz : float, optional
-        Median rates.
-    camera_frame : str, optional
-        Convention of the camera's axes, or None.
-    clocks : dict of str to dict of str to float
-        Per stream, first and last stamp (s) and how far log times lie behind stamps.
-    duration_s : float, optional
-        Time that IMU and camera share.
-    gaps : int, optional
-        Number of gaps.
-    gap_total_s, gap_longest_s : float, optional
-        Their length together, and the longest.
-    missing : dict of str to str
-        By step, what is missing for it, one sentence; without `smooth` it can be recovered.
-    optional : dict of str to str
-        What the file lacks and recovering does not need, with what it would be good for.
-    allows : str
-        What the recording allows, in a line; empty where it cannot be recovered.
-    ready : bool
-        All arms can be recovered, and there is no sign that no answer could be trusted.
-    result : bool
-        The file contains a recovery already.
-    verdicts : list of dict
-        On each arm of that: `arm` ("" for the only one), `trusted`, `verdict`, and `untrusted`, times that
-        are not to be trusted where the rest is.
-    notes : list of str
-        What was dropped, decided or wrong.
-    """
+    """What `unocclude info` shows."""
 
     path: str
-    size_bytes: int
-    topics: list[TopicRow]
-    imus: list[str]
-    skeletons: list[str]
-    poses: list[str]
-    imu: str = ""
-    skeleton: str = ""
-    side: str = ""
-    joints: list[str] = field(default_factory=list)
-    imu_rate_hz: float | None = None
-    camera_rate_hz: float | None = None
-    camera_frame: str | None = None
+    size_bytes: int  # The file
+    topics: list[TopicRow]  # All topics
+    imus: list[str]  # Streams found, as sentences a line each
+    skeletons: list[str]  # Streams found, as sentences a line each
+    poses: list[str]  # Streams found, as sentences a line each
+    imu: str = ""  # What would be taken for the first of them, as all that follows
+    skeleton: str = ""  # What would be taken for the first of them, as all that follows
+    side: str = ""  # What would be taken for the first of them, as all that follows
+    joints: list[str] = field(default_factory=list)  # Of the skeleton that would be taken
+    imu_rate_hz: float | None = None  # Median rates
+    camera_rate_hz: float | None = None  # Median rates
+    camera_frame: str | None = None  # Convention of the camera's axes, or None
+    # Per stream, first and last stamp (s) and how far log times lie behind stamps
     clocks: dict[str, dict[str, float]] = field(default_factory=dict)
-    duration_s: float | None = None
-    gaps: int | None = None
-    gap_total_s: float | None = None
-    gap_longest_s: float | None = None
-    missing: dict[str, str] = field(default_factory=dict)
+    duration_s: float | None = None  # Time that IMU and camera share
+    gaps: int | None = None  # Number of gaps
+    gap_total_s: float | None = None  # Their length together, and the longest
+    gap_longest_s: float | None = None  # Their length together, and the longest
+    missing: dict[str, str] = field(default_factory=dict)  # By step, what is missing for it, one sentence
+    # What the file lacks and recovering does not need, with what it would be good for
     optional: dict[str, str] = field(default_factory=dict)
-    allows: str = ""
-    ready: bool = False
-    result: bool = False
-    verdicts: list[dict[str, object]] = field(default_factory=list)
-    upper_imu: str = ""
-    hand_imu: str = ""
-    trunk_imu: str = ""
-    notes: list[str] = field(default_factory=list)
-    arms: list[ArmInfo] = field(default_factory=list)
+    allows: str = ""  # What the recording allows, in a line; empty where it cannot be recovered
+    ready: bool = False  # All arms can be recovered, and there is no sign that no answer could be trusted
+    result: bool = False  # The file contains a recovery already
+    verdicts: list[dict[str, object]] = field(default_factory=list)  # On each arm of that
+    upper_imu: str = ""  # Those on the same upper arm and hand that would be used; empty without one
+    hand_imu: str = ""  # Those on the same upper arm and hand that would be used; empty without one
+    trunk_imu: str = ""  # The one on the trunk; empty without one
+    notes: list[str] = field(default_factory=list)  # What was dropped, decided or wrong
+    arms: list[ArmInfo] = field(default_factory=list)  # The arms that would be recovered
 
     def to_dict(self) -> dict[str, object]:
         """Plain values, fit for JSON."""
@@ -239,29 +153,7 @@ def describe(
     path: str | os.PathLike[str],
     **selection: Unpack[Selection],
 ) -> RecordingInfo:
-    """Describe an MCAP file; options as in `read_recordings`.
-
-    A file that cannot be smoothed is described all the same: what is wrong stands under
-    `missing["smooth"]`.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    imu, skeleton, side : str, optional
-    body : int, optional
-        As in `read_recordings`.
-
-    Returns
-    -------
-    RecordingInfo
-        What it contains and what is missing.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, empty or not MCAP.
-    """
+    """Describe an MCAP file; options as in `read_recordings`."""
     file = open_recording(path)
     info = RecordingInfo(
         path=str(file.path),

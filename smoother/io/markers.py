@@ -24,37 +24,16 @@ from .tables.units import METRES
 
 @dataclass(frozen=True)
 class Markers:
-    """Trajectories of markers in the mocap's frame {E} and on its own clock.
+    """Trajectories of markers in the mocap's frame {E} and on its own clock."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        As the file has them, without spaces around.
-    t_s : ndarray, shape (N,), s
-        Frame times.
-    position : ndarray, shape (N, M, 3), m
-        nan where a marker was not seen.
-    rate_hz : float
-        As the file states it; nan where it does not.
-    unit : str
-        Of the file.
-    residual_m : ndarray, shape (N, M), m, optional
-        The capture's own residual (0 = measured or filled without one, nan where the marker was not
-        seen), or None where the format has none.
-    source : str
-        What to call the file in messages.
-    notes : tuple of str
-        What was dropped or decided on reading, one sentence each.
-    """
-
-    names: tuple[str, ...]
-    t_s: FloatArray
-    position: FloatArray
-    rate_hz: float
-    unit: str
-    residual_m: FloatArray | None = None
-    source: str = "the motion capture"
-    notes: tuple[str, ...] = ()
+    names: tuple[str, ...]  # As the file has them, without spaces around
+    t_s: FloatArray  # (N,) s: frame times
+    position: FloatArray  # (N, M, 3) m: nan where a marker was not seen
+    rate_hz: float  # As the file states it; nan where it does not
+    unit: str  # Of the file
+    residual_m: FloatArray | None = None  # (N, M) m
+    source: str = "the motion capture"  # What to call the file in messages
+    notes: tuple[str, ...] = ()  # What was dropped or decided on reading, one sentence each
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -66,13 +45,7 @@ class Markers:
 
 
 def metres_in(unit: str, path: Path) -> float:
-    """Metres in a unit of length as a file names it.
-
-    Raises
-    ------
-    RecordingError
-        The unit is not known.
-    """
+    """Metres in a unit of length as a file names it."""
     try:
         return METRES[unit.strip().strip('"').lower()]
     except KeyError:
@@ -117,18 +90,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d*([eEdD][-+]?\d+)?")
 
 
 def read_trc(path: Path) -> Markers:
-    """Read a TRC file.
-
-    Cells are parted by tabs, commas, semicolons or spaces; decimal commas, blank cells, nan in any
-    spelling, exponents, Windows line ends, blank lines, names over the wrong columns and counts in the
-    header that are wrong do no harm. Times are those of the column `Time`; where they are missing, of the
-    frame rate.
-
-    Raises
-    ------
-    RecordingError
-        It is not a TRC file, has no marker or frame, or a cell is not a number; the text names the line.
-    """
+    """Read a TRC file."""
     lines = _lines(path)
     place = next((k for k, line in enumerate(lines) if _starts(line, "frame#", "frame", "#frame")), None)
     if place is None:
@@ -287,27 +249,7 @@ def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list
 
 
 def read_c3d(path: Path) -> Markers:
-    """Read the points of a C3D file.
-
-    Missing is what has a negative residual, and what is at (0, 0, 0). Names go on in `POINT:LABELS2`,
-    `LABELS3` .. where there are more than 255. Time zero is the trial's frame zero: a file that was cut
-    out of a trial begins later.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Markers
-        All points.
-
-    Raises
-    ------
-    RecordingError
-        It is not a C3D file, is damaged, or has no point.
-    """
+    """Read the points of a C3D file."""
     check_input(path, RecordingError)
     with open(path, "rb") as file:
         start = file.read(2)
@@ -364,22 +306,14 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def would_crash(path: Path) -> bool:
-    """Whether the library would end the process on this file, or never end itself.
-
-    Its C++ reads past the end of parameters whose lengths are damaged, and takes memory for as many frames as
-    a damaged header counts.
-    """
+    """Whether the library would end the process on this file, or never end itself."""
     import ezc3d
 
     return crashes_in_subprocess(path, lambda file: ezc3d.c3d(str(file)))
 
 
 def _whole(path: Path, point: dict[str, Any]) -> None:
-    """Refuse a file that ends before the last frame that its header counts; the library makes frames up.
-
-    Words of the header (c3d.org): 2 points, 3 analog samples per frame, 4 and 5 first and last frame, 9 the
-    first block of 512 bytes that contains data. A scale below zero means four bytes a number, else two.
-    """
+    """Refuse a file that ends before the last frame that its header counts; the library makes frames up."""
     with open(path, "rb") as file:
         header = file.read(512)
         file.seek(512 * (header[0] - 1) + 3)
@@ -432,23 +366,7 @@ MARKER_FORMATS = (".c3d", ".trc")
 
 
 def read_markers(path: str | os.PathLike[str]) -> Markers:
-    """Read a `.c3d` or `.trc` file.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Returns
-    -------
-    Markers
-        In the mocap's frame, on its clock.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, of another kind, damaged, or has no marker.
-    """
+    """Read a `.c3d` or `.trc` file."""
     path = Path(path)
     if path.suffix.lower() not in MARKER_FORMATS:
         raise RecordingError(f"{path}: markers are read from {' or '.join(MARKER_FORMATS)}")
@@ -465,24 +383,7 @@ LEAST_SEEN = 0.3
 
 
 def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
-    """Positions (3,) m by marker, in the mocap's frame.
-
-    Parameters
-    ----------
-    path : path-like
-        CSV with the columns `marker`, `x`, `y`, `z` in metres, a row a marker; or `.trc` or `.c3d`, whose
-        frames are averaged.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (3,), m
-        By marker.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, has no marker, or a marker moved.
-    """
+    """Positions (3,) m by marker, in the mocap's frame."""
     path = Path(path)
     if path.suffix.lower() in MARKER_FORMATS:
         return _still(read_markers(path))

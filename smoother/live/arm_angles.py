@@ -19,21 +19,11 @@ TITLES = {
 _STEP_M = 1e-4
 
 
-def live_angles(estimate: LiveEstimate, down: FloatArray | None) -> dict[str, tuple[float, float]]:
-    """Angles and their standard deviations, degrees, by name.
-
-    Parameters
-    ----------
-    estimate : LiveEstimate
-    down : ndarray, shape (3,), or None
-        Direction of gravity in {K}; without it there is the elbow's alone.
-
-    Returns
-    -------
-    angles : dict of str to (float, float)
-        `elbow_flexion`, 0 = straight; `shoulder_elevation`, 0 = hanging, 90 = level; `forearm_elevation`, 0 =
-        level, upwards positive. Those whose joints are there.
-    """
+def live_angles(
+    estimate: LiveEstimate,
+    down: FloatArray | None,  # (3,)
+) -> dict[str, tuple[float, float]]:
+    """Angles and their standard deviations, degrees, by name."""
 
     def flexion(at: dict[str, FloatArray]) -> float:
         return _between(at["elbow"] - at["shoulder"], at["wrist"] - at["elbow"])

@@ -16,43 +16,22 @@ from .imu_check import AGAIN_S, CONTEXT_S, TURN_DENSITY, VELOCITY_DENSITY, ImuCh
 
 @dataclass(frozen=True)
 class SkeletonFrame:
-    """One arm in one frame of the camera.
+    """One arm in one frame of the camera."""
 
-    Attributes
-    ----------
-    t_s : float, s
-        Its stamp, on the camera's clock.
-    arrival_s : float, s
-        When it arrived here, on the clock of the time given to `LiveSmoother.step` (the IMU's).
-    position : ndarray, shape (5, 3), m
-        In {K}, joints in the order of `JOINTS`; nan where there is none.
-    state : ndarray of int8, shape (5,)
-        `JointState` values.
-    """
-
-    t_s: float
+    t_s: float  # Its stamp, on the camera's clock
+    # When it arrived here, on the clock of the time given to `LiveSmoother.step` (the IMU's)
     arrival_s: float
-    position: FloatArray
-    state: NDArray[np.int8]
+    position: FloatArray  # (5, 3) m: in {K}, joints in the order of `JOINTS`; nan where there is none
+    state: NDArray[np.int8]  # int (5,): `JointState` values
 
 
 @dataclass(frozen=True)
 class ImuBatch:
-    """Some samples of the forearm IMU, as they arrived together.
+    """Some samples of the forearm IMU, as they arrived together."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,), s
-        Centre of the interval that a sample averages, on the IMU's clock.
-    acc : ndarray, shape (n, 3), m/s^2
-        Specific force in {A}: at rest about +9.81 upwards.
-    gyro : ndarray, shape (n, 3), rad/s
-        Angular velocity in {A}.
-    """
-
-    t_s: FloatArray
-    acc: FloatArray
-    gyro: FloatArray
+    t_s: FloatArray  # (n,) s: centre of the interval that a sample averages, on the IMU's clock
+    acc: FloatArray  # (n, 3) m/s^2: specific force in {A}: at rest about +9.81 upwards
+    gyro: FloatArray  # (n, 3) rad/s: angular velocity in {A}
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -65,20 +44,7 @@ SLACK = 0.25
 
 
 class ImuBuffer:
-    """Samples of the last seconds.
-
-    Parameters
-    ----------
-    capacity_s : float, s
-        How much is held.
-
-    Attributes
-    ----------
-    late, duplicate, invalid : int
-        Samples that were not taken, and why.
-    version : int
-        Goes up whenever samples come.
-    """
+    """Samples of the last seconds."""
 
     def __init__(self, capacity_s: float) -> None:
         self._capacity_s = capacity_s
@@ -102,17 +68,7 @@ class ImuBuffer:
         return float(self._rows[self._count - 1, 0]) if self._count else -np.inf
 
     def add(self, batch: ImuBatch) -> float | None:
-        """Sort samples in.
-
-        Parameters
-        ----------
-        batch : ImuBatch
-
-        Returns
-        -------
-        changed_s : float or None
-            The earliest sample that came after later ones; None where all are new.
-        """
+        """Sort samples in."""
         rows = np.column_stack([batch.t_s, batch.acc, batch.gyro, np.zeros((len(batch), 2))]).astype(float)
         finite = np.isfinite(rows).all(axis=1)
         self.invalid += int((~finite).sum())
@@ -153,13 +109,7 @@ class ImuBuffer:
         return float(t[pauses[-1] + 1]) if len(pauses) else float(t[0])
 
     def check(self) -> float | None:
-        """Look for samples that cannot be right.
-
-        Returns
-        -------
-        changed_s : float or None
-            The earliest sample of which it is now judged otherwise; None where there is none.
-        """
+        """Look for samples that cannot be right."""
         end_s = self.end_s
         first, again = np.searchsorted(self.t, [end_s - AGAIN_S - CONTEXT_S, end_s - AGAIN_S]).tolist()
         rows = self._rows[first : self._count]
@@ -182,13 +132,7 @@ class ImuBuffer:
         return float(late[int(np.argmax(changed)), 0])
 
     def contradicted(self, since_s: float, until_s: float) -> float | None:
-        """Doubt all samples from one time to another, because the camera contradicts them.
-
-        Returns
-        -------
-        changed_s : float or None
-            As `check`.
-        """
+        """Doubt all samples from one time to another, because the camera contradicts them."""
         since_s = min(since_s, self._doubted_s[0]) if since_s <= self._doubted_s[1] else since_s
         self._doubted_s = since_s, until_s
         first = int(np.searchsorted(self.t, since_s))
@@ -261,18 +205,7 @@ def _replace(t: FloatArray, values: FloatArray, wrong: BoolArray, fades: bool) -
 
 
 class FrameBuffer:
-    """Frames of the last seconds.
-
-    Parameters
-    ----------
-    capacity_s : float, s
-        How much is held.
-
-    Attributes
-    ----------
-    late, duplicate : int
-        Frames that were not taken, and why.
-    """
+    """Frames of the last seconds."""
 
     def __init__(self, capacity_s: float) -> None:
         self._capacity_s = capacity_s

@@ -48,65 +48,29 @@ LARGEST_SIGMA_M = 0.10
 
 @dataclass(frozen=True)
 class CalibrationJob:
-    """What a self-calibration reads.
+    """What a self-calibration reads."""
 
-    Attributes
-    ----------
-    recording : Recording
-        The last minutes.
-    given : ArmCalibration
-        What is known beforehand.
-    config : Config
-    offset_s : float, s
-        t_imu = t_camera + offset, to some tenths of a second: from the frames' arrival, or an earlier answer.
-    """
-
-    recording: Recording
-    given: ArmCalibration
+    recording: Recording  # The last minutes
+    given: ArmCalibration  # What is known beforehand
     config: Config
-    offset_s: float = 0.0
+    offset_s: float = 0.0  # t_imu = t_camera + offset, to some tenths of a second
 
 
 @dataclass(frozen=True)
 class LiveCalibration:
-    """What a self-calibration answered.
+    """What a self-calibration answered."""
 
-    Attributes
-    ----------
-    from_s, until_s : float, s
-        The first and the last IMU sample that it read, on the IMU's clock.
-    model : SelfCalibration or None
-        None where the motion did not suffice.
-    clock : Clock or None
-        t_imu = t_camera + offset, of the camera's own stamps; None without a model.
-    reason : str
-        Why there is no model, one sentence; "" where there is one.
-    further : tuple of FurtherPlace
-        The IMUs beyond the forearm that the model contains.
-    left_out : tuple of str
-        Why it does not contain the others, a sentence each.
-    """
-
-    from_s: float
-    until_s: float
-    model: SelfCalibration | None = None
-    clock: Clock | None = None
-    reason: str = ""
-    further: tuple[FurtherPlace, ...] = ()
-    left_out: tuple[str, ...] = ()
+    from_s: float  # The first and the last IMU sample that it read, on the IMU's clock
+    until_s: float  # The first and the last IMU sample that it read, on the IMU's clock
+    model: SelfCalibration | None = None  # None where the motion did not suffice
+    clock: Clock | None = None  # t_imu = t_camera + offset, of the camera's own stamps; None without a model
+    reason: str = ""  # Why there is no model, one sentence; "" where there is one
+    further: tuple[FurtherPlace, ...] = ()  # The IMUs beyond the forearm that the model contains
+    left_out: tuple[str, ...] = ()  # Why it does not contain the others, a sentence each
 
 
 def calibrate_excerpts(job: CalibrationJob) -> LiveCalibration:
-    """Work a self-calibration out, as `smooth` begins with it; what fails is answered, not raised.
-
-    Parameters
-    ----------
-    job : CalibrationJob
-
-    Returns
-    -------
-    calibration : LiveCalibration
-    """
+    """Work a self-calibration out, as `smooth` begins with it; what fails is answered, not raised."""
     answer = _calibrated(job, constant_clock(job.offset_s))
     if answer.model is None:  # the clocks may be farther apart than the frames' arrival says
         with suppress(UnoccludeError):
@@ -182,13 +146,7 @@ class Calibrator(ABC):
 
 
 class InlineCalibrator(Calibrator):
-    """Works at once, in this process: for recordings that are played as fast as possible.
-
-    Parameters
-    ----------
-    delay : int
-        The answer is there only when it was asked for this many times: a background's time, in steps.
-    """
+    """Works at once, in this process: for recordings that are played as fast as possible."""
 
     def __init__(self, delay: int = 0) -> None:
         self._delay, self._asked = delay, 0
@@ -278,31 +236,7 @@ DOUBTED_SIGMA_S = 0.05
 
 
 class Calibrations:
-    """Starts a self-calibration when it is due, and keeps the last one that worked.
-
-    Parameters
-    ----------
-    calibrator : Calibrator
-        Who works it out.
-    side : {"left", "right", ""}
-    given : ArmCalibration
-        What is known beforehand.
-    config : Config
-    gravity_hint : ndarray, shape (3,), or None
-        Direction of down in {K}.
-    camera_frame : CameraFrame or None
-
-    Attributes
-    ----------
-    last : LiveCalibration or None
-        The last that worked.
-    offset_s, clock_sigma_s : float, s
-        t_imu = t_camera + offset, and its standard deviation; nan before the first.
-    needed : int
-        Joints of the forearm that make a frame visible.
-    reason : str
-        How the self-calibration stands, in words.
-    """
+    """Starts a self-calibration when it is due, and keeps the last one that worked."""
 
     def __init__(
         self,

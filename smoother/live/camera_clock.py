@@ -29,31 +29,14 @@ class ShiftCause(Enum):
 
 @dataclass(frozen=True)
 class Shift:
-    """From some frame on, frames come at another time after their stamps.
+    """From some frame on, frames come at another time after their stamps."""
 
-    Attributes
-    ----------
-    seconds : float, s
-        How much later.
-    cause : ShiftCause
-    """
-
-    seconds: float
+    seconds: float  # s: how much later
     cause: ShiftCause
 
 
 class CameraClock:
-    """Makes one continuous clock of the camera's stamps.
-
-    The time from a frame's stamp to its arrival is latency plus the clocks' difference. Where it changes at
-    once and stays, either the clock was set, and the stamps have a step while frames arrive as ever, or the
-    latency has changed, and the arrivals have a step while the stamps go on.
-
-    Attributes
-    ----------
-    correction_s : float, s
-        What is added to the camera's stamps since the jumps so far.
-    """
+    """Makes one continuous clock of the camera's stamps."""
 
     def __init__(self) -> None:
         self.correction_s = 0.0
@@ -78,11 +61,7 @@ class CameraClock:
         return self._delay_s
 
     def take(self, frame: SkeletonFrame) -> tuple[list[SkeletonFrame], Shift | None]:
-        """Frames that can be used now, with continuous stamps, and the jump that they end, if they do.
-
-        A frame that does not fit the others waits until some more show whether it was late or the clock set;
-        where stamps and arrivals show that frames are only later than before, none waits.
-        """
+        """Frames that can be used now, with continuous stamps, and the jump that they end, if they do."""
         off_s = frame.arrival_s - frame.t_s - self.correction_s - self.delay_s
         after_s = frame.t_s + self.correction_s - self._newest_s
         since_s, self._arrival_s = frame.arrival_s - self._arrival_s, frame.arrival_s
@@ -122,17 +101,7 @@ class CameraClock:
         self._delay_s = None
 
     def _cause_of(self, after_s: float, since_s: float, off_s: float) -> ShiftCause:
-        """Whether the stamps or the arrivals have a step of this size at a frame.
-
-        Parameters
-        ----------
-        after_s : float, s
-            Its stamp after the newest one: where frames overtake each other, nothing is missing between.
-        since_s : float, s
-            Its arrival after the last one.
-        off_s : float, s
-            How much later after its stamp it came than is usual.
-        """
+        """Whether the stamps or the arrivals have a step of this size at a frame."""
         if len(self._intervals) < JUMP_FRAMES:
             return ShiftCause.OPEN
         usual_s, limit_s = median(self._intervals), AGREE * abs(off_s)

@@ -26,21 +26,11 @@ SPREAD_S = 0.2
 
 @dataclass(frozen=True)
 class Discontinuity:
-    """What was shown less what is known now, at the moment of the change.
+    """What was shown less what is known now, at the moment of the change."""
 
-    Attributes
-    ----------
-    at_s : float, s
-        When it happened.
-    offset : ndarray, shape (3,), m
-        Of the position in {K}.
-    turn : ndarray, shape (3,), rad
-        Of the orientation in {K}.
-    """
-
-    at_s: float
-    offset: FloatArray
-    turn: FloatArray
+    at_s: float  # When it happened
+    offset: FloatArray  # (3,) m: of the position in {K}
+    turn: FloatArray  # (3,) rad: of the orientation in {K}
 
     @classmethod
     def between(cls, shown: NodeState, known: NodeState) -> Discontinuity:
@@ -61,43 +51,20 @@ _SETTLED = ("settled_turn", "settled_position", "settled_velocity", "bias", "gra
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What an estimate needs to know besides the solution.
-
-    Attributes
-    ----------
-    kind : {"now", "settled"}
-    state : LiveState
-    since_s : float or None, s
-        When the gap began.
-    clock_sigma_s : float, s
-        Of the camera's clock.
-    shoulder_variance : float, m^2
-        How far the shoulder may have gone since its knot.
-    discontinuity : Discontinuity or None
-        That is being spread.
-    """
+    """What an estimate needs to know besides the solution."""
 
     kind: Literal["now", "settled"]
     state: LiveState
-    since_s: float | None
-    clock_sigma_s: float
-    shoulder_variance: float
-    discontinuity: Discontinuity | None
+    since_s: float | None  # When the gap began
+    clock_sigma_s: float  # Of the camera's clock
+    shoulder_variance: float  # m^2: how far the shoulder may have gone since its knot
+    discontinuity: Discontinuity | None  # That is being spread
 
 
 def estimate_of(
     prediction: Prediction, solution: LagSolution, model: SelfCalibration, about: Circumstances
 ) -> LiveEstimate:
-    """The arm at a moment with its covariance.
-
-    Parameters
-    ----------
-    prediction : Prediction
-        From the solution's newest node or its settled one, as `about.kind` says.
-    solution : LagSolution
-    model : SelfCalibration
-    about : Circumstances
-    """
+    """The arm at a moment with its covariance."""
     joints = list(solution.levers)
     shoulder = ["shoulder"] if solution.shoulder is not None else []
     start = _NEWEST if about.kind == "now" else _SETTLED
@@ -169,13 +136,7 @@ def common_error(model: SelfCalibration) -> FloatArray:
 
 
 class Display:
-    """Answers of a tracker; where what is known changes at once, what is shown follows within `SPREAD_S`.
-
-    Parameters
-    ----------
-    lag_s : float, s
-        How long before the present `settled` is.
-    """
+    """Answers of a tracker; where what is known changes at once, what is shown follows within `SPREAD_S`."""
 
     def __init__(self, lag_s: float) -> None:
         self._lag_s = lag_s
@@ -186,16 +147,7 @@ class Display:
         self._discontinuity = None
 
     def spread(self, before: Prediction, tracker: Tracker, now_s: float) -> None:
-        """Spread the change from what was shown to what a tracker knows now.
-
-        Parameters
-        ----------
-        before : Prediction
-            What was known, at the present.
-        tracker : Tracker
-            Solved.
-        now_s : float, s
-        """
+        """Spread the change from what was shown to what a tracker knows now."""
         if tracker.solution is not None:
             after = predicted(tracker, tracker.solution, now_s)
             self._discontinuity = Discontinuity.between(
@@ -205,19 +157,7 @@ class Display:
     def now(
         self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float, delay_s: float
     ) -> LiveEstimate:
-        """The arm at the present.
-
-        Parameters
-        ----------
-        tracker : Tracker
-        solution : LagSolution
-            Its last.
-        now_s : float, s
-        clock_sigma_s : float, s
-            Of the camera's clock.
-        delay_s : float, s
-            How late frames are.
-        """
+        """The arm at the present."""
         if self._discontinuity is not None and now_s - self._discontinuity.at_s > SPREAD_S:
             self._discontinuity = None
         prediction = predicted(tracker, solution, now_s)

@@ -14,13 +14,7 @@ FRAMES = 400
 
 
 class FrameHistory:
-    """The last frames, and whether each showed the forearm.
-
-    Attributes
-    ----------
-    visible_s : float, s
-        Time of the last visible frame, on the IMU's clock.
-    """
+    """The last frames, and whether each showed the forearm."""
 
     def __init__(self) -> None:
         self._frames: list[tuple[float, bool]] = []  # in order of time
@@ -40,20 +34,7 @@ class FrameHistory:
         return all(is_visible for _, is_visible in self._frames[self._from(float(t[0])) :])
 
     def state_now(self, now_s: float, usual_delay_s: float) -> tuple[LiveState, float | None]:
-        """Visible or gap at the present, as far as the frames that have arrived say.
-
-        Parameters
-        ----------
-        now_s : float, s
-        usual_delay_s : float, s
-            How late frames are.
-
-        Returns
-        -------
-        state : LiveState
-        since_s : float or None
-            When the gap began.
-        """
+        """Visible or gap at the present, as far as the frames that have arrived say."""
         if now_s - self.visible_s > usual_delay_s + MISSING_S:
             return LiveState.GAP, self.visible_s
         newest_s, is_visible = self._frames[-1] if self._frames else (0.0, True)

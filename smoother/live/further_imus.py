@@ -41,42 +41,15 @@ NODES = 6
 
 @dataclass(frozen=True)
 class FurtherPlace:
-    """How an IMU beyond the forearm sits, as a self-calibration found it, beside the joints in its axes.
+    """How an IMU beyond the forearm sits, as a self-calibration found it, beside the joints in its axes."""
 
-    Attributes
-    ----------
-    segment : str
-        That it is on.
-    errors : ndarray, shape (2, 3, 3)
-        Scale errors of accelerometer and gyroscope.
-    shift_s : float, s
-        What is added to its stamps: to the clock of the forearm's IMU.
-    """
-
-    segment: str
-    errors: FloatArray
-    shift_s: float
+    segment: str  # That it is on
+    errors: FloatArray  # (2, 3, 3): scale errors of accelerometer and gyroscope
+    shift_s: float  # What is added to its stamps: to the clock of the forearm's IMU
 
 
 class LiveFurtherImu:
-    """An IMU beyond the forearm over a session.
-
-    Parameters
-    ----------
-    segment : BodySegment
-        That it is on.
-    capacity_s : float, s
-        How much of its samples is held.
-
-    Attributes
-    ----------
-    segment : BodySegment
-    buffer : ImuBuffer
-    doubted_s, usable_s : float, s
-        Samples between these two stamps do not take part.
-    changed_s : float or None, s
-        Samples from this stamp on are others than they were.
-    """
+    """An IMU beyond the forearm over a session."""
 
     def __init__(self, segment: BodySegment, capacity_s: float) -> None:
         self.segment, self.buffer = segment, ImuBuffer(capacity_s)
@@ -143,21 +116,7 @@ class LiveFurtherImu:
 
 
 class SegmentFollower:
-    """Gives a tracker's window the motion of an IMU beyond the forearm.
-
-    Its samples may come later than the forearm IMU's: nodes that they have not reached wait for them.
-
-    Parameters
-    ----------
-    worn : LiveFurtherImu
-    place : FurtherPlace
-    model : SelfCalibration
-        With the segment among its mountings.
-    frames : FrameBuffer
-        Of the live smoother, read only.
-    offset_s : float, s
-        t_imu = t_camera + offset.
-    """
+    """Gives a tracker's window the motion of an IMU beyond the forearm."""
 
     def __init__(
         self,

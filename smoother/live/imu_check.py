@@ -41,21 +41,12 @@ AGAIN_S, CONTEXT_S = 0.5, 0.5
 
 @dataclass(frozen=True)
 class Doubt:
-    """What is doubtful of some samples.
+    """What is doubtful of some samples."""
 
-    Attributes
-    ----------
-    velocity : ndarray, shape (n,), (m/s)^2
-        Variance of the velocity for each sample whose specific force is not used; 0 where it is.
-    turn : ndarray, shape (n,), rad^2
-        Likewise for the angular rate.
-    reason : dict of str to ndarray of bool, shape (n,)
-        Why, in words.
-    """
-
+    # (n,), (m/s) ^2: Variance of the velocity for each sample whose specific force is not used; 0 where it is
     velocity: FloatArray
-    turn: FloatArray
-    reason: dict[str, BoolArray]
+    turn: FloatArray  # (n,) rad^2: likewise for the angular rate
+    reason: dict[str, BoolArray]  # bool (n,): why, in words
 
 
 class ImuCheck:
@@ -75,16 +66,13 @@ class ImuCheck:
         share = [float(_same(each).mean()) for each in (acc, gyro)]
         self._repeats = (1.0 - weight) * self._repeats + weight * np.array(share)
 
-    def doubt(self, t_s: FloatArray, acc: FloatArray, gyro: FloatArray) -> Doubt:
-        """What is doubtful of the samples of about a second.
-
-        Parameters
-        ----------
-        t_s : ndarray, shape (n,), s
-            Increasing.
-        acc : ndarray, shape (n, 3), m/s^2
-        gyro : ndarray, shape (n, 3), rad/s
-        """
+    def doubt(
+        self,
+        t_s: FloatArray,  # (n,) s
+        acc: FloatArray,  # (n, 3) m/s^2
+        gyro: FloatArray,  # (n, 3) rad/s
+    ) -> Doubt:
+        """What is doubtful of the samples of about a second."""
         count = len(t_s)
         velocity, turn = np.zeros(count), np.zeros(count)
         reason: dict[str, BoolArray] = {}
@@ -183,10 +171,7 @@ def _over_runs(rows: BoolArray, values: FloatArray) -> FloatArray:
 
 
 def _clipped(values: FloatArray, largest: FloatArray, floor: float) -> BoolArray:
-    """Samples (n,) of which one axis repeats a large value, as only a limit of the sensor explains.
-
-    The largest of the session counts where it comes twice in a row, another where it comes three times.
-    """
+    """Samples (n,) of which one axis repeats a large value, as only a limit of the sensor explains."""
     size = np.abs(values)
     again = np.zeros(values.shape, bool)
     again[1:] = (values[1:] == values[:-1]) & (size[1:] > floor)

@@ -77,58 +77,26 @@ class Culprit(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """What a frame says.
+    """What a frame says."""
 
-    Attributes
-    ----------
-    accepted : ndarray of bool, shape (5,)
-        Joints that are used.
-    cause : Culprit
-        New with this frame; `NOBODY` while nothing changes.
-    sentence : str
-        Of what changed.
-    retract_s : float, s
-        Frames after this are to be taken back; inf for none.
-    doubt_s : tuple of float, s
-        From when to when the IMU is to be doubted; none where the second is not after the first.
-    again : bool
-        It had been doubted a moment before: the clocks may be apart.
-    """
-
-    accepted: BoolArray
-    cause: Culprit = Culprit.NOBODY
-    sentence: str = ""
-    retract_s: float = np.inf
-    doubt_s: tuple[float, float] = (0.0, 0.0)
-    again: bool = False
+    accepted: BoolArray  # bool (5,): joints that are used
+    cause: Culprit = Culprit.NOBODY  # New with this frame; `NOBODY` while nothing changes
+    sentence: str = ""  # Of what changed
+    retract_s: float = np.inf  # Frames after this are to be taken back; inf for none
+    doubt_s: tuple[float, float] = (0.0, 0.0)  # From when to when the IMU is to be doubted
+    again: bool = False  # It had been doubted a moment before: the clocks may be apart
 
 
 @dataclass(frozen=True)
 class JointResiduals:
-    """The forearm's joints in a frame against a solution.
+    """The forearm's joints in a frame against a solution."""
 
-    Attributes
-    ----------
-    column : list of int
-        Of `JOINTS`.
-    residual : ndarray, shape (k, 3), m
-        Camera less prediction.
-    covariance : ndarray, shape (k, 3, 3), m^2
-        Of the residual.
-    velocity : ndarray, shape (k, 3), m/s
-        Predicted.
-    place : ndarray, shape (k, 3), m
-        Predicted.
-    predicted_m : float, m
-        Standard deviation of the predicted position, worst axis.
-    """
-
-    column: list[int]
-    residual: FloatArray
-    covariance: FloatArray
-    velocity: FloatArray
-    place: FloatArray
-    predicted_m: float
+    column: list[int]  # Of `JOINTS`
+    residual: FloatArray  # (k, 3) m: camera less prediction
+    covariance: FloatArray  # (k, 3, 3) m^2: of the residual
+    velocity: FloatArray  # (k, 3) m/s: predicted
+    place: FloatArray  # (k, 3) m: predicted
+    predicted_m: float  # Standard deviation of the predicted position, worst axis
 
     @property
     def squared(self) -> FloatArray:
@@ -141,31 +109,12 @@ def residuals_of(
     solution: LagSolution,
     signal: DoubtfulSignal,
     t_s: float,
-    position: FloatArray,
-    accepted: BoolArray,
+    position: FloatArray,  # (5, 3) m
+    accepted: BoolArray,  # bool (5,)
     model: SelfCalibration,
     noise: NoiseModel,
 ) -> JointResiduals | None:
-    """A frame against a solution before it.
-
-    Parameters
-    ----------
-    solution : LagSolution
-    signal : DoubtfulSignal
-        From the solution's newest node on.
-    t_s : float, s
-        Of the frame on the IMU's clock.
-    position : ndarray, shape (5, 3), m
-        Joints in {K} without their constant errors.
-    accepted : ndarray of bool, shape (5,)
-    model : SelfCalibration
-    noise : NoiseModel
-
-    Returns
-    -------
-    residuals : JointResiduals or None
-        None without a joint of the forearm.
-    """
+    """A frame against a solution before it."""
     joints = [JOINTS[k] for k in _COLUMNS if accepted[k] and JOINTS[k] in solution.levers]
     if not joints or t_s < solution.newest.t - 1e-6:
         return None
@@ -232,20 +181,7 @@ class _Seen:
 
 
 class CameraMonitor:
-    """Compares every frame with the answer.
-
-    Parameters
-    ----------
-    model : SelfCalibration
-    noise : NoiseModel
-
-    Attributes
-    ----------
-    since_s : float or None, s
-        Since when the camera is left out; None where it is used.
-    sound_since_s : float, s
-        Since when nothing contradicts.
-    """
+    """Compares every frame with the answer."""
 
     def __init__(self, model: SelfCalibration, noise: NoiseModel) -> None:
         self._model, self._noise = model, noise
@@ -274,26 +210,12 @@ class CameraMonitor:
     def judge(
         self,
         t_s: float,
-        position: FloatArray,
-        accepted: BoolArray,
+        position: FloatArray,  # (5, 3) m
+        accepted: BoolArray,  # bool (5,)
         solution: LagSolution | None,
         signal_since: Callable[[float], DoubtfulSignal],
     ) -> Finding:
-        """Which joints of a frame are used, and whether something is wrong.
-
-        Parameters
-        ----------
-        t_s : float, s
-            Of the frame on the IMU's clock.
-        position : ndarray, shape (5, 3), m
-            Joints in {K} without their constant errors.
-        accepted : ndarray of bool, shape (5,)
-            Joints that call themselves tracked.
-        solution : LagSolution or None
-            The last.
-        signal_since : callable
-            Gives the IMU's signal from a time on.
-        """
+        """Which joints of a frame are used, and whether something is wrong."""
         if solution is None:
             return Finding(accepted)
         accepted = self._with_shoulder(accepted, position, solution)

@@ -20,21 +20,11 @@ BEYOND_S = 0.05
 
 @dataclass(frozen=True)
 class Prediction:
-    """A state, and how it follows what the window has solved.
-
-    Attributes
-    ----------
-    state : NodeState
-    follows : ndarray, shape (9, 18)
-        (turn, position, velocity) by (turn, position, velocity, bias, gravity) of the node that it began
-        at; rotations as vectors in {K}.
-    noise : ndarray, shape (9, 9)
-        What the IMU's white noise adds to the covariance.
-    """
+    """A state, and how it follows what the window has solved."""
 
     state: NodeState
-    follows: FloatArray
-    noise: FloatArray
+    follows: FloatArray  # (9, 18)
+    noise: FloatArray  # (9, 9): what the IMU's white noise adds to the covariance
 
 
 def predict(
@@ -44,24 +34,7 @@ def predict(
     t_s: float,
     noise: NoiseModel,
 ) -> Prediction:
-    """Propagate a node's state to a time (Forster et al., TRO 2017, eq 32; first-order covariance).
-
-    Parameters
-    ----------
-    start : NodeState
-    solution : LagSolution
-        Its bias and gravity.
-    signal : DoubtfulSignal
-        Covers the node; beyond its end the last rate holds for `BEYOND_S`.
-    t_s : float, s
-        At the node or later.
-    noise : NoiseModel
-
-    Returns
-    -------
-    prediction : Prediction
-        At `t_s`, or as far as the IMU reaches.
-    """
+    """Propagate a node's state to a time (Forster et al., TRO 2017, eq 32; first-order covariance)."""
     inside_s = min(t_s, signal.end_s)
     R, p, v = start.R, start.p, start.v
     follows, white = np.eye(9, 18), np.zeros((9, 9))

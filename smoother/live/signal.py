@@ -32,14 +32,7 @@ MISSED_TURNING = 10.0
 
 
 class DoubtfulSignal(InertialSignal):
-    """A signal of which some samples were replaced.
-
-    Parameters
-    ----------
-    imu : ImuStream
-    doubt : ndarray, shape (N, 2), (m/s)^2 and rad^2
-        What each sample's replacement may cost velocity and turn, as variances; 0 for those that were kept.
-    """
+    """A signal of which some samples were replaced."""
 
     def __init__(self, imu: ImuStream, doubt: FloatArray) -> None:
         super().__init__(imu)
@@ -66,17 +59,7 @@ class DoubtfulSignal(InertialSignal):
 
 
 class LiveSignal:
-    """The IMU's samples as a signal with one calibration; made anew when samples have come.
-
-    Parameters
-    ----------
-    imu : ImuBuffer
-        Read only.
-    errors : ndarray, shape (2, 3, 3)
-        Scale errors of accelerometer and gyroscope, which are taken off.
-    shift_s : float, s
-        What is added to the samples' times: to the clock of the forearm's IMU.
-    """
+    """The IMU's samples as a signal with one calibration; made anew when samples have come."""
 
     def __init__(self, imu: ImuBuffer, errors: FloatArray, shift_s: float = 0.0) -> None:
         self._imu, self._shift_s = imu, shift_s
@@ -109,17 +92,12 @@ class LiveSignal:
 
 
 def increments_between(
-    signal: DoubtfulSignal, start_s: float, end_s: float, bias: FloatArray
+    signal: DoubtfulSignal,
+    start_s: float,
+    end_s: float,
+    bias: FloatArray,  # (6,) m/s^2 and rad/s
 ) -> ImuIncrements:
-    """One interval for the window; where samples are missing, velocity and direction are uncertain.
-
-    Parameters
-    ----------
-    signal : DoubtfulSignal
-    start_s, end_s : float, s
-    bias : ndarray, shape (6,), m/s^2 and rad/s
-        Subtracted.
-    """
+    """One interval for the window; where samples are missing, velocity and direction are uncertain."""
     t = np.array([start_s, end_s])
     step_t, first = split_steps(t)
     acc, gyro, h = equivalent_samples(integrate_each(signal, step_t, bias))
@@ -138,17 +116,7 @@ def increments_between(
 def propagated(
     node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
 ) -> NodeState:
-    """Where the IMU leads from a node to a time after it.
-
-    Parameters
-    ----------
-    node : NodeState
-    t_s : float, s
-    signal : InertialSignal
-    bias : ndarray, shape (6,), m/s^2 and rad/s
-    gravity : ndarray, shape (3,), m/s^2
-        In {K}.
-    """
+    """Where the IMU leads from a node to a time after it."""
     delta_R, delta_v, delta_p = integrate_one(signal, node.t, t_s, bias)
     dt = t_s - node.t
     p = node.p + node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta_p
@@ -159,9 +127,8 @@ def propagated(
 def displacement(
     node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Orientation (3, 3) at a time near a node, also before it, and how far the IMU moves until then, (3,) m.
-
-    Parameters as of `propagated`.
+    """Orientation (3, 3) at a time near a node, also before it, and how far the IMU moves until then, (3,)
+    m.
     """
     first_s, last_s = min(node.t, t_s), max(node.t, t_s)
     delta_R, delta_v, delta_p = integrate_one(signal, first_s, last_s, bias)

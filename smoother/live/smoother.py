@@ -39,35 +39,7 @@ RATE_S = 2.0
 
 
 class LiveSmoother:
-    """A fixed-lag smoother that calibrates itself; use as a context manager.
-
-    It takes its times from the data and from `step`, never from this computer's clock, so that a recording
-    played faster or slower gives the same answer.
-
-    Parameters
-    ----------
-    side : {"left", "right", ""}
-        Which arm.
-    calibration : ArmCalibration, optional
-        What is known beforehand; what is missing is estimated from the first seconds.
-    config : Config, optional
-        Settings, as of `smooth`.
-    lag_s : float, s
-        How long before the present `settled` is; 0 to 2.
-    gravity_hint : ndarray, shape (3,), optional
-        Direction of down in {K}, good to some degrees.
-    camera_frame : CameraFrame, optional
-        The convention of the camera's axes.
-    calibrator : Calibrator, optional
-        Who works the self-calibration out; a process in the background where None.
-    further : sequence of str
-        Segments beyond the forearm that wear an IMU (`body.SEGMENTS`).
-
-    Raises
-    ------
-    UnoccludeError
-        The lag is not between 0 and 2 s.
-    """
+    """A fixed-lag smoother that calibrates itself; use as a context manager."""
 
     def __init__(
         self,
@@ -162,13 +134,7 @@ class LiveSmoother:
         return frames
 
     def step(self, now_s: float) -> LiveOutput:
-        """Work in what has arrived, and answer for the present.
-
-        Parameters
-        ----------
-        now_s : float, s
-            The present on the IMU's clock; call it about as often as an answer is wanted (30 to 100 Hz).
-        """
+        """Work in what has arrived, and answer for the present."""
         began = time.thread_time()
         self._notes, notes = [], self._notes
         self._check_imu()

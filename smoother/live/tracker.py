@@ -36,27 +36,7 @@ AROUND_S = 3.0
 def first_state(
     imu: ImuStream, frames: JointTracks, model: SelfCalibration, offset_s: float, needed: int, t_s: float
 ) -> NodeState | None:
-    """A state to begin with, from what camera and IMU say around it.
-
-    Parameters
-    ----------
-    imu : ImuStream
-        Without a pause.
-    frames : JointTracks
-        On the camera's clock.
-    model : SelfCalibration
-    offset_s : float, s
-        t_imu = t_camera + offset.
-    needed : int
-        Joints of the forearm that make a frame visible.
-    t_s : float, s
-        About when, on the IMU's clock.
-
-    Returns
-    -------
-    state : NodeState or None
-        At the visible frame nearest to it; None where the camera sees too little around it.
-    """
+    """A state to begin with, from what camera and IMU say around it."""
     samples = imu.select(np.abs(imu.t_s - t_s) < AROUND_S)
     clock = constant_clock(offset_s)
     rows = np.abs(frames.t_s + offset_s - t_s) < AROUND_S
@@ -101,41 +81,7 @@ WIDER = 2.0
 
 
 class Tracker:
-    """Follows the arm with one calibration.
-
-    Parameters
-    ----------
-    model : SelfCalibration
-    offset_s : float, s
-        t_imu = t_camera + offset.
-    needed : int
-        Joints of the forearm that make a frame visible.
-    config : Config
-    imu : ImuBuffer
-        Of the live smoother, read only.
-    length_s : float, s
-        How long nodes stay.
-    before : Tracker, optional
-        With an earlier calibration: its biases and gravity count.
-    further : sequence of SegmentFollower
-        Of IMUs beyond the forearm.
-
-    Attributes
-    ----------
-    cursor_s : float, s
-        Stamp of the last frame that has a node, on the camera's clock.
-    history : FrameHistory
-        When the camera saw the forearm.
-    monitor : CameraMonitor
-        Whether the camera contradicts the answer.
-    findings : list of Finding
-        What it found since they were read.
-    left_out : list of float, s
-        Stamps of frames that took no part, since they were read; on the camera's clock.
-    signal : LiveSignal
-        The corrected IMU.
-    solution : LagSolution or None
-    """
+    """Follows the arm with one calibration."""
 
     def __init__(
         self,
@@ -179,18 +125,7 @@ class Tracker:
         return float(self.window.t[-1])
 
     def feed(self, frames: Sequence[SkeletonFrame]) -> float | None:
-        """Add frames in order of time, each as a node or at one.
-
-        Parameters
-        ----------
-        frames : sequence of SkeletonFrame
-            Later than `cursor_s`, inside the IMU's samples.
-
-        Returns
-        -------
-        gap_s : float or None
-            When the gap began that these frames ended; None where they ended none.
-        """
+        """Add frames in order of time, each as a node or at one."""
         ended = None
         signal = self.signal.since(self.t_s)
         for frame in frames:
@@ -224,18 +159,7 @@ class Tracker:
         return finding.accepted
 
     def misfit(self, frames: Sequence[SkeletonFrame], shift_s: float) -> float:
-        """How badly frames fit to the last solution if their stamps were later by some time.
-
-        Parameters
-        ----------
-        frames : sequence of SkeletonFrame
-        shift_s : float, s
-
-        Returns
-        -------
-        misfit : float
-            Mean squared error in sigmas; nan where too few can be compared.
-        """
+        """How badly frames fit to the last solution if their stamps were later by some time."""
         first_s = min((frame.t_s for frame in frames), default=np.nan) + self.offset_s + min(shift_s, 0.0)
         solution = self.monitor.solution_before(first_s)
         if solution is None:

@@ -25,28 +25,7 @@ PROVED_S = 0.8
 
 
 class TrackerHandover:
-    """Holds the tracker at work; a successor catches up beside it and takes its place.
-
-    Parameters
-    ----------
-    calibrations : Calibrations
-        The last of them is a new tracker's.
-    config : Config
-    imu : ImuBuffer
-    frames : FrameBuffer
-        Both of the live smoother, read only.
-    lag_s : float, s
-        How long before the present `settled` is.
-    worn : mapping of str to LiveFurtherImu, optional
-        IMUs beyond the forearm, by segment.
-
-    Attributes
-    ----------
-    tracker : Tracker or None
-        The one at work.
-    has_followed : bool
-        There was one at work at some time.
-    """
+    """Holds the tracker at work; a successor catches up beside it and takes its place."""
 
     def __init__(
         self,

@@ -32,27 +32,13 @@ _INSTEAD = ("strap", "hand", "elbow")
 
 @dataclass(frozen=True)
 class Limb:
-    """One place for an IMU: the forearm (called by its wrist) or the upper arm, of one arm of one body.
+    """One place for an IMU: the forearm (called by its wrist) or the upper arm, of one arm of one body."""
 
-    Attributes
-    ----------
-    tracks : JointTracks
-        The arm.
-    segment : str
-        "wrist" or "upper_arm".
-    body : int
-        The camera's number of the body.
-    side : str
-        "left", "right" or "".
-    skeleton : str
-        Topic that the arm came from.
-    """
-
-    tracks: JointTracks
-    segment: str
-    body: int = 0
-    side: str = ""
-    skeleton: str = ""
+    tracks: JointTracks  # The arm
+    segment: str  # "wrist" or "upper_arm"
+    body: int = 0  # The camera's number of the body
+    side: str = ""  # "left", "right" or ""
+    skeleton: str = ""  # Topic that the arm came from
 
     @property
     def joint(self) -> str:
@@ -96,21 +82,7 @@ class Limb:
 
 
 def limbs_of(tracks: JointTracks, body: int = 0, side: str = "", skeleton: str = "") -> tuple[Limb, ...]:
-    """The places on one arm that the camera saw at all.
-
-    Parameters
-    ----------
-    tracks : JointTracks
-        The arm.
-    body : int
-    side, skeleton : str
-        As in `Limb`.
-
-    Returns
-    -------
-    limbs : tuple of Limb
-        None to two.
-    """
+    """The places on one arm that the camera saw at all."""
     limbs = [Limb(tracks, segment, body, side, skeleton) for segment in SEGMENTS]
     return tuple(limb for limb in limbs if limb.point()[1].any())
 
@@ -135,89 +107,37 @@ SHORTEST_S = 1.0
 
 @dataclass(frozen=True)
 class LimbMotion:
-    """A limb in an excerpt, low-passed, in {K}.
+    """A limb in an excerpt, low-passed, in {K}."""
 
-    Attributes
-    ----------
-    direction : ndarray, shape (n, 3)
-        Along the segment; 0 where not seen.
-    acceleration : ndarray, shape (n, 3), m/s^2
-        Of the point nearest to an IMU; 0 where not seen.
-    measured : ndarray, shape (n, 3), m
-        That point as the camera measured it, not low-passed.
-    has_direction, has_point : ndarray of bool, shape (n,)
-        Where they are known.
-    """
-
-    direction: FloatArray
-    acceleration: FloatArray
-    measured: FloatArray
-    has_direction: BoolArray
-    has_point: BoolArray
+    direction: FloatArray  # (n, 3): along the segment; 0 where not seen
+    acceleration: FloatArray  # (n, 3) m/s^2: of the point nearest to an IMU; 0 where not seen
+    measured: FloatArray  # (n, 3) m: that point as the camera measured it, not low-passed
+    has_direction: BoolArray  # bool (n,): Where they are known
+    has_point: BoolArray  # bool (n,): Where they are known
 
 
 @dataclass(frozen=True)
 class ImuMotion:
-    """An IMU in an excerpt and `reach` grid steps beyond on both sides, low-passed; N = n + 2 reach.
+    """An IMU in an excerpt and `reach` grid steps beyond on both sides, low-passed; N = n + 2 reach."""
 
-    Attributes
-    ----------
-    R_E_A : ndarray, shape (N, 3, 3)
-        Low-passed entry by entry; 0 where there are no samples.
-    acceleration : ndarray, shape (N, 3), m/s^2
-        In {E}, without gravity.
-    rate : ndarray, shape (N,), rad/s
-        Length of the angular rate.
-    there : ndarray of bool, shape (N,)
-        Where the sensor has samples.
-    """
-
-    R_E_A: FloatArray
-    acceleration: FloatArray
-    rate: FloatArray
-    there: BoolArray
+    R_E_A: FloatArray  # (N, 3, 3): low-passed entry by entry; 0 where there are no samples
+    acceleration: FloatArray  # (N, 3) m/s^2: in {E}, without gravity
+    rate: FloatArray  # (N,) rad/s: length of the angular rate
+    there: BoolArray  # bool (N,): Where the sensor has samples
 
 
 @dataclass(frozen=True)
 class MatchExcerpt:
-    """Some seconds of all limbs and all IMUs.
+    """Some seconds of all limbs and all IMUs."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        Grid of `GRID_HZ` on the camera's clock; on an IMU's it counts the same before any shift.
-    limbs : list of LimbMotion
-    imus : list of ImuMotion
-    reach : int
-        Grid steps that the IMUs reach beyond both ends.
-    """
-
-    t: FloatArray
+    t: FloatArray  # (n,) s: grid of `GRID_HZ` on the camera's clock
     limbs: list[LimbMotion]
     imus: list[ImuMotion]
-    reach: int
+    reach: int  # Grid steps that the IMUs reach beyond both ends
 
 
 def read_excerpts(imus: Sequence[ImuStream], limbs: Sequence[Limb], reach_s: float) -> list[MatchExcerpt]:
-    """All of a short recording, or the liveliest 10 s of every twelfth of a long one.
-
-    Parameters
-    ----------
-    imus : sequence of ImuStream
-    limbs : sequence of Limb
-    reach_s : float, s
-        Clocks may be this far apart.
-
-    Returns
-    -------
-    excerpts : list of MatchExcerpt
-        In order of time.
-
-    Raises
-    ------
-    RecordingError
-        The limbs are seen for less than a second.
-    """
+    """All of a short recording, or the liveliest 10 s of every twelfth of a long one."""
     seen = [limb.seen_from_to() for limb in limbs]
     first, last = min(start for start, _ in seen), max(end for _, end in seen)
     if last - first < SHORTEST_S:

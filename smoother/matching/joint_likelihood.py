@@ -35,13 +35,7 @@ def published_shifts(reach: int) -> np.ndarray:
 
 
 def vertical(down: FloatArray | None, method: str) -> FloatArray:
-    """Up in {K}, unit vector (3,).
-
-    Raises
-    ------
-    UnoccludeError
-        Nothing is known of it.
-    """
+    """Up in {K}, unit vector (3,)."""
     if down is None:
         raise UnoccludeError(
             f"the method {method} compares vertical motion and needs the camera's axes; "
@@ -53,10 +47,7 @@ def vertical(down: FloatArray | None, method: str) -> FloatArray:
 def joint_likelihood(
     excerpts: list[MatchExcerpt], imu: int, down: FloatArray | None, shift_cost: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Evidence that an IMU is on each limb by Feng's joint likelihood (5.3).
-
-    Parameters and returns as `rigid_evidence`; `down` is needed.
-    """
+    """Evidence that an IMU is on each limb by Feng's joint likelihood (5.3)."""
     up = vertical(down, "joint-likelihood")
     reach = excerpts[0].reach
     shifts = published_shifts(reach)

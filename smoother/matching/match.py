@@ -19,23 +19,11 @@ from .rigid_fit import rigid_evidence
 _NEVER = 1e6
 
 
-def assign(weight: FloatArray, none: FloatArray) -> IntArray:
+def assign(weight: FloatArray, none: FloatArray) -> IntArray:  # weight (k, m); none (k,) -> int (k,)
     """The assignment of largest total weight: each IMU to one limb or none, each limb to one IMU at most.
 
     Rectangular assignment (Crouse, IEEE Trans. Aerosp. Electron. Syst. 2016) by
     `scipy.optimize.linear_sum_assignment`; every IMU has a column `none` of its own.
-
-    Parameters
-    ----------
-    weight : ndarray, shape (k, m)
-        Log-posterior weight of IMU i on limb j.
-    none : ndarray, shape (k,)
-        Of IMU i on none.
-
-    Returns
-    -------
-    limb : ndarray of int, shape (k,)
-        -1 for none.
     """
     k, m = weight.shape
     columns = _with_none(weight, none)
@@ -45,23 +33,8 @@ def assign(weight: FloatArray, none: FloatArray) -> IntArray:
     return limb
 
 
-def probabilities(weight: FloatArray, none: FloatArray) -> FloatArray:
-    """How probable each pair is, over all assignments.
-
-    For every IMU and every limb (or none) the best assignment that has this pair is found; an IMU's
-    probabilities are in the ratio of these assignments' weights (max-marginals). IMUs that cannot be
-    told apart therefore share a limb evenly, and a limb that another IMU fits better is none any more.
-
-    Parameters
-    ----------
-    weight, none
-        As in `assign`.
-
-    Returns
-    -------
-    probability : ndarray, shape (k, m + 1)
-        Rows sum to one; the last column is `none`.
-    """
+def probabilities(weight: FloatArray, none: FloatArray) -> FloatArray:  # -> (k, m + 1)
+    """How probable each pair is, over all assignments."""
     k, m = weight.shape
     columns = _with_none(weight, none)
     total = np.full((k, m + 1), -np.inf)
@@ -106,29 +79,14 @@ METHODS: dict[str, Measure] = {
 
 @dataclass(frozen=True)
 class ImuMatch:
-    """What was decided of one IMU.
+    """What was decided of one IMU."""
 
-    Attributes
-    ----------
-    imu : str
-        Its name in the recording.
-    limb : Limb, optional
-        What it is on; None for none of the limbs, and where nothing is probable enough.
-    is_known : bool
-        False = `unknown`: neither a limb nor `none` is probable enough.
-    probability : float
-        Of the limb, or of `none`; of the most probable where it is unknown.
-    clock_offset_s : float, s
-        t_imu - t_camera to some 0.1 s, at the limb; nan without.
-    others : tuple of str, float
-        Further candidates with a probability of 1 % and more, the best first.
-    """
-
-    imu: str
-    limb: Limb | None
-    is_known: bool
-    probability: float
-    clock_offset_s: float
+    imu: str  # Its name in the recording
+    limb: Limb | None  # What it is on; None for none of the limbs, and where nothing is probable enough
+    is_known: bool  # False = `unknown`: neither a limb nor `none` is probable enough
+    probability: float  # Of the limb, or of `none`; of the most probable where it is unknown
+    clock_offset_s: float  # t_imu - t_camera to some 0.1 s, at the limb; nan without
+    # Further candidates with a probability of 1 % and more, the best first
     others: tuple[tuple[str, float], ...] = ()
 
     @property
@@ -158,70 +116,22 @@ class ImuMatch:
 
 @dataclass(frozen=True)
 class PairEvidence:
-    """Evidence from the motion on k IMUs and m limbs.
+    """Evidence from the motion on k IMUs and m limbs."""
 
-    Attributes
-    ----------
-    limb : ndarray, shape (k, m)
-        Log-likelihood ratio of an IMU on a limb against on none.
-    none : ndarray, shape (k,)
-        Further evidence for `none`: a sensor that does not move at all.
-    shift_s : ndarray, shape (k, m), s
-        t_imu - t_camera of each pair.
-    """
-
-    limb: FloatArray
-    none: FloatArray
-    shift_s: FloatArray
+    limb: FloatArray  # (k, m): log-likelihood ratio of an IMU on a limb against on none
+    none: FloatArray  # (k,): further evidence for `none`: a sensor that does not move at all
+    shift_s: FloatArray  # (k, m) s: t_imu - t_camera of each pair
 
 
 def match_imus(
     imus: Sequence[ImuStream],
     limbs: Sequence[Limb],
-    down: FloatArray | None = None,
+    down: FloatArray | None = None,  # (3,)
     method: str = "motion",
     reach_s: float = 5.0,
-    allowed: BoolArray | None = None,
+    allowed: BoolArray | None = None,  # bool (k, m)
 ) -> list[ImuMatch]:
-    """Settle for all IMUs together which limb each is on, by motion alone.
-
-    Neither calibration nor common orientation nor common clock is needed. The evidence of every pair is a
-    log-likelihood ratio against `on none` (see the method); with the priors of this module it becomes the
-    weight of a pair in one assignment, and the weights of all assignments the probability of a pair.
-
-    The noise model behind the probabilities is theoretical: Gaussian errors of unknown size, with floors for
-    the camera's noise and a part of the motion that soft tissue and stamps spoil, and a number of independent
-    samples that saturates, as constant errors do not average out. Its constants (in `excerpt_motion` and
-    `rigid_fit`) were set on trials 1 and 2 of UTD-MHAD and on simulated scenes of seeds from 1000 on;
-    `tools/match_accuracy.py` checks the probabilities on other trials and seeds. The share of independent
-    samples was first looked at on all four trials.
-
-    Parameters
-    ----------
-    imus : sequence of ImuStream
-        Times on clocks that may be some seconds from the camera's.
-    limbs : sequence of Limb
-    down : ndarray, shape (3,), optional
-        Rough direction of gravity in {K}; None where nothing is known of it.
-    method : str
-        A name in `METHODS`.
-    reach_s : float, s
-        Clocks may be this far apart.
-    allowed : ndarray of bool, shape (k, m), optional
-        Which IMU may be on which limb; None where any may be on any.
-
-    Returns
-    -------
-    matches : list of ImuMatch
-        In the order of the IMUs.
-
-    Raises
-    ------
-    RecordingError
-        There is too little to compare.
-    UnoccludeError
-        There is no method of that name.
-    """
+    """Settle for all IMUs together which limb each is on, by motion alone."""
     if not imus or not limbs:
         return [ImuMatch(imu.name, None, False, float("nan"), float("nan")) for imu in imus]
     return decide(imus, limbs, pair_evidence(imus, limbs, down, method, reach_s), allowed)

@@ -46,14 +46,7 @@ _AXES = _FIRST_DIRECTIONS[np.abs(_FIRST_DIRECTIONS).max(axis=1) > 0.99]
 
 @dataclass
 class _Sums:
-    """Sums over one excerpt's samples for m limbs at L shifts.
-
-    Attributes
-    ----------
-    turn : (m, L, 3, 3, 3) direction times `R_E_A`; force : (m, L, 3, 3) acceleration in {K} times in {E}.
-    shape : (m, L, 3, 3) of `R_E_A' R_E_A`; mean : (m, L, 3) of the direction.
-    directions, direction_count, accelerations, forces, force_count : (m, L) squares and numbers.
-    """
+    """Sums over one excerpt's samples for m limbs at L shifts."""
 
     turn: FloatArray
     force: FloatArray
@@ -95,11 +88,7 @@ def _sums(limbs: list[LimbMotion], imu: ImuMotion, shifts: np.ndarray) -> _Sums:
 def _solve(
     turn: FloatArray, linear: FloatArray, first: FloatArray, rounds: int
 ) -> tuple[FloatArray, FloatArray]:
-    """R (..., E, 3, 3) of each excerpt and the common d_A (..., 3) that fit best.
-
-    turn : (..., E, 3, 3, 3); linear : (..., E, 3, 3) what does not depend on d_A; first : (K, 3) to start
-    from.
-    """
+    """R (..., E, 3, 3) of each excerpt and the common d_A (..., 3) that fit best."""
     d = np.broadcast_to(first, (*turn.shape[:-4], len(first), 3))
     for _ in range(rounds):
         B = np.einsum("...eabc,...kc->...keab", turn, d) + linear[..., None, :, :, :]
@@ -152,26 +141,8 @@ def _log_ratio(none: FloatArray, match: FloatArray, count: FloatArray, axes: int
 
 def rigid_evidence(
     excerpts: list[MatchExcerpt], imu: int, down: FloatArray | None, shift_cost: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Evidence that an IMU is on each limb, at the best shift of its clock.
-
-    Parameters
-    ----------
-    excerpts : list of MatchExcerpt
-    imu : int
-        Which of their IMUs.
-    down : ndarray, shape (3,), optional
-        Rough direction of gravity in {K}; None where nothing is known of it.
-    shift_cost : ndarray, shape (2 reach + 1,)
-        What each shift costs, from -reach on: minus its log-prior.
-
-    Returns
-    -------
-    evidence : ndarray, shape (m,)
-        Log-likelihood ratios against `on none`; 0 where there is nothing to compare.
-    shift : ndarray, shape (m,), s
-        t_imu - t_camera at the best.
-    """
+) -> tuple[FloatArray, FloatArray]:  # evidence (m,), shift (m,) s
+    """Evidence that an IMU is on each limb, at the best shift of its clock."""
     reach = excerpts[0].reach
     limbs = len(excerpts[0].limbs)
     coarse = np.arange(reach % COARSE_STEPS, 2 * reach + 1, COARSE_STEPS)

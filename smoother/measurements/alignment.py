@@ -41,44 +41,18 @@ HINT_SIGMA_RAD = np.radians(15.0)
 
 @dataclass(frozen=True)
 class VectorPairs:
-    """Unit or physical vectors in both frames: in_K = R_K_E in_E.
+    """Unit or physical vectors in both frames: in_K = R_K_E in_E."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        On the IMU's clock.
-    in_K, in_E : ndarray, shape (n, 3)
-        In the camera's and in the inertial frame.
-    weight : ndarray, shape (n,)
-        1 / variance.
-    """
-
-    t: FloatArray
-    in_K: FloatArray
-    in_E: FloatArray
-    weight: FloatArray
+    t: FloatArray  # (n,) s: on the IMU's clock
+    in_K: FloatArray  # (n, 3): in the camera's and in the inertial frame
+    in_E: FloatArray  # (n, 3): in the camera's and in the inertial frame
+    weight: FloatArray  # (n,): 1 / variance
 
 
 def direction_pairs(
     t: FloatArray, elbow: FloatArray, wrist: FloatArray, attitude: InertialAttitude, along_A: FloatArray
 ) -> VectorPairs:
-    """The forearm's direction in both frames, at frames where both joints are visible.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        Frames on the IMU's clock.
-    elbow, wrist : ndarray, shape (n, 3), m
-        In {K}.
-    attitude : InertialAttitude
-    along_A : ndarray, shape (3,)
-        Unit vector elbow to wrist in {A}.
-
-    Returns
-    -------
-    pairs : VectorPairs
-        Of n unit vectors.
-    """
+    """The forearm's direction in both frames, at frames where both joints are visible."""
     along_K = wrist - elbow
     length = np.linalg.norm(along_K, axis=1)
     in_E = attitude.at(t).apply(along_A)
@@ -88,27 +62,13 @@ def direction_pairs(
 
 @dataclass(frozen=True)
 class AccelerationPairs:
-    """A joint's acceleration from camera and IMU: in_K = R_K_E (in_E + turn lever_A).
+    """A joint's acceleration from camera and IMU: in_K = R_K_E (in_E + turn lever_A)."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        On the IMU's clock.
-    in_K : ndarray, shape (n, 3), m/s^2
-        By the camera.
-    in_E : ndarray, shape (n, 3), m/s^2
-        Of the IMU itself.
-    turn : ndarray, shape (n, 3, 3), 1/s^2
-        What a lever arm in {A} adds to `in_E`.
-    weight : ndarray, shape (n,)
-        1 / variance.
-    """
-
-    t: FloatArray
-    in_K: FloatArray
-    in_E: FloatArray
-    turn: FloatArray
-    weight: FloatArray
+    t: FloatArray  # (n,) s: on the IMU's clock
+    in_K: FloatArray  # (n, 3) m/s^2: by the camera
+    in_E: FloatArray  # (n, 3) m/s^2: of the IMU itself
+    turn: FloatArray  # (n, 3, 3) 1/s^2: what a lever arm in {A} adds to `in_E`
+    weight: FloatArray  # (n,): 1 / variance
 
     def with_lever(self, lever_A: FloatArray) -> VectorPairs:
         """Vector pairs for a joint that sits at lever_A (3,) m in {A}."""
@@ -118,27 +78,7 @@ class AccelerationPairs:
 def acceleration_pairs(
     t: FloatArray, point: FloatArray, attitude: InertialAttitude, signal: InertialSignal, gravity: float
 ) -> AccelerationPairs:
-    """A joint's acceleration from the camera and from the IMU, both by the same local parabolas.
-
-    The camera's samples p(t_j), the IMU's double integral and the lever's turning go through the same
-    linear functional (the quadratic coefficient of a least-squares parabola), so no filter differs.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        Frames on the IMU's clock, increasing.
-    point : ndarray, shape (n, 3), m
-        The joint in {K}.
-    attitude : InertialAttitude
-    signal : InertialSignal
-        Of the same segment.
-    gravity : float, m/s^2
-
-    Returns
-    -------
-    pairs : AccelerationPairs
-        Of no vectors where frames are too few or too far apart.
-    """
+    """A joint's acceleration from the camera and from the IMU, both by the same local parabolas."""
     none = np.zeros((0, 3))
     inside_signal = (t >= signal.start_s) & (t <= signal.end_s)
     if np.count_nonzero(inside_signal) < FEWEST_FRAMES:
@@ -181,21 +121,11 @@ def acceleration_pairs(
 
 @dataclass(frozen=True)
 class Alignment:
-    """`R_K_E` over time.
+    """`R_K_E` over time."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        On the IMU's clock, increasing.
-    R_K_E : Rotation, of n
-        Maps a vector from the inertial frame to the camera's.
-    covariance : ndarray, shape (n, 3, 3), rad^2
-        In {K}.
-    """
-
-    t: FloatArray
-    R_K_E: Rotation
-    covariance: FloatArray
+    t: FloatArray  # (n,) s: on the IMU's clock, increasing
+    R_K_E: Rotation  # Maps a vector from the inertial frame to the camera's
+    covariance: FloatArray  # (n, 3, 3) rad^2: in {K}
 
     def at(self, t: FloatArray) -> Rotation:
         """`R_K_E` at the given times, held beyond the ends."""
@@ -212,23 +142,13 @@ class Alignment:
         return self.covariance[int(np.argmin(np.abs(self.t - t)))]
 
 
-def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatArray) -> Alignment:
-    """`R_K_E` over time by Wahba's problem (SIAM Review 1965) on pairs weighted by their distance in time.
-
-    Parameters
-    ----------
-    pairs : list of VectorPairs
-        Without any, gravity's rough direction alone decides.
-    start_s, end_s : float, s
-        What the alignment covers, on the IMU's clock.
-    down_K : ndarray, shape (3,)
-        Rough direction of gravity in {K}; decides only what the pairs leave open.
-
-    Returns
-    -------
-    alignment : Alignment
-        Every `ALIGN_STEP_S`.
-    """
+def align(
+    pairs: list[VectorPairs],
+    start_s: float,
+    end_s: float,
+    down_K: FloatArray,  # (3,)
+) -> Alignment:
+    """`R_K_E` over time by Wahba's problem (SIAM Review 1965) on pairs weighted by their distance in time."""
     t = np.arange(start_s, max(end_s, start_s + 1e-3), ALIGN_STEP_S)
     none = np.zeros((0, 3))
     pairs = [*pairs, VectorPairs(np.zeros(0), none, none, np.zeros(0))]
@@ -277,23 +197,7 @@ def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:
 def pairs(
     segment: Segment, frame_t_imu: FloatArray, accepted: BoolArray, calibration: ArmCalibration
 ) -> list[VectorPairs]:
-    """What camera and IMU both measure: the forearm's direction, and the acceleration of one joint.
-
-    Parameters
-    ----------
-    segment : Segment
-    frame_t_imu : ndarray, shape (f,), s
-        Its frames on the IMU's clock.
-    accepted : ndarray of bool, shape (f, 5)
-        Samples that may be used.
-    calibration : ArmCalibration
-        Its lever arms determine which joints can be used.
-
-    Returns
-    -------
-    pairs : list of VectorPairs
-        None to two.
-    """
+    """What camera and IMU both measure: the forearm's direction, and the acceleration of one joint."""
     vectors: list[VectorPairs] = []
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     along_A = calibration.forearm_direction

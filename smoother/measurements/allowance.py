@@ -44,24 +44,12 @@ ALONE_M = 0.03
 
 @dataclass(frozen=True)
 class Allowance:
-    """What a recording allows.
+    """What a recording allows."""
 
-    Attributes
-    ----------
-    longest_s : float, s, or None
-        Up to this length gaps are expected to be recovered within `within_m`; None where not even short ones.
-    within_m : float, m
-        Rms error.
-    obstacles : tuple of str
-        Why no answer could be trusted.
-    undetermined : tuple of str
-        What nothing in the recording determines.
-    """
-
-    longest_s: float | None
-    within_m: float
-    obstacles: tuple[str, ...] = ()
-    undetermined: tuple[str, ...] = ()
+    longest_s: float | None  # Up to this length gaps are expected to be recovered within `within_m`
+    within_m: float  # Rms error
+    obstacles: tuple[str, ...] = ()  # Why no answer could be trusted
+    undetermined: tuple[str, ...] = ()  # What nothing in the recording determines
 
     @property
     def ready(self) -> bool:
@@ -83,16 +71,7 @@ class Allowance:
 
 
 def allowance(recording: Recording) -> Allowance:
-    """What a recording allows, by its rates, joints, noise and movement.
-
-    Parameters
-    ----------
-    recording : Recording
-
-    Returns
-    -------
-    allowance : Allowance
-    """
+    """What a recording allows, by its rates, joints, noise and movement."""
     arm, imu = recording.arm, recording.imu
     obstacles = tuple(_obstacles(recording))
     if obstacles:

@@ -18,48 +18,18 @@ BATCH_TIMES = 1 << 16
 
 @dataclass(frozen=True)
 class Clock:
-    """t_imu = t_camera + offset, linear between knots and held beyond them.
+    """t_imu = t_camera + offset, linear between knots and held beyond them."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (k,), s
-        Knots on the camera's clock.
-    offset : ndarray, shape (k,), s
-        At the knots.
-    sigma_s : float, s
-        Standard deviation of the mean offset.
-    walk : float, s/sqrt(s)
-        How fast the offset wanders.
-    local_sigma_s : float, s
-        Standard deviation of the offset at any one time: the mean's, what its wandering leaves open, and
-        for synthetic stamps a part of the frame period.
-    skew : float, s/s
-        Steady drift; zero where none shows.
-    prior_sigma_s : float, s
-        Standard deviation of the offset before the data spoke.
-    """
+    t: FloatArray  # (k,) s: knots on the camera's clock
+    offset: FloatArray  # (k,) s: at the knots
+    sigma_s: float  # Standard deviation of the mean offset
+    walk: float = 0.0  # How fast the offset wanders
+    local_sigma_s: float = 0.0  # Standard deviation of the offset at any one time
+    skew: float = 0.0  # Steady drift; zero where none shows
+    prior_sigma_s: float = OFFSET_SIGMA_S  # Standard deviation of the offset before the data spoke
 
-    t: FloatArray
-    offset: FloatArray
-    sigma_s: float
-    walk: float = 0.0
-    local_sigma_s: float = 0.0
-    skew: float = 0.0
-    prior_sigma_s: float = OFFSET_SIGMA_S
-
-    def at(self, t: FloatArray) -> FloatArray:
-        """Offsets at camera times; beyond the knots they go on with the skew.
-
-        Parameters
-        ----------
-        t : ndarray, shape (n,), s
-            On the camera's clock.
-
-        Returns
-        -------
-        offset : ndarray, shape (n,), s
-            IMU time less camera time.
-        """
+    def at(self, t: FloatArray) -> FloatArray:  # t (n,) s -> (n,) s
+        """Offsets at camera times; beyond the knots they go on with the skew."""
         offset = np.empty(len(t))
         for start in range(0, len(t), BATCH_TIMES):
             batch = np.asarray(t[start : start + BATCH_TIMES])

@@ -37,18 +37,7 @@ def _impact_size(imu: ImuStream) -> FloatArray:
 
 
 class InertialSignal:
-    """The specific force and angular rate between samples.
-
-    Parameters
-    ----------
-    imu : ImuStream
-        Samples with increasing times, without a pause.
-
-    Attributes
-    ----------
-    edges : ndarray, shape (N + 1,), s
-        Between the samples' intervals.
-    """
+    """The specific force and angular rate between samples."""
 
     def __init__(self, imu: ImuStream) -> None:
         self._imu = imu
@@ -83,38 +72,21 @@ class InertialSignal:
         """`velocity_error_between` of each interval of consecutive times (n + 1,), s: (n,), m/s."""
         return self.velocity_error_between(t[:-1], t[1:])
 
-    def velocity_error_between(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
-        """Velocity that intervals may have lost to impacts.
-
-        Between neighbouring samples an impact is faster than the sensor follows: part of the impulse
-        is filtered, aliased or clipped. Root sum of squares over the samples.
-
-        Parameters
-        ----------
-        start_s, end_s : ndarray, shape (n,), s
-            Of the intervals.
-
-        Returns
-        -------
-        error : ndarray, shape (n,), m/s
-            One sigma.
-        """
+    def velocity_error_between(
+        self,
+        start_s: FloatArray,  # (n,) s
+        end_s: FloatArray,  # (n,) s
+    ) -> FloatArray:  # (n,) m/s
+        """Velocity that intervals may have lost to impacts."""
         start, end = (np.interp(t, self.edges, self._impacts) for t in (start_s, end_s))
         return np.asarray(IMPACT_SHARE * np.sqrt(np.maximum(end - start, 0.0)))
 
-    def mean(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
-        """Mean of the signal over any intervals.
-
-        Parameters
-        ----------
-        start_s, end_s : ndarray, shape (...), s
-            Of the intervals.
-
-        Returns
-        -------
-        mean : ndarray, shape (..., 6), m/s^2 and rad/s
-            Specific force and angular rate in {A}.
-        """
+    def mean(
+        self,
+        start_s: FloatArray,  # (...) s
+        end_s: FloatArray,  # (...) s
+    ) -> FloatArray:  # (..., 6) m/s^2 and rad/s
+        """Mean of the signal over any intervals."""
         return (self._integral(end_s) - self._integral(start_s)) / (end_s - start_s)[..., None]
 
     def means(self, edges_s: FloatArray) -> FloatArray:
@@ -124,24 +96,12 @@ class InertialSignal:
 
 @dataclass(frozen=True)
 class Preintegration:
-    """Motion between consecutive times, seen from the earlier one, free of gravity and start velocity.
+    """Motion between consecutive times, seen from the earlier one, free of gravity and start velocity."""
 
-    Attributes
-    ----------
-    delta_R : ndarray, shape (n, 3, 3)
-        Rotation of the later axes in the earlier ones.
-    delta_v : ndarray, shape (n, 3), m/s
-        Velocity increments in the earlier axes.
-    delta_p : ndarray, shape (n, 3), m
-        Position increments in the earlier axes.
-    dt : ndarray, shape (n,), s
-        Lengths.
-    """
-
-    delta_R: FloatArray
-    delta_v: FloatArray
-    delta_p: FloatArray
-    dt: FloatArray
+    delta_R: FloatArray  # (n, 3, 3): rotation of the later axes in the earlier ones
+    delta_v: FloatArray  # (n, 3) m/s: velocity increments in the earlier axes
+    delta_p: FloatArray  # (n, 3) m: position increments in the earlier axes
+    dt: FloatArray  # (n,) s: lengths
 
     def rows(self, rows: IntArray) -> Preintegration:
         """Of some of the intervals (k,), a copy."""
@@ -156,42 +116,19 @@ class Preintegration:
         self.dt[rows] += more.dt
 
 
-def integrate(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preintegration:
-    """Integrate the signal over each interval of consecutive times (Forster et al., TRO 2017, eq 33-35).
-
-    Parameters
-    ----------
-    signal : InertialSignal
-    t : ndarray, shape (n + 1,), s
-        Increasing times inside the signal.
-    bias : ndarray, shape (6,) or (n, 6), m/s^2 and rad/s
-        Accelerometer and gyroscope bias to subtract.
-
-    Returns
-    -------
-    motion : Preintegration
-        Of the n intervals.
-    """
+def integrate(
+    signal: InertialSignal,
+    t: FloatArray,  # (n + 1,) s
+    bias: FloatArray,  # (6,) or (n, 6) m/s^2 and rad/s
+) -> Preintegration:
+    """Integrate the signal over each interval of consecutive times (Forster et al., TRO 2017, eq 33-35)."""
     return integrate_between(signal, t[:-1], t[1:], bias)
 
 
 def integrate_between(
     signal: InertialSignal, start_s: FloatArray, end_s: FloatArray, bias: FloatArray
 ) -> Preintegration:
-    """Integrate the signal over any intervals; as `integrate`.
-
-    Parameters
-    ----------
-    signal : InertialSignal
-    start_s, end_s : ndarray, shape (n,), s
-        Of the intervals.
-    bias : ndarray, shape (6,) or (n, 6), m/s^2 and rad/s
-        Accelerometer and gyroscope bias to subtract.
-
-    Returns
-    -------
-    motion : Preintegration
-    """
+    """Integrate the signal over any intervals; as `integrate`."""
     dt = end_s - start_s
     bias = np.broadcast_to(bias, (len(dt), 6))
     delta_R = np.tile(np.eye(3), (len(dt), 1, 1))
@@ -218,22 +155,12 @@ def integrate_between(
 
 
 def integrate_one(
-    signal: InertialSignal, start_s: float, end_s: float, bias: FloatArray
+    signal: InertialSignal,
+    start_s: float,
+    end_s: float,
+    bias: FloatArray,  # (6,) m/s^2 and rad/s
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Integrate the signal over one interval: `integrate_between` without a loop over its steps.
-
-    Parameters
-    ----------
-    signal : InertialSignal
-    start_s, end_s : float, s
-    bias : ndarray, shape (6,), m/s^2 and rad/s
-        Accelerometer and gyroscope bias to subtract.
-
-    Returns
-    -------
-    delta_R, delta_v, delta_p : ndarray, shape (3, 3), (3,), (3,)
-        As `Preintegration` has them.
-    """
+    """Integrate the signal over one interval: `integrate_between` without a loop over its steps."""
     count = _step_count(end_s - start_s)
     h = (end_s - start_s) / count
     rate = signal.means(start_s + h * np.arange(count + 1, dtype=float)) - bias
@@ -262,21 +189,10 @@ def _step_count(seconds: float) -> int:
     return math.ceil(STEP_FACTOR**group - 1e-9)
 
 
-def split_steps(t: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Cut the intervals between times into steps no longer than `STEP_S`.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n + 1,), s
-        Increasing.
-
-    Returns
-    -------
-    step_t : ndarray, shape (m + 1,), s
-        Edges of the steps.
-    first : ndarray of int, shape (n + 1,)
-        Index of each interval's first step, and m at the end.
-    """
+def split_steps(
+    t: FloatArray,  # (n + 1,) s
+) -> tuple[FloatArray, IntArray]:  # step_t (m + 1,) s, first int (n + 1,)
+    """Cut the intervals between times into steps no longer than `STEP_S`."""
     count = np.maximum(np.ceil(np.diff(t) / STEP_S - 1e-9).astype(int), 1)
     first = np.concatenate(([0], np.cumsum(count)))
     inside = np.arange(first[-1]) - np.repeat(first[:-1], count)
@@ -285,28 +201,10 @@ def split_steps(t: FloatArray) -> tuple[FloatArray, IntArray]:
     return np.append(step_t, t[-1]), first
 
 
-def equivalent_samples(motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Two constant samples a step whose simple integration gives the step's motion exactly.
-
-    GTSAM's `PreintegratedImuMeasurements` advances by p += v h + R a h^2/2, v += R a h, R = R Exp(w h) with R
-    at the beginning of a sample. Two such samples over half the step each, with one common rate, have six
-    unknowns in a: they reproduce (delta_v, delta_p) of the fine integration, so that two calls replace any
-    number.
-
-    Parameters
-    ----------
-    motion : Preintegration
-        Of m steps.
-
-    Returns
-    -------
-    acc : ndarray, shape (m, 2, 3), m/s^2
-        Specific force in each half.
-    gyro : ndarray, shape (m, 3), rad/s
-        The same in both halves.
-    h : ndarray, shape (m,), s
-        Half of the step.
-    """
+def equivalent_samples(
+    motion: Preintegration,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # acc (m, 2, 3) m/s^2, gyro (m, 3) rad/s, h (m,) s
+    """Two constant samples a step whose simple integration gives the step's motion exactly."""
     h = 0.5 * motion.dt
     gyro = Rotation.from_matrix(motion.delta_R).as_rotvec() / motion.dt[:, None]
     # delta_v = (a1 + b) h and delta_p = (3 a1 + b) h^2/2 with b = R1 a2
@@ -323,21 +221,11 @@ ACCELERATION_STD_HALF_S = 0.5
 
 @dataclass(frozen=True)
 class InertialAttitude:
-    """The sensor's orientation in {E} (z up, heading drifting).
+    """The sensor's orientation in {E} (z up, heading drifting)."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        Increasing, on the IMU's clock.
-    R_E_A : Rotation, of n
-        Maps a vector from the sensor's axes to {E}.
-    gyroscope_bias : ndarray, shape (3,), rad/s
-        In {A}.
-    """
-
-    t: FloatArray
-    R_E_A: Rotation
-    gyroscope_bias: FloatArray
+    t: FloatArray  # (n,) s: increasing, on the IMU's clock
+    R_E_A: Rotation  # Maps a vector from the sensor's axes to {E}
+    gyroscope_bias: FloatArray  # (3,) rad/s: in {A}
 
     def __getstate__(self) -> dict[str, object]:
         return {
@@ -354,20 +242,7 @@ class InertialAttitude:
 
 
 def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitude:
-    """Orientation by the offline filter VQF (Laidig and Seel, Information Fusion 2023).
-
-    Parameters
-    ----------
-    signal : InertialSignal
-        Of one segment.
-    rate_hz : float, Hz
-        The filter runs at this rate, on means of the signal.
-
-    Returns
-    -------
-    attitude : InertialAttitude
-        At the ends of the filter's samples.
-    """
+    """Orientation by the offline filter VQF (Laidig and Seel, Information Fusion 2023)."""
     from vqf import offlineVQF
 
     count = max(int(np.floor((signal.end_s - signal.start_s) * rate_hz)), 2)
@@ -381,25 +256,12 @@ def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitud
     return InertialAttitude(edges[1:], Rotation.from_quat(quaternion), np.median(answer["bias"], axis=0))
 
 
-def acceleration_std(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) -> FloatArray:
-    """How much the sensor's acceleration varies about each time.
-
-    Standard deviation over `ACCELERATION_STD_HALF_S` on both sides, so that the inertial attitude's slow
-    error, which turns gravity into a constant acceleration, does not count.
-
-    Parameters
-    ----------
-    signal : InertialSignal
-    attitude : InertialAttitude
-        Of the same segment.
-    t : ndarray, shape (n,), s
-        Increasing.
-
-    Returns
-    -------
-    std : ndarray, shape (n,), m/s^2
-        One sigma, root mean square over the axes.
-    """
+def acceleration_std(
+    signal: InertialSignal,
+    attitude: InertialAttitude,
+    t: FloatArray,  # (n,) s
+) -> FloatArray:  # (n,) m/s^2
+    """How much the sensor's acceleration varies about each time."""
     step = 0.02
     around = ACCELERATION_STD_HALF_S + step
     edges = np.arange(max(signal.start_s, t[0] - around), min(signal.end_s, t[-1] + around), step)
@@ -422,21 +284,11 @@ FILTER_RATE_HZ = 120.0
 
 @dataclass(frozen=True)
 class ImuRun:
-    """The IMU on a segment beyond the forearm, between two of its pauses.
+    """The IMU on a segment beyond the forearm, between two of its pauses."""
 
-    Attributes
-    ----------
-    segment : str
-        Name of the segment (`body.SEGMENTS`).
-    signal : InertialSignal
-        Its samples, on the forearm IMU's clock.
-    attitude : InertialAttitude
-        Its orientation in a frame of its own with z up, heading drifting.
-    """
-
-    segment: str
-    signal: InertialSignal
-    attitude: InertialAttitude
+    segment: str  # Name of the segment (`body.SEGMENTS`)
+    signal: InertialSignal  # Its samples, on the forearm IMU's clock
+    attitude: InertialAttitude  # Its orientation in a frame of its own with z up, heading drifting
 
 
 def imu_run(segment: str, imu: ImuStream) -> ImuRun:

@@ -26,21 +26,12 @@ from .visibility import Rejection
 
 @dataclass(frozen=True)
 class JointNoise:
-    """Noise of a joint's samples, one standard deviation of each axis.
+    """Noise of a joint's samples, one standard deviation of each axis."""
 
-    Attributes
-    ----------
-    sample_m : float, m
-        Of one sample.
-    effective_m : float, m
-        Of a white noise with the same long-run variance, which a graph of independent samples needs.
-    memory_m : float, m
-        The part that neighbours share.
-    """
-
-    sample_m: float
+    sample_m: float  # Of one sample
+    # Of a white noise with the same long-run variance, which a graph of independent samples needs
     effective_m: float
-    memory_m: float
+    memory_m: float  # The part that neighbours share
 
 
 def noise_key(joint: str, camera: int = 0) -> str:
@@ -62,22 +53,12 @@ LONGEST = 1.5
 NOISELESS_M = 1e-5
 
 
-def interpolated(t_s: FloatArray, position: FloatArray, accepted: BoolArray) -> BoolArray:
-    """Samples of one joint that were filled in.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (f,), s
-        Frame times, increasing.
-    position : ndarray, shape (f, 3), m
-    accepted : ndarray of bool, shape (f,)
-        Samples that call themselves tracked.
-
-    Returns
-    -------
-    filled : ndarray of bool, shape (f,)
-        The last sample before and the first after a filling are the camera's own.
-    """
+def interpolated(
+    t_s: FloatArray,  # (f,) s
+    position: FloatArray,  # (f, 3) m
+    accepted: BoolArray,  # bool (f,)
+) -> BoolArray:  # bool (f,)
+    """Samples of one joint that were filled in."""
     filled = np.zeros(len(t_s), dtype=bool)
     rows = np.flatnonzero(accepted)
     if len(rows) < 4 * STENCIL:
@@ -132,16 +113,8 @@ _FOREARM = [ELBOW, WRIST, HAND]
 
 
 def reject_by_camera(segment: Segment) -> Segment:
-    """Reject what is wrong by the camera's samples alone: far, frozen, filled in, jump, bone length, strap.
-
-    Parameters
-    ----------
-    segment : Segment
-
-    Returns
-    -------
-    segment : Segment
-        With fewer accepted samples, their reasons noted; each camera's frames are looked at by themselves.
+    """Reject what is wrong by the camera's samples alone: far, frozen, filled in, jump, bone length,
+    strap.
     """
     if segment.camera is None:
         return _reject_by_one_camera(segment)
@@ -194,21 +167,6 @@ def reject_by_attitude(
     """Reject frames whose forearm does not point where the inertial attitude says.
 
     Source: Jatesiktat and Ang (2017), II-J.
-
-    Parameters
-    ----------
-    segment : Segment
-    frame_t_imu : ndarray, shape (f,), s
-        Its frames on the IMU's clock.
-    alignment : Alignment
-        Of the inertial frame to the camera.
-    along_A : ndarray, shape (3,)
-        Unit vector elbow to wrist in {A}.
-
-    Returns
-    -------
-    segment : Segment
-        With fewer accepted samples, their reasons noted.
     """
     both = segment.accepted[:, ELBOW] & segment.accepted[:, WRIST]
     if not both.any():
@@ -229,22 +187,12 @@ def reject_by_attitude(
     return _reject(segment, _only(pointing, *_FOREARM), Rejection.RAY)
 
 
-def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, JointNoise]) -> Segment:
-    """Reject samples far from a first solution.
-
-    Parameters
-    ----------
-    segment : Segment
-    residual : ndarray, shape (f, 5, 3), m
-        Camera minus answer; nan where there is none.
-    noise : dict of str to JointNoise
-        By joint and camera (`noise_key`); samples of a joint without are not rejected.
-
-    Returns
-    -------
-    segment : Segment
-        With fewer accepted samples, their reasons noted.
-    """
+def reject_by_residual(
+    segment: Segment,
+    residual: FloatArray,  # (f, 5, 3) m
+    noise: dict[str, JointNoise],
+) -> Segment:
+    """Reject samples far from a first solution."""
     length = np.linalg.norm(across(residual, segment.position, segment.frame_origins), axis=2)
     cameras = 1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1
     limit = np.array(
@@ -328,23 +276,7 @@ def _strap_off(segment: Segment) -> BoolArray:
 def reject_by_direction(
     segment: Segment, calibration: ArmCalibration, clock: Clock
 ) -> tuple[Segment, Alignment | None]:
-    """Reject the frames whose forearm does not point where the inertial attitude says.
-
-    Parameters
-    ----------
-    segment : Segment
-    calibration : ArmCalibration
-        Of which the forearm's direction in the sensor is used; without one nothing is rejected.
-    clock : Clock
-        Of the camera.
-
-    Returns
-    -------
-    segment : Segment
-        The same object where nothing was rejected.
-    alignment : Alignment or None
-        Of the inertial frame to the camera's, where nothing was rejected and it can be used again.
-    """
+    """Reject the frames whose forearm does not point where the inertial attitude says."""
     along_A = calibration.forearm_direction
     if along_A is None:
         return segment, None

@@ -24,21 +24,12 @@ FIRST = ((-0.5, -1.0), (0.5, 1.0))
 
 @dataclass(frozen=True)
 class Kernel:
-    """Hyper-parameters: cov(p(t), p(t + d)) = variance exp(-rate d^2) (2.14), and the sensors' noise.
+    """Hyper-parameters: cov(p(t), p(t + d)) = variance exp(-rate d^2) (2.14), and the sensors' noise."""
 
-    Attributes
-    ----------
-    variance : float, m^2
-        v0.
-    rate : float, 1/s^2
-        w.
-    position_sigma, acceleration_sigma : float, m and m/s^2
-    """
-
-    variance: float = 5.66e4 * 1e-6
-    rate: float = 4.19
-    position_sigma: float = 0.008
-    acceleration_sigma: float = 0.100
+    variance: float = 5.66e4 * 1e-6  # m^2: v0
+    rate: float = 4.19  # w
+    position_sigma: float = 0.008  # m and m/s^2
+    acceleration_sigma: float = 0.100  # m and m/s^2
 
     def __call__(self, apart: FloatArray) -> FloatArray:
         """Covariance of positions at times `apart`, s, from each other."""
@@ -51,20 +42,12 @@ PUBLISHED = Kernel()
 
 @dataclass(frozen=True)
 class Measurements:
-    """Positions and accelerations; their c columns share the times.
+    """Positions and accelerations; their c columns share the times."""
 
-    Attributes
-    ----------
-    frame_t : ndarray, shape (f,), s
-    position : ndarray, shape (f, c), m
-    acc_t : ndarray, shape (n,), s
-    acceleration : ndarray, shape (n, c), m/s^2
-    """
-
-    frame_t: FloatArray
-    position: FloatArray
-    acc_t: FloatArray
-    acceleration: FloatArray
+    frame_t: FloatArray  # (f,) s
+    position: FloatArray  # (f, c) m
+    acc_t: FloatArray  # (n,) s
+    acceleration: FloatArray  # (n, c) m/s^2
 
     def between(self, start_s: float, end_s: float) -> Measurements:
         """Those from one time to another, s, both included."""
@@ -80,25 +63,12 @@ class Measurements:
 
 def mapped_covariance(
     kernel: Kernel,
-    t: FloatArray,
+    t: FloatArray,  # (n,) and (k,) s
     rows: tuple[tuple[float, float], ...],
-    other: FloatArray,
+    other: FloatArray,  # (n,) and (k,) s
     columns: tuple[tuple[float, float], ...],
-) -> FloatArray:
-    """Covariance of two differences of positions.
-
-    Parameters
-    ----------
-    kernel : Kernel
-    t, other : ndarray, shape (n,) and (k,), s
-        Times that the differences stand about.
-    rows, columns : tuple of (float, float)
-        Shifts from there, in `STEP_S`s, and weights: `VALUE`, `FIRST` or `SECOND`.
-
-    Returns
-    -------
-    covariance : ndarray, shape (n, k)
-    """
+) -> FloatArray:  # (n, k)
+    """Covariance of two differences of positions."""
     apart = t[:, None] - other[None, :]
     total = np.zeros_like(apart)
     shifts: dict[float, float] = {}

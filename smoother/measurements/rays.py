@@ -54,15 +54,12 @@ def directions(position: FloatArray, origin_m: FloatArray) -> FloatArray:
     return unit(position - origin_m)
 
 
-def across(residual: FloatArray, position: FloatArray, origin_m: FloatArray | None) -> FloatArray:
-    """Residuals (f, .., 3) without what lies along the rays; as they are of cameras with depth.
-
-    Parameters
-    ----------
-    residual, position : ndarray, shape (f, .., 3), m
-    origin_m : ndarray, shape (f, 3), m, or None
-        From `origins_of`.
-    """
+def across(
+    residual: FloatArray,  # (f, .., 3) m
+    position: FloatArray,  # (f, .., 3) m
+    origin_m: FloatArray | None,  # (f, 3) m
+) -> FloatArray:
+    """Residuals (f, .., 3) without what lies along the rays; as they are of cameras with depth."""
     if origin_m is None:
         return residual
     origin = origin_m.reshape(len(origin_m), *([1] * (position.ndim - 2)), 3)
@@ -81,29 +78,8 @@ def squashed(ray: FloatArray, sigma_m: FloatArray, along_m: float = ALONG_M) -> 
 
 def linearised(
     position: FloatArray, sigma_m: FloatArray, origin_m: FloatArray, predicted: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Keypoints as points at the distance of where their joints are now.
-
-    Parameters
-    ----------
-    position : ndarray, shape (k, 3), m
-        Any points of the measured rays.
-    sigma_m : ndarray, shape (k,), m
-        Noise per axis at the distance `AT_M`.
-    origin_m : ndarray, shape (3,) or (k, 3), m
-        Where the rays begin.
-    predicted : ndarray, shape (k, 3), m
-        The joints.
-
-    Returns
-    -------
-    position : ndarray, shape (k, 3), m
-        Where the measured rays cross the planes through the joints that face the camera.
-    sigma_m : ndarray, shape (k,), m
-        Noise per axis there.
-    ray : ndarray, shape (k, 3)
-        Unit vectors to the joints.
-    """
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # position (k, 3) m, sigma_m (k,) m, ray (k, 3)
+    """Keypoints as points at the distance of where their joints are now."""
     ray = directions(predicted, origin_m)
     distance = np.maximum(np.linalg.norm(predicted - origin_m, axis=1), NEAREST_M)
     measured = directions(position, origin_m)

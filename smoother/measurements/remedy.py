@@ -19,27 +19,13 @@ SWAPPED = ("shoulder", "elbow", "wrist", "hand")
 
 @dataclass(frozen=True)
 class Remedy:
-    """What to undo in a recording before anything is made of it.
+    """What to undo in a recording before anything is made of it."""
 
-    Attributes
-    ----------
-    mirror : {"x", "y", "z", ""}
-        The camera's axis along which the skeleton is mirrored.
-    swap : tuple of str
-        Two joints whose names are exchanged; or none.
-    negate : tuple of str
-        Sensors ("accelerometer", "gyroscope") whose sign is turned.
-    camera_frame : CameraFrame, optional
-        What the camera's axes are in truth.
-    sides : bool
-        The person's left arm is called the right one, and the other way round.
-    """
-
-    mirror: str = ""
-    swap: tuple[str, ...] = ()
-    negate: tuple[str, ...] = ()
-    camera_frame: CameraFrame | None = None
-    sides: bool = False
+    mirror: str = ""  # The camera's axis along which the skeleton is mirrored
+    swap: tuple[str, ...] = ()  # Two joints whose names are exchanged; or none
+    negate: tuple[str, ...] = ()  # Sensors ("accelerometer", "gyroscope") whose sign is turned
+    camera_frame: CameraFrame | None = None  # What the camera's axes are in truth
+    sides: bool = False  # The person's left arm is called the right one, and the other way round
 
     def __post_init__(self) -> None:
         if self.mirror not in ("", *AXES):
@@ -69,15 +55,7 @@ class Remedy:
         return tuple(f"--{name} {value}" for name, value in options if value)
 
     def applied(self, recording: Recording, store: Store | None = None) -> Recording:
-        """The recording with these mistakes undone, and a note of each.
-
-        Parameters
-        ----------
-        recording : Recording
-            Its truth stays as it is.
-        store : Store, optional
-            Where changed samples are stored; in memory where None.
-        """
+        """The recording with these mistakes undone, and a note of each."""
         if not self.options:
             return recording
         store = store or Store()

@@ -29,82 +29,32 @@ AROUND_S = LARGEST_OFFSET_S + 1.0
 
 @dataclass(frozen=True)
 class Segment:
-    """A segment of the recording (no pause of the IMU) as it was recorded, or a time range of it.
+    """A segment of the recording (no pause of the IMU) as it was recorded, or a time range of it."""
 
-    Attributes
-    ----------
-    signal : InertialSignal
-        The IMU, always of the whole segment.
-    attitude : InertialAttitude
-        Its orientation in {E} (z up, heading drifting).
-    frame_t_camera : ndarray, shape (f,), s
-        Frames on the camera's clock.
-    position : ndarray, shape (f, 5, 3), m
-        The joints in {K}.
-    accepted : ndarray of bool, shape (f, 5)
-        Samples that may be used.
-    reason : ndarray of uint8, shape (f, 5)
-        Why a tracked sample was rejected, as a code of `Rejection`.
-    down : ndarray, shape (3,)
-        Rough direction of gravity in {K}; zero where nothing is known.
-    needed : int
-        Accepted forearm joints that make a frame visible.
-    frames : slice
-        Rows of the recording's frames.
-    start_s, end_s : float, s
-        The time range to use, on the IMU's clock.
-    recording : int
-        Which recording of several.
-    synthetic_stamps : bool
-        The camera's stamps were not measured (`timestamps.synthetic_stamps`).
-    down_sigma_rad : float, rad, or None
-        How well `down` is known, per axis; None = roughly.
-    core_start_s, core_end_s : float, s
-        What the answer is wanted for; the time around it only supports it.
-    further : tuple of ImuRun
-        Of IMUs on other segments, on this one's clock, between their pauses.
-    camera : ndarray of int8, shape (f,), or None
-        Which camera each frame is of; None where all are of one.
-    ray_origin_m : ndarray, shape (c, 3), m, or None
-        Where the rays of each camera without depth begin (`JointTracks.ray_origin_m`).
-    focal_share : float
-        As that of the `JointTracks`.
-    """
-
-    signal: InertialSignal
-    attitude: InertialAttitude
-    frame_t_camera: FloatArray
-    position: FloatArray
-    accepted: BoolArray
-    reason: NDArray[np.uint8]
-    down: FloatArray
-    needed: int
-    frames: slice
-    start_s: float
-    end_s: float
-    recording: int = 0
-    synthetic_stamps: bool = False
-    down_sigma_rad: float | None = None
-    core_start_s: float = -np.inf
-    core_end_s: float = np.inf
-    further: tuple[ImuRun, ...] = ()
-    camera: CameraNumbers | None = None
+    signal: InertialSignal  # The IMU, always of the whole segment
+    attitude: InertialAttitude  # Its orientation in {E} (z up, heading drifting)
+    frame_t_camera: FloatArray  # (f,) s: frames on the camera's clock
+    position: FloatArray  # (f, 5, 3) m: the joints in {K}
+    accepted: BoolArray  # bool (f, 5): samples that may be used
+    reason: NDArray[np.uint8]  # (f, 5): why a tracked sample was rejected, as a code of `Rejection`
+    down: FloatArray  # (3,): rough direction of gravity in {K}; zero where nothing is known
+    needed: int  # Accepted forearm joints that make a frame visible
+    frames: slice  # Rows of the recording's frames
+    start_s: float  # The time range to use, on the IMU's clock
+    end_s: float  # The time range to use, on the IMU's clock
+    recording: int = 0  # Which recording of several
+    synthetic_stamps: bool = False  # The camera's stamps were not measured (`timestamps.synthetic_stamps`)
+    down_sigma_rad: float | None = None  # How well `down` is known, per axis; None = roughly
+    core_start_s: float = -np.inf  # What the answer is wanted for; the time around it only supports it
+    core_end_s: float = np.inf  # What the answer is wanted for; the time around it only supports it
+    further: tuple[ImuRun, ...] = ()  # Of IMUs on other segments, on this one's clock, between their pauses
+    camera: CameraNumbers | None = None  # int (f,): which camera each frame is of; None where all are of one
+    # (c, 3) m: Where the rays of each camera without depth begin (`JointTracks.ray_origin_m`)
     ray_origin_m: FloatArray | None = None
-    focal_share: float = 0.0
+    focal_share: float = 0.0  # As that of the `JointTracks`
 
     def between(self, start_s: float, end_s: float) -> Segment:
-        """The same segment with a narrower time range (IMU clock), and the frames in and around it.
-
-        Parameters
-        ----------
-        start_s, end_s : float, s
-            What exceeds the present range does not count.
-
-        Returns
-        -------
-        segment : Segment
-            With the frames up to `AROUND_S` beyond the range.
-        """
+        """The same segment with a narrower time range (IMU clock), and the frames in and around it."""
         start_s, end_s = max(start_s, self.start_s), min(end_s, self.end_s)
         first, last = np.searchsorted(self.frame_t_camera, [start_s - AROUND_S, end_s + AROUND_S])
         rows = slice(int(first), int(last))
@@ -161,21 +111,7 @@ def traits_of(recording: Recording, number: int = 0) -> SegmentTraits:
 
 
 def split_into_segments(recording: Recording, slack_s: float, number: int = 0) -> list[Segment]:
-    """The segments of a recording that contain at least two frames with a forearm joint.
-
-    Parameters
-    ----------
-    recording : Recording
-    slack_s : float, s
-        Frames that lie up to this clock offset beyond the IMU's samples are kept.
-    number : int
-        Which recording of several.
-
-    Returns
-    -------
-    segments : list of Segment
-        In order of time.
-    """
+    """The segments of a recording that contain at least two frames with a forearm joint."""
     traits = traits_of(recording, number)
     segments = []
     for samples in split_at_pauses(recording.imu):
@@ -193,26 +129,7 @@ def split_into_segments(recording: Recording, slack_s: float, number: int = 0) -
 def make_segment(
     imu: ImuStream, even_t: FloatArray, arm: JointTracks, frames: slice, traits: SegmentTraits
 ) -> Segment | None:
-    """One segment with its inertial attitude.
-
-    Parameters
-    ----------
-    imu : ImuStream
-        n samples without a pause.
-    even_t : ndarray, shape (n,), s
-        Their times without jitter (`timestamps.dejitter`).
-    arm : JointTracks
-        The segment's frames.
-    frames : slice
-        Their rows of the recording's frames.
-    traits : SegmentTraits
-        Of the recording.
-
-    Returns
-    -------
-    segment : Segment or None
-        None without two frames with a forearm joint.
-    """
+    """One segment with its inertial attitude."""
     accepted = accepted_samples(arm)
     if enough_joints(accepted, 1).sum() < 2:
         return None
@@ -247,13 +164,8 @@ def down_hint(recording: Recording) -> FloatArray:
     return np.zeros(3)
 
 
-def spikes(gyro: FloatArray) -> BoolArray:
-    """Single samples (N,) that jump away from both neighbours, which agree: no arm turns like that.
-
-    Parameters
-    ----------
-    gyro : ndarray, shape (N, 3), rad/s
-    """
+def spikes(gyro: FloatArray) -> BoolArray:  # gyro (N, 3) rad/s
+    """Single samples (N,) that jump away from both neighbours, which agree: no arm turns like that."""
     wrong = np.zeros(len(gyro), dtype=bool)
     for first in range(1, len(gyro) - 1, SPIKE_BATCH):  # a long recording's samples are on disk
         last = min(first + SPIKE_BATCH, len(gyro) - 1)
@@ -278,27 +190,13 @@ def without_spikes(imu: ImuStream) -> ImuStream:
 
 @dataclass(frozen=True)
 class Timeline:
-    """What every step needs of a recording's times.
+    """What every step needs of a recording's times."""
 
-    Attributes
-    ----------
-    segments : tuple of slice
-        Rows of the IMU between its pauses, in order of time.
-    even_t_imu : ndarray, shape (N,), s
-        The IMU's stamps, dejittered segment by segment.
-    visible : ndarray of bool, shape (F,)
-        Frames in which the camera tracked enough of the forearm.
-    seen : ndarray of bool, shape (F,)
-        Frames in which it tracked anything of the forearm.
-    traits : SegmentTraits
-        What all segments share: gravity's rough direction, whether the camera's stamps are synthetic.
-    """
-
-    segments: tuple[slice, ...]
-    even_t_imu: FloatArray
-    visible: BoolArray
-    seen: BoolArray
-    traits: SegmentTraits
+    segments: tuple[slice, ...]  # Rows of the IMU between its pauses, in order of time
+    even_t_imu: FloatArray  # (N,) s: the IMU's stamps, dejittered segment by segment
+    visible: BoolArray  # bool (F,): frames in which the camera tracked enough of the forearm
+    seen: BoolArray  # bool (F,): frames in which it tracked anything of the forearm
+    traits: SegmentTraits  # What all segments share
 
     @classmethod
     def of(cls, recording: Recording) -> Timeline:

@@ -42,23 +42,8 @@ def split_at_pauses(imu: ImuStream) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def dejitter(t: FloatArray) -> FloatArray:
-    """Sample times of a sensor that ticks evenly, from stamps that a radio or a driver made uneven.
-
-    Bluetooth sensors sample evenly, but their packets are stamped on arrival. Where the stamps scatter
-    about an even tick (and no sample is missing, so that the tick can be counted), the tick wins: a
-    straight line through the stamps plus their slow departure from it. Good stamps come back unchanged.
-
-    Parameters
-    ----------
-    t : ndarray, shape (N,), s
-        Increasing stamps.
-
-    Returns
-    -------
-    even_t : ndarray, shape (N,), s
-        The stamps themselves where they are good, or where they do not fit an even tick.
-    """
+def dejitter(t: FloatArray) -> FloatArray:  # t (N,) s -> (N,) s
+    """Sample times of a sensor that ticks evenly, from stamps that a radio or a driver made uneven."""
     if len(t) < JITTER_FEWEST:
         return t
     dt = np.diff(t)
@@ -80,20 +65,8 @@ def dejitter(t: FloatArray) -> FloatArray:
     return even_t if np.diff(even_t).min() > 0.2 * slope else t
 
 
-def synthetic_stamps(t_s: FloatArray) -> bool:
-    """Whether frame times (F,) were spread evenly by somebody instead of measured.
-
-    They are even to a tenth of a millisecond, at a rate that no camera runs at.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (F,), s
-        Increasing stamps.
-
-    Returns
-    -------
-    synthetic : bool
-    """
+def synthetic_stamps(t_s: FloatArray) -> bool:  # t_s (F,) s
+    """Whether frame times (F,) were spread evenly by somebody instead of measured."""
     dt = np.diff(t_s)
     if len(dt) < 10 or np.ptp(dt) > 1e-4:
         return False
@@ -134,24 +107,12 @@ FEWEST = 50
 
 @dataclass(frozen=True)
 class EvenTimes:
-    """Times by count.
+    """Times by count."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (N,), s
-        Increasing, a tick apart but for pauses and slow drift.
-    tick_s : float, s
-        The sensor's period.
-    pauses : int
-        Pauses after which the stamps did not catch up.
-    clock_resets : int
-        Times that the clock was set back to stay.
-    """
-
-    t_s: FloatArray
-    tick_s: float
-    pauses: int
-    clock_resets: int
+    t_s: FloatArray  # (N,) s: increasing, a tick apart but for pauses and slow drift
+    tick_s: float  # The sensor's period
+    pauses: int  # Pauses after which the stamps did not catch up
+    clock_resets: int  # Times that the clock was set back to stay
 
 
 def unwrapped(t_s: FloatArray, wraps_s: tuple[float, ...] = WRAPS_S) -> tuple[FloatArray, int]:
@@ -172,23 +133,11 @@ def unwrapped(t_s: FloatArray, wraps_s: tuple[float, ...] = WRAPS_S) -> tuple[Fl
     return t_s + added, wraps
 
 
-def counted(counter: IntArray, wraps: int) -> tuple[IntArray, int]:
-    """Counter values (N,) as numbers of samples from 0 on, and how often the counter started anew.
-
-    Parameters
-    ----------
-    counter : ndarray of int, shape (N,)
-        As written.
-    wraps : int
-        Where it starts anew; 0 = not known: at 2^8, 2^16 or 2^32, whichever lies next above its values.
-
-    Returns
-    -------
-    number : ndarray of int, shape (N,)
-        From 0 on. A counter that goes back otherwise counts on from there as if nothing were lost.
-    restarts : int
-        Wraps and other steps back.
-    """
+def counted(
+    counter: IntArray,  # int (N,)
+    wraps: int,
+) -> tuple[IntArray, int]:  # number int (N,), restarts
+    """Counter values (N,) as numbers of samples from 0 on, and how often the counter started anew."""
     if not len(counter):
         return counter, 0
     if wraps <= 0:
@@ -225,21 +174,11 @@ def in_packets(t_s: FloatArray) -> bool:
     return bool(short and ((dt <= 0).mean() > FEW or (dt > PAUSE_S).mean() > FEW))
 
 
-def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | None:
-    """Times of an even sensor from bad stamps.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (N,), s
-        Stamps in the order of the samples.
-    number : ndarray of int, shape (N,), optional
-        Of each sample, where a counter shows how many were lost; without it pauses show in the stamps.
-
-    Returns
-    -------
-    EvenTimes or None
-        None where the sensor does not tick evenly, or too few samples show it.
-    """
+def even_times(
+    t_s: FloatArray,  # (N,) s
+    number: IntArray | None = None,  # int (N,)
+) -> EvenTimes | None:
+    """Times of an even sensor from bad stamps."""
     if len(t_s) < FEWEST:
         return None
     is_counted = number is not None
@@ -352,11 +291,7 @@ _LEVEL_ROWS, _SAME = 50, 0.3
 
 
 def increasing(stamp_ns: IntArray | FloatArray) -> BoolArray:
-    """Samples (N,) to keep so that stamps increase strictly.
-
-    A stamp that jumps back makes the later sample the wrong one, a stamp that jumps ahead the
-    earlier: whichever reading drops fewer samples is taken.
-    """
+    """Samples (N,) to keep so that stamps increase strictly."""
     if (stamp_ns[1:] > stamp_ns[:-1]).all():
         return np.ones(len(stamp_ns), bool)
     after_all = np.ones(len(stamp_ns), bool)
@@ -367,27 +302,10 @@ def increasing(stamp_ns: IntArray | FloatArray) -> BoolArray:
 
 
 def clock_resets(
-    t_s: FloatArray, values: FloatArray | None = None
-) -> tuple[FloatArray, list[tuple[float, float]]]:
-    """Times of a clock that was set back, made to go on at the usual interval.
-
-    Rows out of order are left alone: what was written late fills what is missing before it. So are rows that
-    are there twice.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (n,), s
-        Stamps in the order of the rows.
-    values : ndarray, shape (n, k), optional
-        What was measured; rows that repeat an earlier time and its values are there twice.
-
-    Returns
-    -------
-    t_s : ndarray, shape (n,), s
-        The same array where no clock was set back.
-    steps : list of (float, float), s
-        By how much it was set back, and how long after the first row.
-    """
+    t_s: FloatArray,
+    values: FloatArray | None = None,  # t_s (n,) s; values (n, k)
+) -> tuple[FloatArray, list[tuple[float, float]]]:  # t_s (n,) s, steps s
+    """Times of a clock that was set back, made to go on at the usual interval."""
     dt = np.diff(t_s)
     if len(dt) < 2 * _FEWEST_ROWS or not (dt < 0).any():
         return t_s, []
@@ -417,11 +335,7 @@ _SET_S = 631_152_000.0
 
 
 def strayed(t_s: FloatArray, what: str) -> tuple[FloatArray, list[str]]:
-    """Times (n,) of a clock that strays and returns, or leaps ahead: put between, or nan; and notes.
-
-    A pause of the sensor is not told from a clock that was set ahead by minutes or hours: that stays, with a
-    note.
-    """
+    """Times (n,) of a clock that strays and returns, or leaps ahead: put between, or nan; and notes."""
     dt = np.diff(t_s)
     usual = float(np.median(dt[dt > 0])) if (dt > 0).any() else 0.0
     least = max(_LEAP_S, _LEAP_INTERVALS * usual)
@@ -473,17 +387,8 @@ def _ahead(t_s: FloatArray, usual: float, what: str, notes: list[str]) -> FloatA
     return t_s
 
 
-def begins_frames(time: FloatArray, kind: IntArray) -> bool:
-    """Whether a table of one row per joint is ordered by frames though its times go back here and there.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Of each row; those of one frame are adjacent.
-    kind : ndarray of int, shape (n,)
-        Joint and body of each row: where times go back, a frame begins with what the first row contains. A
-        file that lists one joint or body after the other begins with another there.
-    """
+def begins_frames(time: FloatArray, kind: IntArray) -> bool:  # time (n,); kind int (n,)
+    """Whether a table of one row per joint is ordered by frames though its times go back here and there."""
     back = np.flatnonzero(np.diff(time) < 0) + 1
     return 0 < len(back) <= _MOST_RESETS and len(np.unique(kind)) > 1 and bool((kind[back] == kind[0]).all())
 

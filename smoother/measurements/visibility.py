@@ -21,23 +21,8 @@ def accepted_samples(arm: JointTracks) -> BoolArray:
     return np.stack([arm.tracked(joint) for joint in JOINTS], axis=1)
 
 
-def visible_frames(arm: JointTracks, accepted: BoolArray) -> BoolArray:
-    """Frames in which the camera sees the forearm.
-
-    Two accepted forearm joints make a frame visible; one is enough where the recording has no more
-    (`strap` alone).
-
-    Parameters
-    ----------
-    arm : JointTracks
-        Of F frames.
-    accepted : ndarray of bool, shape (F, 5)
-        See `accepted_samples`.
-
-    Returns
-    -------
-    visible : ndarray of bool, shape (F,)
-    """
+def visible_frames(arm: JointTracks, accepted: BoolArray) -> BoolArray:  # accepted bool (F, 5) -> bool (F,)
+    """Frames in which the camera sees the forearm."""
     return enough_joints(accepted, joints_needed(arm))
 
 
@@ -52,18 +37,12 @@ def enough_joints(accepted: BoolArray, needed: int) -> BoolArray:
     return accepted[:, forearm].sum(axis=1) >= needed
 
 
-def seen_by_any(t_s: FloatArray, visible: BoolArray, camera: CameraNumbers | None) -> BoolArray:
-    """Frames at whose time some camera sees the forearm, (F,): their own, or one on both sides in time.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (F,), s
-        Frame times on one clock, increasing.
-    visible : ndarray of bool, shape (F,)
-        Frames that show the forearm.
-    camera : ndarray of int8, shape (F,), or None
-        Which camera each frame is of; None where all are of one.
-    """
+def seen_by_any(
+    t_s: FloatArray,  # (F,) s
+    visible: BoolArray,  # bool (F,)
+    camera: CameraNumbers | None,  # int (F,)
+) -> BoolArray:
+    """Frames at whose time some camera sees the forearm, (F,): their own, or one on both sides in time."""
     if camera is None:
         return visible
     seen = visible.copy()
@@ -79,23 +58,13 @@ def seen_by_any(t_s: FloatArray, visible: BoolArray, camera: CameraNumbers | Non
     return seen
 
 
-def find_gaps(t_s: FloatArray, visible: BoolArray, start_s: float, end_s: float) -> tuple[Gap, ...]:
-    """Gaps between two times.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (F,), s
-        Frame times on the IMU's clock, increasing.
-    visible : ndarray of bool, shape (F,)
-        See `visible_frames`.
-    start_s, end_s : float, s
-        What the IMU covers.
-
-    Returns
-    -------
-    gaps : tuple of Gap
-        In order of time; a single one, open at both ends, where no frame is visible.
-    """
+def find_gaps(
+    t_s: FloatArray,  # (F,) s
+    visible: BoolArray,  # bool (F,)
+    start_s: float,
+    end_s: float,
+) -> tuple[Gap, ...]:
+    """Gaps between two times."""
     inside = (t_s >= start_s) & (t_s <= end_s)
     t_s, visible = t_s[inside], visible[inside]
     visible_t = t_s[visible]
@@ -115,20 +84,8 @@ def find_gaps(t_s: FloatArray, visible: BoolArray, start_s: float, end_s: float)
     return tuple(gaps)
 
 
-def occluded_at(t_s: FloatArray, gaps: tuple[Gap, ...]) -> BoolArray:
-    """Which times are in a gap; the visible frames at its ends do not.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (N,), s
-        On the gaps' clock.
-    gaps : tuple of Gap
-        In any order.
-
-    Returns
-    -------
-    occluded : ndarray of bool, shape (N,)
-    """
+def occluded_at(t_s: FloatArray, gaps: tuple[Gap, ...]) -> BoolArray:  # t_s (N,) s -> bool (N,)
+    """Which times are in a gap; the visible frames at its ends do not."""
     occluded = np.zeros(len(t_s), dtype=bool)
     for gap in gaps:
         after = t_s >= gap.start_s if gap.open_start else t_s > gap.start_s
@@ -139,21 +96,13 @@ def occluded_at(t_s: FloatArray, gaps: tuple[Gap, ...]) -> BoolArray:
 
 @dataclass(frozen=True)
 class Gap:
-    """A run of occluded frames, bounded by the visible frames beside it (IMU clock).
+    """A run of occluded frames, bounded by the visible frames beside it (IMU clock)."""
 
-    Attributes
-    ----------
-    start_s : float, s
-        The last visible frame before the gap; the beginning of the IMU where the gap is open there.
-    end_s : float, s
-        The first visible frame after the gap; the end of the IMU where the gap is open there.
-    open_start, open_end : bool
-        That side has no visible frame, so the gap is recovered from the other side alone.
-    """
-
-    start_s: float
-    end_s: float
+    start_s: float  # The last visible frame before the gap
+    end_s: float  # The first visible frame after the gap; the end of the IMU where the gap is open there
+    # That side has no visible frame, so the gap is recovered from the other side alone
     open_start: bool = False
+    # That side has no visible frame, so the gap is recovered from the other side alone
     open_end: bool = False
 
     @property

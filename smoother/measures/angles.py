@@ -24,11 +24,7 @@ def centred(angle: FloatArray, centre_deg: float) -> FloatArray:
 
 
 def centre_of(angle: FloatArray) -> float:
-    """What angles (n,) are counted from: half a turn from the middle of the widest empty arc, degrees.
-
-    nan without any angle, or where no arc of 10 degrees is empty: then the angle went round, and has neither
-    a range nor extremes.
-    """
+    """What angles (n,) are counted from: half a turn from the middle of the widest empty arc, degrees."""
     known = np.sort(wrapped_deg(angle[np.isfinite(angle)]))
     if not len(known):
         return float("nan")
@@ -39,28 +35,13 @@ def centre_of(angle: FloatArray) -> float:
     return float(wrapped_deg(np.asarray(known[widest] + 0.5 * arcs[widest] + 180.0)))
 
 
-def angle_figures(name: str, angle: FloatArray, occluded: BoolArray, rate_hz: float) -> dict[str, Figure]:
-    """Range, extremes, percentiles and peak speed of an angle over some time.
-
-    The range is the largest minus the smallest angle; percentiles are those of the samples; the peak speed is
-    the largest size of the first derivative (central differences of the low-passed angle).
-
-    Parameters
-    ----------
-    name : str
-        Of the angle; the figures' keys begin with it.
-    angle : ndarray, shape (n,), deg
-        Centred; nan where it is not known.
-    occluded : ndarray of bool, shape (n,)
-        Not seen by the camera.
-    rate_hz : float, Hz
-        Samples per second.
-
-    Returns
-    -------
-    figures : dict of str to Figure
-        Keys end in the unit.
-    """
+def angle_figures(
+    name: str,
+    angle: FloatArray,  # (n,) deg
+    occluded: BoolArray,  # bool (n,)
+    rate_hz: float,
+) -> dict[str, Figure]:
+    """Range, extremes, percentiles and peak speed of an angle over some time."""
     keys = [f"{name}_{what}_deg" for what in ("range", "min", "max", *(f"p{p}" for p in PERCENTILES))]
     known = np.isfinite(angle)
     if known.sum() < SHORTEST_S * rate_hz:
@@ -86,23 +67,12 @@ def angle_figures(name: str, angle: FloatArray, occluded: BoolArray, rate_hz: fl
     return dict(zip([*keys, f"{name}_peak_speed_deg_s"], figures, strict=True))
 
 
-def zone_figures(name: str, angle: FloatArray, occluded: BoolArray) -> dict[int, Figure]:
-    """Percent of the time that an angle is known in which it is in each zone of 10 degrees.
-
-    Parameters
-    ----------
-    name : str
-        Of the angle.
-    angle : ndarray, shape (n,), deg
-        nan where it is not known.
-    occluded : ndarray of bool, shape (n,)
-        Not seen by the camera.
-
-    Returns
-    -------
-    zones : dict of int to Figure
-        By the zone's lower end, degrees in [-180, 180), those in which it ever lies.
-    """
+def zone_figures(
+    name: str,
+    angle: FloatArray,  # (n,) deg
+    occluded: BoolArray,  # bool (n,)
+) -> dict[int, Figure]:
+    """Percent of the time that an angle is known in which it is in each zone of 10 degrees."""
     known = np.isfinite(angle)
     if not known.any():
         return {}

@@ -31,25 +31,13 @@ UNSIGNED = ("elbow_flexion", "shoulder_elevation", "shoulder_elevation_trunk")
 
 @dataclass(frozen=True)
 class MeasureDefinition:
-    """What a measure is.
+    """What a measure is."""
 
-    Attributes
-    ----------
-    name : str
-        In plain words.
-    unit : str
-        "" for a pure number.
-    low, high : float
-        Values beyond these do not exist; an interval ends there.
-    is_count : bool
-        Whole numbers only.
-    """
-
-    name: str
-    unit: str
-    low: float = -INFINITE
-    high: float = INFINITE
-    is_count: bool = False
+    name: str  # In plain words
+    unit: str  # "" for a pure number
+    low: float = -INFINITE  # Values beyond these do not exist; an interval ends there
+    high: float = INFINITE  # Values beyond these do not exist; an interval ends there
+    is_count: bool = False  # Whole numbers only
 
 
 _OF_HAND = {
@@ -145,26 +133,12 @@ LEVEL = 0.95
 # alone misses the truth in up to 3 of 10 sessions of a kind. The jumps are rare, so the quantiles are those
 # beyond which 2.5 % of further draws lie (Weibull's ranks), not of these draws alone: 3 of 10 became 1.
 def interval(
-    value: float, drawn: FloatArray, definition: MeasureDefinition, is_found: bool = False
+    value: float,
+    drawn: FloatArray,
+    definition: MeasureDefinition,
+    is_found: bool = False,  # drawn (n,)
 ) -> tuple[float, float, float]:
-    """Ends of the 95 % interval about a value, and its standard deviation.
-
-    Parameters
-    ----------
-    value : float
-        Of the answer.
-    drawn : ndarray, shape (n,)
-        Of drawn motions; those without a value do not count.
-    definition : MeasureDefinition
-        Which values exist, and whether they are counts.
-    is_found : bool
-        The value depends on which movements a motion has.
-
-    Returns
-    -------
-    low, high, sigma : float
-        nan without a value, or with fewer than 20 draws.
-    """
+    """Ends of the 95 % interval about a value, and its standard deviation."""
     drawn = drawn[np.isfinite(drawn)]
     if not np.isfinite(value) or len(drawn) < FEWEST_DRAWS:
         return float("nan"), float("nan"), float("nan")

@@ -17,29 +17,7 @@ NEAR_SHARE = 0.05
 def way_figures(
     hand: FloatArray, speed: FloatArray, occluded: BoolArray, rate_hz: float, runs: tuple[slice, ...]
 ) -> dict[str, Figure]:
-    """Path length, peak and mean speed of the hand over some time.
-
-    The length is the sum of the distances between low-passed positions; the mean speed is taken over all of
-    the time, rests included.
-
-    Parameters
-    ----------
-    hand : ndarray, shape (n, 3), m
-        In {K}.
-    speed : ndarray, shape (n,), m/s
-        Of the hand.
-    occluded : ndarray of bool, shape (n,)
-        Not seen by the camera.
-    rate_hz : float, Hz
-        Samples per second.
-    runs : tuple of slice
-        Rows without a pause between them; nothing is counted across one.
-
-    Returns
-    -------
-    figures : dict of str to Figure
-        `hand_path_length_m`, `hand_peak_speed_m_s`, `hand_mean_speed_m_s`.
-    """
+    """Path length, peak and mean speed of the hand over some time."""
     keys = ("hand_path_length_m", "hand_peak_speed_m_s", "hand_mean_speed_m_s")
     if not np.isfinite(speed).any():
         return dict.fromkeys(keys, UNKNOWN)
@@ -66,23 +44,6 @@ def straightness_figures(
     Path ratio: the way of the hand over the straight line between its ends; 1 = straight (Cirstea and Levin,
     Brain 123:940-953, 2000: index of curvature). Time to peak: from onset to the largest speed, in seconds
     and in percent of the movement (Alt Murphy et al. 2011).
-
-    Parameters
-    ----------
-    hand : ndarray, shape (n, 3), m
-        From onset to offset.
-    speed : ndarray, shape (n,), m/s
-        Of the hand.
-    occluded : ndarray of bool, shape (n,)
-        Not seen by the camera.
-    rate_hz : float, Hz
-        Samples per second.
-
-    Returns
-    -------
-    figures : dict of str to Figure
-        `hand_path_ratio`, `hand_time_to_peak_s`, `hand_time_to_peak_percent`; the ratio is nan where the ends
-        are within 5 cm.
     """
     if len(hand) < 3 or not np.isfinite(hand).all():
         return dict.fromkeys(("hand_path_ratio", "hand_time_to_peak_s", "hand_time_to_peak_percent"), UNKNOWN)
@@ -104,7 +65,7 @@ PAD_LEVEL, CUTOFF_HZ, LEAST_AMPLITUDE = 4, 10.0, 0.05
 FEWEST_SAMPLES = 8
 
 
-def spectral_arc_length(speed: FloatArray, rate_hz: float) -> float:
+def spectral_arc_length(speed: FloatArray, rate_hz: float) -> float:  # speed (n,) m/s
     """SPARC: minus the length of the curve of the speed's normalised amplitude spectrum; 0 = smoothest.
 
     Source: Balasubramanian, Melendez-Calderon, Burdet, IEEE Trans Biomed Eng 59:2126-2136 (2012);
@@ -112,18 +73,6 @@ def spectral_arc_length(speed: FloatArray, rate_hz: float) -> float:
     with the parameters of the latter: the spectrum is padded to 2^4 times the next power of two, and ends at
     the last frequency below 10 Hz whose amplitude is 0.05 of the largest or more. So it depends neither on
     the movement's size nor on its duration, and noise beyond the movement's own band is left out.
-
-    Parameters
-    ----------
-    speed : ndarray, shape (n,), m/s
-        Of one movement from rest to rest.
-    rate_hz : float, Hz
-        Samples per second.
-
-    Returns
-    -------
-    sparc : float
-        Negative; nan for a profile of zeros or of fewer than 8 samples.
     """
     if len(speed) < FEWEST_SAMPLES or not np.isfinite(speed).all() or not speed.any():
         return float("nan")
@@ -139,24 +88,12 @@ def spectral_arc_length(speed: FloatArray, rate_hz: float) -> float:
     return float(-np.hypot(steps, np.diff(amplitude[first : last + 1])).sum())
 
 
-def log_dimensionless_jerk(speed: FloatArray, rate_hz: float) -> float:
+def log_dimensionless_jerk(speed: FloatArray, rate_hz: float) -> float:  # speed (n,) m/s
     """LDLJ-V: minus the logarithm of the speed's squared jerk, made free of duration and peak.
 
     -ln(T^3 / v_peak^2 * integral of (d^2 v / dt^2)^2 dt): Balasubramanian et al., J NeuroEng Rehabil 12:112
     (2015), equations 4 and 5, of the tangential speed v. Nearer to zero = smoother; a movement of minimum
     jerk has -ln(204.8) = -5.32.
-
-    Parameters
-    ----------
-    speed : ndarray, shape (n,), m/s
-        Of one movement, low-passed: the second derivative of noise grows with the square of its frequency.
-    rate_hz : float, Hz
-        Samples per second.
-
-    Returns
-    -------
-    ldlj : float
-        nan for a profile without any change, or of fewer than 8 samples.
     """
     if len(speed) < FEWEST_SAMPLES or not np.isfinite(speed).all():
         return float("nan")
@@ -168,27 +105,16 @@ def log_dimensionless_jerk(speed: FloatArray, rate_hz: float) -> float:
     return float(-np.log((len(speed) / rate_hz) ** 3 / peak**2 * squared))
 
 
-def velocity_peaks(speed: FloatArray, rate_hz: float, rise_m_s: float, apart_s: float) -> IntArray:
+def velocity_peaks(
+    speed: FloatArray,  # (n,) m/s
+    rate_hz: float,
+    rise_m_s: float,
+    apart_s: float,
+) -> IntArray:  # int (k,)
     """Rows of the maxima of a speed that stand out: movement units.
 
     A unit is a rise from a minimum to the next maximum by more than 20 mm/s, the maxima 150 ms or more
     apart: Alt Murphy, Willen, Sunnerhagen, Neurorehabil Neural Repair 25:71-80 (2011).
-
-    Parameters
-    ----------
-    speed : ndarray, shape (n,), m/s
-        Of one movement.
-    rate_hz : float, Hz
-        Samples per second.
-    rise_m_s : float, m/s
-        Least rise.
-    apart_s : float, s
-        Least time between two.
-
-    Returns
-    -------
-    peaks : ndarray of int, shape (k,)
-        In the order of time; of two that are too near the higher one stays.
     """
     from scipy.signal import find_peaks
 
@@ -211,24 +137,6 @@ def reach_figures(
     Edelsbrunner and Muecke, ACM Trans Graph 13:43-72 (1994). The part of the sphere is the hull's volume over
     that of a ball with the arm's length as its radius, so that people of different size compare (as the
     reachable workspace of Kurillo et al., Hum Mov Sci 32:1191-1200, 2013, is divided by the arm's).
-
-    Parameters
-    ----------
-    place : ndarray, shape (n, 3), m
-        Of the hand; nan where it is not known.
-    occluded : ndarray of bool, shape (n,)
-        Not seen by the camera.
-    arm_m : float, m
-        From the shoulder to the hand along the bones; nan where it is not known.
-    voxel_m : float, m
-        Of the places in a cube of this size one counts, for the alpha shape.
-    alpha_m : float, m
-        Largest circumscribed radius of a tetrahedron of the alpha shape.
-
-    Returns
-    -------
-    figures : dict of str to Figure
-        `hand_reach_hull_l`, `hand_reach_alpha_l` (litres) and `hand_reach_sphere_percent`.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -248,20 +156,9 @@ def reach_figures(
     }
 
 
-def alpha_volume(points: FloatArray, alpha_m: float) -> float:
-    """Volume of the alpha shape of points (n, 3): the Delaunay tetrahedra that a ball of that radius holds.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3), m
-        Four or more, not in a plane.
-    alpha_m : float, m
-        Largest radius of the ball through a tetrahedron's corners.
-
-    Returns
-    -------
-    volume : float, m^3
-        nan where the points have no volume.
+def alpha_volume(points: FloatArray, alpha_m: float) -> float:  # points (n, 3) m
+    """Volume of the alpha shape of points (n, 3): the Delaunay tetrahedra that a ball of that radius
+    holds.
     """
     from scipy.spatial import Delaunay, QhullError
 
@@ -306,23 +203,7 @@ ZONE_KEYS = ("hand_to_mouth", "hand_to_head", "hand_behind_back")
 
 
 def zone_figures_of(motion: Motion, rows: slice, settings: Reach) -> dict[str, Figure]:
-    """Whether the hand reached mouth, head and back, and how near it came; the elbow's distance.
-
-    Parameters
-    ----------
-    motion : Motion
-        With shoulder, elbow and wrist, and the trunk's axes.
-    rows : slice
-        When.
-    settings : Reach
-        Sizes of the zones.
-
-    Returns
-    -------
-    figures : dict of str to Figure
-        `.._reached` is 1 or 0, `.._distance_m` how near the hand came (0 = within the zone),
-        `elbow_trunk_distance_max_m` and `.._mean_m` from the vertical through the middle of the shoulders.
-    """
+    """Whether the hand reached mouth, head and back, and how near it came; the elbow's distance."""
     figures = {f"{key}_{what}": UNKNOWN for key in ZONE_KEYS for what in ("reached", "distance_m")}
     figures |= {f"elbow_trunk_distance_{what}_m": UNKNOWN for what in ("max", "mean")}
     stature = stature_of(motion)
@@ -383,10 +264,7 @@ def head_distance(hand_T: FloatArray, stature: float) -> FloatArray:
 
 
 def back_distance(hand_T: FloatArray, stature: float, behind_m: float) -> FloatArray:
-    """How far the hand (n, 3) is from the room behind the back, m; 0 or less inside.
-
-    That room lies behind the shoulders, below them, and between the lines down from both.
-    """
+    """How far the hand (n, 3) is from the room behind the back, m; 0 or less inside."""
     breadth = HALF_BREADTH * stature
     outside = np.stack(
         [

@@ -45,34 +45,16 @@ FOUND = (*BY_MOVEMENT, "movement_time_percent", "repetition_duration_s", "repeti
 
 @dataclass(frozen=True)
 class Layout:
-    """Where an answer is measured.
+    """Where an answer is measured."""
 
-    Attributes
-    ----------
-    settings : MeasureSettings
-        How.
-    places : tuple of slice
-        Rows of the movements.
-    movements, repetitions : tuple of Movement
-        The same in times.
-    rounds : tuple of slice
-        Rows of the repetitions.
-    known : dict of str to ndarray of bool, shape (n,)
-        Where an angle is known, by its name.
-    centres_deg : dict of str to float, deg
-        What an angle lies within half a turn of.
-    voxel_m : float, m
-        Size of the cubes of which one place counts for the alpha shape.
-    """
-
-    settings: MeasureSettings
-    places: tuple[slice, ...]
-    movements: tuple[Movement, ...]
-    rounds: tuple[slice, ...]
-    repetitions: tuple[Movement, ...]
-    known: dict[str, BoolArray]
-    centres_deg: dict[str, float]
-    voxel_m: float
+    settings: MeasureSettings  # How
+    places: tuple[slice, ...]  # Rows of the movements
+    movements: tuple[Movement, ...]  # The same in times
+    rounds: tuple[slice, ...]  # Rows of the repetitions
+    repetitions: tuple[Movement, ...]  # The same in times
+    known: dict[str, BoolArray]  # bool (n,): Where an angle is known, by its name
+    centres_deg: dict[str, float]  # What an angle lies within half a turn of
+    voxel_m: float  # Size of the cubes of which one place counts for the alpha shape
 
     @classmethod
     def of(cls, motion: Motion, settings: MeasureSettings) -> Layout:
@@ -93,18 +75,7 @@ class Layout:
         )
 
     def figures(self, motion: Motion) -> dict[Place, Figures]:
-        """All figures of a motion on the same grid: of the session, the movements, the repetitions.
-
-        Parameters
-        ----------
-        motion : Motion
-            The answer's own, a drawn one, or the truth's.
-
-        Returns
-        -------
-        figures : dict of Place to dict of str to Figure
-            By scope and number, then by the measure's key.
-        """
+        """All figures of a motion on the same grid: of the session, the movements, the repetitions."""
         angles = {
             name: np.where(known, centred(motion.angles[name], self.centres_deg[name]), np.nan)
             for name, known in self.known.items()

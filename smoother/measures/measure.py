@@ -45,18 +45,10 @@ class Movement:
 
 
 class Figure(NamedTuple):
-    """A number, before it has an interval.
+    """A number, before it has an interval."""
 
-    Attributes
-    ----------
-    value : float
-        nan where it cannot be measured.
-    share : float, 0 to 1
-        Of it that comes from recovered samples.
-    """
-
-    value: float
-    share: float
+    value: float  # nan where it cannot be measured
+    share: float  # Of it that comes from recovered samples
 
 
 UNKNOWN = Figure(float("nan"), float("nan"))

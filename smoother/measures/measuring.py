@@ -31,28 +31,7 @@ def _figures_of(task: tuple[Layout, Motion]) -> dict[Place, Figures]:
 
 
 class DrawnFigures:
-    """Every measure of every drawn motion.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With or without draws.
-    layout : Layout
-        Where to measure.
-    motion : Motion
-        The answer's, whose grid they share.
-    processes : int
-        Worker processes, 0 = one per core; the figures are the same with any number.
-    progress : callable, optional
-        Called with the share done.
-
-    Attributes
-    ----------
-    answer : Motion
-        The answer's without what its errors add to the elbow's flexion.
-    bend : ElbowBend or None
-        By how much; None where too few motions were drawn.
-    """
+    """Every measure of every drawn motion."""
 
     def __init__(
         self,
@@ -103,23 +82,7 @@ class DrawnFigures:
 
 
 def drawn_motion(recovery: Recovery, k: int) -> Recovery:
-    """A drawn motion, with the errors that draws leave out: how the IMUs on upper arm and trunk sit.
-
-    Those do not change over a recording: one turn a draw, of the stated sizes. The trunk's orientation, which
-    is not drawn either, is turned with its mounting by as much as it is uncertain on average.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With draws.
-    k : int
-        Number of the motion.
-
-    Returns
-    -------
-    drawn : Recovery
-        Covariances are zero.
-    """
+    """A drawn motion, with the errors that draws leave out: how the IMUs on upper arm and trunk sit."""
     drawn = recovery.drawn(k)
     assert recovery.draws is not None
     rng = np.random.default_rng([recovery.draws.seed, k])
@@ -141,29 +104,14 @@ def drawn_motion(recovery: Recovery, k: int) -> Recovery:
 
 @dataclass(frozen=True)
 class Measuring:
-    """A recovery as it is measured: its layout, and every figure of answer and draws.
+    """A recovery as it is measured: its layout, and every figure of answer and draws."""
 
-    Attributes
-    ----------
-    recovery : Recovery
-        What is measured.
-    motion : Motion
-        Its arrays.
-    layout : Layout
-        What is measured when.
-    answer : dict of Place to dict of str to Figure
-        The figures of the answer.
-    drawn : DrawnFigures
-        Those of the drawn motions.
-    untrusted : dict of Place to dict of str to Figure
-        The answer's figures with the share that comes from samples not to be trusted; empty where all are.
-    """
-
-    recovery: Recovery
-    motion: Motion
-    layout: Layout
-    answer: dict[Place, Figures]
-    drawn: DrawnFigures
+    recovery: Recovery  # What is measured
+    motion: Motion  # Its arrays
+    layout: Layout  # What is measured when
+    answer: dict[Place, Figures]  # The figures of the answer
+    drawn: DrawnFigures  # Those of the drawn motions
+    # The answer's figures with the share that comes from samples not to be trusted; empty where all are
     untrusted: dict[Place, Figures]
 
     @classmethod

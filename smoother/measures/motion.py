@@ -23,38 +23,15 @@ SHORTEST_RUN_S = 0.5
 
 @dataclass(frozen=True)
 class TimeGrid:
-    """Even times in runs that have an answer throughout.
+    """Even times in runs that have an answer throughout."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,), s
-        Increasing; even within a run.
-    rate_hz : float, Hz
-        Of the grid.
-    runs : tuple of slice
-        Rows without a pause between them.
-    """
-
-    t_s: FloatArray
-    rate_hz: float
-    runs: tuple[slice, ...]
+    t_s: FloatArray  # (n,) s: increasing; even within a run
+    rate_hz: float  # Of the grid
+    runs: tuple[slice, ...]  # Rows without a pause between them
 
 
 def grid_of(recovery: Recovery, settings: Smoothing) -> TimeGrid:
-    """The even times at which a recovery is measured.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of N samples.
-    settings : Smoothing
-        Decides the rate where the recording is faster.
-
-    Returns
-    -------
-    grid : TimeGrid
-        Empty where there is no answer.
-    """
+    """The even times at which a recovery is measured."""
     rate = min(median_rate_hz(recovery.t_s), settings.most_rate_hz)
     known = recovery.answered
     times, places, count = [], [], 0
@@ -77,20 +54,6 @@ def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
     A second-order Butterworth filter run forth and back, so without delay (Winter, Biomechanics and Motor
     Control of Human Movement, 2009, section 2.2.4.4). Quaternions are filtered by component, with one sign
     all along, and brought back to length one.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of N samples.
-    grid : TimeGrid
-        Of n times.
-    cutoff_hz : float, Hz
-        Where a single run of the filter lets half the power through.
-
-    Returns
-    -------
-    recovery : Recovery
-        Of n samples.
     """
     # measures assume an upright trunk unless an IMU is on it
     trunk = recovery.trunk if recovery.trunk is None or recovery.trunk.by_imu else None
@@ -200,45 +163,19 @@ HAND_JOINTS = ("hand", "wrist", "strap")
 
 @dataclass(frozen=True)
 class Motion:
-    """An arm's motion on an even grid, low-passed: answer, drawn motion or truth.
+    """An arm's motion on an even grid, low-passed: answer, drawn motion or truth."""
 
-    Attributes
-    ----------
-    grid : TimeGrid
-        Of n times.
-    occluded : ndarray of bool, shape (n,)
-        The camera did not see the forearm.
-    hand : ndarray, shape (n, 3), m
-        In {K}.
-    hand_joint : str
-        Which joint represents it: one of `HAND_JOINTS`, or "imu".
-    velocity : ndarray, shape (n, 3), m/s
-        Of the hand.
-    joints : dict of str to ndarray, shape (n, 3), m
-        In {K}.
-    angles : dict of str to ndarray, shape (n,), deg
-        By the names in `MEASURED_ANGLES`; nan where not known or near a singular posture.
-    missing : dict of str to str
-        Why an angle is not known at all, by its name.
-    R_K_T : ndarray, shape (n, 3, 3) or (3, 3), optional
-        Axes of the thorax (x forward, y up, z to its right): of an IMU on it, else upright and facing the
-        camera; None where the direction of gravity is not known.
-    side : str
-        "left", "right" or "".
-    bend : ndarray, shape (n, 3), rad, or None
-        Rotation vector from the upper arm's direction to the forearm's, in the IMU's axes.
-    """
-
-    grid: TimeGrid
-    occluded: BoolArray
-    hand: FloatArray
-    hand_joint: str
-    velocity: FloatArray
-    joints: dict[str, FloatArray]
-    angles: dict[str, FloatArray]
-    missing: dict[str, str]
-    R_K_T: FloatArray | None
-    side: str
+    grid: TimeGrid  # Of n times
+    occluded: BoolArray  # bool (n,): the camera did not see the forearm
+    hand: FloatArray  # (n, 3) m: in {K}
+    hand_joint: str  # Which joint represents it: one of `HAND_JOINTS`, or "imu"
+    velocity: FloatArray  # (n, 3) m/s: of the hand
+    joints: dict[str, FloatArray]  # dict of (n, 3) m: in {K}
+    angles: dict[str, FloatArray]  # dict of (n,) deg: by the names in `MEASURED_ANGLES`
+    missing: dict[str, str]  # Why an angle is not known at all, by its name
+    R_K_T: FloatArray | None  # (n, 3, 3) or (3, 3): axes of the thorax (x forward, y up, z to its right)
+    side: str  # "left", "right" or ""
+    # (n, 3) rad: Rotation vector from the upper arm's direction to the forearm's, in the IMU's axes
     bend: FloatArray | None = None
 
     @property
@@ -256,22 +193,7 @@ class Motion:
 
 
 def motion_of(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Motion:
-    """The arrays of a recovery that measures are made of.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        An answer, a drawn motion, or a truth in a recovery's place.
-    grid : TimeGrid
-        Where to measure.
-    cutoff_hz : float, Hz
-        Of the low-pass filter.
-
-    Returns
-    -------
-    motion : Motion
-        Of the grid's n times.
-    """
+    """The arrays of a recovery that measures are made of."""
     even = on_grid(recovery, grid, cutoff_hz)
     hand_joint = next((joint for joint in HAND_JOINTS if _is_there(even, joint)), "imu")
     hand = even.position if hand_joint == "imu" else even.joints[hand_joint]
@@ -363,18 +285,10 @@ _STEP = np.gradient(_LEFT)
 # answer allows, so that an interval reaches down to what the recording does not exclude.
 @dataclass(frozen=True)
 class ElbowBend:
-    """How far the elbow is bent in an answer, and the error of that.
+    """How far the elbow is bent in an answer, and the error of that."""
 
-    Attributes
-    ----------
-    square : float
-        Mean square of the sine of the answer's flexion.
-    variance : float, rad^2
-        Of the error of the bend, by the draws, along each of its two axes.
-    """
-
-    square: float
-    variance: float
+    square: float  # Mean square of the sine of the answer's flexion
+    variance: float  # rad^2: of the error of the bend, by the draws, along each of its two axes
 
     @classmethod
     def of(cls, answer: Motion, drawn: Iterable[Motion]) -> ElbowBend | None:
@@ -395,14 +309,7 @@ class ElbowBend:
         return float(1.0 / np.sqrt(1.0 + 2.0 * self.variance / self.square))
 
     def left(self, quantile: float) -> float:
-        """What is left of the bend without the error's part, 0 to 1.
-
-        Parameters
-        ----------
-        quantile : float, 0 to 1
-            Of what the true bend may be: beforehand of any size up to the answer's, and the error's variance
-            as stated to within a factor of two. 0.5 is the estimate.
-        """
+        """What is left of the bend without the error's part, 0 to 1."""
         if not self.variance > 0.0:
             return 1.0
         # An error across the bend lengthens it; one along it only where there is hardly a bend.
@@ -419,15 +326,7 @@ class ElbowBend:
         return _lessened(answer, self.left(0.5))
 
     def corrected_draw(self, drawn: Motion, quantile: float) -> Motion:
-        """A drawn motion with the flexion that is left; it has the error twice.
-
-        Parameters
-        ----------
-        drawn : Motion
-            The answer and another error.
-        quantile : float, 0 to 1
-            See `left`; another one for each draw.
-        """
+        """A drawn motion with the flexion that is left; it has the error twice."""
         return _lessened(drawn, self.left(quantile) * self.of_draws)
 
     def lower(self, low_deg: float) -> float:
@@ -437,10 +336,8 @@ class ElbowBend:
 
 
 def lessened(flexion: FloatArray, left: float) -> FloatArray:
-    """Flexion (n,), degrees, of which a part is left: that part near straight, all of it from 90 degrees on.
-
-    An error across the bend adds half its square times the cotangent of the angle: at a right angle it turns
-    the plane of the arm and nothing else.
+    """Flexion (n,), degrees, of which a part is left: that part near straight, all of it from 90 degrees
+    on.
     """
     angle = np.radians(flexion)
     return np.asarray(np.degrees(angle - (1.0 - left) * 0.5 * np.maximum(np.sin(2.0 * angle), 0.0)))

@@ -15,27 +15,16 @@ from .motion import Motion, TimeGrid
 # windows of one fixed length, so a round done half as fast does not match, and brings numba and LLVM (some
 # 150 MB); dtaidistance aligns whole series and has the subsequence search in compiled extras; both would
 # outweigh the forty lines below.
-def match_cost(pattern: FloatArray, series: FloatArray) -> tuple[FloatArray, IntArray]:
+def match_cost(
+    pattern: FloatArray,  # (m, k)
+    series: FloatArray,  # (n, k)
+) -> tuple[FloatArray, IntArray]:  # cost (n,), start int (n,)
     """Least mean distance of the pattern to a part of the series that ends at each sample.
 
     Sakoe and Chiba, IEEE Trans Acoust Speech Signal Process 26:43-49 (1978), symmetric form with slope
     constraint P = 1 (tempo between half and double); the series' start is free (Mueller, Information
     Retrieval for Music and Motion, 2007, section 4.4). Steps: one sample of both; two of the series for one
     of the pattern; one of the series for two of the pattern.
-
-    Parameters
-    ----------
-    pattern : ndarray, shape (m, k)
-        What to look for.
-    series : ndarray, shape (n, k)
-        Where; nan where there is none.
-
-    Returns
-    -------
-    cost : ndarray, shape (n,)
-        Sum of the distances by their weight over the sum of the weights; inf where nothing can end.
-    start : ndarray of int, shape (n,)
-        Where that part begins.
     """
     n, columns = len(series), np.arange(len(series))
     distance = [np.nan_to_num(np.linalg.norm(series - row, axis=1), nan=np.inf) for row in pattern]
@@ -73,26 +62,16 @@ def _later(row: NDArray, by: int) -> NDArray:
     return moved
 
 
-def find_movements(speed: FloatArray, grid: TimeGrid, settings: SegmentingMovements) -> list[slice]:
+def find_movements(
+    speed: FloatArray,  # (n,) m/s
+    grid: TimeGrid,
+    settings: SegmentingMovements,
+) -> list[slice]:
     """Rows of the movements, in the order of time.
 
     A movement is a run in which the hand gets faster than `start_m_s`; it starts and ends where the speed
     falls below 5 % of its peak (as is usual in reaching: Alt Murphy et al. 2011 take 2 %, others 5 or 10 %)
     or below `rest_m_s`, whichever is more, so that the noise of a resting hand does not prolong it.
-
-    Parameters
-    ----------
-    speed : ndarray, shape (n,), m/s
-        Of the hand.
-    grid : TimeGrid
-        Its times.
-    settings : SegmentingMovements
-        The thresholds.
-
-    Returns
-    -------
-    movements : list of slice
-        From onset to offset; two that touch are one.
     """
     places: list[slice] = []
     quick = np.nan_to_num(speed)
@@ -127,26 +106,7 @@ OVERLAP = 0.2
 
 
 def find_repetitions(motion: Motion, settings: MatchingRepetitions) -> tuple[Movement, ...]:
-    """Rounds of an exercise, in the order of time.
-
-    The length of a round is where the posture (hand from shoulder in {K}, each axis by its standard
-    deviation) correlates with itself best after a shift; the round to match is the part of that length whose
-    second occurrence is most like it. It is then looked for throughout by dynamic time warping
-    (`time_warping.match_cost`), the best first, without overlaps, until the mean distance is more than
-    `likeness` standard deviations of the motion.
-
-    Parameters
-    ----------
-    motion : Motion
-        Of the hand and, where it is known, the shoulder.
-    settings : MatchingRepetitions
-        Where the first round lies, if that is known; lengths and likeness.
-
-    Returns
-    -------
-    repetitions : tuple of Movement
-        Empty where nothing comes again.
-    """
+    """Rounds of an exercise, in the order of time."""
     t, posture = _posture(motion)
     if len(t) < 2 * settings.shortest_s * RATE_HZ:
         return ()

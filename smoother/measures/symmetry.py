@@ -59,20 +59,13 @@ class BothArms:
         return {key: row.as_dict() for key, row in self.by_key.items()}
 
 
-def symmetry_index(left: FloatArray, right: FloatArray) -> FloatArray:
+def symmetry_index(
+    left: FloatArray,  # (n,)
+    right: FloatArray,  # (n,)
+) -> FloatArray:  # (n,) percent
     """Difference of right and left over their mean, percent; nan where both are zero.
 
     100 (R - L) / (0.5 (R + L)): Robinson, Herzog, Nigg, J Manipulative Physiol Ther 10:172-176 (1987).
-
-    Parameters
-    ----------
-    left, right : ndarray, shape (n,)
-        Of a measure with a true zero.
-
-    Returns
-    -------
-    index : ndarray, shape (n,), percent
-        From -200 (only the left) to 200 (only the right).
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(100.0 * (right - left) / (0.5 * (right + left)))

@@ -44,19 +44,7 @@ SHORTEST_S, MOST_SAMPLES = 0.25, 200
 def with_ambiguities(
     recovery: Recovery, recording: Recording, excerpts: Sequence[Segment], given: ArmCalibration | None = None
 ) -> Recovery:
-    """The recovery without trust in the gaps that the visible motion leaves ambiguous.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With a verdict, and a cause where it is not trusted and one was found.
-    recording : Recording
-        What it was made of.
-    excerpts : sequence of Segment
-        Of the recording; what the camera saw in them decides.
-    given : ArmCalibration, optional
-        What was given of the arm: a sensor that is known to sit near the elbow may do so.
-    """
+    """The recovery without trust in the gaps that the visible motion leaves ambiguous."""
     estimates = recovery.estimates
     is_trusted = estimates.trusted is not False
     if estimates.cause is not None:

@@ -23,10 +23,7 @@ from .samples import ElbowAxis, FurtherAnswer, SectionAnswer, bone_axes
 
 
 def blend(column: NDArray, rows: slice, value: FloatArray, share: FloatArray) -> None:
-    """Write the values to rows, over what is there by the share (k,) of the way.
-
-    Where only one of the two is known, it counts; values of the share 1 stand as they are.
-    """
+    """Write the values to rows, over what is there by the share (k,) of the way."""
     mixed = np.flatnonzero(share < 1.0)
     old = column[rows.start + mixed]
     column[rows] = value
@@ -51,14 +48,8 @@ def between_quaternions(before: FloatArray, after: FloatArray, share: FloatArray
 
 
 class FurtherColumns:
-    """The answers on IMUs of further segments at a recording's samples, neighbours blended over their border.
-
-    Parameters
-    ----------
-    count : int
-        Samples of the recording.
-    store : Store
-        Where the columns live.
+    """The answers on IMUs of further segments at a recording's samples, neighbours blended over their
+    border.
     """
 
     def __init__(self, count: int, store: Store) -> None:
@@ -111,17 +102,7 @@ class FurtherColumns:
 
 
 class DrawColumns:
-    """The drawn motions of a recording, neighbouring sections blended over their border.
-
-    Parameters
-    ----------
-    imu_t : ndarray, shape (n,), s
-        The recording's samples.
-    plan : DrawPlan or None
-        None where no motions are drawn.
-    store : Store
-        Where the columns live.
-    """
+    """The drawn motions of a recording, neighbouring sections blended over their border."""
 
     def __init__(self, imu_t: FloatArray, plan: DrawPlan | None, store: Store) -> None:
         self._imu_t, self._plan, self._store = imu_t, plan, store
@@ -181,10 +162,7 @@ class ArmColumns:
         self._end = 0  # first sample without an answer yet
 
     def add(self, answer: SectionAnswer, messages: list[Message]) -> FloatArray:
-        """The next section, blended with the one before over their border; its windows' messages.
-
-        Returns the share of this section, against the one before, at each of its samples.
-        """
+        """The next section, blended with the one before over their border; its windows' messages."""
         rows = answer.samples
         t = self._recording.imu.t_s[rows]
         share = share_after(t, answer.border_s)

@@ -87,41 +87,17 @@ class CameraEvidence:
 
 @dataclass(frozen=True)
 class Solved:
-    """A recovery with its evidence on its own camera and calibration.
-
-    Attributes
-    ----------
-    recovery : Recovery
-    evidence : CameraEvidence
-    excerpts : list of Segment
-        That the self-calibration read.
-    misfits : tuple of str
-        What of a given calibration the recording contradicts.
-    open_questions : tuple of str
-        What self-calibration took with little margin.
-    excluded : Excluded or None
-        Samples that it was made without; None before anything was left out.
-    """
+    """A recovery with its evidence on its own camera and calibration."""
 
     recovery: Recovery
     evidence: CameraEvidence
-    excerpts: list[Segment]
-    misfits: tuple[str, ...] = ()
-    open_questions: tuple[str, ...] = ()
-    excluded: Excluded | None = None
+    excerpts: list[Segment]  # That the self-calibration read
+    misfits: tuple[str, ...] = ()  # What of a given calibration the recording contradicts
+    open_questions: tuple[str, ...] = ()  # What self-calibration took with little margin
+    excluded: Excluded | None = None  # Samples that it was made without; None before anything was left out
 
     def paired(self, pairing: Pairing | None, recording: Recording, given: Clock | None) -> Pairing | None:
-        """The pairing by what is used: without what the camera alone shows to be wrong, and a few blocks.
-
-        Parameters
-        ----------
-        pairing : Pairing or None
-            By all that the camera saw.
-        recording : Recording
-            As the camera saw it, its clocks near each other.
-        given : Clock, optional
-            That the user stated.
-        """
+        """The pairing by what is used: without what the camera alone shows to be wrong, and a few blocks."""
         if pairing is None or not pairing.reason or self.recovery.residuals is None:
             return pairing
         wrong = Excluded(np.isin(self.recovery.residuals.reason, [int(reason) for reason in _BY_CAMERA]))
@@ -136,15 +112,9 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Excluded:
-    """Camera samples that are left out.
+    """Camera samples that are left out."""
 
-    Attributes
-    ----------
-    samples : ndarray of bool, shape (F, 5)
-        In the order of the recording's frames and of `JOINTS`.
-    """
-
-    samples: BoolArray
+    samples: BoolArray  # bool (F, 5): in the order of the recording's frames and of `JOINTS`
 
     @classmethod
     def nothing(cls, recording: Recording) -> Excluded:
@@ -188,27 +158,7 @@ class Excluded:
 def without_wrong_blocks(
     recording: Recording, solve: Callable[[Recording], Solved], names: Sequence[str] = ("the camera",)
 ) -> Solved:
-    """The recovery of a recording without the camera's blocks that the rest contradicts.
-
-    Parameters
-    ----------
-    recording : Recording
-        As the camera saw it, its clocks near each other.
-    solve : callable
-        From a recording to its recovery.
-    names : sequence of str
-        Of the cameras, in sentences.
-
-    Returns
-    -------
-    Solved
-        The estimates of its recovery name what was left out, and what nothing decides.
-
-    Raises
-    ------
-    SolveError
-        Nothing of the recording can be solved.
-    """
+    """The recovery of a recording without the camera's blocks that the rest contradicts."""
     first = best = solve(recording)
     nothing = excluded = Excluded.nothing(recording)
     contradicting = suspects(best.evidence)
@@ -233,13 +183,7 @@ def without_wrong_blocks(
 
 
 def suspects(evidence: CameraEvidence) -> list[Suspect]:
-    """Times of a camera's samples that the rest contradicts, merged.
-
-    Parameters
-    ----------
-    evidence : CameraEvidence
-        Of a recovery.
-    """
+    """Times of a camera's samples that the rest contradicts, merged."""
     found = [
         Suspect(shift.start_s, shift.end_s, shift.camera)
         for shift in evidence.shifts
@@ -292,11 +236,8 @@ def _merged(times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def left_out(recording: Recording, recovery: Recovery, times: Sequence[Suspect]) -> Excluded:
-    """All joints of suspects, of what their camera saw beside them, and of what was mostly rejected already.
-
-    A block that the answer has followed looks sound, and the ones beside it guilty: so as much as `BESIDE_S`
-    on both sides goes with a suspect, and so does what would be left between two of them. Where most samples
-    were rejected one by one, the others go as well.
+    """All joints of suspects, of what their camera saw beside them, and of what was mostly rejected
+    already.
     """
     tracked = recording.arm.state == JointState.TRACKED
     frames = np.zeros(len(tracked), bool)
@@ -332,16 +273,7 @@ def _visible_runs(t: FloatArray, seen: BoolArray) -> list[slice]:
 
 
 def readmitted(excluded: Excluded, recovery: Recovery, recording: Recording) -> Excluded:
-    """What is still left out once the slices that the answer without them predicts are used again.
-
-    Parameters
-    ----------
-    excluded : Excluded
-        What the recovery was made without.
-    recovery : Recovery
-    recording : Recording
-        As the camera saw it.
-    """
+    """What is still left out once the slices that the answer without them predicts are used again."""
     samples = excluded.samples.copy()
     frame_t = np.asarray(recovery.arm.t_s)
     slices = [

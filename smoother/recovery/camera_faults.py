@@ -24,26 +24,13 @@ _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("elbow", "wrist"))
 
 
 def camera_faults(
-    excluded: BoolArray,
+    excluded: BoolArray,  # bool (F,)
     contradicting: Sequence[tuple[float, float, int]],
     recovery: Recovery,
     recording: Recording,
     names: Sequence[str],
 ) -> Iterator[Finding]:
-    """What was left out, and what contradicts even then.
-
-    Parameters
-    ----------
-    excluded : ndarray of bool, shape (F,)
-        Frames that the recovery was made without.
-    contradicting : sequence of (start, end, camera), s and number
-        What the answer contradicts all the same.
-    recovery : Recovery
-    recording : Recording
-        As the camera saw it.
-    names : sequence of str
-        Of the cameras, in sentences.
-    """
+    """What was left out, and what contradicts even then."""
     frame_t = np.asarray(recovery.arm.t_s)
     for name, own in zip(names, recording.arm.rows_by_camera, strict=True):
         for run in _joined(excluded, recording, own):

@@ -26,14 +26,7 @@ def names_of(rig: CameraRig | None, arm: JointTracks) -> tuple[str, ...]:
 
 
 def with_cameras(recovery: Recovery, rig: CameraRig | None) -> Recovery:
-    """The recovery with the table of its cameras among its estimates.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    rig : CameraRig or None
-        None where the recording has one camera: then nothing changes.
-    """
+    """The recovery with the table of its cameras among its estimates."""
     sigma = recovery.estimates.camera_sigma_m or {}
     if rig is None:
         return recovery if recovery.arm.camera is None else replace(recovery, estimates=_of_first(recovery))

@@ -38,27 +38,13 @@ DEGREES = float(np.degrees(1.0))
 
 @dataclass(frozen=True)
 class Alternative:
-    """A recording as it would have been, had one mistake not been made.
+    """A recording as it would have been, had one mistake not been made."""
 
-    Attributes
-    ----------
-    mistake : str
-        What was wrong then, as "the skeleton seems mirrored (x)".
-    corrected : function
-        From the recording to the one without the mistake.
-    advice : str
-        What to do about it.
-    remedy : Remedy, optional
-        The options that undo it.
-    kind : str
-        Of alternatives of one kind the first that fits is meant.
-    """
-
-    mistake: str
-    corrected: Callable[[Recording], Recording]
-    advice: str
-    remedy: Remedy | None = None
-    kind: str = ""
+    mistake: str  # What was wrong then, as "the skeleton seems mirrored (x)"
+    corrected: Callable[[Recording], Recording]  # From the recording to the one without the mistake
+    advice: str  # What to do about it
+    remedy: Remedy | None = None  # The options that undo it
+    kind: str = ""  # Of alternatives of one kind the first that fits is meant
 
 
 ON_UPPER_ARM = Alternative(
@@ -148,36 +134,16 @@ SAME_DOWN_DEG = 35.0
 
 @dataclass(frozen=True)
 class Cause:
-    """Why a result is not to be trusted.
+    """Why a result is not to be trusted."""
 
-    Attributes
-    ----------
-    sentence : str
-        What is wrong and what to do, without a full stop.
-    remedies : tuple of Remedy
-        What undoes it, as options; several where they cannot be told apart, none where nothing can.
-    """
-
-    sentence: str
-    remedies: tuple[Remedy, ...] = ()
+    sentence: str  # What is wrong and what to do, without a full stop
+    remedies: tuple[Remedy, ...] = ()  # What undoes it, as options
 
 
 def with_cause(
     recovery: Recovery, recording: Recording, given: ArmCalibration, measured: Clock | None = None
 ) -> Recovery:
-    """A recovery with the likeliest cause first among its reasons, if it is not to be trusted.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With a verdict.
-    recording : Recording
-        What it was made of, its clocks near each other.
-    given : ArmCalibration
-        What was given of the arm.
-    measured : Clock, optional
-        By which the camera's stamps were moved, where one was given.
-    """
+    """A recovery with the likeliest cause first among its reasons, if it is not to be trusted."""
     estimates = recovery.estimates
     if estimates.trusted is not False or estimates.cause is not None:
         return recovery
@@ -214,11 +180,7 @@ def diagnose_failures(
 def likeliest_cause(
     recording: Recording, given: ArmCalibration | None = None, measured: Clock | None = None
 ) -> Cause | None:
-    """The mistake that explains a recording on which something is wrong; None where none does.
-
-    `recording` and `given` as in `selfcal.mounting.closed_form`; `measured` is the clock by which the
-    camera's stamps were moved, where one was given.
-    """
+    """The mistake that explains a recording on which something is wrong; None where none does."""
     for swapped in swapped_joints(recording.arm):
         return fixed_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.applied_fixes)
     recorded, recording = recording, informative_recording(recording, Timeline.of(recording))

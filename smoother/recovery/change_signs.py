@@ -31,48 +31,21 @@ SCALE_SIGMA, DRIFT_NOISE_DEG = 0.02, 2.0
 
 @dataclass(frozen=True)
 class GyroscopeDrift:
-    """Turns of the answer that the gyroscope did not feel.
+    """Turns of the answer that the gyroscope did not feel."""
 
-    Attributes
-    ----------
-    at_s : ndarray, shape (n,), s
-        Middles of the times looked at, `OVER_S` each.
-    angle_deg : ndarray, shape (n,), degrees
-        How far the answer turned against the gyroscope.
-    sigma_deg : ndarray, shape (n,), degrees
-        Of the orientations at both ends.
-    turn : ndarray, shape (n, 3), degrees
-        The same as `angle_deg` as rotation vectors in {K}.
-    turned_deg : ndarray, shape (n,), degrees
-        How far the gyroscope turned in that time, to and fro added up.
-    """
-
-    at_s: FloatArray
-    angle_deg: FloatArray
-    sigma_deg: FloatArray
-    turn: FloatArray
-    turned_deg: FloatArray
+    at_s: FloatArray  # (n,) s: middles of the times looked at, `OVER_S` each
+    angle_deg: FloatArray  # (n,) degrees: how far the answer turned against the gyroscope
+    sigma_deg: FloatArray  # (n,) degrees: of the orientations at both ends
+    turn: FloatArray  # (n, 3) degrees: the same as `angle_deg` as rotation vectors in {K}
+    turned_deg: FloatArray  # (n,) degrees: how far the gyroscope turned in that time, to and fro added up
 
 
-def gyroscope_drift(recovery: Recovery, imu: ImuStream, gyroscope_bias: FloatArray) -> GyroscopeDrift:
-    """Compare the answer's turning with the gyroscope's, added up in the camera's frame.
-
-    What scale errors of the gyroscope's axes explain, all the time the same ones, is taken out.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With an orientation at the IMU's samples.
-    imu : ImuStream
-        What it was made of.
-    gyroscope_bias : ndarray, shape (3,), rad/s
-        As it was estimated.
-
-    Returns
-    -------
-    drift : GyroscopeDrift
-        Empty where the recording is shorter than `OVER_S`.
-    """
+def gyroscope_drift(
+    recovery: Recovery,
+    imu: ImuStream,
+    gyroscope_bias: FloatArray,  # (3,) rad/s
+) -> GyroscopeDrift:
+    """Compare the answer's turning with the gyroscope's, added up in the camera's frame."""
     t = np.asarray(recovery.t_s)
     at = np.arange(t[0], t[-1], STEP_S) if len(t) > 1 else np.zeros(0)
     usual = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
@@ -103,15 +76,11 @@ def gyroscope_drift(recovery: Recovery, imu: ImuStream, gyroscope_bias: FloatArr
     )
 
 
-def _scale_error(turn: FloatArray, felt: FloatArray) -> FloatArray:
-    """Scale errors (3,) of the gyroscope's axes that explain most of what it did not feel.
-
-    Parameters
-    ----------
-    turn : ndarray, shape (n, 3), degrees
-    felt : ndarray, shape (n, 3, 3), degrees
-        What each axis added, a column each.
-    """
+def _scale_error(
+    turn: FloatArray,  # (n, 3) degrees
+    felt: FloatArray,  # (n, 3, 3) degrees
+) -> FloatArray:
+    """Scale errors (3,) of the gyroscope's axes that explain most of what it did not feel."""
     known = np.isfinite(turn).all(axis=1) & np.isfinite(felt).all(axis=(1, 2))
     A = np.vstack([felt[known].reshape(-1, 3) / DRIFT_NOISE_DEG, np.eye(3) / SCALE_SIGMA])
     b = np.concatenate([turn[known].ravel() / DRIFT_NOISE_DEG, np.zeros(3)])
@@ -119,11 +88,7 @@ def _scale_error(turn: FloatArray, felt: FloatArray) -> FloatArray:
 
 
 def _unfelt(batch: Recovery, rate: FloatArray, usual_s: float) -> FloatArray:
-    """Of each step, rad, in {K}: what the gyroscope did not feel, what its axes felt, how far it turned.
-
-    Shape (n - 1, 3, 5). Zero over a pause and where there is no orientation. How far it turned has no
-    direction: it is the first row of the last column.
-    """
+    """Of each step, rad, in {K}: what the gyroscope did not feel, what its axes felt, how far it turned."""
     step = np.diff(np.asarray(batch.t_s))
     known = np.asarray(np.isfinite(batch.quaternion).all(axis=1))
     R_K_A = Rotation.from_quat(
@@ -177,17 +142,12 @@ STILL_RAD_S, STILL_MEAN_S, STILL_S = 0.03, 0.1, 3.0
 STILL_TURN_DEG, STILL_SHARE, STILL_FRAMES = 20.0, 0.2, 30
 
 
-def changes(recovery: Recovery, recording: Recording, gyroscope_bias: FloatArray) -> Iterator[str]:
-    """What changed while the recording ran, so that no answer holds before and after it.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    recording : Recording
-        What it was made of.
-    gyroscope_bias : ndarray, shape (3,), rad/s
-        As it was estimated.
-    """
+def changes(
+    recovery: Recovery,
+    recording: Recording,
+    gyroscope_bias: FloatArray,  # (3,) rad/s
+) -> Iterator[str]:
+    """What changed while the recording ran, so that no answer holds before and after it."""
     jumps = _all_jumps(recording.imu, gyroscope_bias)
     found = list(strap_slipped(jumps))
     if len(recovery) == len(recording.imu):
@@ -198,14 +158,8 @@ def changes(recovery: Recovery, recording: Recording, gyroscope_bias: FloatArray
     yield from found
 
 
-def strap_slipped(jumps: FloatArray) -> Iterator[str]:
-    """The IMU's down jumps although the gyroscope felt no turn.
-
-    Parameters
-    ----------
-    jumps : ndarray, shape (n, 3)
-        From `down_jumps`.
-    """
+def strap_slipped(jumps: FloatArray) -> Iterator[str]:  # jumps (n, 3)
+    """The IMU's down jumps although the gyroscope felt no turn."""
     sure = jumps[jumps[:, 2] == len(BEFORE_AFTER_S)]
     if not len(sure):
         return
@@ -220,15 +174,8 @@ def strap_slipped(jumps: FloatArray) -> Iterator[str]:
         )
 
 
-def gyroscope_left(drift: GyroscopeDrift, jumps: FloatArray) -> Iterator[str]:
-    """The answer turns, and the gyroscope did not feel it.
-
-    Parameters
-    ----------
-    drift : GyroscopeDrift
-    jumps : ndarray, shape (n, 3)
-        From `down_jumps`.
-    """
+def gyroscope_left(drift: GyroscopeDrift, jumps: FloatArray) -> Iterator[str]:  # jumps (n, 3)
+    """The answer turns, and the gyroscope did not feel it."""
 
     def beyond(angle_deg: float, sigmas: float, share: float) -> BoolArray:
         least = np.maximum(sigmas * drift.sigma_deg, share * drift.turned_deg)
@@ -270,18 +217,8 @@ def _batches(imu: ImuStream) -> Iterator[tuple[int, int]]:
             first = int(np.searchsorted(t, t[last - 1] - 2.0 * max(BEFORE_AFTER_S)))
 
 
-def down_jumps(imu: ImuStream, gyroscope_bias: FloatArray) -> FloatArray:
-    """Angles between down before and after moments of a batch.
-
-    The gyroscope takes specific force to one frame; its mean over some seconds is gravity but for the change
-    of velocity over that time.
-
-    Returns
-    -------
-    jumps : ndarray, shape (n, 3)
-        Time, s; the angle, degrees, the smallest one of those over the lengths of time that fit into the
-        batch; and how many lengths these are.
-    """
+def down_jumps(imu: ImuStream, gyroscope_bias: FloatArray) -> FloatArray:  # -> (n, 3)
+    """Angles between down before and after moments of a batch."""
     t, turning = np.asarray(imu.t_s), without_spikes(imu).gyro - gyroscope_bias
     step = np.diff(t)[:, None]
     R = chained(Rotation.from_rotvec(0.5 * (turning[1:] + turning[:-1]) * step).as_matrix())
@@ -302,18 +239,7 @@ def down_jumps(imu: ImuStream, gyroscope_bias: FloatArray) -> FloatArray:
 
 
 def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[Finding]:
-    """Down in the camera's frame is another one from some moment on.
-
-    As with a turn about the vertical, a large one leaves nothing in one frame; a small one is in doubt around
-    that moment.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Its orientations take the specific force into the camera's frame.
-    recording : Recording
-        What it was made of; with an IMU on the camera nothing is said, as it may move.
-    """
+    """Down in the camera's frame is another one from some moment on."""
     if recording.base_imu is not None or len(recovery) != len(recording.imu):
         return
     at_s, down = _down_in_camera(recovery, recording.imu)
@@ -338,15 +264,8 @@ def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[Finding]
         )
 
 
-def camera_turned(drift: GyroscopeDrift, down: FloatArray) -> Iterator[str]:
-    """The answer turns about the vertical, and the gyroscope did not feel it.
-
-    Parameters
-    ----------
-    drift : GyroscopeDrift
-    down : ndarray, shape (3,)
-        Unit vector in {K}; not finite where it is not known.
-    """
+def camera_turned(drift: GyroscopeDrift, down: FloatArray) -> Iterator[str]:  # down (3,)
+    """The answer turns about the vertical, and the gyroscope did not feel it."""
     if not np.isfinite(down).all():
         return
     about_down = np.abs(drift.turn @ down)
@@ -361,19 +280,12 @@ def camera_turned(drift: GyroscopeDrift, down: FloatArray) -> Iterator[str]:
         )
 
 
-def imu_lies_still(recovery: Recovery, recording: Recording, gyroscope_bias: FloatArray) -> Iterator[Finding]:
-    """Times at which the IMU does not turn at all while the camera sees the forearm turn.
-
-    It was taken off, or the camera follows somebody else: a forearm cannot turn without its sensor.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With residuals.
-    recording : Recording
-        What it was made of.
-    gyroscope_bias : ndarray, shape (3,), rad/s
-    """
+def imu_lies_still(
+    recovery: Recovery,
+    recording: Recording,
+    gyroscope_bias: FloatArray,  # (3,) rad/s
+) -> Iterator[Finding]:
+    """Times at which the IMU does not turn at all while the camera sees the forearm turn."""
     residuals, imu = recovery.residuals, recording.imu
     if residuals is None or len(imu) < 3:
         return

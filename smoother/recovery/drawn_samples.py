@@ -31,54 +31,23 @@ from .samples import (
 
 @dataclass(frozen=True)
 class SectionDraws:
-    """Motions drawn at some of a section's samples.
+    """Motions drawn at some of a section's samples."""
 
-    Attributes
-    ----------
-    samples : ndarray of int, shape (m,)
-        Which of the section's samples.
-    columns : dict of str to ndarray of float32, shape (m, k, 3)
-        Deviations from the answer by name, as `result.Draws.columns` has them.
-    """
-
-    samples: IntArray
+    samples: IntArray  # int (m,): which of the section's samples
+    # dict of (m, k, 3): Deviations from the answer by name, as `result.Draws.columns` has them
     columns: dict[str, FloatArray]
 
 
 def sample_draws(
     answer: SectionAnswer,
-    imu_t: FloatArray,
+    imu_t: FloatArray,  # (n,) s
     drawn: WindowDraws,
     trajectory: Trajectory,
     model: SelfCalibration,
     layout: SharedLayout,
     plan: DrawPlan,
 ) -> SectionDraws:
-    """A section's drawn motions at its samples.
-
-    Each step of `sample_section` that widens the covariance moves the draws by as much: by a factor, or by an
-    error that is drawn once for the recording.
-
-    Parameters
-    ----------
-    answer : SectionAnswer
-        At the same samples.
-    imu_t : ndarray, shape (n,), s
-        Their stamps.
-    drawn : WindowDraws
-        At the nodes.
-    trajectory : Trajectory
-        Of the second pass.
-    model : SelfCalibration
-        As all sections have it.
-    layout : SharedLayout
-        Of the shared vector that the plan has.
-    plan : DrawPlan
-
-    Returns
-    -------
-    draws : SectionDraws
-    """
+    """A section's drawn motions at its samples."""
     first = -answer.samples.start % plan.every
     samples = np.arange(first, len(imu_t), plan.every)
     t, nodes = imu_t[samples], trajectory.t
@@ -140,11 +109,7 @@ def sample_draws(
 
 
 def lever_errors(model: SelfCalibration, layout: SharedLayout, plan: DrawPlan) -> dict[str, FloatArray]:
-    """Errors of the lever arms by joint (k, 3), m in {A}, drawn once, with the sigmas that are stated.
-
-    A sigma has two parts (`calibration_from`): the common part of the camera's constant errors, which is the
-    same for all joints, and what the windows leave open, in which joints hang together as all windows say.
-    """
+    """Errors of the lever arms by joint (k, 3), m in {A}, drawn once, with the sigmas that are stated."""
     constants = layout.constants.start
     scale = np.sqrt(np.diag(plan.shared))
     correlation = (plan.shared / scale / scale[:, None])[constants:, constants:]
@@ -189,11 +154,7 @@ def _turns(rotation: FloatArray, motion: SegmentTrajectory, t: FloatArray) -> Fl
 
 
 def _widened(p: FloatArray, r: FloatArray, pose_covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions and turns (m, k, 3) with the covariance that `widen_turns` makes of theirs.
-
-    It takes a variance v to v (1 + v / LINEAR_RAD^2)^2, so the turn about that axis grows by the factor in
-    brackets, and the position by what follows from that.
-    """
+    """Positions and turns (m, k, 3) with the covariance that `widen_turns` makes of theirs."""
     wide = large_rotation_uncertainty(pose_covariance)
     if wide is None:
         return p, r

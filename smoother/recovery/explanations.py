@@ -49,24 +49,12 @@ SAME_RAD, OWN_RAD = np.radians(8.0), np.radians(25.0)
 
 @dataclass(frozen=True)
 class Explanation:
-    """What camera and IMU may have seen.
+    """What camera and IMU may have seen."""
 
-    Attributes
-    ----------
-    Q_K : ndarray, shape (3, 3)
-        Orthogonal: from the answer's directions in {K} to this one's.
-    along_A : ndarray, shape (3,)
-        The forearm's direction in the sensor.
-    cost : float
-        Negative log-likelihood of what was seen, up to a constant.
-    direction_rad : float, rad
-        Root mean square angle of the forearm that it leaves.
-    """
-
-    Q_K: FloatArray
-    along_A: FloatArray
-    cost: float
-    direction_rad: float = 0.0
+    Q_K: FloatArray  # (3, 3): orthogonal: from the answer's directions in {K} to this one's
+    along_A: FloatArray  # (3,): the forearm's direction in the sensor
+    cost: float  # Negative log-likelihood of what was seen, up to a constant
+    direction_rad: float = 0.0  # Root mean square angle of the forearm that it leaves
 
     @property
     def is_mirrored(self) -> bool:
@@ -82,42 +70,18 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Seen:
-    """What the camera saw beside its prediction from the answer's attitude and the IMU.
+    """What the camera saw beside its prediction from the answer's attitude and the IMU."""
 
-    Attributes
-    ----------
-    along_K : ndarray, shape (n, 3)
-        The forearm's direction by the camera.
-    R_K_A : ndarray, shape (n, 3, 3)
-        The answer's attitude at these frames.
-    acc_K : ndarray, shape (m, 3), m/s^2
-        A joint's acceleration by the camera.
-    imu_K : ndarray, shape (m, 3), m/s^2
-        The IMU's by itself, in the answer's axes.
-    turn_K : ndarray, shape (m, 3, 3), 1/s^2
-        What a lever arm in {A} adds to it.
-    lever_A : ndarray, shape (3,), m
-        Of that joint in the answer.
-    """
-
-    along_K: FloatArray
-    R_K_A: FloatArray
-    acc_K: FloatArray
-    imu_K: FloatArray
-    turn_K: FloatArray
-    lever_A: FloatArray
+    along_K: FloatArray  # (n, 3): the forearm's direction by the camera
+    R_K_A: FloatArray  # (n, 3, 3): the answer's attitude at these frames
+    acc_K: FloatArray  # (m, 3) m/s^2: A joint's acceleration by the camera
+    imu_K: FloatArray  # (m, 3) m/s^2: the IMU's by itself, in the answer's axes
+    turn_K: FloatArray  # (m, 3, 3) 1/s^2: what a lever arm in {A} adds to it
+    lever_A: FloatArray  # (3,) m: of that joint in the answer
 
 
 def seen(recovery: Recovery, excerpts: Sequence[Segment]) -> Seen | None:
-    """What was seen in some excerpts; None where that does not determine the mounting.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With residuals and lever arms.
-    excerpts : sequence of Segment
-        Of the same recording.
-    """
+    """What was seen in some excerpts; None where that does not determine the mounting."""
     arm, residuals = recovery.calibration, recovery.residuals
     if arm is None or residuals is None or arm.forearm_direction is None:
         return None
@@ -190,39 +154,15 @@ def _thinned(t: FloatArray, mask: BoolArray) -> IntArray:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The cost of any explanation, from second moments of what was seen.
+    """The cost of any explanation, from second moments of what was seen."""
 
-    With l a joint's lever arm, in the answer l_0, the cost is up to a constant the sum of
-
-    - `n_d |d - Q R f|^2 / s_d^2` for directions d, which have two degrees of freedom,
-    - `3 n_a |a - Q (b + T l)|^2 / (2 s_a^2)` for accelerations a, by the IMU b,
-    - `(1 - down' Q g) / s_g^2` for the answer's gravity g, and `|l - l_0|^2 / (2 s_l^2)`,
-
-    with means over what was seen; n counts the independent ones, s^2 is their mean square.
-
-    Attributes
-    ----------
-    directions : ndarray, shape (3, 3, 3)
-        Mean of d_i R_jk, times its weight.
-    accelerations : ndarray, shape (3, 3)
-        Mean of a_i b_j, times its weight.
-    by_lever : ndarray, shape (3, 3, 3)
-        Mean of a_i T_jk, times its weight.
-    lever_matrix, lever_vector : ndarray, shape (3, 3) and (3,)
-        Of the quadratic form in l that does not depend on Q.
-    gravity : ndarray, shape (3, 3)
-        Outer product of the frame's down and the answer's, times its weight.
-    constant : float
-        What depends on neither.
-    """
-
-    directions: FloatArray
-    accelerations: FloatArray
-    by_lever: FloatArray
-    lever_matrix: FloatArray
-    lever_vector: FloatArray
-    gravity: FloatArray
-    constant: float
+    directions: FloatArray  # (3, 3, 3): mean of d_i R_jk, times its weight
+    accelerations: FloatArray  # (3, 3): mean of a_i b_j, times its weight
+    by_lever: FloatArray  # (3, 3, 3): mean of a_i T_jk, times its weight
+    lever_matrix: FloatArray  # (3, 3) and (3,): of the quadratic form in l that does not depend on Q
+    lever_vector: FloatArray  # (3, 3) and (3,): of the quadratic form in l that does not depend on Q
+    gravity: FloatArray  # (3, 3): outer product of the frame's down and the answer's, times its weight
+    constant: float  # What depends on neither
 
     @classmethod
     def of(
@@ -274,25 +214,12 @@ class Likelihood:
 
 
 def explanations(
-    recovery: Recovery, excerpts: Sequence[Segment], down_K: FloatArray, within: float
+    recovery: Recovery,
+    excerpts: Sequence[Segment],
+    down_K: FloatArray,
+    within: float,  # down_K (3,)
 ) -> tuple[Explanation, tuple[Explanation, ...]] | None:
-    """The answer as an explanation, and the others that fit nearly as well or better.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    excerpts : sequence of Segment
-        As for `seen`.
-    down_K : ndarray, shape (3,)
-        Down as the camera's frame has it; zero where it is not known.
-    within : float
-        Log-likelihood by which another may be less likely than the answer.
-
-    Returns
-    -------
-    own, others : Explanation, tuple of Explanation
-        The others by their cost, which counts from the answer's; None where what was seen says too little.
-    """
+    """The answer as an explanation, and the others that fit nearly as well or better."""
     what = seen(recovery, excerpts)
     arm = recovery.calibration
     if what is None or arm is None or arm.forearm_direction is None:

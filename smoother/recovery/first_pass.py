@@ -45,45 +45,18 @@ TOLERANCE = 1e-2
 
 @dataclass(frozen=True)
 class FirstAnswer:
-    """What a section says to all.
+    """What a section says to all."""
 
-    Attributes
-    ----------
-    state : SectionState
-        What its second pass needs.
-    t_s : ndarray, shape (k,), s
-        Middles of its windows.
-    selected : ndarray of int, shape (m,)
-        Which of its windows were selected.
-    messages : list of Message
-        On the shared quantities, one of each of these.
-    strengths : tuple of ndarray
-        Of the magnetic field where it was read, one per window.
-    clock_score : ClockScore
-        On the clock, of one window.
-    """
-
-    state: SectionState
-    t_s: FloatArray
-    selected: IntArray
-    messages: list[Message]
-    strengths: tuple[FloatArray, ...]
-    clock_score: ClockScore
+    state: SectionState  # What its second pass needs
+    t_s: FloatArray  # (k,) s: middles of its windows
+    selected: IntArray  # int (m,): which of its windows were selected
+    messages: list[Message]  # On the shared quantities, one of each of these
+    strengths: tuple[FloatArray, ...]  # Of the magnetic field where it was read, one per window
+    clock_score: ClockScore  # On the clock, of one window
 
 
 def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
-    """Solve a section by itself; None where the camera saw too little of the forearm.
-
-    Parameters
-    ----------
-    data : SectionData
-    task : Task
-
-    Raises
-    ------
-    SolveError
-        A window leaves something free; the text names the time.
-    """
+    """Solve a section by itself; None where the camera saw too little of the forearm."""
     segment = data.segment()
     if segment is None:
         return None
@@ -138,59 +111,30 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
 
 @dataclass(frozen=True)
 class SecondJob:
-    """A section of the second pass: its state, and of each of its windows the priors and the field.
-
-    Attributes
-    ----------
-    state : SectionState
-    priors : list of Priors
-        One per window.
-    field : dict of int to FieldMeasurements
-        What the magnetometer adds, by the window's number in the section.
-    """
+    """A section of the second pass: its state, and of each of its windows the priors and the field."""
 
     state: SectionState
-    priors: list[Priors]
-    field: dict[int, FieldMeasurements]
+    priors: list[Priors]  # One per window
+    field: dict[int, FieldMeasurements]  # What the magnetometer adds, by the window's number in the section
 
 
 @dataclass
 class FirstPass:
-    """The answers of all sections, in the order of time; their states are in a store.
-
-    Attributes
-    ----------
-    messages : list of Message
-        Of the windows that were selected.
-    selected : list of int
-        Numbers of these windows in the recording.
-    t_s : list of float, s
-        Middles of all windows.
-    clock_scores : list of ClockScore
-        One a section.
-    strengths : list of ndarray
-        Of the magnetic field, one per window; empty without a magnetometer.
-    """
+    """The answers of all sections, in the order of time; their states are in a store."""
 
     store: Store
-    messages: list[Message] = field(default_factory=list)
-    selected: list[int] = field(default_factory=list)
-    t_s: list[float] = field(default_factory=list)
-    clock_scores: list[ClockScore] = field(default_factory=list)
-    strengths: list[FloatArray] = field(default_factory=list)
+    messages: list[Message] = field(default_factory=list)  # Of the windows that were selected
+    selected: list[int] = field(default_factory=list)  # Numbers of these windows in the recording
+    t_s: list[float] = field(default_factory=list)  # Middles of all windows
+    clock_scores: list[ClockScore] = field(default_factory=list)  # One a section
+    strengths: list[FloatArray] = field(default_factory=list)  # Of the magnetic field, one per window
     _states: list[tuple[object, range]] = field(default_factory=list)
 
     @classmethod
     def over(
         cls, sections: Sections, task: Task, workers: Pool, store: Store, progress: Callable[[float], None]
     ) -> FirstPass:
-        """Solve all sections, side by side.
-
-        Raises
-        ------
-        SolveError
-            No section has enough inliers.
-        """
+        """Solve all sections, side by side."""
         first = cls(store)
         for count, answer in enumerate(workers.map(partial(solve_alone, task=task), sections), start=1):
             if answer is not None:
@@ -231,31 +175,14 @@ class FirstPass:
     def jobs(
         self, priors: Iterator[Priors], field_by_window: Mapping[int, FieldMeasurements]
     ) -> Iterator[SecondJob]:
-        """The second pass's jobs, a section each.
-
-        Parameters
-        ----------
-        priors : iterator of Priors
-            Of all windows, in the order of time.
-        field_by_window : mapping of int to FieldMeasurements
-            What the magnetometer adds, by the window's number in the recording.
-        """
+        """The second pass's jobs, a section each."""
         for state, windows in self.states():
             own = {k - windows.start: field_by_window[k] for k in windows if k in field_by_window}
             yield SecondJob(state, list(islice(priors, len(windows))), own)
 
 
 def magnetic_field(first: FirstPass, task: Task, workers: Pool) -> Magnetometer:
-    """The field's measurements by window, where they agree with the rest of the recording.
-
-    Parameters
-    ----------
-    first : FirstPass
-        Its states come back with outliers rejected.
-    task : Task
-        Refined by the first pass.
-    workers : Pool
-    """
+    """The field's measurements by window, where they agree with the rest of the recording."""
     if not task.magnetometer:
         return NO_MAGNETOMETER
     strength, reason = usual_strength(first.strengths)

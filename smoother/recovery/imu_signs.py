@@ -75,10 +75,7 @@ def rate(imu: ImuStream, least_hz: float) -> Iterator[str]:
 
 
 def zeros(imu: ImuStream) -> Iterator[str]:
-    """Samples without any force: a sensor that falls freely is a sensor that sends nothing.
-
-    A gyroscope without any noise sends nothing either.
-    """
+    """Samples without any force: a sensor that falls freely is a sensor that sends nothing."""
     if len(imu) and not np.asarray(imu.gyro).any():
         yield "the gyroscope sends zeros: check that it is switched on and exported"
     silent = [
@@ -136,18 +133,10 @@ def spikes(imu: ImuStream) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class ForceScale:
-    """How large specific force is where gravity alone acts.
+    """How large specific force is where gravity alone acts."""
 
-    Attributes
-    ----------
-    ratio : float
-        Of its size to gravity's; 1 for a sound accelerometer, whatever its bias.
-    sigma : float
-        Standard deviation of the ratio, what a bias may explain included.
-    """
-
-    ratio: float
-    sigma: float
+    ratio: float  # Of its size to gravity's; 1 for a sound accelerometer, whatever its bias
+    sigma: float  # Standard deviation of the ratio, what a bias may explain included
 
     @property
     def is_wrong(self) -> bool:
@@ -160,20 +149,9 @@ class ForceScale:
         return not self.is_wrong and abs(self.ratio - 1.0) > max(SCALE_CARE, CARE_SIGMAS * self.sigma)
 
 
-def force_scale(imu: ImuStream, gyroscope_bias: FloatArray) -> ForceScale | None:
-    """The accelerometer's scale by gravity, without a moment of rest; None where the recording cannot tell.
-
-    Over some seconds the gyroscope takes specific force to one frame, where its mean is gravity but for the
-    change of velocity over that time. The size of the mean is scale * g + d . b with the direction d of up in
-    the sensor's axes and the bias b: a bias shows by changing with the pose, and what it may explain where
-    the pose stays the same is left in sigma. So is a gyroscope that is wrong, by how much a mean loses that
-    follows no turn.
-
-    Parameters
-    ----------
-    imu : ImuStream
-    gyroscope_bias : ndarray, shape (3,), rad/s
-        As it was estimated.
+def force_scale(imu: ImuStream, gyroscope_bias: FloatArray) -> ForceScale | None:  # gyroscope_bias (3,) rad/s
+    """The accelerometer's scale by gravity, without a moment of rest; None where the recording cannot
+    tell.
     """
     at_end, _ = _at_a_ranges_end(imu.gyro)
     whole = (window for window in _windows(imu) if at_end[window].mean() <= PLATEAU_SHARE)
@@ -284,21 +262,11 @@ PART_S, SHARED_S = 300.0, 60.0
 
 @dataclass(frozen=True)
 class ClockStep:
-    """The likeliest moment at which the offset between camera and IMU changed.
+    """The likeliest moment at which the offset between camera and IMU changed."""
 
-    Attributes
-    ----------
-    at_s : float, s
-        On the IMU's clock.
-    step_s : float, s
-        By how much; negative where the IMU is ahead of its stamps from then on.
-    gain : float
-        Log-likelihood that it adds to one offset throughout.
-    """
-
-    at_s: float
-    step_s: float
-    gain: float
+    at_s: float  # On the IMU's clock
+    step_s: float  # By how much; negative where the IMU is ahead of its stamps from then on
+    gain: float  # Log-likelihood that it adds to one offset throughout
 
     @property
     def sentence(self) -> str:
@@ -328,16 +296,7 @@ def lost_samples(recovery: Recovery, recording: Recording) -> Iterator[Finding]:
 
 
 def clock_steps(recovery: Recovery, recording: Recording) -> list[ClockStep]:
-    """The likeliest step of the clock in every part of a recording that can tell.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Its orientation turns what the gyroscope feels into the camera's frame, its residuals give the frames'
-        times.
-    recording : Recording
-        What it was made of.
-    """
+    """The likeliest step of the clock in every part of a recording that can tell."""
     if len(recovery) != len(recording.imu) or len(recovery) < 3:
         return []
     first_s, end_s = float(recovery.t_s[0]), float(recovery.t_s[-1])

@@ -20,10 +20,7 @@ MOST_SAMPLES = 5_000
 
 
 def distance_sigma_m(recovery: Recovery) -> float | None:
-    """How well the wrist's distance from the camera is known, m: median sigma, in gaps if there are any.
-
-    None where a camera with depth, or a second one, sees the arm.
-    """
+    """How well the wrist's distance from the camera is known, m: median sigma, in gaps if there are any."""
     origins = recovery.arm.ray_origin_m
     if origins is None or not is_alone(origins) or "wrist" not in recovery.joints:
         return None

@@ -54,16 +54,7 @@ NEAR_S = 0.05
 
 @dataclass(frozen=True)
 class FieldMean:
-    """The mean field over some seconds of a window.
-
-    Attributes
-    ----------
-    window : its number.
-    node, t_s : of the window of the second pass, and its time.
-    in_K, in_A : (3,) the mean, in the camera's axes and in the sensor's at the node.
-    share : undisturbed part.
-    attitude_covariance : (3, 3) rad^2 in {K}, of the first solution.
-    """
+    """The mean field over some seconds of a window."""
 
     window: int
     node: int
@@ -76,27 +67,14 @@ class FieldMean:
 
 @dataclass(frozen=True)
 class Magnetometer:
-    """What became of the magnetometer.
+    """What became of the magnetometer."""
 
-    Attributes
-    ----------
-    direction : ndarray, shape (3,)
-        Of the field in {K}; nan where it is not known.
-    sigma_rad : float, rad
-        Of a mean's direction.
-    means, used : int
-        How many means of the field there are, and how many are used.
-    note : str
-        A sentence for the reader, "" where there is no calibrated magnetometer.
-    by_window : dict of int to FieldMeasurements
-        What it adds to a window of the second pass, by the window's number in the recording.
-    """
-
-    direction: FloatArray
-    sigma_rad: float = float("nan")
-    means: int = 0
-    used: int = 0
-    note: str = ""
+    direction: FloatArray  # (3,): of the field in {K}; nan where it is not known
+    sigma_rad: float = float("nan")  # Of a mean's direction
+    means: int = 0  # How many means of the field there are, and how many are used
+    used: int = 0  # How many means of the field there are, and how many are used
+    note: str = ""  # A sentence for the reader, "" where there is no calibrated magnetometer
+    # What it adds to a window of the second pass, by the window's number in the recording
     by_window: dict[int, FieldMeasurements] = field(default_factory=dict)
 
     def noted(self, recovery: Recovery) -> Recovery:
@@ -121,14 +99,7 @@ NO_MAGNETOMETER = Magnetometer(np.full(3, np.nan))
 
 @dataclass(frozen=True)
 class FieldObservation:
-    """What the magnetometer read in a window of the first pass.
-
-    Attributes
-    ----------
-    t_s : (n,) nodes, s.
-    in_K : (n, 3) the field; nan where there is no sample.
-    R_K_A : (n, 3, 3) the attitude, and its covariance (n, 3, 3) rad^2 in {K}.
-    """
+    """What the magnetometer read in a window of the first pass."""
 
     t_s: FloatArray
     in_K: FloatArray
@@ -171,13 +142,7 @@ def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer
 
 
 def judge(means: Sequence[FieldMean]) -> Magnetometer:
-    """Find the field's direction in {K}, and which means of it agree: they are used in the second pass.
-
-    Parameters
-    ----------
-    means : sequence of FieldMean
-        Of all windows.
-    """
+    """Find the field's direction in {K}, and which means of it agree: they are used in the second pass."""
     calm = [mean for mean in means if mean.share >= SHARE_NEEDED]
     if len(means) < MEANS_NEEDED:
         return _without(
@@ -211,19 +176,7 @@ def _without(reason: str) -> Magnetometer:
 def _agree(
     means: Sequence[FieldMean], calm: list[FieldMean]
 ) -> tuple[FloatArray, FloatArray, float, BoolArray]:
-    """The field's direction that most means agree on, and which do.
-
-    Least squares over the windows, each with the attitude's covariance that its first solution states: the
-    means of a window share its attitude's error. Means that the rest contradicts are taken out, and it is
-    done again.
-
-    Returns
-    -------
-    direction : (3,) unit vector in {K}.
-    covariance : (2, 2) rad^2 across it.
-    sigma : of a mean's direction, from the strengths, rad.
-    good : (c,) of the calm means.
-    """
+    """The field's direction that most means agree on, and which do."""
     in_K = np.array([mean.in_K for mean in calm])
     strength = np.linalg.norm(in_K, axis=1)
     unit = in_K / strength[:, None]
@@ -286,13 +239,7 @@ def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray
 def field_means(
     number: int, seen: FieldObservation, strength: float, later_t: FloatArray, later_R: FloatArray
 ) -> Iterator[FieldMean]:
-    """Means over means of a window, of the samples with the field's usual strength.
-
-    Parameters
-    ----------
-    number : the window's.
-    later_t, later_R : its nodes in the second pass, s, and what is held of their attitudes (n, 3, 3).
-    """
+    """Means over means of a window, of the samples with the field's usual strength."""
     t, known = seen.t_s, np.isfinite(seen.in_K).all(axis=1)
     with np.errstate(invalid="ignore"):
         good = np.abs(seen.strength / strength - 1.0) < STRENGTH_OFF

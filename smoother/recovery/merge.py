@@ -32,25 +32,7 @@ def merge(
     coarse_clock: Clock | None,
     store: Store,
 ) -> Recovery:
-    """The answer at every IMU sample; nan where no section has one.
-
-    Parameters
-    ----------
-    answers : iterable of SecondAnswer
-        In the order of time; taken one by one, as they are solved.
-    recording : Recording
-        With the camera's stamps as `coarse_clock` moved them.
-    timeline : Timeline
-        Of the recording.
-    task : Task
-        Refined by the first pass.
-    magnetometer : Magnetometer
-        What became of it.
-    coarse_clock : Clock or None
-        How the camera's stamps were moved beforehand.
-    store : Store
-        Where the columns live.
-    """
+    """The answer at every IMU sample; nan where no section has one."""
     columns = ArmColumns(recording, task.joints, store)
     further = FurtherColumns(len(recording.imu), store)
     drawn = DrawColumns(recording.imu.t_s, task.plan, store)

@@ -35,21 +35,7 @@ def notes_on(
     gaps: tuple[Gap, ...],
     unexplained: Sequence[Gap],
 ) -> tuple[str, ...]:
-    """Sentences on pauses, clocks, mounting, rejected samples, open gaps and unexplained ones.
-
-    Parameters
-    ----------
-    recording : Recording
-    timeline : Timeline
-        Of the recording.
-    model : SelfCalibration
-    clock : Clock
-        Of the camera's stamps as they were recorded.
-    residuals : FrameResiduals
-    gaps : tuple of Gap
-    unexplained : sequence of Gap
-        Long gaps that were solved without the upper arm's length, because the motion contradicts it.
-    """
+    """Sentences on pauses, clocks, mounting, rejected samples, open gaps and unexplained ones."""
     return (
         *recording.notes,
         *_pauses(recording, timeline),

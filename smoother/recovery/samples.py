@@ -45,20 +45,7 @@ LINEAR_RAD = 0.2
 
 @dataclass(frozen=True)
 class SectionAnswer:
-    """The answer at the samples of one section, and a little beyond its borders so that neighbours blend.
-
-    Attributes
-    ----------
-    samples : rows of the recording's IMU.
-    occluded, position, quaternion, velocity, pose_covariance, velocity_covariance, joints,
-    joint_covariance : at them, see `Recovery`.
-    border_s : where the section begins, s; -inf at the beginning of a stretch.
-    gaps : the occluded stretches that reach into the section.
-    frames : rows of the camera's frames that are the section's own.
-    residual, used, reason : at them, see `FrameResiduals`.
-    gravity : (3,) mean, m/s^2 in {K}.
-    further : of the IMUs on other segments at the same samples.
-    """
+    """The answer at the samples of one section, and a little beyond its borders so that neighbours blend."""
 
     samples: slice
     occluded: BoolArray
@@ -80,7 +67,7 @@ class SectionAnswer:
 
 
 def sample_section(
-    imu_t: FloatArray,
+    imu_t: FloatArray,  # (n,) s
     first_sample: int,
     segment: Segment,
     prepared: PreparedSegment,
@@ -88,22 +75,7 @@ def sample_section(
     model: SelfCalibration,
     names: Sequence[str],
 ) -> SectionAnswer:
-    """The answer of a section at its samples, from its trajectory.
-
-    Parameters
-    ----------
-    imu_t : ndarray, shape (n,), s
-        The IMU's stamps; the first is the recording's sample `first_sample`.
-    first_sample : int
-    segment, prepared : Segment, PreparedSegment
-        The section's.
-    trajectory : Trajectory
-        Of the second pass.
-    model : SelfCalibration
-        As all sections have it.
-    names : sequence of str
-        Joints to answer for.
-    """
+    """The answer of a section at its samples, from its trajectory."""
     clock, calibration = model.clock, model.estimate
     start_s = max(trajectory.t[0], prepared.start_s - BLEND_HALF_S)
     end_s = min(trajectory.t[-1], prepared.end_s + BLEND_HALF_S)
@@ -197,11 +169,7 @@ def unknown_mounting(model: SelfCalibration) -> tuple[float, float]:
 
 
 def widen_turns(pose_covariance: FloatArray) -> FloatArray:
-    """Pose covariances (n, 6, 6) with large angles widened, and positions by what depends on them.
-
-    A linearised problem overrates its information on an angle that is hardly known: an angle's variance v
-    becomes v (1 + v / LINEAR_RAD^2)^2. Small angles keep what they have.
-    """
+    """Pose covariances (n, 6, 6) with large angles widened, and positions by what depends on them."""
     wide = large_rotation_uncertainty(pose_covariance)
     if wide is None:
         return pose_covariance
@@ -215,23 +183,12 @@ def widen_turns(pose_covariance: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class LargeRotationUncertainty:
-    """Samples whose orientation is hardly known.
+    """Samples whose orientation is hardly known."""
 
-    Attributes
-    ----------
-    rows : ndarray of int, shape (w,)
-    variance : ndarray, shape (w, 3), rad^2
-        Along the principal axes.
-    axes : ndarray, shape (w, 3, 3)
-        The axes, a column each.
-    position_follows : ndarray, shape (w, 3, 3), m/rad
-        How the position follows a turn.
-    """
-
-    rows: IntArray
-    variance: FloatArray
-    axes: FloatArray
-    position_follows: FloatArray
+    rows: IntArray  # int (w,)
+    variance: FloatArray  # (w, 3) rad^2: along the principal axes
+    axes: FloatArray  # (w, 3, 3): the axes, a column each
+    position_follows: FloatArray  # (w, 3, 3) m/rad: how the position follows a turn
 
 
 def large_rotation_uncertainty(pose_covariance: FloatArray) -> LargeRotationUncertainty | None:
@@ -269,19 +226,7 @@ def _joint(
 
 
 def moves_by(joint: str, segments: Iterable[str], model: SelfCalibration) -> float:
-    """How far a joint is from rigid with the segment that it is tied to, one sigma, m per axis.
-
-    A hand without an IMU of its own is tied to the forearm: where the wrist bends, the hand scatters by more
-    than the wrist does.
-
-    Parameters
-    ----------
-    joint : str
-    segments : iterable of str
-        Those with an IMU.
-    model : SelfCalibration
-        With the joints' noise.
-    """
+    """How far a joint is from rigid with the segment that it is tied to, one sigma, m per axis."""
     noise, known = model.joint_noise, set(segments)
     owner = next((body for body in FURTHER if joint in body.camera_joints), None)
     if owner is None or owner.name in known or joint not in noise or owner.shared_joint not in noise:
@@ -335,21 +280,11 @@ APART_S = 1.0
 
 @dataclass(frozen=True)
 class ElbowAxis:
-    """Evidence of samples with a bent elbow on its axis, as a segment's IMU sees it.
+    """Evidence of samples with a bent elbow on its axis, as a segment's IMU sees it."""
 
-    Attributes
-    ----------
-    scatter : ndarray, shape (3, 3)
-        Sum of a a', a the normal of the arm's plane in the IMU's axes.
-    mean : ndarray, shape (3,)
-        Sum of a.
-    weight : float
-        Independent samples in both.
-    """
-
-    scatter: FloatArray
-    mean: FloatArray
-    weight: float
+    scatter: FloatArray  # (3, 3): sum of a a', a the normal of the arm's plane in the IMU's axes
+    mean: FloatArray  # (3,): sum of a
+    weight: float  # Independent samples in both
 
     @classmethod
     def of(cls, joints: dict[str, FloatArray], R_K_B: FloatArray, t: FloatArray) -> ElbowAxis:
@@ -362,23 +297,13 @@ class ElbowAxis:
 
 @dataclass(frozen=True)
 class FurtherAnswer:
-    """The IMU on a segment beyond the forearm at the samples of a section; see `SegmentMotion`.
+    """The IMU on a segment beyond the forearm at the samples of a section; see `SegmentMotion`."""
 
-    Attributes
-    ----------
-    segment : str
-        Name of the segment.
-    position, quaternion, pose_covariance : ndarray, shape (n, 3), (n, 4), (n, 6, 6)
-        nan where it has no samples.
-    elbow : ElbowAxis
-        For the bone's axes.
-    """
-
-    segment: str
-    position: FloatArray
-    quaternion: FloatArray
-    pose_covariance: FloatArray
-    elbow: ElbowAxis
+    segment: str  # Name of the segment
+    position: FloatArray  # (n, 3), (n, 4), (n, 6, 6): nan where it has no samples
+    quaternion: FloatArray  # (n, 3), (n, 4), (n, 6, 6): nan where it has no samples
+    pose_covariance: FloatArray  # (n, 3), (n, 4), (n, 6, 6): nan where it has no samples
+    elbow: ElbowAxis  # For the bone's axes
 
     @classmethod
     def of(
@@ -417,10 +342,7 @@ def _plane_normals(joints: dict[str, FloatArray], R_K_B: FloatArray) -> FloatArr
 def bone_axes(
     segment: str, elbow_axes: Sequence[ElbowAxis], mounting: SegmentMounting, side: str
 ) -> tuple[FloatArray | None, FloatArray]:
-    """A bone's axes in its IMU's (3, 3), and how far they may be off about each (3,), rad.
-
-    Of a segment without a definition of its axes there are none; what is known is its direction.
-    """
+    """A bone's axes in its IMU's (3, 3), and how far they may be off about each (3,), rad."""
     if SEGMENTS[segment].carries_parent:
         return humerus_axes(elbow_axes, mounting, side)
     near, far = (mounting.lever_arms[SEGMENTS[segment].as_forearm[end]] for end in ("elbow", "wrist"))
@@ -431,27 +353,8 @@ def bone_axes(
 
 def humerus_axes(
     elbow_axes: Sequence[ElbowAxis], mounting: SegmentMounting, side: str
-) -> tuple[FloatArray | None, FloatArray]:
-    """The bone's axes in {B}, and how far they may be off.
-
-    y points from elbow to shoulder; z, towards the lateral epicondyle, is the mean normal of the arm's plane
-    (ISB's second definition of the humerus, averaged over the recording).
-
-    Parameters
-    ----------
-    elbow_axes : sequence of ElbowAxis
-        Of all sections.
-    mounting : SegmentMounting
-        Elbow and shoulder in {B}.
-    side : str
-
-    Returns
-    -------
-    R_U_B : ndarray, shape (3, 3), or None
-        None where the elbow was never bent.
-    sigma_rad : ndarray, shape (3,), rad
-        About each axis of the bone.
-    """
+) -> tuple[FloatArray | None, FloatArray]:  # R_U_B (3, 3), sigma_rad (3,) rad
+    """The bone's axes in {B}, and how far they may be off."""
     elbow, shoulder = mounting.lever_arms["elbow"], mounting.lever_arms["shoulder"]
     along = shoulder.position_m - elbow.position_m
     length_m = float(np.linalg.norm(along))

@@ -24,38 +24,18 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class SecondAnswer:
-    """A section's second pass.
+    """A section's second pass."""
 
-    Attributes
-    ----------
-    answer : SectionAnswer
-        At its samples.
-    messages : list of Message
-        One per window.
-    unexplained : tuple of Gap
-        Long gaps whose motion the model does not explain.
-    check : SectionCheck
-        Of the camera against the rest.
-    draws : SectionDraws or None
-        Motions drawn from the posterior; None where not asked for.
-    """
-
-    answer: SectionAnswer
-    messages: list[Message]
-    unexplained: tuple[Gap, ...]
-    check: SectionCheck
-    draws: SectionDraws | None = None
+    answer: SectionAnswer  # At its samples
+    messages: list[Message]  # One per window
+    unexplained: tuple[Gap, ...]  # Long gaps whose motion the model does not explain
+    check: SectionCheck  # Of the camera against the rest
+    draws: SectionDraws | None = None  # Motions drawn from the posterior; None where not asked for
 
 
 @dataclass(frozen=True)
 class SectionCheck:
-    """A section's evidence on the camera against the rest.
-
-    Attributes
-    ----------
-    shifts : tuple of BlockShift
-    stretches : tuple of HiddenStretch
-    """
+    """A section's evidence on the camera against the rest."""
 
     shifts: tuple[BlockShift, ...]
     stretches: tuple[HiddenStretch, ...]
@@ -67,19 +47,7 @@ class SectionCheck:
 
 
 def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
-    """Solve a section with the priors that all others give it.
-
-    Parameters
-    ----------
-    job : SecondJob
-    task : Task
-        Refined by the first pass.
-
-    Raises
-    ------
-    SolveError
-        A window leaves something free; the text names the time.
-    """
+    """Solve a section with the priors that all others give it."""
     state, optimised = job.state, None
     if state.trajectory is None:
         state, optimised = _optimised(job, task)
@@ -122,15 +90,7 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
 
 
 def _optimised(job: SecondJob, task: Task) -> tuple[SectionState, list[WindowOptimum] | None]:
-    """A section that the first pass did not solve: its windows' optima, and the samples they contradict.
-
-    Returns
-    -------
-    state : SectionState
-        With the trajectory, and without what it contradicts.
-    optimised : list of WindowOptimum or None
-        None where samples were rejected: the optima are without them.
-    """
+    """A section that the first pass did not solve: its windows' optima, and the samples they contradict."""
     state = job.state.at_clock(task.model.clock)
     optimised = [optimise_window(window, TOLERANCE) for window in _windows(state, job, task)]
     solutions = [solution_of(each, with_covariance=False, with_message=False) for each in optimised]

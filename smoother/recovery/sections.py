@@ -32,47 +32,25 @@ VISIBILITY_PENALTY = 5.0
 
 @dataclass(frozen=True)
 class Section:
-    """About a minute of a segment, with what is read around it.
+    """About a minute of a segment, with what is read around it."""
 
-    Attributes
-    ----------
-    samples, frames : slice
-        Rows of the recording's IMU and camera, context included.
-    start_s, end_s : float, s
-        The time to answer for, on the IMU's clock; infinite at the stretch's ends.
-    length_s : float, s
-        Of that time.
-    """
-
-    samples: slice
-    frames: slice
-    start_s: float
-    end_s: float
-    length_s: float
+    samples: slice  # Rows of the recording's IMU and camera, context included
+    frames: slice  # Rows of the recording's IMU and camera, context included
+    start_s: float  # The time to answer for, on the IMU's clock; infinite at the stretch's ends
+    end_s: float  # The time to answer for, on the IMU's clock; infinite at the stretch's ends
+    length_s: float  # Of that time
 
 
 @dataclass(frozen=True)
 class SectionData:
-    """A section with its samples: what travels to a worker process.
-
-    Attributes
-    ----------
-    section : Section
-    imu, arm : ImuStream, JointTracks
-        Its samples and frames, in memory.
-    even_t_imu : ndarray, shape (n,), s
-        The samples' dejittered times.
-    traits : SegmentTraits
-        Of the recording.
-    further : tuple of (str, ImuStream)
-        Of IMUs on other segments, by the segment's name, on the forearm IMU's clock, between their pauses.
-    """
+    """A section with its samples: what travels to a worker process."""
 
     section: Section
-    imu: ImuStream
-    arm: JointTracks
-    even_t_imu: FloatArray
-    traits: SegmentTraits
+    imu: ImuStream  # Its samples and frames, in memory
+    arm: JointTracks  # Its samples and frames, in memory
+    even_t_imu: FloatArray  # (n,) s: the samples' dejittered times
+    traits: SegmentTraits  # Of the recording
+    # Of IMUs on other segments, by the segment's name, on the forearm IMU's clock, between their pauses
     further: tuple[tuple[str, ImuStream], ...] = ()
 
     def segment(self) -> Segment | None:
@@ -87,23 +65,7 @@ class SectionData:
 
 
 class Sections:
-    """The sections of a recording, in the order of time.
-
-    Parameters
-    ----------
-    recording : Recording
-        As long as it may be; its samples are read a section at a time.
-    timeline : Timeline
-        Of the recording.
-    clock : Clock
-        Takes the camera's times to the IMU's.
-    further : sequence of FurtherImu
-        IMUs on other segments, on the forearm IMU's clock.
-
-    Attributes
-    ----------
-    all : list of Section
-    """
+    """The sections of a recording, in the order of time."""
 
     def __init__(
         self,
@@ -166,11 +128,7 @@ def _visible_times(frame_t: FloatArray) -> FloatArray:
 
 
 def _stretches(imu_t: FloatArray, segment: slice, seen_t: FloatArray) -> Iterator[slice]:
-    """The parts of a segment that lie within reach of what the camera saw of the forearm, with context.
-
-    Where it saw nothing for longer than the answer reaches from both sides, what is before and what is after
-    have nothing to do with each other.
-    """
+    """The parts of a segment that lie within reach of what the camera saw of the forearm, with context."""
     t = imu_t[segment]
     seen_t = seen_t[(seen_t >= t[0]) & (seen_t <= t[-1])]
     if not len(seen_t):

@@ -50,38 +50,18 @@ ENOUGH, LARGEST_FACTOR = 8, 3.0
 
 @dataclass(frozen=True)
 class HiddenStretch:
-    """A stretch that was hidden.
+    """A stretch that was hidden."""
 
-    Attributes
-    ----------
-    start_s, end_s : float, s
-        On the IMU's clock.
-    samples : int
-        Camera samples that were compared; 0 where it could not be recovered.
-    rms_m, stated_m : float, m
-        3D error, and what was stated of it, the camera's noise included.
-    inside : int
-        Samples inside the 95 % region.
-    nees : float
-        Mean squared error in sigmas / 3.
-    error_m : tuple of float, m
-        3D error of each sample.
-    stated_95_m : float, m
-        Distance within which 95 of 100 of them should lie.
-    contradicting : tuple of int
-        Cameras whose samples lie where by the rest they cannot be; of one camera as in `contradicted`.
-    """
-
-    start_s: float
-    end_s: float
-    samples: int = 0
-    rms_m: float = float("nan")
-    stated_m: float = float("nan")
-    inside: int = 0
-    nees: float = float("nan")
-    error_m: tuple[float, ...] = ()
-    stated_95_m: float = float("nan")
-    contradicting: tuple[int, ...] = ()
+    start_s: float  # On the IMU's clock
+    end_s: float  # On the IMU's clock
+    samples: int = 0  # Camera samples that were compared; 0 where it could not be recovered
+    rms_m: float = float("nan")  # 3D error, and what was stated of it, the camera's noise included
+    stated_m: float = float("nan")  # 3D error, and what was stated of it, the camera's noise included
+    inside: int = 0  # Samples inside the 95 % region
+    nees: float = float("nan")  # Mean squared error in sigmas / 3
+    error_m: tuple[float, ...] = ()  # 3D error of each sample
+    stated_95_m: float = float("nan")  # Distance within which 95 of 100 of them should lie
+    contradicting: tuple[int, ...] = ()  # Cameras whose samples lie where by the rest they cannot be
 
     @property
     def failed(self) -> bool:
@@ -100,23 +80,7 @@ def hide_and_recover(
     priors: Sequence[Priors],
     task: Task,
 ) -> list[HiddenStretch]:
-    """Hide some stretches of a section, recover each, and compare.
-
-    Parameters
-    ----------
-    prepared : PreparedSegment
-        With start values of the section's own answer.
-    windows : sequence of Window
-        Of the section.
-    priors : sequence of Priors
-        Of the windows.
-    task : Task
-
-    Returns
-    -------
-    stretches : list of HiddenStretch
-        In the order of time.
-    """
+    """Hide some stretches of a section, recover each, and compare."""
     found = []
     for gap in choose_stretches(prepared, task.stretches, task.usual_gap_s):
         middle = 0.5 * (gap.start_s + gap.end_s)
@@ -128,20 +92,7 @@ def hide_and_recover(
 
 
 def choose_stretches(prepared: PreparedSegment, count: int, usual_gap_s: float) -> list[Gap]:
-    """Visible stretches that resemble the gaps of a section.
-
-    The gaps are taken in the order of how fast the arm moves in them, evenly over all; each gives its length
-    and its motion (turning, and how much the specific force varies) to a stretch. Without gaps the fastest
-    visible stretches are taken.
-
-    Parameters
-    ----------
-    prepared : PreparedSegment
-    count : int
-        How many are wanted.
-    usual_gap_s : float, s
-        Length where the section has no gap.
-    """
+    """Visible stretches that resemble the gaps of a section."""
     visible = _visible_runs(prepared)
     edges = np.arange(prepared.forearm.signal.start_s, prepared.forearm.signal.end_s, STEP_S)
     if not visible or len(edges) < 3 or count < 1:
@@ -295,10 +246,7 @@ def _recovered(
 def _across(
     error: FloatArray, covariance: FloatArray, position: FloatArray, origin_m: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Errors (n, 3) and covariances as seen across rays, where a camera has no depth.
-
-    A third direction with the mean square of the two gives three normal numbers again.
-    """
+    """Errors (n, 3) and covariances as seen across rays, where a camera has no depth."""
     if origin_m is None:
         return error, covariance
     flat = of_rays(origin_m, len(error))
@@ -369,23 +317,7 @@ RAMP_S = 0.3
 
 
 def with_sigma_factors(recovery: Recovery, factors: SigmaFactors | None) -> Recovery:
-    """The recovery with the covariance of positions in every gap multiplied by the factor's square.
-
-    What the camera saw, the shoulder and orientations stay: hidden gaps do not test them. Correlations
-    stay too. The covariance columns and the drawn motions, which may be on disk, are changed where they are.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        As the smoother states it.
-    factors : SigmaFactors or None
-        Of the calibration; without any nothing changes.
-
-    Returns
-    -------
-    recovery : Recovery
-        With a note, and the factors among its estimates.
-    """
+    """The recovery with the covariance of positions in every gap multiplied by the factor's square."""
     if factors is None or not recovery.gaps:
         return recovery
     applied = tuple(round(factors.at(gap.length_s), 4) for gap in recovery.gaps)
@@ -395,14 +327,7 @@ def with_sigma_factors(recovery: Recovery, factors: SigmaFactors | None) -> Reco
 
 
 def with_self_check(recovery: Recovery, stretches: Sequence[HiddenStretch]) -> Recovery:
-    """The recovery with its self-check, and sigma in gaps as wide as the hidden stretches ask for.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    stretches : sequence of HiddenStretch
-        That were hidden and recovered. Where a calibration has given factors already, they change nothing.
-    """
+    """The recovery with its self-check, and sigma in gaps as wide as the hidden stretches ask for."""
     check = summary(stretches)
     if recovery.estimates.sigma_factors:
         check = replace(check, sigma_factor=1.0)
@@ -428,10 +353,7 @@ def _widen(recovery: Recovery, applied: Sequence[float]) -> None:
 
 
 def _widen_draws(draws: Draws, gaps: Sequence[Gap], factors: Sequence[float]) -> None:
-    """Drawn positions (in place) as much further from the answer as their sigma is larger.
-
-    A motion does not jump: outside a gap the factor comes and goes over `RAMP_S`.
-    """
+    """Drawn positions (in place) as much further from the answer as their sigma is larger."""
     moved = [draws.position, *(values for joint, values in draws.joints.items() if joint in FOREARM_JOINTS)]
     ends = np.array([(gap.start_s, gap.end_s) for gap in gaps])
     for rows in batches(len(draws.t_s)):

@@ -41,47 +41,20 @@ CLOCK_SECTIONS = 5
 
 @dataclass(frozen=True)
 class Task:
-    """What holds for all sections.
+    """What holds for all sections."""
 
-    Attributes
-    ----------
-    model : SelfCalibration
-        What the excerpts gave.
-    config : Config
-    prior : Priors
-        Of every window of the first pass.
-    noise : NoiseModel
-        Densities and losses.
-    sharing : int
-        How many windows share the attitude prior, about.
-    joints : tuple of str
-        To answer for.
-    magnetometer : bool
-        There is a calibrated one.
-    with_clock : bool
-        The first pass asks every section for the clock.
-    asked_windows : int
-        This many windows of each section are solved for what all share; 0 = all.
-    plan : DrawPlan or None
-        Of the motions to draw from the posterior in the second pass; None where not asked for.
-    stretches : int
-        This many visible stretches of each section are hidden to check the answer.
-    usual_gap_s : float, s
-        How long the recording's gaps are.
-    """
-
-    model: SelfCalibration
+    model: SelfCalibration  # What the excerpts gave
     config: Config
-    prior: Priors
-    noise: NoiseModel
-    sharing: int
-    joints: tuple[str, ...]
-    magnetometer: bool
-    with_clock: bool
-    asked_windows: int
-    plan: DrawPlan | None = None
-    stretches: int = 0
-    usual_gap_s: float = 1.0
+    prior: Priors  # Of every window of the first pass
+    noise: NoiseModel  # Densities and losses
+    sharing: int  # How many windows share the attitude prior, about
+    joints: tuple[str, ...]  # To answer for
+    magnetometer: bool  # There is a calibrated one
+    with_clock: bool  # The first pass asks every section for the clock
+    asked_windows: int  # This many windows of each section are solved for what all share; 0 = all
+    plan: DrawPlan | None = None  # Of the motions to draw from the posterior in the second pass
+    stretches: int = 0  # This many visible stretches of each section are hidden to check the answer
+    usual_gap_s: float = 1.0  # How long the recording's gaps are
 
     @classmethod
     def of(
@@ -116,17 +89,7 @@ class Task:
     def refined(
         self, messages: Sequence[Message], scores: Sequence[ClockScore], synthetic_stamps: bool
     ) -> Task:
-        """The task with the arm and the clock as all sections of the first pass together have them.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Of the windows that the first pass selected.
-        scores : sequence of ClockScore
-            Of all sections.
-        synthetic_stamps : bool
-            The camera's stamps are.
-        """
+        """The task with the arm and the clock as all sections of the first pass together have them."""
         model = self.model
         arm = pooled(messages, self.prior)
         estimate = calibration_from(arm, self.prior.layout, model.prior, model.joint_bias.sigma_m)
@@ -140,16 +103,7 @@ class Task:
         return most_telling(segment, borders, self.asked_windows or len(borders))
 
     def drawing(self, count: int, seed: int, recording: Recording, messages: Sequence[Message]) -> Task:
-        """The task with motions to draw in the second pass; the same one where none are asked for.
-
-        Parameters
-        ----------
-        count, seed : int
-            How many, and of the random numbers.
-        recording : Recording
-        messages : sequence of Message
-            Of the windows that the first pass selected.
-        """
+        """The task with motions to draw in the second pass; the same one where none are asked for."""
         if not count:
             return self
         plan = DrawPlan(
@@ -176,39 +130,18 @@ class Task:
 
 @dataclass(frozen=True)
 class SectionState:
-    """What the second pass needs of a section's first.
+    """What the second pass needs of a section's first."""
 
-    Attributes
-    ----------
-    imu_t : ndarray, shape (n,), s
-        The IMU's stamps; the first is the recording's sample `first_sample`.
-    first_sample : int
-    segment, prepared : Segment, PreparedSegment
-        Samples and nodes.
-    alignment : Alignment
-        Of the inertial frame to the camera's.
-    clock : Clock
-        That the first pass had.
-    borders : list of float, s
-        Where windows begin and end.
-    trajectory : Trajectory or None
-        The first pass's; None where it selected some of the windows only.
-    observations : tuple of FieldObservation
-        What the magnetometer read, one per window; empty without one.
-    outliers_rejected : bool
-        Samples that the first pass contradicts are out already.
-    """
-
-    imu_t: FloatArray
+    imu_t: FloatArray  # (n,) s: the IMU's stamps; the first is the recording's sample `first_sample`
     first_sample: int
-    segment: Segment
-    prepared: PreparedSegment
-    alignment: Alignment
-    clock: Clock
-    borders: list[float]
-    trajectory: Trajectory | None
-    observations: tuple[FieldObservation, ...]
-    outliers_rejected: bool = False
+    segment: Segment  # Samples and nodes
+    prepared: PreparedSegment  # Samples and nodes
+    alignment: Alignment  # Of the inertial frame to the camera's
+    clock: Clock  # That the first pass had
+    borders: list[float]  # s: Where windows begin and end
+    trajectory: Trajectory | None  # The first pass's; None where it selected some of the windows only
+    observations: tuple[FieldObservation, ...]  # What the magnetometer read, one per window
+    outliers_rejected: bool = False  # Samples that the first pass contradicts are out already
 
     def without_outliers(self, task: Task) -> SectionState:
         """Samples that the trajectory contradicts rejected, and it as start values."""

@@ -40,18 +40,7 @@ WRONG_LIMB_RAD = np.radians(15.0)
 
 
 def with_trunk(recovery: Recovery, recording: Recording, store: Store) -> Recovery:
-    """The recovery with the thorax's orientation, or with a note on why there is none.
-
-    Without an IMU on the trunk it is by both shoulders, where the skeleton has them.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    recording : Recording
-        As it was read; the recovery as it is where that shows nothing of the trunk.
-    store : Store
-        Where the columns live.
-    """
+    """The recovery with the thorax's orientation, or with a note on why there is none."""
     trunk = recording.trunk
     if trunk is None:
         by_shoulders = trunk_by_shoulders(recovery, recording, store)

@@ -35,23 +35,7 @@ FEWEST_FRAMES = 60
 
 
 def trunk_by_shoulders(recovery: Recovery, recording: Recording, store: Store) -> TrunkMotion | None:
-    """The thorax upright by gravity, its heading by the line of shoulders.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of N samples.
-    recording : Recording
-        With the other arm, `opposite`.
-    store : Store
-        Where the columns live.
-
-    Returns
-    -------
-    trunk : TrunkMotion or None
-        None where the skeleton shows one arm only, gravity is not known, or hardly a frame has both
-        shoulders. nan a second away from such frames.
-    """
+    """The thorax upright by gravity, its heading by the line of shoulders."""
     other = recording.opposite
     if other is None or recording.side not in ("left", "right") or not len(recovery):
         return None
@@ -94,29 +78,8 @@ def trunk_by_shoulders(recovery: Recovery, recording: Recording, store: Store) -
 
 def shoulder_lines(
     recovery: Recovery, recording: Recording, other_arm: JointTracks, start_s: float, end_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The line from the left shoulder to the right one where the camera sees both.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Whose frames are on the forearm IMU's clock.
-    recording : Recording
-        The same frames as recorded.
-    other_arm : JointTracks
-        Of the same camera.
-    start_s, end_s : float, s
-        On the forearm IMU's clock.
-
-    Returns
-    -------
-    t : ndarray, shape (n,), s
-        Of the frames, on that clock.
-    line : ndarray, shape (n, 3)
-        Unit vectors in {K}.
-    width : ndarray, shape (n,), m
-        Between the shoulders.
-    """
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # t (n,) s, line (n, 3), width (n,) m
+    """The line from the left shoulder to the right one where the camera sees both."""
     arm_t = recovery.arm.t_s
     rows = slice(*np.searchsorted(arm_t, [start_s, end_s]).tolist())
     arm, stamp = recording.arm.select(rows), np.array(recording.arm.t_s[rows])
@@ -140,10 +103,7 @@ def shoulder_lines(
 def _mean_line(
     t_s: FloatArray, t: FloatArray, line: FloatArray, width: FloatArray, up: FloatArray, bias_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Level unit vectors (n, 3) along the shoulders at times (n,), and the heading's variance (n,), rad^2.
-
-    nan far from any frame.
-    """
+    """Level unit vectors (n, 3) along the shoulders at times (n,), and the heading's variance (n,), rad^2."""
     level = unit(line - (line @ up)[:, None] * up)
     first, last = np.searchsorted(t, t_s - 3.0 * MEAN_S), np.searchsorted(t, t_s + 3.0 * MEAN_S, side="right")
     most = max(int((last - first).max()), 1)

@@ -83,10 +83,6 @@ HAND_BEFORE_WRIST = SwappedJoints(
 def swapped_joints(arm: JointTracks) -> Iterator[SwappedJoints]:
     """Where the joint called wrist is as far from the shoulder as only an elbow is, or the hand at the one
     called elbow, or between elbow and wrist.
-
-    Parameters
-    ----------
-    arm : JointTracks
     """
     step = max(len(arm) // MOST_FRAMES, 1)
     arm = arm.select(slice(None, None, step))
@@ -101,14 +97,7 @@ def swapped_joints(arm: JointTracks) -> Iterator[SwappedJoints]:
 
 
 def sensor_at_elbow(arm: JointTracks, found: ArmCalibration | None) -> Iterator[SwappedJoints]:
-    """Where the sensor sits at the joint called elbow, and the camera does not show that it is one.
-
-    Parameters
-    ----------
-    arm : JointTracks
-    found : ArmCalibration, optional
-        With lever arms that the motion gave.
-    """
+    """Where the sensor sits at the joint called elbow, and the camera does not show that it is one."""
     levers = {} if found is None else found.lever_arms
     if not {"elbow", "wrist"} <= set(levers):
         return
@@ -183,25 +172,7 @@ def with_verdict(
     measured: Clock | None = None,
     moved: Clock | None = None,
 ) -> Recovery:
-    """The recovery with a verdict among its estimates.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With residuals.
-    recording : Recording
-        What it was made of.
-    anatomy : Anatomy
-        Whose arm it is.
-    misfits : tuple of str
-        What of a given calibration the recording contradicts.
-    open_questions : tuple of str
-        What self-calibration took with little margin.
-    measured : Clock, optional
-        That was given.
-    moved : Clock, optional
-        By which the camera's stamps were moved before the fine search.
-    """
+    """The recovery with a verdict among its estimates."""
     scale = force_scale(recording.imu, _gyroscope_bias(recovery))
     # what was found is a remark, or contradicts some times, or the whole recording
     found = recovery.estimates.with_findings(
@@ -255,13 +226,7 @@ def with_verdict(
 
 
 def with_gap_verdicts(recovery: Recovery) -> Recovery:
-    """The recovery with the verdict that its gaps ask for: none to be trusted, or some of them only.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        With a verdict of the whole, and intervals that are not trusted among its estimates.
-    """
+    """The recovery with the verdict that its gaps ask for: none to be trusted, or some of them only."""
     estimates = recovery.estimates
     verdicts = gap_verdicts(recovery.gaps, True, (), estimates.untrusted)
     doubtful_gaps = [each for each in verdicts if not each.trusted]

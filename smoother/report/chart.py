@@ -22,41 +22,23 @@ _MOST_NUMBERS, _MOST_NAMES = 12, 12
 
 @dataclass(frozen=True)
 class Mark:
-    """A value with its interval; nan where it has none.
+    """A value with its interval; nan where it has none."""
 
-    Attributes
-    ----------
-    name : str
-        Label below it: a session, the number of a movement.
-    value, low, high : float
-        In the unit of the chart.
-    text : str
-        The value in words.
-    """
-
-    name: str
-    value: float
-    low: float = math.nan
-    high: float = math.nan
-    text: str = ""
+    name: str  # Label below it: a session, the number of a movement
+    value: float  # In the unit of the chart
+    low: float = math.nan  # In the unit of the chart
+    high: float = math.nan  # In the unit of the chart
+    text: str = ""  # The value in words
 
 
 @dataclass(frozen=True)
 class Strip:
-    """A row of a chart: a bar from one mark to another, on a scale that all rows share.
+    """A row of a chart: a bar from one mark to another, on a scale that all rows share."""
 
-    Attributes
-    ----------
-    name, text : str
-        What it is, and its values in words.
-    start, end : Mark
-        Ends of the bar, each with its interval.
-    """
-
-    name: str
-    text: str
-    start: Mark
-    end: Mark
+    name: str  # What it is, and its values in words
+    text: str  # What it is, and its values in words
+    start: Mark  # Ends of the bar, each with its interval
+    end: Mark  # Ends of the bar, each with its interval
 
 
 def charted(heading: str, caption: str, drawing: str) -> str:
@@ -69,10 +51,7 @@ NOT_TRUSTED = "not to be trusted"
 
 
 def badge(word: str, kind: str = "") -> str:
-    """A word in the colour of its meaning, with a sign for those who do not see colours.
-
-    `kind` is the colour of a word that is not one of the usual ones: "wrong", "care", "same", "open".
-    """
+    """A word in the colour of its meaning, with a sign for those who do not see colours."""
     sign, kind = _BADGES.get(word, (_SIGNS.get(kind, ""), kind or "open"))
     return f'<span class="word {kind}">{sign}{escape(word)}</span>'
 
@@ -91,19 +70,7 @@ _BADGES = {
 
 
 def strips(rows: Sequence[Strip], low: float, high: float, ticks: Iterable[float], unit: str) -> str:
-    """Bars on a shared scale, each with the intervals of its ends.
-
-    Parameters
-    ----------
-    rows : sequence of Strip
-        From top to bottom.
-    low, high : float
-        The scale's ends.
-    ticks : iterable of float
-        Where the scale has numbers.
-    unit : str
-        Behind these numbers.
-    """
+    """Bars on a shared scale, each with the intervals of its ends."""
     ticks = list(ticks)
     each = _ROW if len(rows) <= 3 else _NARROW_ROW
     height = each * len(rows) + 20
@@ -135,17 +102,7 @@ def strips(rows: Sequence[Strip], low: float, high: float, ticks: Iterable[float
 
 
 def sessions(marks: Sequence[Mark], *, reference: bool = True, words: str = "") -> str:
-    """Values one beside the other, each with its interval; pale: the interval of the first.
-
-    Parameters
-    ----------
-    marks : sequence of Mark
-        In their order.
-    reference : bool
-        Shade the interval of the first over all.
-    words : str
-        What is drawn, for those who do not see it.
-    """
+    """Values one beside the other, each with its interval; pale: the interval of the first."""
     low, high = _scale([end for mark in marks for end in (mark.value, mark.low, mark.high)])
     top, bottom = 26.0, _SESSIONS - 22.0
 

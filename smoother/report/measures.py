@@ -139,15 +139,7 @@ MOSTLY_RECOVERED = 0.5
 
 
 def measures_page(measures_by_arm: Sequence[Measures], pairs: Sequence[BothArms] = ()) -> Page:
-    """The page of a recording's measures; printed, it takes two pages.
-
-    Parameters
-    ----------
-    measures_by_arm : sequence of Measures
-        Of each arm of a recording.
-    pairs : sequence of BothArms
-        Of each person of whom both arms were measured: gives the symmetry indices of the main measures.
-    """
+    """The page of a recording's measures; printed, it takes two pages."""
     arms = list(measures_by_arm)
     names = ", ".join(dict.fromkeys(arm.name for arm in arms))
     length_s = max((arm.end_s - arm.start_s for arm in arms), default=math.nan)

@@ -260,17 +260,7 @@ Spreads = dict[float, dict[str, GapSpread]]
 
 
 def gap_curves_page(table: GapTable, name: str, notes: Sequence[str] = ()) -> Page:
-    """The errors in hidden gaps on one page.
-
-    Parameters
-    ----------
-    table : GapTable
-        As `evaluate_gaps` gives it.
-    name : str
-        Of the recording.
-    notes : sequence of str
-        Of the recording.
-    """
+    """The errors in hidden gaps on one page."""
     spreads = spread_by_length(table.rows)
     gaps = sum(next(iter(methods.values())).gaps for methods in spreads.values())
     against = next((row.reference for row in table.rows if row.reference), "truth")

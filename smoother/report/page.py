@@ -61,33 +61,7 @@ def write_report(
     camera_frame: CameraFrame | None = None,
     force: bool = False,
 ) -> None:
-    """Write a result as one HTML page that needs no network and no other file.
-
-    It begins with the verdict and the arm in motion, then the joint angles; all else is folded under
-    "Details".
-
-    Parameters
-    ----------
-    recovery : Recovery
-        The result.
-    path : path-like
-        The page to write.
-    recording : Recording, optional
-        What it was made of; gives the directions of the camera's axes and its own notes.
-    validation : Validation, optional
-        Figures against a reference.
-    truth : Truth, optional
-        The reference, drawn beside the answer.
-    camera_frame : CameraFrame, optional
-        The directions of the camera's axes, where the recording is not at hand.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
-    """
+    """Write a result as one HTML page that needs no network and no other file."""
     Page(
         f"Recovered arm motion: {recovery.name}",
         origin(recovery),
@@ -189,15 +163,7 @@ def in_motion(
     arms: Sequence[tuple[Recovery, Truth | None]],
     frame: CameraFrame | None,
 ) -> str:
-    """The section in which the arms move; "" where none has an answer.
-
-    Parameters
-    ----------
-    arms : sequence of (Recovery, Truth or None)
-        In one camera frame and on one clock.
-    frame : CameraFrame, optional
-        The directions of the camera's axes.
-    """
+    """The section in which the arms move; "" where none has an answer."""
     reference = _REFERENCE if any(truth is not None for _, truth in arms) else ""
     joint = "wrist" if any("wrist" in recovery.joints for recovery, _ in arms) else "sensor"
     colours = _colours([recovery for recovery, _ in arms])
@@ -355,24 +321,7 @@ def write_arms_report(
     camera_frame: CameraFrame | None = None,
     force: bool = False,
 ) -> None:
-    """Write the results of several arms as one HTML page: a summary of each, then arm by arm.
-
-    Parameters
-    ----------
-    arms : sequence of (Recording or None, Recovery[, Validation or None, Truth or None])
-        Each as `write_report` takes it.
-    path : path-like
-        The page to write.
-    camera_frame : CameraFrame, optional
-        The directions of the camera's axes, where no recording is at hand.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
-    """
+    """Write the results of several arms as one HTML page: a summary of each, then arm by arm."""
     recoveries = [arm[1] for arm in arms]
     marks = [_mark(tag) for tag in arm_tags(recoveries)]
     frame = next((arm[0].camera_frame for arm in arms if arm[0] is not None), None) or camera_frame

@@ -28,27 +28,15 @@ MOST_DOTS = 1500
 
 @dataclass(frozen=True)
 class Point:
-    """One point of the arm over time.
+    """One point of the arm over time."""
 
-    Attributes
-    ----------
-    name : str
-        "sensor" (the IMU on the forearm) or a joint.
-    position, sigma : ndarray, shape (n, 3), m
-        In {K}, at the recovery's times.
-    camera_t_s, camera : ndarray, shape (f,) and (f, 3), s and m
-        What the camera tracked, on the IMU's clock; some thousand samples of it.
-    truth_t_s, truth : ndarray, shape (m,) and (m, 3), s and m
-        The reference, empty without one.
-    """
-
-    name: str
-    position: FloatArray
-    sigma: FloatArray
-    camera_t_s: FloatArray
-    camera: FloatArray
-    truth_t_s: FloatArray
-    truth: FloatArray
+    name: str  # "sensor" (the IMU on the forearm) or a joint
+    position: FloatArray  # (n, 3) m: in {K}, at the recovery's times
+    sigma: FloatArray  # (n, 3) m: in {K}, at the recovery's times
+    camera_t_s: FloatArray  # (f,) and (f, 3) s and m: what the camera tracked, on the IMU's clock
+    camera: FloatArray  # (f,) and (f, 3) s and m: what the camera tracked, on the IMU's clock
+    truth_t_s: FloatArray  # (m,) and (m, 3) s and m: the reference, empty without one
+    truth: FloatArray  # (m,) and (m, 3) s and m: the reference, empty without one
 
 
 def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
@@ -169,24 +157,7 @@ def player(
     arms: Sequence[tuple[Recovery, Truth | None]],
     frame: CameraFrame | None,
 ) -> str:
-    """A heading, the player and a caption; "" where no arm has an answer.
-
-    Parameters
-    ----------
-    heading : str
-        Above it.
-    caption : Html
-        Below the player.
-    arms : sequence of (Recovery, Truth or None)
-        Arms in one camera frame and on one clock, each with its reference.
-    frame : CameraFrame, optional
-        The directions of the camera's axes.
-
-    Returns
-    -------
-    html : str
-        The section, with its data.
-    """
+    """A heading, the player and a caption; "" where no arm has an answer."""
     arms = [(recovery, truth) for recovery, truth in arms if len(recovery) > 1 and recovery.answered.any()]
     if not arms:
         return ""
@@ -207,25 +178,7 @@ def player(
 
 
 def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> dict[str, Any]:
-    """One arm on an even grid of times, about as many as the camera has frames.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        Of at least two samples.
-    truth : Truth, optional
-        Its reference.
-    most_bytes : float
-        Longer recordings get fewer frames per second than the camera had.
-
-    Returns
-    -------
-    arm : dict
-        Plain values, tracks packed: `joints`, `camera`, `truth` (n, 3 joints), `sensor` (n, 3), `sigma`
-        (n, 6; lower Cholesky factor of the covariance of the point `tip`) and `within` (n, 1; it lies within
-        this distance in 95 of 100 cases), nothing where the answer is not to be trusted, `tracked` (n, a bit
-        a joint). `untrusted` has start and end of the times that are not.
-    """
+    """One arm on an even grid of times, about as many as the camera has frames."""
     names = [joint for joint in CHAIN if joint in recovery.joints]
     start, end = float(recovery.t_s[0]), float(recovery.t_s[-1])
     width = 2 * (6 * len(names) + 10 + (3 * len(names) + 3 if truth is not None else 0)) + 1

@@ -30,13 +30,7 @@ MOST_FIGURES, MOST_ROWS, MOST_LIMITS = 5, 16, 6
 
 
 def progress_page(progress: PersonProgress) -> Page:
-    """The page of a person's sessions; printed, it takes two pages.
-
-    Parameters
-    ----------
-    progress : PersonProgress
-        The person's measures.
-    """
+    """The page of a person's sessions; printed, it takes two pages."""
     count = len(progress.sessions)
     return Page(
         f"Progress of {progress.person}",

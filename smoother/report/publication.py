@@ -39,29 +39,7 @@ def plot_recovery(
     to_s: float | None = None,
     width_cm: float = PAGE_CM,
 ) -> Figure:
-    """Draw curves over time, one below the other, each with its 95 % band.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    what : sequence of str
-        Angles ("elbow_flexion", "shoulder_elevation", ..), joints ("wrist", ..; "imu"), or "error_95", how
-        far off the IMU's position may be. Of the usual ones those that the recovery lacks are left out.
-    from_s, to_s : float, s
-        Part of the recording to draw; all of it where None.
-    width_cm : float, cm
-        17 fits a page, 8.5 a column.
-
-    Returns
-    -------
-    figure : matplotlib.figure.Figure
-        8 pt text; `.savefig("figure.pdf")` writes it.
-
-    Raises
-    ------
-    UnoccludeError
-        matplotlib is not installed, or the recovery has nothing of what was asked for.
-    """
+    """Draw curves over time, one below the other, each with its 95 % band."""
     try:
         from matplotlib import rc_context
         from matplotlib.figure import Figure

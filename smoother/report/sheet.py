@@ -39,49 +39,20 @@ class Html(str):
 
 @dataclass(frozen=True)
 class Page:
-    """An HTML page that needs no network and no other file.
+    """An HTML page that needs no network and no other file."""
 
-    Attributes
-    ----------
-    title, subtitle : str
-        Heading, and the line under it.
-    verdict : iterable of str
-        Sentences at the top.
-    sections : iterable of str
-        HTML, made by `figure`, `space`, `picture`, `listing` and `tabulated`.
-    two_pages : bool
-        Print it in small type: what is short fits on two pages.
-    tone : str
-        `ALARM` or `CARE`: the first sentences are in red or amber.
-    boxes : sequence of (str, str, list of str)
-        Tone, large word and sentences of each verdict of the first screen; `verdict` is below it then.
-    beside : str
-        HTML beside the boxes.
-    """
-
-    title: str
-    subtitle: str
-    verdict: Iterable[str]
-    sections: Iterable[str]
-    two_pages: bool = False
-    tone: str = ""
+    title: str  # Heading, and the line under it
+    subtitle: str  # Heading, and the line under it
+    verdict: Iterable[str]  # Sentences at the top
+    sections: Iterable[str]  # HTML, made by `figure`, `space`, `picture`, `listing` and `tabulated`
+    two_pages: bool = False  # Print it in small type: what is short fits on two pages
+    tone: str = ""  # `ALARM` or `CARE`: the first sentences are in red or amber
+    # Tone, large word and sentences of each verdict of the first screen; `verdict` is below it then
     boxes: Sequence[tuple[str, str, list[str]]] = ()
-    beside: str = ""
+    beside: str = ""  # HTML beside the boxes
 
     def write(self, path: str | os.PathLike[str], force: bool = False) -> None:
-        """Write it to a file.
-
-        Parameters
-        ----------
-        path : path-like
-        force : bool
-            Overwrite a page that exists.
-
-        Raises
-        ------
-        UnoccludeError
-            The page exists and `force` is not given, or it cannot be written.
-        """
+        """Write it to a file."""
         from .. import __version__
 
         below = _paragraphs(self.verdict)
@@ -191,17 +162,7 @@ def qualified(section: str, mark: str) -> str:
 
 
 def folded(sections: Iterable[str], words: str = "Details", below: str = "") -> Iterator[str]:
-    """Sections that a reader opens; paper has them all.
-
-    Parameters
-    ----------
-    sections : iterable of str
-        HTML.
-    words : str
-        What to press.
-    below : str
-        HTML at the beginning, inside.
-    """
+    """Sections that a reader opens; paper has them all."""
     yield f'<details class="more"><summary>{escape(words)}</summary>{below}'
     yield from sections
     yield "</details>"
@@ -335,15 +296,7 @@ TERMS = {
 
 
 def explained(heading: str, names: Iterable[str]) -> str:
-    """A section that explains terms.
-
-    Parameters
-    ----------
-    heading : str
-        Over them.
-    names : iterable of str
-        Keys of `TERMS`.
-    """
+    """A section that explains terms."""
     lines = "".join(
         f"<p><b>{escape(term)}</b>: {escape(words)}</p>" for term, words in (TERMS[name] for name in names)
     )

@@ -62,28 +62,7 @@ def write_study(
     long: Sequence[Mapping[str, Any]] = (),
     force: bool = False,
 ) -> None:
-    """Write the page of a study.
-
-    Parameters
-    ----------
-    rows : pyarrow.Table
-        One row per recording, columns as `study.folder` has them.
-    path : path-like
-        The page to write.
-    folder : path-like
-        The study's folder, which the outputs' names count from.
-    persons : mapping of str to str, optional
-        Whose each recording is, by its name.
-    long : sequence of mapping
-        The measures in long format, for the group's table and the file beside the page.
-    force : bool
-        Overwrite a page that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The page exists and `force` is not given, or it cannot be written.
-    """
+    """Write the page of a study."""
     import pyarrow.compute as pc
 
     recovered = rows.filter(pc.equal(rows["status"], "done"))
@@ -130,16 +109,12 @@ def _without(distrusted: int) -> str:
     return f" The {distrusted} results that are not to be trusted are left out." if distrusted else ""
 
 
-def worst_first(sigma_m: FloatArray, trusted: FloatArray, gaps_untrusted: FloatArray) -> np.ndarray:
-    """(N,) places in the order to look at them.
-
-    What is not to be trusted, what is not in some gaps, then the largest sigma; those without a gap last.
-
-    Parameters
-    ----------
-    sigma_m, trusted, gaps_untrusted : ndarray, shape (N,)
-        Columns as numbers; nan where there is nothing.
-    """
+def worst_first(
+    sigma_m: FloatArray,  # (N,)
+    trusted: FloatArray,  # (N,)
+    gaps_untrusted: FloatArray,  # (N,)
+) -> np.ndarray:
+    """(N,) places in the order to look at them."""
     return np.lexsort((-np.nan_to_num(sigma_m, nan=-1.0), ~(gaps_untrusted > 0), trusted != 0))
 
 
@@ -358,17 +333,7 @@ _TITLES = {angle.name: angle.title for angle in JOINT_ANGLES}
 
 
 def group_sections(rows: pa.Table, long: Sequence[Mapping[str, Any]], page: Path) -> Iterator[str]:
-    """The group's table and curves; beside the page its file in long format. Nothing without measures.
-
-    Parameters
-    ----------
-    rows : pyarrow.Table
-        Of the study.
-    long : sequence of mapping
-        Its measures in long format (`evaluation.group.LONG`).
-    page : Path
-        Where the page is to be; the file is called after it.
-    """
+    """The group's table and curves; beside the page its file in long format. Nothing without measures."""
     if long:
         file = page.with_name(f"{page.stem}_measures.csv")
         write_long(long, file)

@@ -22,22 +22,8 @@ MOST_POINTS = 4000
 GAP_SHARE = 0.6
 
 
-def decimate(important: BoolArray, most: int = MOST_POINTS) -> IntArray:
-    """Samples to draw: at most `most`, evenly spaced, closer together where it is important.
-
-    Parameters
-    ----------
-    important : ndarray of bool, shape (n,)
-        Samples that matter most (the occluded ones).
-
-    most : int
-        Samples to draw.
-
-    Returns
-    -------
-    index : ndarray of int, shape (m,)
-        In rising order; first and last sample are among them.
-    """
+def decimate(important: BoolArray, most: int = MOST_POINTS) -> IntArray:  # important bool (n,) -> int (m,)
+    """Samples to draw: at most `most`, evenly spaced, closer together where it is important."""
     count = len(important)
     if count <= most:
         return np.arange(count)
@@ -162,29 +148,15 @@ def dots(
 
 
 def seen_and_recovered(
-    t: ArrayLike,
-    values: FloatArray,
-    occluded: BoolArray,
+    t: ArrayLike,  # (n,)
+    values: FloatArray,  # (n,)
+    occluded: BoolArray,  # bool (n,)
     width: float = 1.8,
     prefix: str = "",
     *,
-    trusted: BoolArray | None = None,
+    trusted: BoolArray | None = None,  # bool (n,)
 ) -> list[go.Scatter]:
-    """The lines of a value: where the camera saw the arm, where it was recovered, where it is not trusted.
-
-    Only the last one where nothing is to be trusted.
-
-    Parameters
-    ----------
-    t, values : array_like, shape (n,)
-    occluded : ndarray of bool, shape (n,)
-    width : float
-        Of the lines.
-    prefix : str
-        Before their names.
-    trusted : ndarray of bool, shape (n,), optional
-        Where it is to be trusted; None for everywhere. The third line is there where it is not everywhere.
-    """
+    """The lines of a value: where the camera saw the arm, where it was recovered, where it is not trusted."""
     wrong = []
     if trusted is not None and not trusted.all():
         values, distrusted = split_line(values, ~trusted)
@@ -200,10 +172,7 @@ def seen_and_recovered(
 
 
 def shade(figure: go.Figure, recovery: Recovery) -> None:
-    """Shade the gaps over the whole height (the longest if very many), and show the player's time there.
-
-    Gaps, and other times of a result that is trusted elsewhere, are red where they are not to be trusted.
-    """
+    """Shade the gaps over the whole height (the longest if very many), and show the player's time there."""
     both = sorted(zip(recovery.gaps, recovery.gap_verdicts, strict=True), key=lambda each: -each[0].length_s)
     gaps = [(gap.start_s, gap.end_s, verdict.trusted) for gap, verdict in both[:MOST_SHADES]]
     red = [(start, end) for start, end, trusted in gaps if not trusted]

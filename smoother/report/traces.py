@@ -89,16 +89,7 @@ def _coordinate(
 
 
 def angles(recovery: Recovery, table: AngleTable, truth: Truth | None = None) -> go.Figure | None:
-    """The joint angles over time, a row each, with 95 of 100 true values in the band; None without any.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    table : AngleTable
-        Its angles and their sigmas.
-    truth : Truth, optional
-        Whose angles are drawn as well, where it has the joints.
-    """
+    """The joint angles over time, a row each, with 95 of 100 true values in the band; None without any."""
     shown = [angle for angle in table.angles if np.isfinite(table.values[angle.name]).any()]
     if not shown:
         return None
@@ -171,10 +162,7 @@ def _range(value: FloatArray) -> tuple[float, float]:
 
 
 def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
-    """Within which distance and angle 95 of 100 errors lie, over time, and the errors of a truth; or None.
-
-    What is stated where the answer is not to be trusted is left out.
-    """
+    """Within which distance and angle 95 of 100 errors lie, over time, and the errors of a truth; or None."""
     within_cm = np.where(recovery.trusted, 100 * recovery.error_95_m, np.nan)
     within_deg = np.where(
         recovery.trusted, np.degrees(error_radius(recovery.pose_covariance[:, 3:, 3:])), np.nan

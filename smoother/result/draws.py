@@ -144,10 +144,7 @@ def turned_by(rotation: FloatArray, quaternion: FloatArray) -> FloatArray:
 
 
 def _at_times(t: FloatArray, at: FloatArray, drawn: FloatArray, order: int = 0) -> FloatArray:
-    """Deviations (m, k) at other times (n, k), held beyond the drawn ones; derivatives with `order` 1.
-
-    Nan where nothing was drawn within a second.
-    """
+    """Deviations (m, k) at other times (n, k), held beyond the drawn ones; derivatives with `order` 1."""
     value = np.full((len(at), drawn.shape[1]), np.nan)
     known = np.flatnonzero(np.isfinite(drawn).all(axis=1))
     if not len(known):

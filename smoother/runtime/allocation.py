@@ -11,11 +11,7 @@ _MMAP_THRESHOLD, _TRIM_THRESHOLD = (-3, 32 << 20), (-1, 16 << 20)
 
 
 def keep_freed_memory() -> None:
-    """Keep what is freed for what is needed next, instead of giving it back at once.
-
-    Each window is solved with some megabytes for a moment; to get their pages from the system anew every time
-    takes a twenty-fifth of the time in all.
-    """
+    """Keep what is freed for what is needed next, instead of giving it back at once."""
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # other C libraries have no such parameters
             import ctypes

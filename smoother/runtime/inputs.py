@@ -17,23 +17,7 @@ from ..errors import UnoccludeError
 
 
 def check_input(path: str | os.PathLike[str], error: type[UnoccludeError] = UnoccludeError) -> None:
-    """Refuse what is there and is neither a file nor a folder, and a link that leads to nothing.
-
-    What is missing altogether is its reader's to say.
-
-    Parameters
-    ----------
-    path : path-like
-        What is about to be opened.
-    error : type of UnoccludeError
-        As which it is refused.
-
-    Raises
-    ------
-    UnoccludeError
-        A pipe, a socket or a device; a link whose file is missing, which leads back to itself, or to where
-        this user may not look.
-    """
+    """Refuse what is there and is neither a file nor a folder, and a link that leads to nothing."""
     try:
         mode = os.stat(path).st_mode
     except OSError as reason:
@@ -62,15 +46,7 @@ def _link_trouble(path: str | os.PathLike[str], reason: OSError) -> str:
 
 
 def inside(folder: str | os.PathLike[str], name: str) -> Path | None:
-    """The file of a folder that a text in that folder names; None where it leads out of it, by a link too.
-
-    Parameters
-    ----------
-    folder : path-like
-        Where the text is stored.
-    name : str
-        As the text has it.
-    """
+    """The file of a folder that a text in that folder names; None where it leads out of it, by a link too."""
     path = Path(folder) / name
     try:
         real = Path(os.path.realpath(path))
@@ -105,20 +81,7 @@ def marked_encoding(raw: bytes) -> str | None:
 
 
 def toml_text(path: Path) -> str:
-    """The text of a TOML file without its byte-order mark, lines parted by a line feed.
-
-    Parameters
-    ----------
-    path : Path
-        The file: UTF-8, or what its byte-order mark says.
-
-    Raises
-    ------
-    OSError
-        It cannot be read.
-    ValueError
-        It is not text, or longer than any table of settings; the message states it.
-    """
+    """The text of a TOML file without its byte-order mark, lines parted by a line feed."""
     with open(path, "rb") as file:
         raw = file.read(MOST_TOML + 1)
     if len(raw) > MOST_TOML:
@@ -131,20 +94,7 @@ def toml_text(path: Path) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file contains, as plain values.
-
-    Parameters
-    ----------
-    path : Path
-        The file, as of `toml_text`.
-
-    Raises
-    ------
-    OSError
-        It cannot be read.
-    ValueError
-        Not TOML, longer than 1 MB, or has tables within tables beyond `MOST_DEEP` (the message states which).
-    """
+    """What a TOML file contains, as plain values."""
     text = toml_text(path)
     too_deep = ValueError(f"it has tables within tables, {MOST_DEEP} and more, which no file of settings has")
     if _DEEP_KEY.search(text):
@@ -173,23 +123,7 @@ _FATAL = ("SIGALRM", "SIGXCPU", "SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGIL
 
 
 def crashes_in_subprocess(path: Path, read: Callable[[Path], object]) -> bool:
-    """Whether reading a file would end the process, or never end itself: tried in a child (no Windows).
-
-    The child has the time and memory that a file of this size can need.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    read : callable
-        Reads it by the library; the library is imported already. Whatever it raises is not a crash, unless it
-        is that memory does not suffice.
-
-    Returns
-    -------
-    bool
-        It crashed, took too long, or wanted too much memory.
-    """
+    """Whether reading a file would end the process, or never end itself: tried in a child (no Windows)."""
     import faulthandler
     import signal
 

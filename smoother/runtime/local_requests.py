@@ -27,34 +27,14 @@ class Refusal(StrEnum):
 
 @dataclass(frozen=True)
 class LocalDoor:
-    """Which requests come from this computer's own pages and programs.
+    """Which requests come from this computer's own pages and programs."""
 
-    Attributes
-    ----------
-    port : int, optional
-        On which is served, as Host and own Origins name it; None takes any (behind a gate that passes on).
-    guests : tuple of str
-        Hosts of other web sites whose pages may ask too.
-    schemes : tuple of str
-        Origins of programs that are not web pages ("file", ..) and may ask too.
-    """
-
-    port: int | None = None
-    guests: tuple[str, ...] = ()
-    schemes: tuple[str, ...] = ()
+    port: int | None = None  # On which is served, as Host and own Origins name it
+    guests: tuple[str, ...] = ()  # Hosts of other web sites whose pages may ask too
+    schemes: tuple[str, ...] = ()  # Origins of programs that are not web pages ("file", ..) and may ask too
 
     def refusal(self, headers: Mapping[str, str], changes: bool, by_address: bool = False) -> Refusal | None:
-        """Why a request is refused; None where it is not.
-
-        Parameters
-        ----------
-        headers : mapping of str to str
-            By names in small letters; from `joined` where they may repeat.
-        changes : bool
-            It changes something, so it must state that it comes from our own page.
-        by_address : bool
-            It has the token in its address: who opens it may come from any page.
-        """
+        """Why a request is refused; None where it is not."""
         host = headers.get("host", "")
         if not self._is_own(host):
             return Refusal.HOST

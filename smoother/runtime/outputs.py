@@ -39,13 +39,7 @@ def is_stream(path: str | os.PathLike[str]) -> bool:
 
 @contextmanager
 def sending(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary file to write to; its content goes to the stream `path` when all went well.
-
-    Raises
-    ------
-    UnoccludeError
-        Nobody reads the pipe, its reader went away, or there is no space for the temporary file.
-    """
+    """Yield a temporary file to write to; its content goes to the stream `path` when all went well."""
     try:
         with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:  # for its owner alone
             temporary = Path(folder) / "output"
@@ -118,13 +112,7 @@ def is_temporary(name: str) -> bool:
 
 @contextmanager
 def locked_folder(path: Path) -> Iterator[None]:
-    """Make a folder that only its owner can enter, and keep it from being swept.
-
-    Raises
-    ------
-    OSError
-        It cannot be made.
-    """
+    """Make a folder that only its owner can enter, and keep it from being swept."""
     path.mkdir(mode=0o700)
     if os.name != "posix":
         yield
@@ -139,13 +127,7 @@ def locked_folder(path: Path) -> Iterator[None]:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Make an empty file that only its owner can read, and keep it from being swept.
-
-    Raises
-    ------
-    OSError
-        It cannot be made. A link or a file of that name is never followed or taken.
-    """
+    """Make an empty file that only its owner can read, and keep it from being swept."""
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
     handle = os.open(path, flags, 0o600)
     try:
@@ -160,15 +142,7 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def remove_stale_tempfiles(folder: Path, again: bool = False) -> None:
-    """Remove temporary files, and folders, that programs of ours left in a folder when they were killed.
-
-    Parameters
-    ----------
-    folder : Path
-        Where outputs are to lie.
-    again : bool
-        Also where this process has swept before.
-    """
+    """Remove temporary files, and folders, that programs of ours left in a folder when they were killed."""
     if folder in _swept and not again:
         return
     _swept.add(folder)
@@ -219,30 +193,7 @@ def _lock(handle: int) -> bool:
 
 @contextmanager
 def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
-    """Yield a hidden name beside `path` to write to; it becomes `path` when all went well.
-
-    Until then the file is for its owner alone, under an unpredictable name. It then has the mode of
-    the file that it replaces, or the umask's. Output to a pipe, the terminal or the null device is
-    written to a temporary file first, and then there.
-
-    Parameters
-    ----------
-    path : str or path
-        Where the output is to lie; its folder must exist.
-    force : bool
-        Overwrite an output that exists.
-
-    Yields
-    ------
-    temporary : Path
-        What to write to. On any failure it is removed, and an older output stays as it was.
-
-    Raises
-    ------
-    UnoccludeError
-        The output exists and `force` is not given (also where another process has written it meanwhile), it
-        is a device, the folder is missing, or writing failed (full disk, no permission).
-    """
+    """Yield a hidden name beside `path` to write to; it becomes `path` when all went well."""
     check_output(path, force)
     if is_stream(path):
         with sending(path) as temporary:
@@ -277,13 +228,7 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
 
 
 def check_output(path: str | os.PathLike[str], force: bool = False) -> None:
-    """Refuse an output that could not be written in the end, before any work is done for it.
-
-    Raises
-    ------
-    UnoccludeError
-        The output exists and `force` is not given, is a folder or a device, or its folder is missing.
-    """
+    """Refuse an output that could not be written in the end, before any work is done for it."""
     target = Path(path)
     if is_stream(target):
         return
@@ -313,13 +258,7 @@ def _check_kind(target: Path) -> None:
 
 
 def _give_name(temporary: Path, target: Path, force: bool) -> None:
-    """Give the output its name in one step; of two without `force`, the second finds the name taken.
-
-    Raises
-    ------
-    FileExistsError
-        With both names.
-    """
+    """Give the output its name in one step; of two without `force`, the second finds the name taken."""
     _check_kind(target)  # it may have become another thing meanwhile
     if force:
         os.replace(temporary, target)

@@ -24,12 +24,7 @@ LEFT_OUT = {
 
 
 def missing_package(error: ImportError) -> str:
-    """One sentence on a module that is not there; "" where the program never leaves it out.
-
-    Parameters
-    ----------
-    error : ImportError
-    """
+    """One sentence on a module that is not there; "" where the program never leaves it out."""
     module = (error.name or "").partition(".")[0]
     if not isinstance(error, ModuleNotFoundError) or module not in LEFT_OUT:
         return ""
@@ -41,30 +36,7 @@ def missing_package(error: ImportError) -> str:
 def extra_module(
     name: str, package: str, extra: str, needs: Sequence[str] = (), submodules: Sequence[str] = ()
 ) -> ModuleType:
-    """A module of an extra.
-
-    Parameters
-    ----------
-    name : str
-        As it is imported.
-    package : str
-        As it is installed.
-    extra : str
-        Of this program, that installs it.
-    needs : sequence of str
-        Names in it that an old version lacks.
-    submodules : sequence of str
-        What is to be imported with it.
-
-    Returns
-    -------
-    module : ModuleType
-
-    Raises
-    ------
-    UnoccludeError
-        It is not installed, or too old; the message explains how to install it.
-    """
+    """A module of an extra."""
     try:
         module = import_module(name)
         for submodule in submodules:
@@ -84,13 +56,7 @@ def extra_module(
 
 
 def pandas_module() -> ModuleType:
-    """The package `pandas`, which only `to_dataframe()` needs.
-
-    Raises
-    ------
-    UnoccludeError
-        It is not installed.
-    """
+    """The package `pandas`, which only `to_dataframe()` needs."""
     try:
         return import_module("pandas")
     except ImportError as error:
@@ -98,13 +64,7 @@ def pandas_module() -> ModuleType:
 
 
 def load_open3d() -> ModuleType:
-    """Import Open3D; where libusb-1.0 is missing, with the one of the package `libusb-package`.
-
-    Raises
-    ------
-    ImportError
-        Open3D is not installed, or another of its libraries is missing.
-    """
+    """Import Open3D; where libusb-1.0 is missing, with the one of the package `libusb-package`."""
     try:
         import open3d
     except (ImportError, OSError) as error:

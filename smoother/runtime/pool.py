@@ -28,18 +28,7 @@ LEAST_BYTES = 300 << 20
 
 
 def check_allowance(least_bytes: int = LEAST_BYTES) -> None:
-    """Refuse where this process may use less memory than its work needs before it has read anything.
-
-    Parameters
-    ----------
-    least_bytes : int
-        What it needs.
-
-    Raises
-    ------
-    UnoccludeError
-        As `ulimit -d` limits it.
-    """
+    """Refuse where this process may use less memory than its work needs before it has read anything."""
     if sys.platform != "linux":
         return
     import resource
@@ -68,11 +57,7 @@ def prepare_worker() -> None:
 
 
 def end_with_parent() -> None:
-    """End this process as soon as its parent is gone, however that went.
-
-    A thread waits for the parent on every system. It cannot run while a library computes, so Linux is
-    asked to kill the process as well.
-    """
+    """End this process as soon as its parent is gone, however that went."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -118,11 +103,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @contextmanager
 def blank_main() -> Iterator[None]:
-    """Keep new workers from running the caller's script again, whether or not it guards its main part.
-
-    A spawned worker imports the parent's main module so that functions of it can be found; ours are in
-    this package.
-    """
+    """Keep new workers from running the caller's script again, whether or not it guards its main part."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -145,11 +126,7 @@ def one_thread_each() -> Iterator[None]:
 
 
 def _start_method() -> Literal["fork", "spawn"]:
-    """How workers start: a fork has everything loaded, which takes a spawned one most of a second.
-
-    Other threads' locks do not survive a fork: it is used where this process has no other thread, of Python
-    or of a library (GTSAM, BLAS, a progress bar, a notebook), and where the system is known to allow it.
-    """
+    """How workers start: a fork has everything loaded, which takes a spawned one most of a second."""
     try:
         alone = sys.platform == "linux" and len(os.listdir("/proc/self/task")) == 1
     except OSError:
@@ -169,18 +146,7 @@ Answer = TypeVar("Answer")
 
 
 class Pool:
-    """Does jobs side by side and answers in order; use as a context manager.
-
-    Workers end with this process, however it ends. If one is killed, all are started once more and do again
-    what they had not answered: jobs depend on their items alone.
-
-    Parameters
-    ----------
-    processes : int
-        Worker processes, 0 = one per core.
-    frames : int
-        Camera frames of the whole job; a small one is done here.
-    """
+    """Does jobs side by side and answers in order; use as a context manager."""
 
     def __init__(self, processes: int, frames: int) -> None:
         count = processes or os.cpu_count() or 1
@@ -203,15 +169,7 @@ class Pool:
             self._executor.shutdown(wait=True, cancel_futures=True)
 
     def map(self, job: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
-        """The job's answers in the order of the items, of which no more are taken than keep all busy.
-
-        Items that are made one by one are worked on while the next ones are made.
-
-        Raises
-        ------
-        UnoccludeError
-            Workers were killed twice.
-        """
+        """The job's answers in the order of the items, of which no more are taken than keep all busy."""
         if self._executor is None:
             yield from map(job, items)
             return
@@ -292,11 +250,7 @@ def _workers(executor: ProcessPoolExecutor) -> list[BaseProcess]:
 
 
 def end_if_one_died(executor: ProcessPoolExecutor) -> None:
-    """End all workers where one has died, so that jobs that are not done raise BrokenProcessPool.
-
-    An executor does that by itself, unless it is reading an answer of which the dead worker wrote a part:
-    it waits for the rest, and the other workers wait until they may write.
-    """
+    """End all workers where one has died, so that jobs that are not done raise BrokenProcessPool."""
     if wait([process.sentinel for process in _workers(executor)], 0):
         end_workers(executor)
 
@@ -320,11 +274,7 @@ _limits: Any = None
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Keep BLAS to one thread meanwhile, in a notebook as in the commands, which start it so.
-
-    A window's matrices are small: more threads take twice the processor time and sum in another order, so
-    that the answer would differ from the command's in its last digits.
-    """
+    """Keep BLAS to one thread meanwhile, in a notebook as in the commands, which start it so."""
     global _inside, _limits
     if _ONE_FROM_THE_START:
         yield

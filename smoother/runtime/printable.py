@@ -12,15 +12,7 @@ _ACTING = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
 
 def printable(text: str, lines: bool = False) -> str:
-    """A text whose control characters are written out (escape as x1b behind a backslash).
-
-    Parameters
-    ----------
-    text : str
-        May hold names of topics, files and joints that a stranger chose.
-    lines : bool
-        Keep line breaks and tabs.
-    """
+    """A text whose control characters are written out (escape as x1b behind a backslash)."""
     if text.isascii() and text.isprintable():
         return text
     kept = "\n\t" if lines else ""

@@ -32,19 +32,7 @@ _ENOUGH = 50_000
 
 
 class Column:
-    """Rows of one shape, gathered batch after batch in a store.
-
-    Parameters
-    ----------
-    store : Store
-        Where the rows are stored.
-    tail : tuple of int
-        Shape of a row.
-    dtype : dtype
-        Of its values.
-    optional : bool
-        Rows cost nothing until the first that is not nan.
-    """
+    """Rows of one shape, gathered batch after batch in a store."""
 
     def __init__(
         self,

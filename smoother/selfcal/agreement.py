@@ -61,57 +61,26 @@ OFFSETS_PER_S = 3.0
 
 @dataclass(frozen=True)
 class OffsetLine:
-    """Clock offsets that are explained best, among some.
+    """Clock offsets that are explained best, among some."""
 
-    Attributes
-    ----------
-    offset_s : float, s
-        t_imu - t_camera in the middle of the recording.
-    skew : float, s/s
-        Drift per second.
-    evidence : float
-        Over all stretches.
-    chance : float
-        Probability that streams which do not belong together reach as much.
-    explained : float
-        Part of the camera's turning (its power, its own error aside) that the IMU explains.
-    """
-
-    offset_s: float
-    skew: float
-    evidence: float
-    chance: float
-    explained: float
+    offset_s: float  # t_imu - t_camera in the middle of the recording
+    skew: float  # Drift per second
+    evidence: float  # Over all stretches
+    chance: float  # Probability that streams which do not belong together reach as much
+    explained: float  # Part of the camera's turning (its power, its own error aside) that the IMU explains
 
 
 @dataclass(frozen=True)
 class MotionAgreement:
-    """How camera and IMU agree, at all offsets and at those near zero.
+    """How camera and IMU agree, at all offsets and at those near zero."""
 
-    Attributes
-    ----------
-    middle_s : float, s
-        On the camera's clock: where the lines' offsets hold.
-    best, near : OffsetLine
-        Over all offsets, and over those within `NEAR_S`; near has no evidence where the streams do not
-        overlap there.
-    rival : float
-        Evidence of the best offset at least `APART_S` from `best`.
-    freedom : float
-        Independent samples of the camera's turning beyond the unknowns, over all stretches.
-    noise_share : float
-        Part of the camera's turning that is its own error.
-    heading_only : bool
-        Down was known and used.
-    """
-
-    middle_s: float
-    best: OffsetLine
-    near: OffsetLine
-    rival: float
-    freedom: float
-    noise_share: float
-    heading_only: bool
+    middle_s: float  # On the camera's clock: where the lines' offsets hold
+    best: OffsetLine  # Over all offsets, and over those within `NEAR_S`
+    near: OffsetLine  # Over all offsets, and over those within `NEAR_S`
+    rival: float  # Evidence of the best offset at least `APART_S` from `best`
+    freedom: float  # Independent samples of the camera's turning beyond the unknowns, over all stretches
+    noise_share: float  # Part of the camera's turning that is its own error
+    heading_only: bool  # Down was known and used
 
 
 @dataclass(frozen=True)
@@ -130,17 +99,7 @@ class _Stretch:
 def agreement(
     recording: Recording, timeline: Timeline | None = None, workers: Pool | None = None
 ) -> MotionAgreement | None:
-    """How camera and IMU agree over a recording; None where there is no forearm direction, or too little.
-
-    Parameters
-    ----------
-    recording : Recording
-        With elbow and wrist (or hand); its clocks may be any time apart.
-    timeline : Timeline, optional
-        Of the recording, where it is there already.
-    workers : Pool, optional
-        Stretches are compared side by side in them; here where None.
-    """
+    """How camera and IMU agree over a recording; None where there is no forearm direction, or too little."""
     arm, imu, workers = recording.arm, recording.imu, workers or Pool(1, 0)
     tip = next((joint for joint in ("wrist", "hand") if joint in arm.present), None)
     if tip is None or "elbow" not in arm.present or len(arm) < 3 or len(imu) < 3:
@@ -170,26 +129,7 @@ def agreement_of(imu: ImuStream, arm: JointTracks) -> MotionAgreement | None:
 
 
 def chance(evidence: float, explained: float, searched_s: float, stretches: int, heading_only: bool) -> float:
-    """Probability that streams which do not belong together reach this evidence or more, at most 1.
-
-    The tail of the largest of many is exponential in the evidence, and in proportion to how many offsets were
-    tried. Where both are of the same exercise they agree by more than chance, however long it takes: the tail
-    of the part explained is exponential as well. Both tails bound what was found on wrong pairs (skeleton of
-    one trial, IMU of another): real Kinect v1 of 2 to 6 s (same activity), real Azure Kinect of 4 to 17 s
-    (all pairs), and simulated exercises of 30 to 75 s whose script is the same; `tools/pairing_accuracy.py`
-    repeats it.
-
-    Parameters
-    ----------
-    evidence : float
-    explained : float
-        Part of the camera's turning that the IMU explains, its own error aside, 0 to 1.
-    searched_s : float, s
-        Range of the offsets tried.
-    stretches : int
-        Whose evidence was added; each fits unknowns of its own.
-    heading_only : bool
-    """
+    """Probability that streams which do not belong together reach this evidence or more, at most 1."""
     start = CHANCE_START + CHANCE_STRETCH * (stretches - 1)
     start += 0.0 if heading_only else CHANCE_FREE * stretches
     tried = max(searched_s * OFFSETS_PER_S, 1.0)

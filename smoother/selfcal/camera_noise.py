@@ -45,11 +45,7 @@ def joint_noise(windows: list[Window], solutions: list[Solution]) -> dict[str, J
 
 @dataclass(frozen=True)
 class _Memory:
-    """Pooled over the joints.
-
-    `long_run`: long-run variance over the variance; `hidden`: the variance over that of the residuals;
-    `neighbours`: the share of the residuals' variance that neighbours share.
-    """
+    """Pooled over the joints."""
 
     long_run: float
     hidden: float
@@ -92,11 +88,7 @@ def _memory(found: dict[str, list[FloatArray]], times: dict[str, list[FloatArray
 
 
 def _fitted(rho: FloatArray, counts: FloatArray, step_s: float) -> _Memory:
-    """White noise and a share `a` with a memory, exp(-lag / tau), behind an autocorrelation.
-
-    States follow a slow error and take its slowest part out of the residuals, which lowers all of the
-    autocorrelation by about a constant b: rho(lag) = a exp(-lag / tau) - b, and the variance was 1 + b.
-    """
+    """White noise and a share `a` with a memory, exp(-lag / tau), behind an autocorrelation."""
     lag_s = step_s * np.arange(1, len(rho))
     known = counts[1:] >= FEWEST_PAIRS
     if known.sum() < 3:
@@ -132,11 +124,7 @@ def sigma_by_camera(noise: dict[str, JointNoise], fallback_m: float, cameras: in
 
 
 def sigma_by_joint(noise: dict[str, JointNoise], fallback_m: float) -> FloatArray:
-    """Effective sigma in the order of `JOINTS` (5,), m per axis.
-
-    A joint whose noise no residual shows is treated as the best of the others: that is the shoulder, which
-    skeletons place better than the elbow (17 against 23 mm on an Azure Kinect).
-    """
+    """Effective sigma in the order of `JOINTS` (5,), m per axis."""
     known = {joint: each.effective_m for joint, each in noise.items()}
     best = min(known.values(), default=fallback_m)
     return np.array([known.get(joint, best) for joint in JOINTS])

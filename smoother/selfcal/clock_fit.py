@@ -39,22 +39,7 @@ SMALLEST_SHARE = 0.02
 
 
 def refined_clock(clock: Clock, score: ClockScore, synthetic_stamps: bool) -> Clock:
-    """Move a clock by what the residuals say, and find how it wanders.
-
-    Parameters
-    ----------
-    clock : Clock
-        That the score was taken with.
-    score : ClockScore
-        Of as many windows as there are.
-    synthetic_stamps : bool
-        The camera's stamps are synthetic: they hide dropped frames, and wander fast.
-
-    Returns
-    -------
-    Clock
-        With knots where the score has information; the same clock where it has none.
-    """
+    """Move a clock by what the residuals say, and find how it wanders."""
     if not score.information.sum() > 0:
         return clock
     t = score.t - clock.mean_s  # back to the camera's clock, near enough to place knots
@@ -95,19 +80,9 @@ def refined_clocks(
     synthetic_stamps: Sequence[bool],
     windows: Sequence[Window],
     solutions: Sequence[Solution],
-    recording_of_window: IntArray,
+    recording_of_window: IntArray,  # int (len(windows) )
 ) -> tuple[Clock, ...]:
-    """Every recording's clock moved by the residuals of its own windows.
-
-    Parameters
-    ----------
-    clocks, synthetic_stamps : sequence of Clock, sequence of bool
-        One per recording.
-    windows, solutions : sequence of Window, sequence of Solution
-        Of one round of the self-calibration.
-    recording_of_window : ndarray of int, shape (len(windows),)
-        Number of the recording that each window is of.
-    """
+    """Every recording's clock moved by the residuals of its own windows."""
     refined = list(clocks)
     for number in np.unique(recording_of_window).tolist():
         own = np.flatnonzero(recording_of_window == number).tolist()
@@ -118,27 +93,14 @@ def refined_clocks(
 
 @dataclass(frozen=True)
 class ClockScore:
-    """Evidence of camera samples on the clock offset: their likelihood's score, and its Fisher information.
-
-    The loss falls by residual . velocity / sigma^2 a second of later offset (envelope theorem). Information
-    is velocity^2 / sigma^2 less what the states follow of a shift (`graph.error_columns`).
-
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        On the IMU's clock.
-    slope : ndarray, shape (n,), 1/s
-        Fall of the loss for a later offset.
-    information : ndarray, shape (n,), 1/s^2
-        Of the offset.
-    window : ndarray of int, shape (n,)
-        Number of the window that the sample is of.
+    """Evidence of camera samples on the clock offset: their likelihood's score, and its Fisher
+    information.
     """
 
-    t: FloatArray
-    slope: FloatArray
-    information: FloatArray
-    window: IntArray
+    t: FloatArray  # (n,) s: on the IMU's clock
+    slope: FloatArray  # (n,) 1/s: fall of the loss for a later offset
+    information: FloatArray  # (n,) 1/s^2: of the offset
+    window: IntArray  # int (n,): number of the window that the sample is of
 
     def condensed(self) -> ClockScore:
         """The score of one window summed up over half a second at a time."""
@@ -153,13 +115,7 @@ class ClockScore:
 
 
 def clock_score(windows: Sequence[Window], solutions: Sequence[Solution]) -> ClockScore:
-    """The score of the samples in the windows' own time.
-
-    Parameters
-    ----------
-    windows, solutions : sequence of Window, sequence of Solution
-        Solved with `with_offset=True`, so that the solutions state their information on the offset.
-    """
+    """The score of the samples in the windows' own time."""
     columns: list[tuple[FloatArray, FloatArray, FloatArray, IntArray]] = []
     for number, (window, solution) in enumerate(zip(windows, solutions, strict=True)):
         if not window.joint_measurements:

@@ -32,23 +32,12 @@ from ..window.solution import Solution
 
 @dataclass(frozen=True)
 class PooledEvidence:
-    """Information on [gravity of each recording, the arm's constants; the errors].
+    """Information on [gravity of each recording, the arm's constants; the errors]."""
 
-    Attributes
-    ----------
-    information : ndarray, shape (k + SIZE, k + SIZE)
-    vector : ndarray, shape (k + SIZE,)
-        Information times mean, of the errors as a change of `before`.
-    before : ndarray, shape (SIZE,)
-        What was taken off the windows' data.
-    recordings : int
-        How many directions of gravity come first.
-    """
-
-    information: FloatArray
-    vector: FloatArray
-    before: FloatArray
-    recordings: int
+    information: FloatArray  # (k + SIZE, k + SIZE)
+    vector: FloatArray  # (k + SIZE,): information times mean, of the errors as a change of `before`
+    before: FloatArray  # (SIZE,): what was taken off the windows' data
+    recordings: int  # How many directions of gravity come first
 
     @classmethod
     def of(
@@ -56,22 +45,10 @@ class PooledEvidence:
         windows: Sequence[Window],
         solutions: Sequence[Solution],
         prior: Priors,
-        recording_of_window: IntArray,
-        before: FloatArray,
+        recording_of_window: IntArray,  # int (k,)
+        before: FloatArray,  # (SIZE,)
     ) -> PooledEvidence:
-        """Add the windows up, and the prior on what they share once.
-
-        Parameters
-        ----------
-        windows, solutions : sequence of Window, sequence of Solution
-            Of one round, with their evidence.
-        prior : Priors
-            The windows' own, the same for all.
-        recording_of_window : ndarray of int, shape (k,)
-            Recordings share the arm; each has its own direction of gravity.
-        before : ndarray, shape (SIZE,)
-            What was taken off the windows' data.
-        """
+        """Add the windows up, and the prior on what they share once."""
         recordings = int(recording_of_window.max(initial=0)) + 1
         constants = 2 * recordings + np.arange(prior.layout.size - prior.layout.constants.start)
         errors = 2 * recordings + len(constants) + np.arange(SIZE)
@@ -117,21 +94,12 @@ class PooledEvidence:
 
 @dataclass(frozen=True)
 class JointBias:
-    """The camera's constant errors, free of their common part.
+    """The camera's constant errors, free of their common part."""
 
-    Attributes
-    ----------
-    error_m : ndarray, shape (5, 3), m
-        In {K}, in the order of `JOINTS`.
-    joints : tuple of str
-        Joints with enough samples to tell.
-    sigma_m : float, m
-        How large a joint's constant error is in this recording, per axis (one sigma); 0 if unknown.
-    """
-
+    # (5, 3) m: In {K}, in the order of `JOINTS`
     error_m: FloatArray = field(default_factory=lambda: np.zeros((len(JOINTS), 3)))
-    joints: tuple[str, ...] = ()
-    sigma_m: float = 0.0
+    joints: tuple[str, ...] = ()  # Joints with enough samples to tell
+    sigma_m: float = 0.0  # How large a joint's constant error is in this recording, per axis (one sigma)
 
 
 #: How large such errors are before the recording speaks (an element; the IMU's: `Config.imu.scale_sigma`): a
@@ -161,34 +129,16 @@ GYROSCOPE_PAIRS = ((10, 12), (11, 15), (14, 16))
 
 @dataclass(frozen=True)
 class ConstantErrors:
-    """What is taken off the data, and what may be left.
+    """What is taken off the data, and what may be left."""
 
-    Attributes
-    ----------
-    imu : ndarray, shape (2, 3, 3)
-        Scales and axes of accelerometer and gyroscope: a sample reads (I + imu) times what it should.
-    joints : JointBias
-        The camera's.
-    considered : Considered or None
-        What may be left; None before the first round.
-    lens : (float, float)
-        Of one camera without depth: by how large a part the focal length seems wrong, and the sigma of that.
-    """
-
+    # (2, 3, 3): Scales and axes of accelerometer and gyroscope: a sample reads (I + imu) times what it should
     imu: FloatArray = field(default_factory=lambda: np.zeros((2, 3, 3)))
-    joints: JointBias = field(default_factory=JointBias)
-    considered: Considered | None = None
-    lens: tuple[float, float] = (0.0, 0.0)
+    joints: JointBias = field(default_factory=JointBias)  # The camera's
+    considered: Considered | None = None  # What may be left; None before the first round
+    lens: tuple[float, float] = (0.0, 0.0)  # Of one camera without depth
 
     def corrected(self, segment: Segment, signals: dict[int, InertialSignal] | None = None) -> Segment:
-        """A segment with the errors taken off.
-
-        Parameters
-        ----------
-        segment : Segment
-        signals : dict of int to InertialSignal, optional
-            Corrected signals by the identity of the original, for segments that share one.
-        """
+        """A segment with the errors taken off."""
         known = {} if signals is None else signals
         key = id(segment.signal)
         if key not in known:
@@ -200,28 +150,12 @@ class ConstantErrors:
         windows: Sequence[Window],
         solutions: Sequence[Solution],
         prior: Priors,
-        recording_of_window: IntArray,
+        recording_of_window: IntArray,  # int (k,)
         imu_sigma: float,
         stamp_sigma_s: float = 0.0,
         focal_share: float = 0.0,
     ) -> ConstantErrors:
-        """The errors as estimated by another round.
-
-        Parameters
-        ----------
-        windows, solutions : sequence of Window, sequence of Solution
-            Of one round, solved with these errors taken off, with their evidence.
-        prior : Priors
-            The windows' own, the same for all.
-        recording_of_window : ndarray of int, shape (k,)
-            Recordings share the arm and the IMU; each has its own direction of gravity.
-        imu_sigma : float
-            Sigma of each element of `imu` before the recording speaks.
-        stamp_sigma_s : float, s
-            How far the frames' times may be off, beyond one offset for all; 0 where they were measured.
-        focal_share : float
-            Of one camera without depth and strap: standard error of the focal length, as a part of it.
-        """
+        """The errors as estimated by another round."""
         place = "strap" not in prior.layout.joints  # a tracked strap then represents the IMU
         joints = _told(windows, place)
         before = np.concatenate([self.imu.ravel(), self.joints.error_m.ravel(), np.zeros(9)])
@@ -320,10 +254,7 @@ class _Sizes:
 
 
 def _told(windows: Sequence[Window], place: bool = True) -> tuple[str, ...]:
-    """Joints of the forearm with enough samples; none where there are not two.
-
-    A strap that represents the IMU (`place`) is none of them.
-    """
+    """Joints of the forearm with enough samples; none where there are not two."""
     counts: dict[str, int] = {}
     for window in windows:
         for measured in window.joint_measurements:

@@ -29,20 +29,12 @@ Candidate = TypeVar("Candidate")
 
 @dataclass(frozen=True)
 class Excerpt:
-    """An excerpt of a recording, with what is read around it.
+    """An excerpt of a recording, with what is read around it."""
 
-    Attributes
-    ----------
-    start_s, end_s : float, s
-        What it looks at, on the IMU's clock.
-    samples, frames : slice
-        Rows of the IMU and of the camera, context included.
-    """
-
-    start_s: float
-    end_s: float
-    samples: slice
-    frames: slice
+    start_s: float  # What it looks at, on the IMU's clock
+    end_s: float  # What it looks at, on the IMU's clock
+    samples: slice  # Rows of the IMU and of the camera, context included
+    frames: slice  # Rows of the IMU and of the camera, context included
 
 
 def spread_excerpts(
@@ -52,20 +44,7 @@ def spread_excerpts(
     around_s: float,
     samples_around_s: float | None = None,
 ) -> list[Excerpt]:
-    """Excerpts in which the forearm is visible and turns most, spread over a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-    timeline : Timeline
-        Of the recording.
-    count : int
-        How many are wanted.
-    around_s : float, s
-        Context on both sides of each.
-    samples_around_s : float, s, optional
-        Context of the IMU where it is more than the camera's.
-    """
+    """Excerpts in which the forearm is visible and turns most, spread over a recording."""
     imu_around_s = around_s if samples_around_s is None else samples_around_s
     t, arm_t = recording.imu.t_s, recording.arm.t_s
     visible_t = arm_t[timeline.visible]
@@ -92,10 +71,7 @@ def spread_excerpts(
 
 
 def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segment]:
-    """The excerpts of a recording as segments; all of it where it is short.
-
-    Of a long recording only the excerpts are read, and what the inertial filter needs around them.
-    """
+    """The excerpts of a recording as segments; all of it where it is short."""
     if timeline.length_s() <= 1.5 * EXCERPTS_S:
         return split_into_segments(recording, LARGEST_OFFSET_S)
     segments = []
@@ -112,19 +88,7 @@ def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segme
 
 
 def informative_recording(recording: Recording, timeline: Timeline) -> Recording:
-    """A recording of nothing but its most informative excerpts and what lies around them.
-
-    Parameters
-    ----------
-    recording : Recording
-    timeline : Timeline
-        Of the recording.
-
-    Returns
-    -------
-    recording : Recording
-        The same object where it is short; else with pauses between the excerpts, and without truth.
-    """
+    """A recording of nothing but its most informative excerpts and what lies around them."""
     if timeline.length_s() <= 1.5 * EXCERPTS_S:
         return recording
     samples, frames = np.zeros(len(recording.imu), bool), np.zeros(len(recording.arm), bool)
@@ -133,21 +97,12 @@ def informative_recording(recording: Recording, timeline: Timeline) -> Recording
     return replace(recording, imu=recording.imu.select(samples), arm=recording.arm.select(frames), truth=None)
 
 
-def most_telling(segment: Segment, borders: Sequence[float], count: int) -> IntArray:
-    """Some windows of a segment, spread over it: of each part the most informative one.
-
-    Parameters
-    ----------
-    segment : Segment
-    borders : sequence of float, s
-        Where its windows begin and end, on the IMU's clock.
-    count : int
-
-    Returns
-    -------
-    windows : ndarray of int, shape (min(count, len(borders) - 1),)
-        Numbers of the windows, increasing.
-    """
+def most_telling(
+    segment: Segment,
+    borders: Sequence[float],
+    count: int,
+) -> IntArray:  # int (min(count, len(borders) - 1),)
+    """Some windows of a segment, spread over it: of each part the most informative one."""
     visible_t = _visible_t(segment)
 
     def information(window: int) -> float:

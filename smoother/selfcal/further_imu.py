@@ -49,23 +49,13 @@ FEWEST_SAMPLES = 40
 
 @dataclass(frozen=True)
 class FurtherImu:
-    """Evidence of the visible motion on an IMU on a segment beyond the forearm.
-
-    Attributes
-    ----------
-    segment : BodySegment
-    imu : ImuStream
-        Its samples, on its own clock.
-    model : SelfCalibration
-        Of the segment, whose joints have the names of the forearm's in it (`BodySegment.as_forearm`).
-    clock : Clock
-        Of the camera against it.
-    """
+    """Evidence of the visible motion on an IMU on a segment beyond the forearm."""
 
     segment: BodySegment
-    imu: ImuStream
+    imu: ImuStream  # Its samples, on its own clock
+    # Of the segment, whose joints have the names of the forearm's in it (`BodySegment.as_forearm`)
     model: SelfCalibration
-    clock: Clock
+    clock: Clock  # Of the camera against it
 
     def runs(self, start_s: float, end_s: float) -> tuple[ImuStream, ...]:
         """Its samples between two times of the forearm IMU's clock, cut at its pauses, in memory."""
@@ -106,15 +96,7 @@ class FurtherImu:
         )
 
     def on_clock(self, forearm: Clock, store: Store) -> tuple[FurtherImu, str]:
-        """With its samples on the forearm IMU's clock, dejittered, and a sentence on that.
-
-        Parameters
-        ----------
-        forearm : Clock
-            Of the camera against the forearm's IMU.
-        store : Store
-            Where the moved stamps lie.
-        """
+        """With its samples on the forearm IMU's clock, dejittered, and a sentence on that."""
         t_s = _on_forearm_clock(self.imu.t_s, self.clock, forearm, store)
         imu = replace(self.imu, t_s=t_s)
         for rows in split_at_pauses(imu):
@@ -129,24 +111,7 @@ class FurtherImu:
 def calibrate_further_imus(
     recording: Recording, given: ArmCalibration, config: Config, workers: Pool
 ) -> tuple[list[FurtherImu], list[str]]:
-    """All of a recording's IMUs beyond the forearm that can be used, and why others were left out.
-
-    Parameters
-    ----------
-    recording : Recording
-        With the camera's stamps as the forearm's coarse clock moved them.
-    given : ArmCalibration
-        Its `mountings` are used where they are known beforehand.
-    config : Config
-    workers : Pool
-
-    Returns
-    -------
-    further : list of FurtherImu
-        In the order of `body.FURTHER`, each on its own clock.
-    left_out : list of str
-        A sentence on each of the others.
-    """
+    """All of a recording's IMUs beyond the forearm that can be used, and why others were left out."""
     further, left_out = [], []
     for segment in FURTHER:
         if segment.name in recording.further_imus:
@@ -188,26 +153,7 @@ def calibrate_further_imu(
     config: Config,
     workers: Pool,
 ) -> tuple[FurtherImu | None, str]:
-    """Find how an IMU sits on a segment beyond the forearm, and its clock.
-
-    Parameters
-    ----------
-    recording : Recording
-        With the camera's stamps as the forearm's coarse clock moved them.
-    segment : BodySegment
-        The recording has an IMU on it.
-    given : ArmCalibration
-        Its `mountings` are used where they are known beforehand.
-    config : Config
-    workers : Pool
-
-    Returns
-    -------
-    further : FurtherImu or None
-        On its own clock; None where the motion does not show how it sits.
-    note : str
-        A sentence on why it was left out, or "".
-    """
+    """Find how an IMU sits on a segment beyond the forearm, and its clock."""
     imu = recording.further_imus[segment.name]
     as_forearm = replace(
         recording, imu=imu, arm=segment.seen_as_forearm(recording.arm), truth=None, further_imus={}

@@ -47,12 +47,7 @@ CLOSED_FORM_SIGMA_M = 0.04
 
 @dataclass(frozen=True)
 class Mounting:
-    """Closed-form answer: clock offset of each recording (s), and lever arms for the graph to refine.
-
-    `direction_margin` is the log-likelihood by which the forearm's direction in the sensor beats its
-    opposite; `direction_spread_rad` the angle to the farthest direction that is nearly as likely. Both
-    are nan where there was nothing to find.
-    """
+    """Closed-form answer: clock offset of each recording (s), and lever arms for the graph to refine."""
 
     offset_s: FloatArray
     calibration: ArmCalibration
@@ -63,13 +58,7 @@ class Mounting:
 def find_mounting(
     segments: list[Segment], known: ArmCalibration, offset_sigma_s: float = OFFSET_SIGMA_S
 ) -> Mounting:
-    """Offset, forearm direction and lever arms from the pieces of one or several recordings.
-
-    Parameters
-    ----------
-    known : lever arms that need no finding; they are kept as they are.
-    offset_sigma_s : how far from zero the clock offsets may be, one standard deviation.
-    """
+    """Offset, forearm direction and lever arms from the pieces of one or several recordings."""
     count = max(segment.recording for segment in segments) + 1
     along = known.forearm_direction
     both = [_both(segment) for segment in segments]
@@ -282,24 +271,12 @@ DIRECTION_DEG, ACCELERATION_SHARE = 15.0, 0.45
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """What the closed form leaves over.
+    """What the closed form leaves over."""
 
-    Attributes
-    ----------
-    direction_deg : float, degrees
-        Median angle of the forearm by the camera to that by the IMU; nan without elbow and wrist.
-    acceleration_share : float
-        Share of a joint's acceleration (its square) that the IMU does not explain; nan where none was seen.
-    down : ndarray, shape (3,)
-        Direction of gravity in {K}; nan where it is open.
-    calibration : ArmCalibration
-        Lever arms.
-    """
-
-    direction_deg: float
-    acceleration_share: float
-    down: FloatArray
-    calibration: ArmCalibration
+    direction_deg: float  # Median angle of the forearm by the camera to that by the IMU
+    acceleration_share: float  # Share of a joint's acceleration (its square) that the IMU does not explain
+    down: FloatArray  # (3,): direction of gravity in {K}; nan where it is open
+    calibration: ArmCalibration  # Lever arms
 
     @property
     def fits(self) -> bool:
@@ -322,22 +299,7 @@ class ClosedForm:
 def closed_form(
     recording: Recording, given: ArmCalibration | None = None, timeline: Timeline | None = None
 ) -> ClosedForm | None:
-    """The closed form on a recording's excerpts.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its clocks within the fine search's reach of each other.
-    given : ArmCalibration, optional
-        What is known of the arm.
-    timeline : Timeline, optional
-        Of the recording, where it is there already.
-
-    Returns
-    -------
-    ClosedForm or None
-        None where no forearm is visible while the IMU measures.
-    """
+    """The closed form on a recording's excerpts."""
     timeline = timeline or Timeline.of(recording)
     excerpts = [
         replace(reject_by_camera(excerpt), down=np.zeros(3))
@@ -396,15 +358,7 @@ FEWEST_FRAMES = 30
 
 
 def contradictions(segments: Sequence[Segment], given: ArmCalibration) -> Iterator[str]:
-    """What of a given calibration this recording contradicts, a sentence each.
-
-    Parameters
-    ----------
-    segments : sequence of Segment
-        Of one recording.
-    given : ArmCalibration
-        Without lever arms of elbow and wrist, or an upper arm, there is nothing to report on them.
-    """
+    """What of a given calibration this recording contradicts, a sentence each."""
     excerpts = choose_excerpts(list(segments))
     yield from _direction(excerpts, given)
     if given.upper_arm is not None:

@@ -45,25 +45,8 @@ def find_pairing(
     given: Clock | None = None,
     workers: Pool | None = None,
 ) -> tuple[Pairing | None, Clock | None]:
-    """Whether camera and IMU are of one motion, and the clock by which the camera's stamps are to be moved.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its clocks may be any time apart; with `given`, already moved by it.
-    timeline : Timeline, optional
-        Of the recording, where it is there already.
-    given : Clock, optional
-        What the user stated: then nothing is moved, and nothing has to be proved.
-    workers : Pool, optional
-        Parts of the recording are compared side by side in them; here where None.
-
-    Returns
-    -------
-    pairing : Pairing or None
-        None where there is no forearm direction to compare, and nothing asks for a proof.
-    clock : Clock or None
-        To some tens of milliseconds; None where the fine search reaches it by itself.
+    """Whether camera and IMU are of one motion, and the clock by which the camera's stamps are to be
+    moved.
     """
     return decided(agreement(recording, timeline, workers), recording, given)
 
@@ -187,28 +170,7 @@ def pair(
     given: Clock | None = None,
     workers: Pool | None = None,
 ) -> tuple[Recording, Clock | None, Pairing | None]:
-    """Whether camera and IMU belong together; their clocks brought to where the fine search reaches.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its clocks may be any time apart.
-    timeline : Timeline, optional
-        Of the recording, where it is there already.
-    given : Clock, optional
-        What the user stated, or was measured otherwise; then no other is looked for.
-    workers : Pool, optional
-        As `find_pairing` has them.
-
-    Returns
-    -------
-    recording : Recording
-        With the camera's stamps moved.
-    clock : Clock or None
-        How they were moved; None where they were near enough.
-    pairing : Pairing or None
-        Whether the motion proves it; None where there is no forearm direction to compare.
-    """
+    """Whether camera and IMU belong together; their clocks brought to where the fine search reaches."""
     if given is not None:
         recording = _moved(recording, given)
         pairing, _ = find_pairing(recording, None, given, workers)
@@ -220,10 +182,7 @@ def pair(
 def synchronise_coarsely(
     recording: Recording, timeline: Timeline | None = None, measured: Clock | None = None
 ) -> tuple[Recording, Clock | None]:
-    """Bring the camera's stamps to where the fine search finds the rest; `pair` without its answer.
-
-    With `measured` nothing is looked for.
-    """
+    """Bring the camera's stamps to where the fine search finds the rest; `pair` without its answer."""
     clock = measured or coarse_clock(recording, timeline)
     return (recording if clock is None else _moved(recording, clock)), clock
 
@@ -234,20 +193,7 @@ def coarse_clock(recording: Recording, timeline: Timeline | None = None) -> Cloc
 
 
 def coarse_offset(recording: Recording, reach_s: float) -> float:
-    """t_imu - t_camera to some tens of milliseconds; 0 where the fine search reaches it by itself.
-
-    Parameters
-    ----------
-    recording : Recording
-        One arm with elbow and wrist, and its IMU; with `strap` alone nothing is looked for.
-    reach_s : float, s
-        The fine search finds offsets up to this.
-
-    Raises
-    ------
-    CalibrationError
-        The clocks are farther apart than the fine search reaches, and the motion does not show how far.
-    """
+    """t_imu - t_camera to some tens of milliseconds; 0 where the fine search reaches it by itself."""
     found = agreement(recording)
     if found is None:
         return 0.0
@@ -262,27 +208,7 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
 
 
 def shifted_agreement(imu: ImuStream, arm: JointTracks, reach_s: float) -> tuple[float, float, bool]:
-    """How well an IMU turns as an arm does, at whatever shift of their clocks.
-
-    Parameters
-    ----------
-    imu : ImuStream
-        Its times may count from anywhere.
-    arm : JointTracks
-        With elbow and wrist.
-    reach_s : float, s
-        A shift up to this needs no proof: clocks that far apart are treated as near.
-
-    Returns
-    -------
-    correlation : float
-        Of the forearm's turning with what the IMU explains of it, at the best shift; 0 where there is too
-        little to compare.
-    shift_s : float, s
-        t_imu - t_camera there.
-    far : bool
-        The best shift is out of reach and evident.
-    """
+    """How well an IMU turns as an arm does, at whatever shift of their clocks."""
     found = agreement_of(imu, arm)
     if found is None:
         return 0.0, 0.0, False

@@ -53,10 +53,7 @@ from .self_calibration import SHORT_S, SelfCalibration
 
 @dataclass(frozen=True)
 class SolvedRound:
-    """The windows of a round, segment after segment, and their answers.
-
-    `borders` and `prepared`: one per segment; `recording_of_window`: one per window.
-    """
+    """The windows of a round, segment after segment, and their answers."""
 
     prepared: dict[int, PreparedSegment]
     borders: list[list[float]]
@@ -149,31 +146,7 @@ def self_calibrate(
     clock_sigma_s: float = OFFSET_SIGMA_S,
     rounds: int = ROUNDS,
 ) -> SelfCalibration:
-    """Find what the calibration lacks, and each recording's clock.
-
-    Parameters
-    ----------
-    segments : list of Segment
-        Of one or several recordings of one person and mounting; excerpts of them are read.
-    given : ArmCalibration
-        What is known beforehand, with its sigmas.
-    config : Config
-    workers : Pool
-        Windows of a round are solved side by side.
-    clock_sigma_s : float, s
-        How far from zero the clocks' offsets may be, one standard deviation: less where they were measured.
-    rounds : int
-        At most.
-
-    Returns
-    -------
-    SelfCalibration
-
-    Raises
-    ------
-    CalibrationError
-        The IMU and a visible forearm never overlap.
-    """
+    """Find what the calibration lacks, and each recording's clock."""
     excerpts, mounting = _closed_form(choose_excerpts(segments), given, clock_sigma_s)
     synthetic = [
         any(segment.synthetic_stamps for segment in excerpts if segment.recording == number)
@@ -312,11 +285,7 @@ def _settled(before: Settling, after: Settling) -> bool:
 def _recentred(
     estimate: ArmCalibration, start: ArmCalibration, given: ArmCalibration, with_depth: bool
 ) -> ArmCalibration:
-    """The next round's prior: the estimate, as uncertain as before; what was given stays.
-
-    So does the upper arm where no camera has depth: its length and the shoulder's depth move together, and
-    round by round they would walk away.
-    """
+    """The next round's prior: the estimate, as uncertain as before; what was given stays."""
     levers = {
         joint: given.lever_arms[joint]
         if joint in given.lever_arms

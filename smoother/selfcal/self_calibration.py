@@ -27,46 +27,22 @@ LENS_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class SelfCalibration:
-    """What the recovery starts from.
+    """What the recovery starts from."""
 
-    Attributes
-    ----------
-    estimate : ArmCalibration
-        Lever arms and upper arm with their sigmas.
-    prior : ArmCalibration
-        The same values as a prior for solving them again: as uncertain as before.
-    initial : InitialValues
-        Start values of the shared quantities.
-    clocks : tuple of Clock
-        Of each recording, t_imu = t_camera + offset.
-    joint_noise : dict of str to JointNoise
-        Of each forearm joint, by camera (`noise_key`).
-    joint_sigma_m : ndarray, shape (5,) or (c, 5), m
-        Effective noise per axis, in the order of `JOINTS`; of each camera where there are c of them.
-    errors : ConstantErrors
-        Of IMU and camera.
-    upper_arm_sigma_m : float, m
-        How far from constant the upper arm's length is.
-    direction_spread_rad : float, rad
-        How far the forearm's direction in the sensor may be from the estimate; nan where it was given.
-    further_clock_offset_s : dict of str to float, s
-        By segment with a further IMU t_own = t_camera + offset, mean, of the camera's stamps as `clocks` have
-        them.
-    interrupted_s : float, s
-        Median time between two pauses of an IMU that pauses too often; nan where it does not.
-    """
-
-    estimate: ArmCalibration
-    prior: ArmCalibration
-    initial: InitialValues
-    clocks: tuple[Clock, ...]
-    joint_noise: dict[str, JointNoise]
-    joint_sigma_m: FloatArray
-    errors: ConstantErrors
-    upper_arm_sigma_m: float
+    estimate: ArmCalibration  # Lever arms and upper arm with their sigmas
+    prior: ArmCalibration  # The same values as a prior for solving them again: as uncertain as before
+    initial: InitialValues  # Start values of the shared quantities
+    clocks: tuple[Clock, ...]  # Of each recording, t_imu = t_camera + offset
+    joint_noise: dict[str, JointNoise]  # Of each forearm joint, by camera (`noise_key`)
+    joint_sigma_m: FloatArray  # (5,) or (c, 5) m: effective noise per axis, in the order of `JOINTS`
+    errors: ConstantErrors  # Of IMU and camera
+    upper_arm_sigma_m: float  # How far from constant the upper arm's length is
+    # How far the forearm's direction in the sensor may be from the estimate; nan where it was given
     direction_spread_rad: float = float("nan")
+    # By segment with a further IMU t_own = t_camera + offset, mean, of the camera's stamps as `clocks` have
+    # them
     further_clock_offset_s: dict[str, float] = field(default_factory=dict)
-    interrupted_s: float = float("nan")
+    interrupted_s: float = float("nan")  # Median time between two pauses of an IMU that pauses too often
 
     @property
     def clock(self) -> Clock:

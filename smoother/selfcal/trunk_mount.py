@@ -42,22 +42,12 @@ SMALLEST_RAD = np.radians(0.2)
 
 @dataclass(frozen=True)
 class TrunkHeading:
-    """`R_K_E` of a trunk's IMU over time: the vertical is known, the heading follows the shoulders.
+    """`R_K_E` of a trunk's IMU over time: the vertical is known, the heading follows the shoulders."""
 
-    Attributes
-    ----------
-    level : Rotation
-        Maps the vertical of {E} to that of {K}, at a heading of zero.
-    t : ndarray, shape (k,), s
-        On the trunk IMU's clock, increasing.
-    heading : ndarray, shape (k,), rad
-    variance : ndarray, shape (k,), rad^2
-    """
-
-    level: Rotation
-    t: FloatArray
-    heading: FloatArray
-    variance: FloatArray
+    level: Rotation  # Maps the vertical of {E} to that of {K}, at a heading of zero
+    t: FloatArray  # (k,) s: on the trunk IMU's clock, increasing
+    heading: FloatArray  # (k,) rad
+    variance: FloatArray  # (k,) rad^2
 
     def at(self, t: FloatArray) -> Rotation:
         """`R_K_E` at the given times, held beyond the ends."""
@@ -66,28 +56,16 @@ class TrunkHeading:
 
 @dataclass(frozen=True)
 class ShoulderLine:
-    """The line from the left shoulder to the right one where the camera sees both, and the trunk's attitude.
-
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        Frames on the forearm IMU's clock.
-    in_K : ndarray, shape (n, 3)
-        Unit vectors.
-    width_m : float, m
-        Of the shoulders.
-    attitude : InertialAttitude
-        The trunk's IMU in a frame {E} with z up; its times are on that IMU's clock.
-    start_s, end_s : float, s
-        What the attitude covers, on that IMU's clock.
+    """The line from the left shoulder to the right one where the camera sees both, and the trunk's
+    attitude.
     """
 
-    t: FloatArray
-    in_K: FloatArray
-    width_m: float
-    attitude: InertialAttitude
-    start_s: float
-    end_s: float
+    t: FloatArray  # (n,) s: frames on the forearm IMU's clock
+    in_K: FloatArray  # (n, 3): unit vectors
+    width_m: float  # Of the shoulders
+    attitude: InertialAttitude  # The trunk's IMU in a frame {E} with z up; its times are on that IMU's clock
+    start_s: float  # What the attitude covers, on that IMU's clock
+    end_s: float  # What the attitude covers, on that IMU's clock
 
     @property
     def share(self) -> float:
@@ -103,19 +81,7 @@ class ShoulderLine:
     def heading(
         self, along_D: FloatArray, up_K: FloatArray, offset_s: float, sigma_rad: float
     ) -> TrunkHeading:
-        """The heading by local lines through what each frame says, twice, what is far off weighted down.
-
-        Parameters
-        ----------
-        along_D : ndarray, shape (3,)
-            The line of shoulders in the IMU's axes.
-        up_K : ndarray, shape (3,)
-            Against gravity.
-        offset_s : float, s
-            t_trunk = t_forearm + offset.
-        sigma_rad : float, rad
-            Of the line in a frame.
-        """
+        """The heading by local lines through what each frame says, twice, what is far off weighted down."""
         level = _level(up_K)
         t = self.t + offset_s
         by_camera, by_imu = level.inv().apply(self.in_K), self.attitude.at(t).apply(along_D)
@@ -155,48 +121,21 @@ def _local_line(
 
 @dataclass(frozen=True)
 class TrunkMount:
-    """How an IMU sits on the trunk.
+    """How an IMU sits on the trunk."""
 
-    Attributes
-    ----------
-    R_T_D : ndarray, shape (3, 3)
-        Maps a vector from the IMU's axes {D} to the thorax's.
-    along_D : ndarray, shape (3,)
-        The line from the left shoulder to the right one, unit vector.
-    offset_s : float, s
-        t_trunk = t_forearm + offset.
-    line_sigma_rad : float, rad
-        Of the camera's line of shoulders in a frame, per axis perpendicular to it.
-    sigma_rad : ndarray, shape (3,), rad
-        How far the mounting may be off about each of the thorax's axes.
-    """
-
-    R_T_D: FloatArray
-    along_D: FloatArray
-    offset_s: float
-    line_sigma_rad: float
-    sigma_rad: FloatArray
+    R_T_D: FloatArray  # (3, 3): maps a vector from the IMU's axes {D} to the thorax's
+    along_D: FloatArray  # (3,): the line from the left shoulder to the right one, unit vector
+    offset_s: float  # t_trunk = t_forearm + offset
+    line_sigma_rad: float  # Of the camera's line of shoulders in a frame, per axis perpendicular to it
+    sigma_rad: FloatArray  # (3,) rad: how far the mounting may be off about each of the thorax's axes
 
 
-def mount_trunk(lines: Sequence[ShoulderLine], up_K: FloatArray, joint_bias_m: float) -> TrunkMount:
-    """Find how an IMU sits on the trunk, and its clock, on some excerpts.
-
-    The direction of the shoulders in {D} and the headings of {E} are solved in turns, each with the other
-    held; then the clock at which both agree best.
-
-    Parameters
-    ----------
-    lines : sequence of ShoulderLine
-        At least one.
-    up_K : ndarray, shape (3,)
-        Against gravity, unit vector.
-    joint_bias_m : float, m
-        Constant error of a shoulder, per axis.
-
-    Returns
-    -------
-    mount : TrunkMount
-    """
+def mount_trunk(
+    lines: Sequence[ShoulderLine],
+    up_K: FloatArray,  # (3,)
+    joint_bias_m: float,
+) -> TrunkMount:
+    """Find how an IMU sits on the trunk, and its clock, on some excerpts."""
     lines = [line.decimated() for line in lines]
     longest = lines[int(np.argmax([len(line.t) for line in lines]))]
     along, offset_s, sigma = _first_direction(longest, up_K), 0.0, np.radians(5.0)

@@ -52,24 +52,12 @@ BATCH = 1024
 
 @dataclass(frozen=True)
 class CameraTurning:
-    """Derivative of the forearm's direction in {K} on an even grid.
+    """Derivative of the forearm's direction in {K} on an even grid."""
 
-    Attributes
-    ----------
-    first : int
-        Number of the first grid point: its time is `first / GRID_HZ` after the grid's origin.
-    rate : ndarray, shape (n, 3), 1/s
-        Zero where the camera saw no forearm.
-    known : ndarray of bool, shape (n,)
-        Where it did.
-    stretching : ndarray, shape (n,), 1/s
-        Derivative of the logarithm of the forearm's length: it has none of its own, so this is the camera's.
-    """
-
-    first: int
-    rate: FloatArray
-    known: BoolArray
-    stretching: FloatArray
+    first: int  # Number of the first grid point: its time is `first / GRID_HZ` after the grid's origin
+    rate: FloatArray  # (n, 3) 1/s: zero where the camera saw no forearm
+    known: BoolArray  # bool (n,): Where it did
+    stretching: FloatArray  # (n,) 1/s: derivative of the logarithm of the forearm's length
 
     @cached_property
     def weight(self) -> FloatArray:
@@ -112,31 +100,14 @@ class CameraTurning:
 
 @dataclass(frozen=True)
 class ImuTurning:
-    """Derivative of the IMU's attitude in {E} on an even grid, over a run of samples without a pause.
+    """Derivative of the IMU's attitude in {E} on an even grid, over a run of samples without a pause."""
 
-    Attributes
-    ----------
-    first : int
-        Number of the first grid point, as `CameraTurning` has it, from the IMU's own origin.
-    rate : ndarray, shape (m, 3, 3), 1/s
-        Of `R_E_A`.
-    """
-
-    first: int
-    rate: FloatArray
+    first: int  # Number of the first grid point, as `CameraTurning` has it, from the IMU's own origin
+    rate: FloatArray  # (m, 3, 3) 1/s: of `R_E_A`
 
 
 def camera_turning(arm: JointTracks, origin_s: float, tip: str = "wrist") -> CameraTurning | None:
-    """The derivative of the forearm's direction; None where there is less than `SHORTEST_S` of it.
-
-    Parameters
-    ----------
-    arm : JointTracks
-    origin_s : float, s
-        Of the grid, on the camera's clock.
-    tip : str
-        The forearm points from the elbow to this joint.
-    """
+    """The derivative of the forearm's direction; None where there is less than `SHORTEST_S` of it."""
     visible = arm.tracked("elbow") & arm.tracked(tip)
     along = (arm.joint(tip) - arm.joint("elbow"))[visible]
     t = np.asarray(arm.t_s)[visible] - origin_s
@@ -161,15 +132,7 @@ def camera_turning(arm: JointTracks, origin_s: float, tip: str = "wrist") -> Cam
 
 
 def imu_turning(imu: ImuStream, origin_s: float) -> ImuTurning | None:
-    """The derivative of an IMU's attitude; None where there is less than `SHORTEST_S` of it.
-
-    Parameters
-    ----------
-    imu : ImuStream
-        Samples without a pause.
-    origin_s : float, s
-        Of the grid, on the IMU's clock.
-    """
+    """The derivative of an IMU's attitude; None where there is less than `SHORTEST_S` of it."""
     if len(imu) < FEWEST_SAMPLES or not imu.t_s[-1] - imu.t_s[0] > SHORTEST_S:
         return None
     t_s = dejitter(np.asarray(imu.t_s)) - origin_s
@@ -193,42 +156,20 @@ def _grid(t: FloatArray) -> tuple[FloatArray, int]:
 
 @dataclass(frozen=True)
 class EvidenceCurve:
-    """What speaks for each clock offset.
+    """What speaks for each clock offset."""
 
-    Attributes
-    ----------
-    first : int
-        The first offset, in steps of the grid: IMU's number less camera's.
-    evidence : ndarray, shape (k,)
-        By offset: the logarithm of how much likelier the camera's turning is with the IMU's than without.
-    searched : int
-        Offsets at which enough was in common; the evidence of the others is zero.
-    freedom : float
-        Independent samples of the camera's turning beyond the unknowns.
-    """
-
-    first: int
-    evidence: FloatArray
-    searched: int
-    freedom: float
+    first: int  # The first offset, in steps of the grid: IMU's number less camera's
+    evidence: FloatArray  # (k,): by offset
+    searched: int  # Offsets at which enough was in common; the evidence of the others is zero
+    freedom: float  # Independent samples of the camera's turning beyond the unknowns
 
 
 def turning_evidence(
-    camera: CameraTurning, runs: Sequence[ImuTurning], up: FloatArray | None
+    camera: CameraTurning,
+    runs: Sequence[ImuTurning],
+    up: FloatArray | None,  # (3,)
 ) -> EvidenceCurve:
-    """The evidence at every offset at which enough of both is in common.
-
-    -(n - p / 2) log(1 - R2), where R2 is the part of the camera's (weighted) power that the IMU explains, n
-    how many independent samples of two components the camera's are worth, and p the number of unknowns.
-
-    Parameters
-    ----------
-    camera : CameraTurning
-    runs : sequence of ImuTurning
-        Of one sensor; each run has a heading of its own.
-    up : ndarray, shape (3,), optional
-        In {K}: then only the heading of Q is free.
-    """
+    """The evidence at every offset at which enough of both is in common."""
     n = len(camera.rate)
     first = min(run.first for run in runs) - camera.first - (n - 1)
     last = max(run.first + len(run.rate) for run in runs) - camera.first
@@ -310,10 +251,7 @@ def _alternate(
 
 
 def _on_sphere(z: FloatArray, width: FloatArray) -> FloatArray:
-    """The unit vector y that maximises 2 z'y - y' diag(width) y: y = z / (width + shift), by its shift.
-
-    Newton's method on 1/|y| - 1 from the left of the root, which it approaches from that side.
-    """
+    """The unit vector y that maximises 2 z'y - y' diag(width) y: y = z / (width + shift), by its shift."""
     z = np.where(np.abs(z) < 1e-12, 1e-12, z)
     shift = np.maximum(np.sqrt((z * z).sum(axis=0)) - width[2], np.abs(z[0]) - width[0])
     for _ in range(NEWTON_STEPS):

@@ -64,38 +64,17 @@ UPPER_ARM_SIGMA_M = 0.003
 
 @dataclass(frozen=True)
 class SimulatedArm:
-    """A recording with everything that is known of it.
+    """A recording with everything that is known of it."""
 
-    Attributes
-    ----------
-    recording : Recording
-        What a reader of recordings would give, with truth.
-    calibration : ArmCalibration
-        True lever arms and arm measures, with small sigmas (2 mm, 3 mm).
-    parameters : dict
-        What was drawn, by name; SI units, vectors as arrays. Among them `gravity` (3,) m/s^2 in {K},
-        `clock_offset_s` (t_imu = t_camera + offset), `accelerometer_bias` and `gyroscope_bias` (3,) means,
-        `..._bias_t` (N, 3), `..._matrix` (3, 3), `joint_bias` {joint: (3,)}.
-    ideal_imu : ImuStream
-        The IMU without its errors.
-    occluded : ndarray, shape (F,)
-        Frames in which the camera cannot see the forearm, whatever it states.
-    motion : MotionModel
-        The motion itself, for further sensors.
-    further_motions : dict of str to SegmentImuMotion
-        Of the IMUs on further segments, by the segment's name.
-    trunk_motion : TrunkImuMotion or None
-        Of the trunk's IMU, where there is one.
-    """
-
-    recording: Recording
-    calibration: ArmCalibration
-    parameters: dict[str, Any]
-    ideal_imu: ImuStream
-    occluded: BoolArray
-    motion: MotionModel
+    recording: Recording  # What a reader of recordings would give, with truth
+    calibration: ArmCalibration  # True lever arms and arm measures, with small sigmas (2 mm, 3 mm)
+    parameters: dict[str, Any]  # What was drawn, by name; SI units, vectors as arrays
+    ideal_imu: ImuStream  # The IMU without its errors
+    occluded: BoolArray  # (F,): frames in which the camera cannot see the forearm, whatever it states
+    motion: MotionModel  # The motion itself, for further sensors
+    # Of the IMUs on further segments, by the segment's name
     further_motions: dict[str, SegmentImuMotion] = field(default_factory=dict)
-    trunk_motion: TrunkImuMotion | None = None
+    trunk_motion: TrunkImuMotion | None = None  # Of the trunk's IMU, where there is one
 
     @property
     def upper_motion(self) -> SegmentImuMotion | None:
@@ -147,10 +126,7 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
 
 
 def random_streams(seed: int | list[int]) -> list[np.random.Generator]:
-    """Separate streams, so that an error switched on leaves the motion and the other sensor as they were.
-
-    Of the body, then those of `record_arm`.
-    """
+    """Separate streams, so that an error switched on leaves the motion and the other sensor as they were."""
     return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)]
 
 
@@ -162,27 +138,7 @@ def record_arm(
     performance: Performance,
     streams: list[np.random.Generator],
 ) -> SimulatedArm:
-    """What camera and IMUs make of an arm that performs something.
-
-    Parameters
-    ----------
-    config : ArmSimulation
-        Sensors and errors; the protocol determines where occlusions come from.
-    name : str
-        Of the recording.
-    measures : BodyMeasures
-        Of the arm.
-    stage : Stage
-        Where the person stands.
-    performance : Performance
-        What the arm does.
-    streams : list of numpy.random.Generator
-        Of IMU, camera noise, gaps, stamps, strap, upper-arm IMU and its tissue.
-
-    Returns
-    -------
-    simulated : SimulatedArm
-    """
+    """What camera and IMUs make of an arm that performs something."""
     imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng, upper_rng, upper_wobble_rng = streams
     flat = is_rgb(config, first=True)
     wobble = draw_wobble(performance, config.wobble_deg, wobble_rng)
@@ -295,24 +251,7 @@ def record_arm(
 def simulate_both_arms(
     config: ArmSimulation | None = None, seed: int = 0
 ) -> tuple[SimulatedArm, SimulatedArm]:
-    """Simulate an arm as `simulate_arm` does, and the same person's other arm beside it.
-
-    The first is the arm that `simulate_arm` gives, but for the names. The other moves by itself in `random`
-    and follows the first, in its own way, in `behind`; both sway with one trunk, have one camera's frames
-    and the same gravity. Every IMU has its own errors.
-
-    Parameters
-    ----------
-    config : ArmSimulation, optional
-        As for the first arm; `side` is its side.
-    seed : int
-        Non-negative.
-
-    Returns
-    -------
-    first, other : SimulatedArm
-        Their recordings can be written to one file.
-    """
+    """Simulate an arm as `simulate_arm` does, and the same person's other arm beside it."""
     config = config or ArmSimulation()
     first = simulate_arm(config, seed)
     other_config = config.model_copy(update={"side": "left" if config.side == "right" else "right"})
@@ -376,22 +315,7 @@ class PointMotion:
 
 
 def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> SimulatedArm:
-    """Simulate a tracked point with an IMU in it, in a frame with z up; `strap` is the only joint.
-
-    Clocks, truth and determinism are those of `simulate_arm`; the calibration is empty, since the lever arm
-    of the strap is zero.
-
-    Parameters
-    ----------
-    config : PointSimulation, optional
-        What to simulate; None for the defaults (preset `white`).
-    seed : int
-        Non-negative.
-
-    Returns
-    -------
-    simulated : SimulatedArm
-    """
+    """Simulate a tracked point with an IMU in it, in a frame with z up; `strap` is the only joint."""
     config = config or PointSimulation()
     body_rng, imu_rng, noise_rng, gap_rng, stamp_rng = (
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)

@@ -21,29 +21,15 @@ POSTURE_SIZE = 8
 
 @dataclass(frozen=True)
 class BodyMeasures:
-    """One person's arm and how the IMU sits on it.
+    """One person's arm and how the IMU sits on it."""
 
-    Attributes
-    ----------
-    upper_arm, forearm, hand : float, m
-        Shoulder to elbow, elbow to wrist, wrist to the hand's centre.
-    strap_to_wrist : float, m
-        Along the forearm.
-    imu_in_forearm : ndarray, shape (3,), m
-        The IMU in {F}.
-    R_F_A : ndarray, shape (3, 3)
-        IMU axes to forearm axes.
-    shoulder : ndarray, shape (3,), m
-        Right shoulder in {T} at rest.
-    """
-
-    upper_arm: float
-    forearm: float
-    hand: float
-    strap_to_wrist: float
-    imu_in_forearm: FloatArray
-    R_F_A: FloatArray
-    shoulder: FloatArray
+    upper_arm: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre
+    forearm: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre
+    hand: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre
+    strap_to_wrist: float  # m: along the forearm
+    imu_in_forearm: FloatArray  # (3,) m: the IMU in {F}
+    R_F_A: FloatArray  # (3, 3): IMU axes to forearm axes
+    shoulder: FloatArray  # (3,) m: right shoulder in {T} at rest
 
     @property
     def along_forearm(self) -> dict[str, float]:
@@ -78,19 +64,11 @@ def draw_measures(rng: np.random.Generator) -> BodyMeasures:
 
 
 def arm_chain(
-    posture: FloatArray, reference: Rotation, measures: BodyMeasures
+    posture: FloatArray,
+    reference: Rotation,
+    measures: BodyMeasures,  # posture (N, 8)
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Shoulder and elbow (N, 3) and the forearm's rotation `R_T_F` (N, 3, 3) of a right arm.
-
-    Parameters
-    ----------
-    posture : ndarray, shape (N, 8)
-        See the column names of this module.
-    reference : Rotation
-        The upper arm's rotation `R_T_U` of a zero shoulder rotation vector.
-    measures : BodyMeasures
-        The person.
-    """
+    """Shoulder and elbow (N, 3) and the forearm's rotation `R_T_F` (N, 3, 3) of a right arm."""
     R_T_U = (reference * Rotation.from_rotvec(posture[:, SHOULDER])).as_matrix()
     shoulder = measures.shoulder + posture[:, GIRDLE]
     elbow = shoulder + measures.upper_arm * R_T_U[:, :, 1]
@@ -100,16 +78,10 @@ def arm_chain(
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """A part of the body that hides what is behind it.
+    """A part of the body that hides what is behind it."""
 
-    Attributes
-    ----------
-    centre, half_axes : tuple of float, m
-        In {T}.
-    """
-
-    centre: tuple[float, float, float]
-    half_axes: tuple[float, float, float]
+    centre: tuple[float, float, float]  # m: in {T}
+    half_axes: tuple[float, float, float]  # m: in {T}
 
     def hides(self, points: FloatArray, eye: FloatArray) -> BoolArray:
         """(N,) True where the line from `eye` (N, 3) to the point (N, 3) meets this part, m in {T}."""

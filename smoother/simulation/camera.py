@@ -27,21 +27,11 @@ from .config import ArmSimulation, SensorErrors
 
 @dataclass
 class Footage:
-    """Frames in the making: truth first, then spoilt step by step.
+    """Frames in the making: truth first, then spoilt step by step."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (F,), s
-        True times of exposure.
-    position : ndarray, shape (F, 5, 3), m
-        In {K}, joints in the order of `JOINTS`.
-    state : ndarray, shape (F, 5)
-        `JointState` values.
-    """
-
-    t_s: FloatArray
-    position: FloatArray
-    state: np.ndarray
+    t_s: FloatArray  # (F,) s: True times of exposure
+    position: FloatArray  # (F, 5, 3) m: in {K}, joints in the order of `JOINTS`
+    state: np.ndarray  # (F, 5): `JointState` values
 
 
 def exposures(duration_s: float, rate_hz: float, rng: np.random.Generator) -> FloatArray:
@@ -110,9 +100,8 @@ def add_outliers(footage: Footage, errors: SensorErrors, rng: np.random.Generato
 def deliver(
     footage: Footage, name: str, errors: SensorErrors, rng: np.random.Generator
 ) -> tuple[JointTracks, BoolArray]:
-    """Stamp the frames on the camera's clock and drop some; returns the tracks and which frames remain (F,).
-
-    A stamp is the true time plus the latency plus jitter; jitter never changes the order of frames.
+    """Stamp the frames on the camera's clock and drop some; returns the tracks and which frames remain
+    (F,).
     """
     jitter = errors.frame_jitter_s * rng.normal(size=len(footage.t_s))
     limit = 0.45 / errors.frame_rate_hz
@@ -201,10 +190,7 @@ def _set_state(
 def add_false_tracks(
     footage: Footage, hidden: BoolArray, other: FloatArray, config: ArmSimulation, rng: np.random.Generator
 ) -> dict[str, list[tuple[float, float]]]:
-    """Make some occlusions look tracked: joints that stand still, or the other arm's (F, 5, 3) m in {K}.
-
-    Returns the begin and end of those gaps, s, by what happened.
-    """
+    """Make some occlusions look tracked: joints that stand still, or the other arm's (F, 5, 3) m in {K}."""
     deceptions: dict[str, list[tuple[float, float]]] = {"frozen": [], "swapped": []}
     for gap in runs(hidden):
         draw = rng.uniform()
@@ -247,10 +233,8 @@ def optical_from(frame: CameraFrame) -> FloatArray:
 
 
 def photograph(footage: Footage, config: ArmSimulation, rng: np.random.Generator) -> None:
-    """Positions become points of their rays a metre in front of the camera, with the network's pixel errors.
-
-    Half of the errors' variance has a memory where the preset's errors have one; what lies outside the image
-    is not tracked.
+    """Positions become points of their rays a metre in front of the camera, with the network's pixel
+    errors.
     """
     points = footage.position @ optical_from(config.camera_frame).T
     frames, joints, _ = points.shape

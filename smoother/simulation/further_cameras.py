@@ -42,27 +42,14 @@ KNOCK_DEG, KNOCK_M = 8.0, 0.15
 
 @dataclass(frozen=True)
 class FilmedScene:
-    """What all cameras see: the person's motion and where the first camera stands.
-
-    Attributes
-    ----------
-    performance : Performance
-    measures : BodyMeasures
-    stage : Stage
-        Before the first camera.
-    wobble : ndarray
-        Of the strap, see `draw_wobble`.
-    turn : TrunkTurn
-    wrist : ndarray
-        The wrist's angles.
-    """
+    """What all cameras see: the person's motion and where the first camera stands."""
 
     performance: Performance
     measures: BodyMeasures
-    stage: Stage
-    wobble: FloatArray
+    stage: Stage  # Before the first camera
+    wobble: FloatArray  # Of the strap, see `draw_wobble`
     turn: TrunkTurn
-    wrist: FloatArray
+    wrist: FloatArray  # The wrist's angles
 
     def motion(self, stage: Stage, side: str) -> ArmMotion:
         """The same motion before another camera."""
@@ -71,25 +58,8 @@ class FilmedScene:
 
 def stage_at(
     stage: Stage, angle_deg: float, rng: np.random.Generator
-) -> tuple[Stage, FloatArray, FloatArray]:
-    """The person as seen by a camera placed elsewhere around them.
-
-    Parameters
-    ----------
-    stage : Stage
-        Before the first camera {K}.
-    angle_deg : float, degrees
-        About the vertical through the person, from the first camera's place towards the person's left.
-    rng : numpy.random.Generator
-        Of how exactly it is put up.
-
-    Returns
-    -------
-    stage : Stage
-        Before that camera {C}.
-    R_K_C : ndarray, shape (3, 3)
-    p_K_C_m : ndarray, shape (3,), m
-    """
+) -> tuple[Stage, FloatArray, FloatArray]:  # stage, R_K_C (3, 3), p_K_C_m (3,) m
+    """The person as seen by a camera placed elsewhere around them."""
     up = -unit(stage.gravity)
     about = Rotation.from_rotvec(np.radians(angle_deg + ANGLE_DEG * rng.normal()) * up)
     tilt = tilt_rotation(rng.uniform(0, 5), rng.uniform(-np.pi, np.pi), up)
@@ -101,30 +71,11 @@ def stage_at(
 def add_cameras(
     config: ArmSimulation,
     scene: FilmedScene,
-    hidden: BoolArray,
-    hidden_t: FloatArray,
+    hidden: BoolArray,  # bool (F,)
+    hidden_t: FloatArray,  # (F,) s
     rng: np.random.Generator,
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
-    """The further cameras of a simulation.
-
-    Parameters
-    ----------
-    config : ArmSimulation
-    scene : FilmedScene
-    hidden : ndarray of bool, shape (F,)
-        Frames in which the first camera cannot see the forearm ..
-    hidden_t : ndarray, shape (F,), s
-        .. and their true times.
-    rng : numpy.random.Generator
-        All numbers come from its children, so that the first camera stays as it is.
-
-    Returns
-    -------
-    cameras : tuple of Camera
-    parameters : dict of str to dict
-        By camera: `R_K_C`, `p_K_C_m`, `offset_s` (first camera's clock less its own), `joint_bias` in {C},
-        `blind_s` (begin and end of its occlusions, true time).
-    """
+    """The further cameras of a simulation."""
     cameras, parameters = [], {}
     # in a part of the first camera's random occlusions no camera sees the forearm
     blind = [

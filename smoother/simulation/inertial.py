@@ -23,27 +23,13 @@ FINE_RATE_HZ = 1000.0
 _CHUNK = 4000
 
 
-def ideal_imu(motion: MotionModel, duration_s: float, rate_hz: float, gravity: FloatArray) -> ImuStream:
-    """Error-free samples: the mean over each sample's interval, stamped at its centre.
-
-    Angular velocity and acceleration come from five-point differences of the smooth motion at 1 kHz or more,
-    their mean from Simpson's rule; both are good to a millionth.
-
-    Parameters
-    ----------
-    motion : MotionModel
-        The body.
-    duration_s : float, s
-        Samples fill 0 to `duration_s`.
-    rate_hz : float, Hz
-        Samples per second.
-    gravity : ndarray, shape (3,), m/s^2
-        In {K}.
-
-    Returns
-    -------
-    imu : ImuStream
-    """
+def ideal_imu(
+    motion: MotionModel,
+    duration_s: float,
+    rate_hz: float,
+    gravity: FloatArray,  # (3,) m/s^2
+) -> ImuStream:
+    """Error-free samples: the mean over each sample's interval, stamped at its centre."""
     count = int(np.floor(duration_s * rate_hz))
     parts = [
         _averages(motion, begin, min(_CHUNK, count - begin), rate_hz, gravity)
@@ -135,21 +121,12 @@ def measure(
 
 @dataclass(frozen=True)
 class SegmentMount:
-    """How the IMU sits on a segment whose y axis lies along it; its origin is the joint with the forearm.
+    """How the IMU sits on a segment whose y axis lies along it; its origin is the joint with the forearm."""
 
-    Attributes
-    ----------
-    in_segment : ndarray, shape (3,), m
-        The IMU in the segment's axes ({U} as in `body` points from the shoulder to the elbow).
-    axes : ndarray, shape (3, 3)
-        Maps a vector from the IMU's axes to the segment's.
-    side : str
-        Whose segment it is.
-    """
-
+    # (3,) m: The IMU in the segment's axes ({U} as in `body` points from the shoulder to the elbow)
     in_segment: FloatArray
-    axes: FloatArray
-    side: str
+    axes: FloatArray  # (3, 3): maps a vector from the IMU's axes to the segment's
+    side: str  # Whose segment it is
 
     def levers(self, joints: Mapping[str, float]) -> dict[str, FloatArray]:
         """Joints (3,) in the IMU's axes, m, by where they are along y; of an IMU that sits as put on."""
@@ -185,19 +162,7 @@ def draw_hand_mount(measures: BodyMeasures, side: str, rng: np.random.Generator)
 
 
 class SegmentImuMotion:
-    """The IMU on a segment of an arm in motion; the tissue turns it about the bone's axis beneath it.
-
-    Parameters
-    ----------
-    arm : ArmMotion
-    bone : callable
-        The bone's origin (N, 3) m in {K} and axes (N, 3, 3) at times (N,).
-    mount : SegmentMount
-        How the IMU sits on it.
-    t_s : ndarray, shape (N,), s
-    wobble : ndarray, shape (N, 3), rad
-        By how much the tissue turns it.
-    """
+    """The IMU on a segment of an arm in motion; the tissue turns it about the bone's axis beneath it."""
 
     def __init__(
         self,
@@ -251,23 +216,12 @@ R_ISB_T = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 
 @dataclass(frozen=True)
 class TrunkImuMotion:
-    """The trunk with its IMU: a `MotionModel` without joints.
+    """The trunk with its IMU: a `MotionModel` without joints."""
 
-    Attributes
-    ----------
-    R_K_T : ndarray, shape (3, 3)
-        Axes of the upright trunk to the camera's.
-    origin_K : ndarray, shape (3,), m
-        Origin of {T} in {K}.
-    turn : TrunkTurn
-    axes : ndarray, shape (3, 3)
-        Maps a vector from the IMU's axes {D} to {T}.
-    """
-
-    R_K_T: FloatArray
-    origin_K: FloatArray
+    R_K_T: FloatArray  # (3, 3): axes of the upright trunk to the camera's
+    origin_K: FloatArray  # (3,) m: origin of {T} in {K}
     turn: TrunkTurn
-    axes: FloatArray
+    axes: FloatArray  # (3, 3): maps a vector from the IMU's axes {D} to {T}
 
     @property
     def R_T_D(self) -> FloatArray:

@@ -79,31 +79,15 @@ class MocapSimulation(BaseModel):
 
 @dataclass(frozen=True)
 class MarkerCapture:
-    """What the motion capture recorded, and what is known of it.
+    """What the motion capture recorded, and what is known of it."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the M markers.
-    rate_hz : float, Hz
-        Nominal, on the mocap's own clock.
-    position : ndarray, shape (N, M, 3), m
-        In {E}; nan where a marker was not seen. Frame k is at k / rate_hz.
-    R_C_E : ndarray, shape (3, 3)
-        p_camera = R_C_E p_mocap + translation, with {C} the camera's optical axes (x right, y down, z
-        forward) whatever axes the recording has.
-    translation_m : ndarray, shape (3,), m
-    offset_s, skew_ppm : float, s and ppm
-        t_imu = t_mocap (1 + skew) + offset.
-    """
-
-    names: tuple[str, ...]
-    rate_hz: float
-    position: FloatArray
-    R_C_E: FloatArray
-    translation_m: FloatArray
-    offset_s: float
-    skew_ppm: float
+    names: tuple[str, ...]  # Of the M markers
+    rate_hz: float  # Nominal, on the mocap's own clock
+    position: FloatArray  # (N, M, 3) m: in {E}; nan where a marker was not seen. Frame k is at k / rate_hz
+    R_C_E: FloatArray  # (3, 3)
+    translation_m: FloatArray  # (3,) m
+    offset_s: float  # t_imu = t_mocap (1 + skew) + offset
+    skew_ppm: float  # s and ppm: t_imu = t_mocap (1 + skew) + offset
 
     @property
     def t_s(self) -> FloatArray:
@@ -131,24 +115,7 @@ class MarkerCapture:
 
 
 def capture(simulated: SimulatedArm, config: MocapSimulation | None = None, seed: int = 0) -> MarkerCapture:
-    """Record a simulated arm with 15 markers: 8 on the IMU's plate, 7 on the skin over the joints.
-
-    Markers sit so that the mean of a joint's markers is its centre, and the plate's mean is the IMU. The
-    capture runs from before the recording to after it, and the arm stands still beyond the recording's ends.
-
-    Parameters
-    ----------
-    simulated : SimulatedArm
-        From `simulate_arm`.
-    config : MocapSimulation, optional
-        None for the defaults.
-    seed : int
-        Of the mocap's own draws; the arm's motion is not touched by it.
-
-    Returns
-    -------
-    markers : MarkerCapture
-    """
+    """Record a simulated arm with 15 markers: 8 on the IMU's plate, 7 on the skin over the joints."""
     config = config or MocapSimulation()
     assert isinstance(simulated.motion, ArmMotion)
     recording = simulated.recording
@@ -184,10 +151,7 @@ def capture(simulated: SimulatedArm, config: MocapSimulation | None = None, seed
 
 
 def optical_axes(frame: CameraFrame) -> FloatArray:
-    """`R_K_C` (3, 3): optical axes (x right, y down, z forward) to the axes of a recording's camera frame.
-
-    `zup` is x forward, y left, z up, as the simulation and ROS have it.
-    """
+    """`R_K_C` (3, 3): optical axes (x right, y down, z forward) to the axes of a recording's camera frame."""
     return np.asarray(LEVEL_FROM_KINECT[frame] @ _OPTICAL_FROM_KINECT.T)
 
 

@@ -23,15 +23,7 @@ SHARES = np.sqrt([0.25, 0.6, 0.15])
 
 
 class TrunkTurn:
-    """How the trunk turns about the hips over time.
-
-    Parameters
-    ----------
-    performance : Performance
-    rms_deg : float, degrees
-        Of the whole rotation; 0 = the trunk stands upright and still.
-    rng : numpy.random.Generator
-    """
+    """How the trunk turns about the hips over time."""
 
     def __init__(self, performance: Performance, rms_deg: float, rng: np.random.Generator) -> None:
         self._spline: BSpline | None = None
@@ -85,18 +77,10 @@ class MotionModel(Protocol):
 
 @dataclass(frozen=True)
 class Stage:
-    """Where the person stands before the camera.
+    """Where the person stands before the camera."""
 
-    Attributes
-    ----------
-    R_K_T : ndarray, shape (3, 3)
-        Torso axes to camera axes.
-    origin_K : ndarray, shape (3,), m
-        Origin of {T} (between the shoulders) in {K}.
-    """
-
-    R_K_T: FloatArray
-    origin_K: FloatArray
+    R_K_T: FloatArray  # (3, 3): torso axes to camera axes
+    origin_K: FloatArray  # (3,) m: origin of {T} (between the shoulders) in {K}
 
     @property
     def gravity(self) -> FloatArray:
@@ -122,11 +106,7 @@ def draw_stage(distance_m: float, frame: CameraFrame, rng: np.random.Generator) 
 
 
 def draw_wobble(performance: Performance, rms_deg: float, rng: np.random.Generator) -> FloatArray:
-    """Rotation vectors (N, 3), rad in {F}, of a strap that slides as the arm moves; the mean is zero.
-
-    Four fifths of it follow the joint angles with 0.2 s of delay and memory, the rest is slow noise; the
-    largest part turns about the forearm.
-    """
+    """Rotation vectors (N, 3), rad in {F}, of a strap that slides as the arm moves; the mean is zero."""
     drive = performance.posture[:, [SHOULDER.start, SHOULDER.start + 1, FLEXION, PRONATION]]
     spread = drive.std(axis=0)
     moving = spread > 1e-6

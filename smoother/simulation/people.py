@@ -59,42 +59,20 @@ class PeopleSimulation(BaseModel):
 
 @dataclass(frozen=True)
 class WornImu:
-    """An IMU with everything that is known of it.
+    """An IMU with everything that is known of it."""
 
-    Attributes
-    ----------
-    stream : ImuStream
-        Its samples, on its own clock; the name does not show where it is.
-    body : int, optional
-        Who wears it; None on the table.
-    joint : str
-        "wrist_right", "upper_arm_left", ..; "none" on the table.
-    clock_offset_s : float, s
-        Its clock minus the true time.
-    """
-
-    stream: ImuStream
-    body: int | None
-    joint: str
-    clock_offset_s: float
+    stream: ImuStream  # Its samples, on its own clock; the name does not show where it is
+    body: int | None  # Who wears it; None on the table
+    joint: str  # "wrist_right", "upper_arm_left", ..; "none" on the table
+    clock_offset_s: float  # Its clock minus the true time
 
 
 @dataclass(frozen=True)
 class SimulatedPeople:
-    """A recording of several people, and its truth.
+    """A recording of several people, and its truth."""
 
-    Attributes
-    ----------
-    arms : list of tuple of int, str, JointTracks
-        Body, side, and the arm as the camera saw it.
-    worn : list of WornImu
-        In the order of their names.
-    camera_frame : CameraFrame
-    name : str
-    """
-
-    arms: list[tuple[int, str, JointTracks]]
-    worn: list[WornImu]
+    arms: list[tuple[int, str, JointTracks]]  # Body, side, and the arm as the camera saw it
+    worn: list[WornImu]  # In the order of their names
     camera_frame: CameraFrame
     name: str
 
@@ -155,29 +133,7 @@ class _OnTable:
 def simulate_people(
     people: PeopleSimulation | None = None, arm: ArmSimulation | None = None, seed: int = 0
 ) -> SimulatedPeople:
-    """Simulate people with shuffled, nameless IMUs before one depth camera.
-
-    The true time is the camera's, but for its latency. The seed decides everything: the same seed and
-    settings give the same recording.
-
-    Parameters
-    ----------
-    people : PeopleSimulation, optional
-        Who and what; None for two people with four IMUs, one of which is on the table.
-    arm : ArmSimulation, optional
-        Motion, camera and sensors of every arm; None for 20 s of random motion with realistic errors.
-    seed : int
-        Non-negative.
-
-    Returns
-    -------
-    simulated : SimulatedPeople
-
-    Raises
-    ------
-    ValueError
-        More IMUs are worn than there are places.
-    """
+    """Simulate people with shuffled, nameless IMUs before one depth camera."""
     people = people or PeopleSimulation()
     arm = arm or ArmSimulation.preset("realistic", protocol="random", duration_s=20.0)
     worn_count = people.sensors - people.on_table

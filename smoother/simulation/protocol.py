@@ -21,24 +21,12 @@ PAD_S = 0.5
 
 @dataclass(frozen=True)
 class PlannedMovement:
-    """One movement from rest to rest.
+    """One movement from rest to rest."""
 
-    Attributes
-    ----------
-    through : ndarray, shape (V, D)
-        Points passed without a stop; the last is where it ends.
-    duration_s : float, s
-        From the start of the movement to its end.
-    hold_s : float, s
-        Rest after it.
-    label : str
-        What the movement and its hold are for.
-    """
-
-    through: FloatArray
-    duration_s: float
-    hold_s: float
-    label: str = ""
+    through: FloatArray  # (V, D): points passed without a stop; the last is where it ends
+    duration_s: float  # From the start of the movement to its end
+    hold_s: float  # Rest after it
+    label: str = ""  # What the movement and its hold are for
 
     @property
     def length_s(self) -> float:
@@ -155,27 +143,13 @@ _DRIFT = np.array([0.002, 0.002, 0.002, 0.015, 0.015, 0.015, 0.02, 0.03])
 
 @dataclass(frozen=True)
 class Performance:
-    """Joint angles over time.
+    """Joint angles over time."""
 
-    Attributes
-    ----------
-    duration_s : float, s
-        Length of the recording.
-    t_s : ndarray, shape (N,), s
-        Knots, from a little before the start to a little after the end.
-    posture : ndarray, shape (N, 8)
-        Joint angles of a right arm, columns as in `body`.
-    sway : ndarray, shape (N, 3), m
-        Shift of the whole trunk in {T}.
-    belly_s : ndarray, shape (B, 2), s
-        From when to when the forearm is before the belly.
-    """
-
-    duration_s: float
-    t_s: FloatArray
-    posture: FloatArray
-    sway: FloatArray
-    belly_s: FloatArray
+    duration_s: float  # Length of the recording
+    t_s: FloatArray  # (N,) s: knots, from a little before the start to a little after the end
+    posture: FloatArray  # (N, 8): joint angles of a right arm, columns as in `body`
+    sway: FloatArray  # (N, 3) m: shift of the whole trunk in {T}
+    belly_s: FloatArray  # (B, 2) s: from when to when the forearm is before the belly
 
 
 def _move(

@@ -24,16 +24,10 @@ STEP_S = 0.3125e-3
 
 @dataclass(frozen=True)
 class Clocks:
-    """Nodes whose clocks read tau + offset + skew tau.
+    """Nodes whose clocks read tau + offset + skew tau."""
 
-    Attributes
-    ----------
-    offset_s : ndarray, shape (n,), s
-    skew : ndarray, shape (n,)
-    """
-
-    offset_s: FloatArray
-    skew: FloatArray
+    offset_s: FloatArray  # (n,) s
+    skew: FloatArray  # (n,)
 
     def read(self, node: int, tau: float) -> float:
         """What a node's clock shows at a true time."""
@@ -61,28 +55,7 @@ def broadcast(
     start_s: float = 0.0,
     offset_s: Sequence[float] | None = None,
 ) -> tuple[Clocks, Receptions]:
-    """Rounds of a broadcast that some nodes miss and some hear late; node n1 runs 390 ppm fast.
-
-    Parameters
-    ----------
-    seed : int
-    nodes, rounds : int
-        How many.
-    span_s : float, s
-        Time from the first round to the last, at most.
-    missed, late : float
-        Fractions of the receptions.
-    start_s : float, s
-        Added to the clocks' offsets, the first excepted.
-    offset_s : sequence of float, length n, s, optional
-        The clocks' offsets; drawn where None.
-
-    Returns
-    -------
-    clocks : Clocks
-        The truth.
-    receptions : Receptions
-    """
+    """Rounds of a broadcast that some nodes miss and some hear late; node n1 runs 390 ppm fast."""
     rng = np.random.default_rng(seed)
     offset = np.concatenate([[0.0], rng.uniform(-5, 5, nodes - 1) + start_s])
     skew = np.concatenate([[0.0, 390e-6], rng.uniform(-4e-4, 4e-4, nodes)])[:nodes]
@@ -100,28 +73,8 @@ def broadcast(
 
 def beep(
     seed: int, rate_hz: int = 16000, quiet_db: float = 25.0, room_s: float | None = None, voice: bool = True
-) -> tuple[FloatArray, float, float]:
-    """A buzzer near a microphone, in a room where somebody speaks.
-
-    Parameters
-    ----------
-    seed : int
-    rate_hz : int, Hz
-        Of the samples.
-    quiet_db : float, dB
-        White noise below the beep.
-    room_s : float, s, optional
-        Time in which the echo dies by 60 dB; drawn where None.
-    voice : bool
-        Somebody speaks.
-
-    Returns
-    -------
-    sound : ndarray, shape (4 rate_hz,)
-    end_s : float, s
-        The beep's end.
-    tone_hz : float, Hz
-    """
+) -> tuple[FloatArray, float, float]:  # sound (4 rate_hz,), end_s, tone_hz
+    """A buzzer near a microphone, in a room where somebody speaks."""
     rng = np.random.default_rng(seed)
     t = np.arange(4 * rate_hz) / rate_hz
     tone, end, lasts = rng.uniform(1800, 4500), rng.uniform(1.5, 3.0), rng.uniform(0.1, 0.8)
@@ -148,30 +101,14 @@ BASE_AHEAD_S, IMU_AHEAD_S = (5.0, 15.0), (1.0, 4.0)
 
 @dataclass(frozen=True)
 class ClockSession:
-    """What `calibrate clock` reads, and what it should find.
+    """What `calibrate clock` reads, and what it should find."""
 
-    Attributes
-    ----------
-    sound : ndarray, shape (n,)
-        The camera's sound, from the camera's time zero on; largest sample 1.
-    sound_rate_hz : int, Hz
-        Of the sound.
-    event_time_s : float, s
-        The beep's end on the base's clock, in the step of its stamps.
-    receptions : Receptions
-        Broadcasts as the base and the IMU received them.
-    recording : Recording
-        An arm in motion, frames on the camera's clock, samples on the IMU's.
-    clocks : Clocks
-        The truth: base, then IMU, against the camera's.
-    """
-
-    sound: FloatArray
-    sound_rate_hz: int
-    event_time_s: float
-    receptions: Receptions
-    recording: Recording
-    clocks: Clocks
+    sound: FloatArray  # (n,): the camera's sound, from the camera's time zero on; largest sample 1
+    sound_rate_hz: int  # Of the sound
+    event_time_s: float  # The beep's end on the base's clock, in the step of its stamps
+    receptions: Receptions  # Broadcasts as the base and the IMU received them
+    recording: Recording  # An arm in motion, frames on the camera's clock, samples on the IMU's
+    clocks: Clocks  # The truth: base, then IMU, against the camera's
 
     def offset_s(self, from_clock: str, to_clock: str, at_s: float) -> float:
         """True offset between two clocks by name, t_to = t_from + offset, at a time on the first."""
@@ -196,28 +133,7 @@ def simulate_clock_session(
     sound_rate_hz: int = 16000,
     noise_db: float = 25.0,
 ) -> ClockSession:
-    """Simulate the sources of a session's clocks.
-
-    Parameters
-    ----------
-    seed : int
-        Of the clocks, the room, the receptions and the arm.
-    rounds : int
-        Broadcasts; a fifth of the receptions is missed and one of twenty is late.
-    minutes : float, min
-        Time over which they are spread.
-    motion_s : float, s
-        Length of the arm's recording.
-    sound_rate_hz : int, Hz
-        Of the sound.
-    noise_db : float, dB
-        Noise of the room below the beep.
-
-    Returns
-    -------
-    session : ClockSession
-        The IMU's clock runs 390 ppm fast.
-    """
+    """Simulate the sources of a session's clocks."""
     rng = np.random.default_rng([seed, 3])
     ahead_s = [rng.uniform(*BASE_AHEAD_S), rng.uniform(*IMU_AHEAD_S)]
     clocks, received = broadcast(seed, nodes=2, rounds=rounds, span_s=60.0 * minutes, offset_s=ahead_s)
@@ -247,16 +163,10 @@ TURNING_S = 60.0
 
 @dataclass(frozen=True)
 class SensorModel:
-    """measured = matrix @ true + offset; the matrix is symmetric, as a calibration cannot see a rotation.
+    """measured = matrix @ true + offset; the matrix is symmetric, as a calibration cannot see a rotation."""
 
-    Attributes
-    ----------
-    offset : ndarray, shape (3,)
-    matrix : ndarray, shape (3, 3)
-    """
-
-    offset: FloatArray
-    matrix: FloatArray
+    offset: FloatArray  # (3,)
+    matrix: FloatArray  # (3, 3)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, *, offset: float, scale: float, cross: float) -> SensorModel:
@@ -271,10 +181,7 @@ class SensorModel:
         return true @ self.matrix.T + self.offset
 
     def correction(self, unit_of: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        """Offset (3,) and matrix (3, 3) that a calibration should find: true = matrix @ (read - offset).
-
-        `unit_of` is what the sensor states for a true value of 1.
-        """
+        """Offset (3,) and matrix (3, 3) that a calibration should find: true = matrix @ (read - offset)."""
         return unit_of * self.offset, np.asarray(np.linalg.inv(self.matrix) / unit_of)
 
 
@@ -286,31 +193,11 @@ def rest_poses(
     rest_s: float = 2.0,
     turn_s: float = 1.0,
     rate_hz: float = 100.0,
-    acc_noise: float = 0.02,
-    gyro_noise: float = 0.002,
-    gravity: float = GRAVITY,
-) -> tuple[ImuStream, FloatArray]:
-    """A sensor laid still in one pose after the other, turned by hand between.
-
-    Parameters
-    ----------
-    model : SensorModel
-        The accelerometer's errors.
-    poses : int
-        How many of `REST_POSES` (26), each some degrees off.
-    seed : int
-    rest_s, turn_s : float, s
-        Rest in a pose, and the turn to the next.
-    rate_hz : float, Hz
-    acc_noise, gyro_noise : float, m/s^2 and rad/s
-        Standard deviation of a sample.
-    gravity : float, m/s^2
-
-    Returns
-    -------
-    imu : ImuStream
-    gyroscope_bias : ndarray, shape (3,), rad/s
-    """
+    acc_noise: float = 0.02,  # m/s^2 and rad/s
+    gyro_noise: float = 0.002,  # m/s^2 and rad/s
+    gravity: float = GRAVITY,  # m/s^2
+) -> tuple[ImuStream, FloatArray]:  # imu, gyroscope_bias (3,) rad/s
+    """A sensor laid still in one pose after the other, turned by hand between."""
     rng = np.random.default_rng(seed)
     up = REST_POSES[:poses] + rng.normal(0.0, 0.06, (poses, 3))
     turns = [Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0] for axis in up]
@@ -345,26 +232,7 @@ def magnetometer_turns(
 def turning_sensor(
     model: SensorModel, *, seed: int = 0, rate_hz: float = 50.0, field: float = 48.0, noise: float = 0.01
 ) -> ImuStream:
-    """A sensor turned slowly about all its axes for a minute, on one spot.
-
-    Parameters
-    ----------
-    model : SensorModel
-        The magnetometer's errors, in parts of the field.
-    seed : int
-        Of the turns and of the noise.
-    rate_hz : float, Hz
-        Samples per second.
-    field : float, in the sensor's unit
-        Strength of the field (48 microtesla in Central Europe).
-    noise : float
-        Standard deviation of a sample, in parts of the field.
-
-    Returns
-    -------
-    imu : ImuStream
-        Acceleration and angular velocity belong to the same turns.
-    """
+    """A sensor turned slowly about all its axes for a minute, on one spot."""
     count = round(TURNING_S * rate_hz)
     rng = np.random.default_rng([seed, 1])
     R = _turning(count, seed)
@@ -392,29 +260,8 @@ def long_rest(
     rate_hz: float = 100.0,
     acc_density: float = 2e-3,
     gyro_density: float = 2e-4,
-) -> tuple[ImuStream, FloatArray]:
-    """A sensor at rest, with white noise and a bias that wanders by a twentieth of it in a second.
-
-    Parameters
-    ----------
-    model : SensorModel
-        The accelerometer's errors.
-    rest_s : float, s
-        How long it rests.
-    seed : int
-        Of the noise.
-    rate_hz : float, Hz
-        Samples per second.
-    acc_density, gyro_density : float, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz)
-        White noise.
-
-    Returns
-    -------
-    imu : ImuStream
-        The samples.
-    gyroscope_bias : ndarray, shape (3,), rad/s
-        The mean of the bias over the rest.
-    """
+) -> tuple[ImuStream, FloatArray]:  # imu, gyroscope_bias (3,) rad/s
+    """A sensor at rest, with white noise and a bias that wanders by a twentieth of it in a second."""
     rng = np.random.default_rng(seed)
     count = round(rest_s * rate_hz)
     bias = rng.normal(0.0, 0.01, 3)

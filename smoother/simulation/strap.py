@@ -23,30 +23,15 @@ AMBIENT = 0.45
 
 @dataclass(frozen=True)
 class Arm:
-    """A forearm (a capsule) with its strap, in {K}.
+    """A forearm (a capsule) with its strap, in {K}."""
 
-    Attributes
-    ----------
-    elbow, wrist : ndarray, shape (3,), m
-        Ends of its core.
-    radius : float, m
-        Of the arm.
-    strap : float, m, optional
-        Distance of the strap's middle from the elbow along the arm; None for an arm without.
-    strap_width : float, m
-        Along the arm.
-    marker : float, m, optional
-        Distance of a reflective ball from the strap's middle towards the elbow; None for none.
-    trunk : tuple of ndarray, shape (3,), m, optional
-        Centre and half axes of an ellipsoid that may stand before the arm.
-    """
-
-    elbow: FloatArray
-    wrist: FloatArray
-    radius: float = 0.035
-    strap: float | None = 0.2
-    strap_width: float = 0.03
-    marker: float | None = None
+    elbow: FloatArray  # (3,) m: ends of its core
+    wrist: FloatArray  # (3,) m: ends of its core
+    radius: float = 0.035  # m: of the arm
+    strap: float | None = 0.2  # m: distance of the strap's middle from the elbow along the arm
+    strap_width: float = 0.03  # m: along the arm
+    marker: float | None = None  # m: distance of a reflective ball from the strap's middle towards the elbow
+    # (3,) m: Centre and half axes of an ellipsoid that may stand before the arm
     trunk: tuple[FloatArray, FloatArray] | None = None
 
     @property
@@ -62,47 +47,19 @@ class Arm:
 
 @dataclass(frozen=True)
 class StrapImageNoise:
-    """Errors of the images; the defaults are those of a good camera in a lit room.
+    """Errors of the images; the defaults are those of a good camera in a lit room."""
 
-    Attributes
-    ----------
-    brightness : float
-        Sigma of a pixel's brightness.
-    depth_m : float, m
-        Sigma of a depth at 2 m; grows with distance squared.
-    blur_px : float, pixels
-        Sigma of the lens' blur.
-    strap_holes : float
-        Share of the strap's pixels without depth.
-    rng : Generator
-    """
-
-    brightness: float = 4.0
-    depth_m: float = 0.003
-    blur_px: float = 0.7
-    strap_holes: float = 0.7
+    brightness: float = 4.0  # Sigma of a pixel's brightness
+    depth_m: float = 0.003  # Sigma of a depth at 2 m; grows with distance squared
+    blur_px: float = 0.7  # Sigma of the lens' blur
+    strap_holes: float = 0.7  # Share of the strap's pixels without depth
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
 
 def render(
     arm: Arm, camera: PlacedCamera, noise: StrapImageNoise | None = None
-) -> tuple[NDArray[np.uint8], FloatArray]:
-    """Images of the arm; depth fails on most of a black strap, and on a reflective marker and its rim.
-
-    Parameters
-    ----------
-    arm : Arm
-    lens : Lens
-    noise : StrapImageNoise, optional
-        None for images without errors.
-
-    Returns
-    -------
-    grey : ndarray of uint8, shape (height, width)
-        Brightness.
-    z : ndarray, shape (height, width), m
-        Depth in the lens's axes; nan where there is none.
-    """
+) -> tuple[NDArray[np.uint8], FloatArray]:  # grey (height, width), z (height, width) m
+    """Images of the arm; depth fails on most of a black strap, and on a reflective marker and its rim."""
     import cv2
 
     column, row = np.meshgrid(np.arange(camera.lens.width), np.arange(camera.lens.height))
@@ -218,40 +175,19 @@ DEPTH_LATER_S = 0.002
 
 @dataclass(frozen=True)
 class StrapImages:
-    """A colour image and the depth image after it.
+    """A colour image and the depth image after it."""
 
-    Attributes
-    ----------
-    t_s : float, s
-        Of the colour image, on the camera's clock.
-    grey : ndarray of uint8, shape (height, width)
-        Brightness.
-    depth_mm : ndarray of uint16, shape (height, width), mm
-        0 where there is none.
-    """
-
-    t_s: float
-    grey: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
+    t_s: float  # Of the colour image, on the camera's clock
+    grey: NDArray[np.uint8]  # (height, width): brightness
+    depth_mm: NDArray[np.uint16]  # (height, width) mm: 0 where there is none
 
 
-def strap_images(simulated: SimulatedArm, times: FloatArray, seed: int = 0) -> Iterator[StrapImages]:
-    """Render the arm at some of the camera's times, the strap where the IMU is.
-
-    Parameters
-    ----------
-    simulated : SimulatedArm
-        With truth; its camera's frame is "kinect".
-    times : ndarray, shape (n,), s
-        On the camera's clock.
-    seed : int
-        Of the images' noise.
-
-    Yields
-    ------
-    StrapImages
-        In order of time.
-    """
+def strap_images(
+    simulated: SimulatedArm,
+    times: FloatArray,  # (n,) s
+    seed: int = 0,
+) -> Iterator[StrapImages]:
+    """Render the arm at some of the camera's times, the strap where the IMU is."""
     rng, truth, measures = np.random.default_rng(seed), simulated.recording.truth, simulated.parameters
     assert truth is not None
     radius_m = strap_radius_m(simulated)

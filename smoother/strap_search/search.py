@@ -47,37 +47,7 @@ def import_strap(
     depth_topic: str | None = None,
     force: bool = False,
 ) -> StrapFound:
-    """Look for the strap in every colour image and write the recording with the joint `strap`.
-
-    Images are decoded one at a time: memory does not grow with the recording.
-
-    Parameters
-    ----------
-    source : path-like
-        The recording, with images.
-    path : path-like
-        The recording to write.
-    mounted : Mounted
-        How the strap sits on the arm, and how the sensor turned.
-    skeleton, side : str
-        Topic and arm that the strap belongs to.
-    joint_sigma_m : float, m
-        Noise of the camera's elbow and wrist, per axis.
-    colour_topic, depth_topic : str, optional
-        Names, or parts of them, where there are several.
-    force : bool
-        Overwrite a recording that exists.
-
-    Returns
-    -------
-    results : StrapFound
-        What became of every image.
-
-    Raises
-    ------
-    RecordingError
-        There are no images, no intrinsics, or no convention of the camera's axes.
-    """
+    """Look for the strap in every colour image and write the recording with the joint `strap`."""
     file = open_recording(source)
     arms = [arm for arm in file.arms if arm.topic == skeleton]
     fitting = [arm for arm in arms if arm.side in (side, "")]

@@ -19,27 +19,13 @@ from ..recording import JOINTS, CameraFrame
 
 @dataclass(frozen=True)
 class ImuRows:
-    """Samples of the IMU in the order in which they came.
+    """Samples of the IMU in the order in which they came."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,), s
-        Stamps.
-    acc : ndarray, shape (n, 3), m/s^2
-        Specific force in {A}.
-    gyro : ndarray, shape (n, 3), rad/s
-        Angular velocity in {A}.
-    arrival_s : ndarray, shape (n,), s
-        When they came, on the session's clock.
-    mag : ndarray, shape (n, 3), optional
-        Magnetic field in the sensor's unit: recorded, not used while live.
-    """
-
-    t_s: FloatArray
-    acc: FloatArray
-    gyro: FloatArray
-    arrival_s: FloatArray
-    mag: FloatArray | None = None
+    t_s: FloatArray  # (n,) s: stamps
+    acc: FloatArray  # (n, 3) m/s^2: specific force in {A}
+    gyro: FloatArray  # (n, 3) rad/s: angular velocity in {A}
+    arrival_s: FloatArray  # (n,) s: when they came, on the session's clock
+    mag: FloatArray | None = None  # (n, 3): magnetic field in the sensor's unit
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -74,24 +60,12 @@ class ImuRows:
 
 @dataclass(frozen=True)
 class FrameRows:
-    """Frames of the camera in the order in which they came.
+    """Frames of the camera in the order in which they came."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,), s
-        Stamps.
-    position : ndarray, shape (n, 5, 3), m
-        Joints in the order of `JOINTS`, in {K}; nan where there is none.
-    state : ndarray of int8, shape (n, 5)
-        `JointState` values.
-    arrival_s : ndarray, shape (n,), s
-        When they came, on the session's clock.
-    """
-
-    t_s: FloatArray
-    position: FloatArray
-    state: NDArray[np.int8]
-    arrival_s: FloatArray
+    t_s: FloatArray  # (n,) s: stamps
+    position: FloatArray  # (n, 5, 3) m: joints in the order of `JOINTS`, in {K}; nan where there is none
+    state: NDArray[np.int8]  # int (n, 5): `JointState` values
+    arrival_s: FloatArray  # (n,) s: when they came, on the session's clock
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -123,62 +97,30 @@ class FrameRows:
 
 @dataclass(frozen=True)
 class Arrivals:
-    """What came since the last look.
-
-    Attributes
-    ----------
-    imu : ImuRows
-    frames : FrameRows
-    events : tuple of str
-        What was done to their stamps, a sentence each.
-    further : mapping of str to ImuRows
-        Of IMUs on segments beyond the forearm, by the segment's name.
-    """
+    """What came since the last look."""
 
     imu: ImuRows = field(default_factory=ImuRows.none)
     frames: FrameRows = field(default_factory=FrameRows.none)
-    events: tuple[str, ...] = ()
+    events: tuple[str, ...] = ()  # What was done to their stamps, a sentence each
+    # Of IMUs on segments beyond the forearm, by the segment's name
     further: Mapping[str, ImuRows] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """What a session is made of.
+    """What a session is made of."""
 
-    Attributes
-    ----------
-    imu, skeleton : str
-        Names of the streams.
-    side : str
-        "left", "right" or "".
-    joints : tuple of str
-        Joints that the skeleton has.
-    origin_ns : int, ns
-        What the session's times count from.
-    camera_frame : CameraFrame, optional
-        Convention of the camera's axes where it is known.
-    gravity_hint : ndarray, shape (3,), optional
-        Direction of down in {K} where it is known.
-    name : str
-        Of the session.
-    lsl_start_s : float, s, optional
-        The same on this computer's LSL clock, where that is the session's.
-    notes : tuple of str
-        How it was decided, and what is assumed, one sentence each.
-    further : mapping of str to str
-        Names of the streams of IMUs on segments beyond the forearm, by the segment's name.
-    """
-
-    imu: str
-    skeleton: str
-    side: str
-    joints: tuple[str, ...]
-    origin_ns: int
-    camera_frame: CameraFrame | None = None
-    gravity_hint: FloatArray | None = None
-    name: str = "session"
-    lsl_start_s: float | None = None
-    notes: tuple[str, ...] = ()
+    imu: str  # Names of the streams
+    skeleton: str  # Names of the streams
+    side: str  # "left", "right" or ""
+    joints: tuple[str, ...]  # Joints that the skeleton has
+    origin_ns: int  # What the session's times count from
+    camera_frame: CameraFrame | None = None  # Convention of the camera's axes where it is known
+    gravity_hint: FloatArray | None = None  # (3,): direction of down in {K} where it is known
+    name: str = "session"  # Of the session
+    lsl_start_s: float | None = None  # The same on this computer's LSL clock, where that is the session's
+    notes: tuple[str, ...] = ()  # How it was decided, and what is assumed, one sentence each
+    # Names of the streams of IMUs on segments beyond the forearm, by the segment's name
     further: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -236,31 +178,7 @@ _RECENT_S = 120
 
 
 class StampSteps(Generic[Rows]):
-    """Keeps the stamps of one stream on one clock.
-
-    A stamp is odd where it lies `LATE_S` behind the newest one, or where it is ahead by more than the time
-    that has passed while the sample came `EARLY_S` sooner after its stamp than any other did. Odd samples
-    wait. If a usual one comes, they were wrong by themselves and are dropped; if none comes for `PERSISTS_S`,
-    the clock has stepped, and from them on the step is taken out, so that the least delay is what it was.
-    Bursts after a pause of the network are not odd: their stamps go on where they left off.
-
-    Parameters
-    ----------
-    name : str
-        Of the stream.
-    early_s, back_s : float, s
-        What is treated as ahead, and as behind; a sample that is behind by less than `LATE_S` and is followed
-        by a usual one was only late, and is used.
-
-    Attributes
-    ----------
-    moved_s : float, s
-        What is added to the stamps now.
-    stepped_s : float, s
-        What of that is for steps.
-    dropped : int
-        Samples whose stamps were wrong by themselves.
-    """
+    """Keeps the stamps of one stream on one clock."""
 
     def __init__(self, name: str, early_s: float = EARLY_S, back_s: float = LATE_S):
         self._early_s, self._back_s = early_s, back_s
@@ -272,20 +190,7 @@ class StampSteps(Generic[Rows]):
         self._odd: list[Rows] = []
 
     def corrected(self, rows: Rows) -> tuple[Rows, tuple[str, ...]]:
-        """Rows that can be used, stamped by the clock that the stream began with.
-
-        Parameters
-        ----------
-        rows : ImuRows or FrameRows
-            As they came.
-
-        Returns
-        -------
-        rows : ImuRows or FrameRows
-            Fewer, or more by those that waited.
-        events : tuple of str
-            A sentence for each step.
-        """
+        """Rows that can be used, stamped by the clock that the stream began with."""
         events = [] if self._least or not len(rows) else self._begin(rows.select(slice(0, 1)))
         if not self._odd and not self._is_odd(rows.t_s + self.moved_s, rows.arrival_s).any():
             rows = rows.stamped(rows.t_s + self.moved_s)

@@ -35,24 +35,14 @@ _STATES = {"state", "trackingstate", "status", "level"}
 
 @dataclass(frozen=True)
 class StreamLabels:
-    """A stream's description of itself.
+    """A stream's description of itself."""
 
-    Attributes
-    ----------
-    name, kind : str
-        Its name and type.
-    labels, types, units : list of str
-        Of its channels; "" where there is none.
-    is_text : bool
-        It sends strings instead of numbers.
-    """
-
-    name: str
-    kind: str
-    labels: list[str]
-    types: list[str]
-    units: list[str]
-    is_text: bool = False
+    name: str  # Its name and type
+    kind: str  # Its name and type
+    labels: list[str]  # Of its channels; "" where there is none
+    types: list[str]  # Of its channels; "" where there is none
+    units: list[str]  # Of its channels; "" where there is none
+    is_text: bool = False  # It sends strings instead of numbers
 
     @classmethod
     def of(cls, info: Any) -> StreamLabels:
@@ -85,13 +75,7 @@ class StreamLabels:
         return ""
 
     def check_numbers(self) -> None:
-        """Refuse a stream of text.
-
-        Raises
-        ------
-        RecordingError
-            It sends strings.
-        """
+        """Refuse a stream of text."""
         if self.is_text:
             raise RecordingError(
                 f"The stream {printable(self.name)} sends text, not numbers; name the one with the samples"
@@ -110,33 +94,17 @@ class StreamLabels:
 
 @dataclass(frozen=True)
 class ImuChannels:
-    """Channels of an IMU, and what their units are in SI.
+    """Channels of an IMU, and what their units are in SI."""
 
-    Attributes
-    ----------
-    acc, gyro : tuple of int
-        Columns of x, y, z.
-    acc_unit, gyro_unit : float
-        m/s^2 and rad/s in one of theirs.
-    mag : tuple of int, optional
-        Columns of the magnetometer.
-    """
-
-    acc: Axes
-    gyro: Axes
-    acc_unit: float
-    gyro_unit: float
-    mag: Axes | None = None
+    acc: Axes  # Columns of x, y, z
+    gyro: Axes  # Columns of x, y, z
+    acc_unit: float  # m/s^2 and rad/s in one of theirs
+    gyro_unit: float  # m/s^2 and rad/s in one of theirs
+    mag: Axes | None = None  # Columns of the magnetometer
 
     @classmethod
     def of(cls, stream: StreamLabels) -> ImuChannels:
-        """What an IMU's stream contains.
-
-        Raises
-        ------
-        RecordingError
-            A label or a unit is missing; the message names it.
-        """
+        """What an IMU's stream contains."""
         stream.check_numbers()
         name = printable(stream.name)
         sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
@@ -188,52 +156,20 @@ def check_one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -
 
 @dataclass(frozen=True)
 class SkeletonChannels:
-    """Channels of one arm's joints.
+    """Channels of one arm's joints."""
 
-    Attributes
-    ----------
-    side : str
-        "left", "right" or "".
-    axes : dict of str to tuple of int
-        Columns of x, y, z by joint.
-    confidence : dict of str to int
-        Column of the confidence (a share of one) by joint.
-    states : dict of str to int
-        Column of a Kinect's tracking state by joint.
-    metres : float
-        In one of their units.
-    camera_frame : CameraFrame, optional
-        Where the joints' names identify the camera.
-    """
-
-    side: str
-    axes: dict[str, Axes]
-    confidence: dict[str, int]
-    states: dict[str, int]
-    metres: float
-    camera_frame: CameraFrame | None
+    side: str  # "left", "right" or ""
+    axes: dict[str, Axes]  # Columns of x, y, z by joint
+    confidence: dict[str, int]  # Column of the confidence (a share of one) by joint
+    states: dict[str, int]  # Column of a Kinect's tracking state by joint
+    metres: float  # In one of their units
+    camera_frame: CameraFrame | None  # Where the joints' names identify the camera
 
     @classmethod
     def of(
         cls, stream: StreamLabels, side: str | None, prefer_side: str | None = None, body: str | None = None
     ) -> SkeletonChannels:
-        """What a skeleton's stream contains of one arm.
-
-        Parameters
-        ----------
-        stream : StreamLabels
-        side : str, optional
-            Asked for.
-        prefer_side : str, optional
-            Taken where both arms are there and none is asked for.
-        body : str, optional
-            Which of several bodies, by the number or letter in their labels.
-
-        Raises
-        ------
-        RecordingError
-            Labels or units are missing, or both arms are there and nothing shows which is meant.
-        """
+        """What a skeleton's stream contains of one arm."""
         stream.check_numbers()
         stream = _of_one_body(stream, body)
         name = printable(stream.name)
@@ -270,10 +206,7 @@ class SkeletonChannels:
         return tuple(joint for joint in JOINTS if joint in self.axes)
 
     def values(self, samples: NDArray) -> tuple[FloatArray, NDArray[np.int8]]:
-        """Positions (n, 5, 3) in m and states (n, 5) of samples (n, channels).
-
-        A joint at (0, 0, 0), as many programs write a lost one, is not tracked.
-        """
+        """Positions (n, 5, 3) in m and states (n, 5) of samples (n, channels)."""
         samples = samples.astype(float)
         position = np.full((len(samples), len(JOINTS), 3), np.nan)
         state = np.full((len(samples), len(JOINTS)), JointState.NOT_TRACKED, np.int8)

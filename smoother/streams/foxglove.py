@@ -52,21 +52,12 @@ TOPICS = topics_of("")
 
 
 class LiveMessage(NamedTuple):
-    """One message to be sent.
+    """One message to be sent."""
 
-    Attributes
-    ----------
-    topic, schema : str
-        Where, and the full name of what it is.
-    stamp_ns : int, ns
-    data : bytes
-        Its wire form, protobuf.
-    """
-
-    topic: str
-    schema: str
+    topic: str  # Where, and the full name of what it is
+    schema: str  # Where, and the full name of what it is
     stamp_ns: int
-    data: bytes
+    data: bytes  # Its wire form, protobuf
 
 
 class _Channels(Output):
@@ -81,17 +72,7 @@ class _Channels(Output):
 
 
 class LiveMessages:
-    """Makes messages of what a session answers.
-
-    Topics are those of `write_recovery`, of the estimate `now`; those of `settled` end in `/settled`.
-
-    Parameters
-    ----------
-    info : SourceInfo
-        Of the session.
-    suffix : str
-        Behind the topics' names, where there are two arms: "/right".
-    """
+    """Makes messages of what a session answers."""
 
     def __init__(self, info: SourceInfo, suffix: str = ""):
         self._info, self._suffix = info, suffix
@@ -109,17 +90,7 @@ class LiveMessages:
     def frames(
         self, frames: FrameRows, offset_s: float, wanted: Collection[str] = TOPICS
     ) -> Iterator[LiveMessage]:
-        """The camera's joints as they came, on the IMU's clock.
-
-        Parameters
-        ----------
-        frames : FrameRows
-            On the camera's clock.
-        offset_s : float, s
-            t_imu = t_camera + offset; nan where it is not known yet, which is treated as zero.
-        wanted : collection of str
-            Topics.
-        """
+        """The camera's joints as they came, on the IMU's clock."""
         topics = _among(_FRAMES, self._suffix, wanted)
         if not topics:
             return
@@ -209,33 +180,12 @@ _DRAWN_EACH_S = 0.03
 
 
 def foxglove_module() -> ModuleType:
-    """The package `foxglove`, an extra.
-
-    Raises
-    ------
-    UnoccludeError
-        It is not installed, or too old; the message explains how to install it.
-    """
+    """The package `foxglove`, an extra."""
     return extra_module("foxglove", "foxglove-sdk", "live", ["Context", "start_server"])
 
 
 class FoxgloveServer:
-    """Sends messages to whoever is connected; a slow client misses some and does not delay the others.
-
-    Parameters
-    ----------
-    info : SourceInfo
-        Of the session.
-    port : int
-        0 takes a free one.
-    others : sequence of SourceInfo
-        Of the same person's other arm: topics then end in the arm's side.
-
-    Raises
-    ------
-    UnoccludeError
-        foxglove-sdk is not installed, or the port is taken.
-    """
+    """Sends messages to whoever is connected; a slow client misses some and does not delay the others."""
 
     def __init__(self, info: SourceInfo, port: int = FOXGLOVE_PORT, others: Sequence[SourceInfo] = ()):
         infos = (info, *others)
@@ -299,10 +249,7 @@ class FoxgloveServer:
         self._server.stop()
 
     def _hidden_server(self) -> tuple[str, Any]:
-        """The server behind the gate, on a loopback address that no page guesses, where there are several.
-
-        The library does not check the Origin.
-        """
+        """The server behind the gate, on a loopback address that no page guesses, where there are several."""
         unguessed = f"127.{secrets.randbelow(256)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
         for host in (unguessed, LOOPBACK):
             try:

@@ -43,28 +43,14 @@ def belongs(name: str, kind: str, to_name: str) -> bool:
 
 @dataclass(frozen=True)
 class HalfChannels:
-    """Channels of an accelerometer or a gyroscope.
+    """Channels of an accelerometer or a gyroscope."""
 
-    Attributes
-    ----------
-    axes : tuple of int
-        Columns of x, y, z.
-    unit : float
-        m/s^2 or rad/s in one of theirs.
-    """
-
-    axes: Axes
-    unit: float
+    axes: Axes  # Columns of x, y, z
+    unit: float  # m/s^2 or rad/s in one of theirs
 
     @classmethod
     def of(cls, stream: StreamLabels, kind: str) -> HalfChannels:
-        """What a stream contains of a kind, `acc` or `gyro`.
-
-        Raises
-        ------
-        RecordingError
-            A label or a unit is missing; the message names it.
-        """
+        """What a stream contains of a kind, `acc` or `gyro`."""
         stream.check_numbers()
         what, units, such_as = _WORDS[kind]
         sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
@@ -84,15 +70,7 @@ class HalfChannels:
 
 
 class ImuHalves:
-    """Joins samples of both halves at the gyroscope's stamps, the accelerometer interpolated to them.
-
-    What the other half has not reached yet waits; steps of each half's clock are taken out before.
-
-    Parameters
-    ----------
-    acc_name, gyro_name : str
-        Of the streams.
-    """
+    """Joins samples of both halves at the gyroscope's stamps, the accelerometer interpolated to them."""
 
     def __init__(self, acc_name: str, gyro_name: str) -> None:
         self._steps = {
@@ -102,13 +80,7 @@ class ImuHalves:
         self._acc, self._gyro = ImuRows.none(), ImuRows.none()
 
     def joined(self, acc: ImuRows, gyro: ImuRows) -> tuple[ImuRows, tuple[str, ...]]:
-        """What both halves reach, and what was done to stamps.
-
-        Parameters
-        ----------
-        acc, gyro : ImuRows
-            As they came: `acc` of the one and `gyro` of the other count.
-        """
+        """What both halves reach, and what was done to stamps."""
         acc, said_acc = self._steps["acc"].corrected(acc)
         gyro, said_gyro = self._steps["gyro"].corrected(gyro)
         self._acc = _in_order(ImuRows.joined([self._acc, acc]))

@@ -46,13 +46,7 @@ def user_settings() -> Path | None:
 
 @cache
 def lsl_module() -> ModuleType:
-    """The package `pylsl`, which keeps silent on the terminal unless the user has settings for it.
-
-    Raises
-    ------
-    UnoccludeError
-        It is not installed, or it finds no library liblsl; the message explains what to do.
-    """
+    """The package `pylsl`, which keeps silent on the terminal unless the user has settings for it."""
     try:
         pylsl = extra_module("pylsl", "pylsl", "live")
     except (RuntimeError, OSError) as error:
@@ -91,48 +85,15 @@ _RESOLVE_S, _PULL_S, _CLOCK_S = 1.0, 0.2, 3.0
 
 
 class LslSamples(NamedTuple):
-    """Samples that came together.
+    """Samples that came together."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,), s
-        Stamps on this computer's LSL clock: as sent, and the library's time correction.
-    values : ndarray, shape (n, channels)
-    arrival_s : ndarray, shape (n,), s
-        When they came, on the same clock.
-    """
-
-    t_s: FloatArray
-    values: NDArray
-    arrival_s: FloatArray
+    t_s: FloatArray  # (n,) s: stamps on this computer's LSL clock: as sent, and the library's time correction
+    values: NDArray  # (n, channels)
+    arrival_s: FloatArray  # (n,) s: when they came, on the same clock
 
 
 class LslInlet:
-    """Receives a stream, also after it was lost.
-
-    A stream that is lost is looked for again by its source_id, and by its name and type where that is another
-    one now. What its channels are is compared with what they were.
-
-    Parameters
-    ----------
-    wanted : str, optional
-        Name (or a part of it) or source_id of the stream; None for the only one of its types.
-    types : tuple of str
-        Content types that are looked for where no name was given.
-    wake : callable
-        Called whenever something came.
-
-    Attributes
-    ----------
-    wanted : str or None
-        As given.
-    stream : pylsl.StreamInfo or None
-        Its full description once it was there.
-    others : list of pylsl.StreamInfo
-        All streams that answered last.
-    correction_s : float, s
-        Time correction in use; nan before it is known.
-    """
+    """Receives a stream, also after it was lost."""
 
     def __init__(self, wanted: str | None, types: tuple[str, ...], wake: Callable[[], None]):
         self.stream: Any = None
@@ -151,13 +112,7 @@ class LslInlet:
         self._thread.start()
 
     def samples(self) -> list[LslSamples]:
-        """What came since the last call.
-
-        Raises
-        ------
-        UnoccludeError
-            Several streams are meant.
-        """
+        """What came since the last call."""
         self.check()
         return _emptied(self._samples)
 
@@ -166,13 +121,7 @@ class LslInlet:
         return _emptied(self._events)
 
     def check(self) -> None:
-        """Raise what the thread failed by.
-
-        Raises
-        ------
-        UnoccludeError
-            Several streams are meant.
-        """
+        """Raise what the thread failed by."""
         if self._failure is not None:
             raise self._failure
 
@@ -287,20 +236,7 @@ _AXES = "XYZ"
 
 
 class LslOutlet:
-    """Sends `now` as a stream NAME and `settled` as NAME_settled, of type MoCap, a sample a step.
-
-    Of each joint x, y, z and the largest sigma of any axis, of the IMU its orientation as well; then `state`
-    (0 calibrating, 1 visible, 2 gap, 3 the IMU is lost), `gap` (s since it began, 0 outside) and `lag` (s
-    before the present). Joints without an answer are nan. Stamps are this computer's LSL clock at the moment
-    that the sample speaks of.
-
-    Parameters
-    ----------
-    name : str
-        Of the stream.
-    info : SourceInfo
-        Of the session.
-    """
+    """Sends `now` as a stream NAME and `settled` as NAME_settled, of type MoCap, a sample a step."""
 
     def __init__(self, name: str, info: SourceInfo):
         self._start_s = info.lsl_start_s

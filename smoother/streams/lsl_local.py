@@ -38,23 +38,7 @@ _LOCAL = {
 
 
 class LocalLslOutlet:
-    """Sends `now` and `settled` as `LslOutlet` does, from a program that only this computer can find.
-
-    Programs of this computer find the streams as any others. The library listens for receivers on all
-    network cards all the same: who knows address and port can ask; a firewall keeps that out.
-
-    Parameters
-    ----------
-    name : str
-        Of the stream.
-    info : SourceInfo
-        Of the session.
-
-    Raises
-    ------
-    UnoccludeError
-        The program does not begin.
-    """
+    """Sends `now` and `settled` as `LslOutlet` does, from a program that only this computer can find."""
 
     def __init__(self, name: str, info: SourceInfo):
         self._waiting: Queue[LiveOutput | None] = Queue(_MOST_WAITING)
@@ -134,13 +118,7 @@ class LocalLslOutlet:
 
 
 def local_settings(file: Path | None) -> str:
-    """Settings of the library that keep to this computer; all else as a user's file says.
-
-    Parameters
-    ----------
-    file : Path, optional
-        `lsl_api.cfg` of the user.
-    """
+    """Settings of the library that keep to this computer; all else as a user's file says."""
     parser = ConfigParser(interpolation=None, strict=False, inline_comment_prefixes=(";",))
     parser.optionxform = str  # type: ignore[assignment,method-assign]  # names of settings have capitals
     with suppress(OSError, Error, UnicodeDecodeError):

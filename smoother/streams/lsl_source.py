@@ -28,28 +28,7 @@ _Imu: TypeAlias = ImuChannels | tuple[HalfChannels, HalfChannels, ImuHalves]
 
 
 class LslSource:
-    """Streams of the lab's network as one source; times count from the session's beginning.
-
-    Where the IMU's stream is an accelerometer alone, the gyroscope's is received beside it.
-
-    Parameters
-    ----------
-    imu, skeleton : str, optional
-        Name (or a part of it) or source_id of the streams; None takes the only one of type IMU or MoCap.
-    gyro : str, optional
-        Likewise of the gyroscope, where it has a stream of its own; None takes the one that is named as the
-        accelerometer's is.
-    side : str, optional
-        "left" or "right": the arm that wears the IMU.
-    prefer_side : str, optional
-        A calibration's side: taken where the skeleton has both arms and nothing else says.
-    body : str, optional
-        Which of several bodies of the skeleton's stream.
-    further : mapping of str to str, optional
-        The same of IMUs on segments beyond the forearm, by segment.
-    beside : LslSource, optional
-        Of the same person's other arm, which is looked at first: its skeleton is this one's, too.
-    """
+    """Streams of the lab's network as one source; times count from the session's beginning."""
 
     speed = 1.0
 
@@ -87,33 +66,11 @@ class LslSource:
 
     def open(
         self,
-        seconds: float,
+        seconds: float,  # s
         stopped: Callable[[], bool] = lambda: False,
         say: Callable[[str], None] = lambda _: None,
     ) -> bool:
-        """Wait until both streams are there; what the first one sends meanwhile is not lost.
-
-        Parameters
-        ----------
-        seconds : float, s
-            How long at most.
-        stopped : callable
-            True where the wait is cancelled.
-        say : callable
-            Told once a stream is there.
-
-        Returns
-        -------
-        opened : bool
-            False where it was stopped before.
-
-        Raises
-        ------
-        UnoccludeError
-            A stream did not come; the sentence lists those that are there.
-        RecordingError
-            A stream's labels do not identify its channels.
-        """
+        """Wait until both streams are there; what the first one sends meanwhile is not lost."""
         imu_inlet, skeleton_inlet = self._inlets[:2]
         for inlet in self._own_inlets:
             inlet.start()

@@ -26,32 +26,13 @@ _REFUSAL = (
 
 
 def is_allowed(head: bytes) -> bool:
-    """Whether the head of a request is of no foreign page.
-
-    Parameters
-    ----------
-    head : bytes
-        The request's lines up to the empty one.
-    """
+    """Whether the head of a request is of no foreign page."""
     lines = (line.partition(":") for line in head.decode("latin-1").split("\r\n")[1:])
     return DOOR.refusal(joined((key, value) for key, _, value in lines), changes=False) is None
 
 
 class OriginGate:
-    """Listens on this computer, and passes on to a server behind it what is not of a foreign page.
-
-    Parameters
-    ----------
-    port : int
-        0 takes a free one.
-    behind : tuple of (str, int)
-        Where the server is.
-
-    Raises
-    ------
-    OSError
-        The port is taken.
-    """
+    """Listens on this computer, and passes on to a server behind it what is not of a foreign page."""
 
     def __init__(self, port: int, behind: tuple[str, int]):
         self._behind = behind

@@ -26,17 +26,7 @@ _ONE_CLOCK_NS = 2_000_000_000
 
 
 class LogTimes:
-    """Stamps and log times of some topics of a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    imu, skeleton : str
-        Topics as the reader calls them.
-    further : sequence of str
-        Of IMUs beyond the forearm.
-    """
+    """Stamps and log times of some topics of a file."""
 
     def __init__(self, path: Path, imu: str, skeleton: str, further: Sequence[str] = ()):
         self._imu, self._skeleton = imu, skeleton
@@ -73,15 +63,12 @@ class LogTimes:
         """The same of an IMU beyond the forearm."""
         return self._arrivals(topic, stamp_ns, self._shift())
 
-    def of_frames(self, stamp_ns: IntArray, latency_s: float | None) -> tuple[IntArray, str]:
-        """When frames (n,) arrived, on the IMU's clock, ns, and how that is known.
-
-        Parameters
-        ----------
-        stamp_ns : ndarray of int, shape (n,), ns
-        latency_s : float, s, optional
-            Asked for; None takes the recording's log times, or `CAMERA_LATENCY_S` where they do not show it.
-        """
+    def of_frames(
+        self,
+        stamp_ns: IntArray,  # int (n,) ns
+        latency_s: float | None,
+    ) -> tuple[IntArray, str]:
+        """When frames (n,) arrived, on the IMU's clock, ns, and how that is known."""
         if latency_s is None and self._skeleton in self._log:
             delay = self._log[self._skeleton] - self._stamp[self._skeleton]
             if np.ptp(delay) > 0 or abs(float(np.median(delay))) > 0:
@@ -114,29 +101,7 @@ _STEP_S = 0.01
 
 
 class Replay:
-    """The IMU and the arm of a recording, sample by sample in the order in which they arrived.
-
-    Samples are played as they were recorded, those included that a reader would drop.
-
-    Parameters
-    ----------
-    path : Path
-        The recording.
-    imu, skeleton, side, prefer_side : str, optional
-        What to take of it, as `read_recording`.
-    speed : float
-        1 is real time; 0 plays as fast as this computer can, in steps of 10 ms of the recording, with nothing
-        lost.
-    latency_s : float, s, optional
-        From a frame's stamp to its arrival; by the recording's log times where None, or 0.1 s.
-    beside : Replay, optional
-        Of the same person's other arm, which is played at the same time and looked at first.
-
-    Raises
-    ------
-    RecordingError
-        The recording cannot be used.
-    """
+    """The IMU and the arm of a recording, sample by sample in the order in which they arrived."""
 
     def __init__(
         self,

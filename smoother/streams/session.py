@@ -27,34 +27,17 @@ from .session_recording import Recorder
 
 @dataclass(frozen=True)
 class SessionCalibration:
-    """What is known before a session.
+    """What is known before a session."""
 
-    Attributes
-    ----------
-    arm : ArmCalibration or None
-        Of the arm.
-    sensor : SensorCalibration or None
-        Of the IMU: taken off what is used, not off what is recorded.
-    further : mapping of str to SensorCalibration
-        Likewise of IMUs beyond the forearm, by segment.
-    notes : tuple of str
-        What of it is used, one sentence each.
-    """
-
-    arm: ArmCalibration | None = None
-    sensor: SensorCalibration | None = None
-    notes: tuple[str, ...] = ()
+    arm: ArmCalibration | None = None  # Of the arm
+    sensor: SensorCalibration | None = None  # Of the IMU: taken off what is used, not off what is recorded
+    notes: tuple[str, ...] = ()  # What of it is used, one sentence each
+    # Likewise of IMUs beyond the forearm, by segment
     further: Mapping[str, SensorCalibration] = field(default_factory=dict)
 
     @classmethod
     def of(cls, file: CalibrationFile | None, info: SourceInfo) -> SessionCalibration:
-        """Of a file, for a session; nothing without one.
-
-        Raises
-        ------
-        CalibrationError
-            The file is of the other arm, or cannot be used.
-        """
+        """Of a file, for a session; nothing without one."""
         if file is None:
             return cls()
         topic = imu_topic(info.imu, info.side)
@@ -94,13 +77,7 @@ def prefer_side(file: CalibrationFile | None) -> str | None:
 
 
 def read_calibration_file(path: Path | None) -> CalibrationFile | None:
-    """The calibration file, or None.
-
-    Raises
-    ------
-    CalibrationError
-        It cannot be used.
-    """
+    """The calibration file, or None."""
     return None if path is None else read_calibration(path)
 
 
@@ -153,17 +130,10 @@ class SharedReceiver(Protocol):
 
 @dataclass(frozen=True)
 class OneArmReceiver:
-    """A shared receiver as the session of one arm sees it.
-
-    Attributes
-    ----------
-    shared : SharedReceiver
-    number : int
-        Of the arm.
-    """
+    """A shared receiver as the session of one arm sees it."""
 
     shared: SharedReceiver
-    number: int
+    number: int  # Of the arm
 
     def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
         """As `Receiver`."""
@@ -175,23 +145,7 @@ class OneArmReceiver:
 
 
 class LiveSession:
-    """Runs from the first sample to the end; use `run`.
-
-    Parameters
-    ----------
-    source : Source
-        Where samples and frames come from.
-    engine : Engine
-        What recovers the arm.
-    calibration : SessionCalibration, optional
-        Takes the sensor's errors off.
-    recording : Recorder, optional
-        Where everything is recorded, as it came but for steps of the clocks.
-    receivers : sequence of Receiver
-        Who is sent the answers.
-    arm : int
-        Which arm of the recording it is.
-    """
+    """Runs from the first sample to the end; use `run`."""
 
     def __init__(
         self,
@@ -218,25 +172,7 @@ class LiveSession:
         self._last_step = 0.0
 
     def run(self, stopped: Callable[[], bool], show: Callable[[SessionView], None]) -> SessionFigures:
-        """Until it is stopped, or the source has ended.
-
-        Parameters
-        ----------
-        stopped : callable
-            True where it is to end.
-        show : callable
-            Given what is shown, after every step.
-
-        Returns
-        -------
-        figures : SessionFigures
-            What it was like.
-
-        Raises
-        ------
-        UnoccludeError
-            A stream came back as another one.
-        """
+        """Until it is stopped, or the source has ended."""
         return run_together([self], stopped, show)[0]
 
     def advance(self) -> SessionView:
@@ -322,27 +258,7 @@ def run_together(
     stopped: Callable[[], bool],
     show: Callable[..., None],
 ) -> list[SessionFigures]:
-    """Sessions of the arms of one person, step by step side by side, until they are stopped or have ended.
-
-    Parameters
-    ----------
-    sessions : sequence of LiveSession
-        The first is the one that waits for samples.
-    stopped : callable
-        True where they are to end.
-    show : callable
-        Given what is shown of each, after every step.
-
-    Returns
-    -------
-    figures : list of SessionFigures
-        What each was like.
-
-    Raises
-    ------
-    UnoccludeError
-        A stream came back as another one.
-    """
+    """Sessions of the arms of one person, step by step side by side, until they are stopped or have ended."""
     while not stopped() and not all(session.source.ended for session in sessions):
         sessions[0].wait()
         show(*[session.advance() for session in sessions])

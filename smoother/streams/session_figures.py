@@ -19,14 +19,7 @@ _BIN_S, _BINS = 0.00025, 8000
 
 
 class DelayCounts:
-    """Counts of delays.
-
-    Attributes
-    ----------
-    count : int
-        Delays counted.
-    largest_s : float, s
-    """
+    """Counts of delays."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -74,30 +67,7 @@ _INTERVALS = 200
 
 
 class StreamHealth:
-    """Counts one stream; memory does not grow with the session.
-
-    Parameters
-    ----------
-    name : str
-        Of the stream, for sentences.
-
-    Attributes
-    ----------
-    count : int
-        What came.
-    missing : int
-        What did not come, by the stamps of its neighbours.
-    late : int
-        What came after younger ones.
-    lost_times : int
-        How often nothing came for `LOST_S`.
-    lost_s : float, s
-        How long altogether.
-    is_lost : bool
-        Nothing comes now.
-    delay_s : float, s
-        Median of arrival less stamp, of the last seconds; nan where nothing came.
-    """
+    """Counts one stream; memory does not grow with the session."""
 
     def __init__(self, name: str):
         self.name = name
@@ -109,14 +79,8 @@ class StreamHealth:
         self._newest = np.nan
         self._last_arrival = np.nan
 
-    def take(self, t_s: FloatArray, arrival_s: FloatArray) -> tuple[str, ...]:
-        """Count what came; a sentence where the stream is back.
-
-        Parameters
-        ----------
-        t_s, arrival_s : ndarray, shape (n,), s
-            Stamps and arrivals, in the order in which they came.
-        """
+    def take(self, t_s: FloatArray, arrival_s: FloatArray) -> tuple[str, ...]:  # t_s (n,) s; arrival_s (n,) s
+        """Count what came; a sentence where the stream is back."""
         if not len(t_s):
             return ()
         events = self._back(float(arrival_s[0]))
@@ -185,25 +149,13 @@ _MOST_EVENTS = 200
 
 @dataclass(frozen=True)
 class StreamView:
-    """A stream as it is shown.
-
-    Attributes
-    ----------
-    name : str
-    rate_hz : float, Hz
-        Of the last seconds.
-    missing, late : int
-        Samples that did not come, and that came after younger ones.
-    delay_s : float, s
-        From stamp to arrival.
-    is_lost : bool
-    """
+    """A stream as it is shown."""
 
     name: str
-    rate_hz: float
-    missing: int
-    late: int
-    delay_s: float
+    rate_hz: float  # Of the last seconds
+    missing: int  # Samples that did not come, and that came after younger ones
+    late: int  # Samples that did not come, and that came after younger ones
+    delay_s: float  # From stamp to arrival
     is_lost: bool
 
     @classmethod
@@ -216,51 +168,21 @@ class StreamView:
 
 @dataclass(frozen=True)
 class SessionView:
-    """A session at one moment.
+    """A session at one moment."""
 
-    Attributes
-    ----------
-    seconds : float, s
-        Since it began.
-    imu, skeleton : StreamView
-        The streams.
-    output : LiveOutput or None
-        What the last step answered.
-    events : tuple of (float, str)
-        The last of what happened: when, and a sentence.
-    event_count : int
-        How many there were in all.
-    load : float
-        Processor time of the whole program as a share of one core.
-    further : tuple of StreamView
-        Of IMUs beyond the forearm.
-    side : str
-        Which arm.
-    """
-
-    seconds: float
-    imu: StreamView
-    skeleton: StreamView
-    output: LiveOutput | None
-    events: tuple[tuple[float, str], ...]
-    event_count: int
-    load: float
-    further: tuple[StreamView, ...] = ()
-    side: str = ""
+    seconds: float  # s: since it began
+    imu: StreamView  # The streams
+    skeleton: StreamView  # The streams
+    output: LiveOutput | None  # What the last step answered
+    events: tuple[tuple[float, str], ...]  # The last of what happened: when, and a sentence
+    event_count: int  # How many there were in all
+    load: float  # Processor time of the whole program as a share of one core
+    further: tuple[StreamView, ...] = ()  # Of IMUs beyond the forearm
+    side: str = ""  # Which arm
 
 
 class SessionFigures:
-    """Counts while a session lasts; memory does not grow with it.
-
-    Parameters
-    ----------
-    imu, skeleton : StreamHealth
-        Of the streams.
-    further : mapping of str to StreamHealth, optional
-        Of IMUs beyond the forearm, by segment.
-    side : str
-        Which arm.
-    """
+    """Counts while a session lasts; memory does not grow with it."""
 
     def __init__(
         self,

@@ -58,34 +58,7 @@ class _RecordedArm:
 
 
 class SessionRecording:
-    """Writes IMU and skeleton to an MCAP file as they arrive: stamps inside, arrival as log time.
-
-    While the session lasts the file is NAME.recording.mcap beside its place: no command sweeps it away, and
-    what a killed program leaves can be read and repaired. `close` gives it its name.
-
-    Attributes
-    ----------
-    path, growing : Path
-        The file's name in the end, and while the session lasts.
-    has_samples : bool
-        Something was written.
-
-    Parameters
-    ----------
-    path : Path
-        The file's name in the end.
-    info : SourceInfo
-        Of the session.
-    force : bool
-        Overwrite a file that exists.
-    others : sequence of SourceInfo
-        Of the same person's other arm, in the same file.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists, or one that a killed session left, or it cannot be written.
-    """
+    """Writes IMU and skeleton to an MCAP file as they arrive: stamps inside, arrival as log time."""
 
     def __init__(self, path: Path, info: SourceInfo, force: bool = False, others: Sequence[SourceInfo] = ()):
         check_recording(path, force)
@@ -105,13 +78,7 @@ class SessionRecording:
         self._write_metadata()
 
     def take(self, arrivals: Arrivals, number: int = 0) -> None:
-        """Write what arrived of an arm; its events become notes of the recording.
-
-        Raises
-        ------
-        UnoccludeError
-            The disk is full.
-        """
+        """Write what arrived of an arm; its events become notes of the recording."""
         self._notes += arrivals.events
         imu, frames, outgoing = arrivals.imu, arrivals.frames, []
         origin, of_arm = self._info.origin_ns, self._arms[number]
@@ -138,13 +105,7 @@ class SessionRecording:
         self._write(outgoing, newest)
 
     def shown(self, output: LiveOutput, number: int = 0) -> None:
-        """Write what was shown of an arm, some 30 times per second: the pose of the IMU *now*.
-
-        Raises
-        ------
-        UnoccludeError
-            The disk is full.
-        """
+        """Write what was shown of an arm, some 30 times per second: the pose of the IMU *now*."""
         now, arm = output.now, self._arms[number]
         if now is None or abs(output.now_s - arm.shown_s) < _SHOWN_EACH_S:
             return
@@ -175,10 +136,7 @@ class SessionRecording:
             ) from error
 
     def close(self) -> None:
-        """Write the file's end, and give it its name; one without any sample goes.
-
-        One that could not be written any more stays as it is, under the name that it has.
-        """
+        """Write the file's end, and give it its name; one without any sample goes."""
         if self._is_broken or not self.has_samples:
             self._output.__exit__(UnoccludeError, None, None)
             if not self.has_samples:
@@ -207,13 +165,7 @@ def growing_name(path: Path) -> Path:
 
 
 def check_recording(path: Path, force: bool = False) -> None:
-    """Refuse a name that could not be given in the end, before the session begins.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or a session that was killed left its own there.
-    """
+    """Refuse a name that could not be given in the end, before the session begins."""
     check_output(path, force)
     growing = growing_name(path)
     if growing.exists():
@@ -230,14 +182,7 @@ _CLOSE_S = 60.0
 
 
 class Recorder:
-    """Writes a recording aside, so that a slow disk delays no answer; a full one ends the recording alone.
-
-    Parameters
-    ----------
-    recording : SessionRecording
-    patient : bool
-        Wait for the disk rather than lose anything: for recordings that are played.
-    """
+    """Writes a recording aside, so that a slow disk delays no answer; a full one ends the recording alone."""
 
     def __init__(self, recording: SessionRecording, patient: bool = False):
         self.recording, self._patient = recording, patient

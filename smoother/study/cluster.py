@@ -49,23 +49,7 @@ _LOCAL = {
 
 
 def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, None, None]:
-    """Do the jobs on this machine, in processes that each work on one recording at a time.
-
-    A process that dies (out of memory, killed) is replaced. They end by themselves when this one is gone,
-    however it went. All listen on 127.0.0.1 only.
-
-    Parameters
-    ----------
-    jobs : iterator of Job
-        Taken as processes become free.
-    processes : int
-        How many; 0 = one per core.
-
-    Yields
-    ------
-    row : dict or None
-        A row as soon as a recording is done, None now and then while nothing is.
-    """
+    """Do the jobs on this machine, in processes that each work on one recording at a time."""
     first = list(islice(jobs, processes or os.cpu_count() or 1))
     if not first:
         return
@@ -123,27 +107,7 @@ def _processes(count: int, silent: int | bool, again: bool = True) -> LocalClust
 
 
 def run_cluster(jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, None, None]:
-    """Do the jobs on the workers of a Dask scheduler.
-
-    A recording whose worker died is given to others by the scheduler, some times; workers may come and go.
-
-    Parameters
-    ----------
-    jobs : iterator of Job
-        Taken as workers become free.
-    scheduler : str
-        Its address, such as tcp://10.0.0.1:8786.
-
-    Yields
-    ------
-    row : dict or None
-        A row as soon as a recording is done, None now and then while nothing is.
-
-    Raises
-    ------
-    UnoccludeError
-        No scheduler answers, it has no worker, or it went away.
-    """
+    """Do the jobs on the workers of a Dask scheduler."""
     client = _connect(scheduler)
     try:
         yield from _run(
@@ -185,13 +149,7 @@ def _connect(scheduler: str) -> Client:
 
 
 def _be_quiet() -> int | bool:
-    """Keep Dask's messages and tracebacks from the user: what matters is said in our words.
-
-    Returns
-    -------
-    level : int or False
-        Below which messages are held back; False where they are wanted.
-    """
+    """Keep Dask's messages and tracebacks from the user: what matters is said in our words."""
     if debugging():
         return False
     level = logging.CRITICAL + 1
@@ -204,11 +162,7 @@ def _be_quiet() -> int | bool:
 def _run(
     client: Client, jobs: Iterator[Job], ahead: int, gone: str, alone_s: float = math.inf
 ) -> Generator[Row | None, None, None]:
-    """Keep the workers busy; a recording whose worker died is tried once more, alone, after the others.
-
-    What dies then is at fault itself: a worker's death also strikes what waits there for its turn. Without
-    any worker for `alone_s` it gives up.
-    """
+    """Keep the workers busy; a recording whose worker died is tried once more, alone, after the others."""
     ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
     running: dict[str, tuple[Job, Any]] = {}
     again: deque[Job] = deque()

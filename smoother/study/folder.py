@@ -71,23 +71,7 @@ class StudyFolder:
         return self.path / name
 
     def open(self, force: bool = False) -> str:
-        """Make the folder or take up one that contains a study.
-
-        Parameters
-        ----------
-        force : bool
-            Also use a folder that contains other files.
-
-        Returns
-        -------
-        word : str
-            By which a worker checks that it sees this folder.
-
-        Raises
-        ------
-        UnoccludeError
-            The folder contains files that no study wrote, cannot be made, or another process works on it.
-        """
+        """Make the folder or take up one that contains a study."""
         if self.path.exists() and not self.path.is_dir():
             raise UnoccludeError(f"{self.path} is a file; name a folder for the results")
         # Asked again behind the look: another command may have begun this very study meanwhile.
@@ -145,12 +129,8 @@ class StudyFolder:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Keep a second command from doing the same work; the system lets go when this process ends, however.
-
-        Raises
-        ------
-        UnoccludeError
-            Another process works on this study.
+        """Keep a second command from doing the same work; the system lets go when this process ends,
+        however.
         """
         from filelock import FileLock, Timeout
 
@@ -377,19 +357,7 @@ _OWN = tuple(name for name, *_ in MEASURE_FIELDS if name not in ("side", "body",
 
 
 def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:
-    """The measures of sessions, as the column `measures` holds them.
-
-    Parameters
-    ----------
-    measured : sequence of Measures
-        One per arm.
-
-    Returns
-    -------
-    rows : list of dict
-        By the names of `MEASURE_FIELDS`; numbers that are not finite are None. No name of a recording, no
-        time of day.
-    """
+    """The measures of sessions, as the column `measures` holds them."""
     return [
         {"side": arm.side, "body": arm.body, "trusted": arm.trusted}
         | {name: plain(getattr(measure, name)) for name in _OWN}
@@ -407,28 +375,7 @@ def measured_arms(recoveries: Sequence[Recovery]) -> Row:
 
 
 def rows_table(files: Sequence[str], columns: Iterable[str] | None = None) -> pa.Table:
-    """The rows of all files, one after another; a column that a file lacks is null.
-
-    Read by this thread alone: `pyarrow.dataset` waits for ever for a thread that found no memory.
-
-    Parameters
-    ----------
-    files : sequence of str
-        Of this version or an earlier one.
-    columns : iterable of str, optional
-        Names in `schema()`; None for all.
-
-    Returns
-    -------
-    rows : pyarrow.Table
-
-    Raises
-    ------
-    pyarrow.ArrowException, OSError
-        A file cannot be read.
-    MemoryError
-        Memory does not suffice.
-    """
+    """The rows of all files, one after another; a column that a file lacks is null."""
     import pyarrow as pa
 
     wanted = schema() if columns is None else pa.schema([schema().field(name) for name in columns])

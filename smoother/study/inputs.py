@@ -88,23 +88,12 @@ def place_of(word: str, source: str) -> str:
 
 
 def state_of(word: str, size_bytes: int, mtime_ns: int) -> str:
-    """A file's size and time of change as a hash with the study's word as its key: equal, but not read.
-
-    The time of change is that of the recording, mostly, which `relative_day` hides.
-    """
+    """A file's size and time of change as a hash with the study's word as its key: equal, but not read."""
     return text_hash("state", word, str(size_bytes), str(mtime_ns))[:32]
 
 
 def hashed_name(word: str, name: str) -> str:
-    """A recording's name as hashes with the study's word as their key, a hash a folder: layout stays.
-
-    Parameters
-    ----------
-    word : str
-        The study's.
-    name : str
-        In the study, with its ending: "p12/monday/reach.mcap".
-    """
+    """A recording's name as hashes with the study's word as their key, a hash a folder: layout stays."""
     stem, dot, ending = name.rpartition(".")
     parts = (stem if dot else name).split("/")
     return "/".join(text_hash("name", word, part)[:12] for part in parts) + dot + (ending if dot else "")
@@ -116,24 +105,7 @@ def person_of(name: str) -> str:
 
 
 def relative_day(word: str, person: str, origin_ns: int) -> float | None:
-    """When a recording was made, in days from a time that only the study knows.
-
-    The time is another one for each person, so that days of one person can be subtracted and nothing else.
-
-    Parameters
-    ----------
-    word : str
-        The study's, key of the person's secret time.
-    person : str
-        As `person_of` has it.
-    origin_ns : int, ns
-        Stamp that the recording's times count from.
-
-    Returns
-    -------
-    day : float or None
-        None where the recording's clock has no date.
-    """
+    """When a recording was made, in days from a time that only the study knows."""
     if origin_ns < EARLIEST_NS:
         return None
     shift = int(text_hash("day", word, person)[:13], 16) / 16**13 * MOST_DAYS
@@ -141,15 +113,7 @@ def relative_day(word: str, person: str, origin_ns: int) -> float | None:
 
 
 def without_places(text: str, names: Mapping[str, str]) -> str:
-    """A sentence without the folders and the name of this machine.
-
-    Parameters
-    ----------
-    text : str
-        May hold paths.
-    names : mapping of str to str
-        What to say for paths that the study knows; for the temporary, own and current folder there is a word.
-    """
+    """A sentence without the folders and the name of this machine."""
     import socket
 
     places = dict(names)
@@ -169,44 +133,15 @@ MOST_NAMED = 5
 
 @dataclass(frozen=True)
 class Entry:
-    """One recording of a study.
+    """One recording of a study."""
 
-    Attributes
-    ----------
-    name : str
-        What it is called in the results: its path below the study's common folder, with slashes.
-    path : str
-        The recording, absolute.
-    calibration : str
-        A calibration of its own, absolute; "" where the study's is taken.
-    """
-
-    name: str
-    path: str
-    calibration: str = ""
+    name: str  # What it is called in the results: its path below the study's common folder, with slashes
+    path: str  # The recording, absolute
+    calibration: str = ""  # A calibration of its own, absolute; "" where the study's is taken
 
 
 def find_entries(source: str, output: Path) -> list[Entry]:
-    """The recordings that a folder, a pattern or a list names, sorted by name.
-
-    Parameters
-    ----------
-    source : str
-        A folder (all `.mcap` below it), a pattern such as `day*/*.mcap` (`**` for any depth), an
-        `.mcap` file, or a text file with one recording a line, relative to the list's folder, which a tab
-        and a calibration may follow; empty lines and lines that begin with # are passed over.
-    output : Path
-        The study's folder; what is in it is not a recording of the study.
-
-    Returns
-    -------
-    entries : list of Entry
-
-    Raises
-    ------
-    UnoccludeError
-        Nothing is there, a line of the list cannot be used, or the outputs would replace the recordings.
-    """
+    """The recordings that a folder, a pattern or a list names, sorted by name."""
     path = Path(source)
     if path.is_dir():
         base, files = path, [(file, "") for file in _below(path)]
@@ -233,11 +168,7 @@ def find_entries(source: str, output: Path) -> list[Entry]:
 
 
 def left_out_note(source: str) -> str:
-    """A sentence on the recordings of a folder or pattern whose names begin with a dot; "" without any.
-
-    Neither shells nor `find_entries` take them. A Mac's `._NAME` beside NAME is not a recording, nor is an
-    output that is being written.
-    """
+    """A sentence on the recordings of a folder or pattern whose names begin with a dot; "" without any."""
     path = Path(source)
     if path.is_dir():
         files = [here / name for here, names in _folders(path) for name in names]
@@ -368,44 +299,17 @@ _EXPECTED = "expected the columns file, person, and session or date (and perhaps
 
 @dataclass(frozen=True)
 class SessionEntry:
-    """A recording as one of a person's sessions.
+    """A recording as one of a person's sessions."""
 
-    Attributes
-    ----------
-    recording : str
-        Its name in the study.
-    person, session : str
-        Whose, and what the session is called.
-    task : str
-        What was done in it, where a session has several recordings; "" otherwise.
-    day : float, d
-        When, from a day that is the same for all of a person; nan where that is not known.
-    """
-
-    recording: str
-    person: str
-    session: str
-    task: str = ""
-    day: float = math.nan
+    recording: str  # Its name in the study
+    person: str  # Whose, and what the session is called
+    session: str  # Whose, and what the session is called
+    task: str = ""  # What was done in it, where a session has several recordings; "" otherwise
+    day: float = math.nan  # When, from a day that is the same for all of a person
 
 
 def by_folders(name: str, day: float) -> SessionEntry | None:
-    """A recording's session by its name in the study.
-
-    `PERSON/SESSION.mcap`, or `PERSON/SESSION/TASK.mcap` where a session has several recordings.
-
-    Parameters
-    ----------
-    name : str
-        With its ending.
-    day : float, d
-        When it was recorded; nan where that is not known.
-
-    Returns
-    -------
-    SessionEntry or None
-        None where the recording is in no folder.
-    """
+    """A recording's session by its name in the study."""
     person, *rest = name.removesuffix(ENDING).split("/")
     if not rest:
         return None
@@ -413,16 +317,7 @@ def by_folders(name: str, day: float) -> SessionEntry | None:
 
 
 def with_named_days(entries: Mapping[str, SessionEntry]) -> dict[str, SessionEntry]:
-    """The sessions of recordings with the dates in their names, where clocks have none.
-
-    A person's days have one zero: they are those of the names where each name of the person has one and a
-    recording's clock has no date.
-
-    Parameters
-    ----------
-    entries : mapping of str to SessionEntry
-        By the recordings' names.
-    """
+    """The sessions of recordings with the dates in their names, where clocks have none."""
     dated = dict(entries)
     for person in {entry.person for entry in entries.values()}:
         mine = {name: entry for name, entry in entries.items() if entry.person == person}
@@ -448,28 +343,7 @@ def _named_day(entry: SessionEntry) -> float:
 def read_sessions(
     path: Path, recordings: Iterable[str], known_as: Callable[[str], str]
 ) -> dict[str, SessionEntry]:
-    """The sessions of a table: CSV with the columns `file`, `person`, `session` or `date`, perhaps `task`.
-
-    Parameters
-    ----------
-    path : Path
-        The table. `file` is a recording's name below the folder that was given to `batch`; a date is
-        YYYY-MM-DD, perhaps with a time.
-    recordings : iterable of str
-        The names in the study.
-    known_as : callable
-        What the study calls a recording of that name: the same, or a hash.
-
-    Returns
-    -------
-    sessions : dict of str to SessionEntry
-        By the recordings' names in the study.
-
-    Raises
-    ------
-    UnoccludeError
-        The table cannot be used: names the line and what is wrong with it.
-    """
+    """The sessions of a table: CSV with the columns `file`, `person`, `session` or `date`, perhaps `task`."""
     names, sessions = set(recordings), dict[str, SessionEntry]()
     for line, row in _rows(path):
         where = f"{path}, line {line}"
@@ -496,10 +370,7 @@ def read_sessions(
 
 
 def in_order(attendances: Iterable[SessionEntry]) -> list[list[SessionEntry]]:
-    """A person's sessions in the order of time, each with its recordings.
-
-    By the days where all are known, else by the sessions' names, numbers in them as numbers.
-    """
+    """A person's sessions in the order of time, each with its recordings."""
     sessions: dict[str, list[SessionEntry]] = {}
     for attendance in attendances:
         sessions.setdefault(attendance.session, []).append(attendance)

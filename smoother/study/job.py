@@ -41,18 +41,10 @@ GRACE_S = 60.0
 
 @dataclass(frozen=True)
 class Limits:
-    """What one recording may take; 0 = as much as it wants.
+    """What one recording may take; 0 = as much as it wants."""
 
-    Attributes
-    ----------
-    time_s : float, s
-        From its first byte to its last.
-    memory_bytes : int
-        Private memory of its process; long columns are in files and do not count. Held to on Linux.
-    """
-
-    time_s: float = 0.0
-    memory_bytes: int = 0
+    time_s: float = 0.0  # From its first byte to its last
+    memory_bytes: int = 0  # Private memory of its process; long columns are in files and do not count
 
 
 class TimeUp(BaseException):
@@ -61,17 +53,7 @@ class TimeUp(BaseException):
 
 @contextmanager
 def limited(limits: Limits) -> Iterator[None]:
-    """Hold what runs within to its limits.
-
-    Raises
-    ------
-    TimeUp
-        Within, when the time is over.
-    MemoryError
-        Within, where more memory is asked for than is allowed.
-    UnoccludeError
-        This system cannot limit memory.
-    """
+    """Hold what runs within to its limits."""
     with _memory(limits.memory_bytes), _time(limits.time_s):
         yield
 
@@ -140,98 +122,43 @@ SAME = "same"
 
 @dataclass(frozen=True)
 class Known:
-    """An earlier result of a recording under the same settings.
+    """An earlier result of a recording under the same settings."""
 
-    Attributes
-    ----------
-    row_id : str
-        Its row.
-    output_hash : str
-        SHA-256 of the output; "" for a failure that would come again.
-    """
-
-    row_id: str
-    output_hash: str
+    row_id: str  # Its row
+    output_hash: str  # SHA-256 of the output; "" for a failure that would come again
 
 
 @dataclass(frozen=True)
 class StudySettings:
-    """How the recordings of a study are recovered.
+    """How the recordings of a study are recovered."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings; its number of processes does not matter.
-    choice : InputSelection
-        What to take of recordings that have several of it.
-    calibration : str
-        File for all recordings that have none of their own; "" without one.
-    again : bool
-        Compute everything anew.
-    retry_failed : bool
-        Try again what failed before by the recording itself.
-    keep_paths : bool
-        Let rows contain absolute paths and the machine's name.
-    limits : Limits
-        What one recording may take of time and memory.
-    measures : bool
-        Measure what is recovered: rows contain it.
-    draws : int
-        Motions to draw for the intervals of the measures.
-    hash_names : bool
-        Call recordings by hashes of their names.
-    """
-
-    config: Config = field(default_factory=Config)
+    config: Config = field(default_factory=Config)  # Settings; its number of processes does not matter
+    # What to take of recordings that have several of it
     choice: InputSelection = field(default_factory=InputSelection)
-    calibration: str = ""
-    again: bool = False
-    retry_failed: bool = False
-    keep_paths: bool = False
-    limits: Limits = field(default_factory=Limits)
-    measures: bool = False
-    draws: int = 0
-    hash_names: bool = False
+    calibration: str = ""  # File for all recordings that have none of their own; "" without one
+    again: bool = False  # Compute everything anew
+    retry_failed: bool = False  # Try again what failed before by the recording itself
+    keep_paths: bool = False  # Let rows contain absolute paths and the machine's name
+    limits: Limits = field(default_factory=Limits)  # What one recording may take of time and memory
+    measures: bool = False  # Measure what is recovered: rows contain it
+    draws: int = 0  # Motions to draw for the intervals of the measures
+    hash_names: bool = False  # Call recordings by hashes of their names
 
 
 @dataclass(frozen=True)
 class Job:
-    """All that a worker needs to know; plain values, so that it travels between machines.
+    """All that a worker needs to know; plain values, so that it travels between machines."""
 
-    Attributes
-    ----------
-    name : str
-        Of the recording in the study, with its ending; the output has the same.
-    source : str
-        Path of the recording, absolute.
-    folder : str
-        The study's folder, absolute.
-    word : str
-        The study's word, by which the worker checks that it sees the same folder.
-    settings : StudySettings
-        Of the study.
-    config_hash : str
-        Of what of them counts.
-    calibration : str
-        Path of the calibration file, absolute, or "".
-    calibration_hash : str
-        SHA-256 of that file, or "".
-    version : str
-        Of the program that started the study.
-    known : tuple of Known
-        Earlier results of this recording.
-    """
-
-    name: str
-    source: str
-    folder: str
-    word: str
-    settings: StudySettings
-    config_hash: str
-    calibration: str = ""
-    calibration_hash: str = ""
-    version: str = __version__
-    known: tuple[Known, ...] = ()
+    name: str  # Of the recording in the study, with its ending; the output has the same
+    source: str  # Path of the recording, absolute
+    folder: str  # The study's folder, absolute
+    word: str  # The study's word, by which the worker checks that it sees the same folder
+    settings: StudySettings  # Of the study
+    config_hash: str  # Of what of them counts
+    calibration: str = ""  # Path of the calibration file, absolute, or ""
+    calibration_hash: str = ""  # SHA-256 of that file, or ""
+    version: str = __version__  # Of the program that started the study
+    known: tuple[Known, ...] = ()  # Earlier results of this recording
 
     @property
     def key(self) -> str:
@@ -288,16 +215,7 @@ class Job:
 
 
 def run_job(job: Job) -> Row:
-    """Recover a recording and put result and row into the study's folder; never raises an error.
-
-    The row is written first, the output then moved to its place: a row whose output is in its place shows
-    that the recording is done, whatever dies in between.
-
-    Returns
-    -------
-    row : dict
-        Its status is `SAME` where the content turned out to be done before.
-    """
+    """Recover a recording and put result and row into the study's folder; never raises an error."""
     began = time.perf_counter()
     input_hash, before, folder = "", Row(), StudyFolder(Path(job.folder))
     try:

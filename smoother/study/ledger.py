@@ -59,13 +59,7 @@ class _Past:
 
 
 class Ledger:
-    """The rows of a study, those of earlier runs included.
-
-    Parameters
-    ----------
-    folder : StudyFolder
-        The study's folder, open.
-    """
+    """The rows of a study, those of earlier runs included."""
 
     def __init__(self, folder: StudyFolder) -> None:
         self._folder = folder
@@ -87,24 +81,7 @@ class Ledger:
     def find(
         self, name: str, source: str, settings: tuple[str, str, str], retry_failed: bool = False
     ) -> tuple[str, tuple[Known, ...]]:
-        """What is known of a recording under these settings.
-
-        Parameters
-        ----------
-        name, source : str
-            Its name in the study, and its path.
-        settings : tuple of str
-            Hashes of configuration and calibration, and the version.
-        retry_failed : bool
-            Pass over failures that would come again.
-
-        Returns
-        -------
-        row_id : str
-            Of its row if it is done and neither recording nor output were touched since, otherwise "".
-        known : tuple of Known
-            Its earlier results, by which a worker finds out whether the content is the same all the same.
-        """
+        """What is known of a recording under these settings."""
         past = [
             each
             for each in self._past.get(name, ())

@@ -33,23 +33,7 @@ _Key = tuple[str, str, str]
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """The latest row of each recording of a study.
-
-    Parameters
-    ----------
-    folder : Path
-        What `batch` wrote.
-
-    Returns
-    -------
-    rows : list of dict
-        In the order of their names; the columns that progress is made of.
-
-    Raises
-    ------
-    UnoccludeError
-        It is not a study, or its results cannot be read.
-    """
+    """The latest row of each recording of a study."""
     import pyarrow as pa
 
     study = StudyFolder(folder)
@@ -73,29 +57,7 @@ def read_rows(folder: Path) -> list[Row]:
 def sessions_of(
     folder: Path, rows: Sequence[Row], table: Path | None = None
 ) -> tuple[dict[str, SessionEntry], list[str]]:
-    """Whose each recording is, and of which session.
-
-    Parameters
-    ----------
-    folder : Path
-        The study's.
-    rows : sequence of dict
-        Its rows.
-    table : Path, optional
-        The user's; without it, from the folders' names.
-
-    Returns
-    -------
-    sessions : dict of str to SessionEntry
-        By the recordings' names.
-    left_out : list of str
-        Recordings without a person, one sentence each.
-
-    Raises
-    ------
-    UnoccludeError
-        The table cannot be used, or a folder contains no recording.
-    """
+    """Whose each recording is, and of which session."""
     names = [row["recording"] for row in rows]
     if table is not None:
         word = StudyFolder(folder).mark.read_text(encoding="utf-8", errors="replace")
@@ -116,27 +78,7 @@ def sessions_of(
 def progress_of(
     rows: Sequence[Row], sessions: Mapping[str, SessionEntry], mdc95: Mapping[str, float] | None = None
 ) -> list[PersonProgress]:
-    """The measures of every person over the sessions.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        Of the study (`read_rows`).
-    sessions : mapping of str to SessionEntry
-        Whose each recording is (`sessions_of`).
-    mdc95 : mapping of str to float, optional
-        Minimal detectable change by the measures' keys, in their units.
-
-    Returns
-    -------
-    list of PersonProgress
-        In the order of the persons' names.
-
-    Raises
-    ------
-    UnoccludeError
-        No row has measures, or two recordings are the same task of one session.
-    """
+    """The measures of every person over the sessions."""
     if not any(row["measures"] is not None for row in rows):
         raise UnoccludeError(f"the study has no measures; {_AGAIN}")
     by_name = {row["recording"]: row for row in rows}
@@ -320,19 +262,7 @@ def persons_of(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def long_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """One row per measure of a session, as R, SPSS and others take them.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        Of a study; what failed, and what has no measures, has none here.
-
-    Returns
-    -------
-    rows : list of dict
-        By the names in `LONG`; what is not to be trusted is there, with `trusted` 0. Days count from the
-        person's first session.
-    """
+    """One row per measure of a session, as R, SPSS and others take them."""
     entries = entries_of(rows)
     numbers, days = _sessions(list(entries.values()))
     found = []

@@ -24,31 +24,15 @@ Work = Callable[[Iterator[Job]], Generator[Row | None, None, None]]
 
 @dataclass
 class Tally:
-    """How far a study is.
+    """How far a study is."""
 
-    Attributes
-    ----------
-    total : int
-        Recordings of the study.
-    before : int
-        Those that an earlier run has done, or tried.
-    computed, failed : int
-        Those that this run has done, and those that failed in it.
-    recorded_s : float, s
-        Length of the recordings that this run has done, s.
-    began : float, s
-        `time.monotonic` at the start of the run.
-    notes : list of str
-        Notes for the user on the study itself.
-    """
-
-    total: int
-    before: int = 0
-    computed: int = 0
-    failed: int = 0
-    recorded_s: float = 0.0
-    began: float = field(default_factory=time.monotonic)
-    notes: list[str] = field(default_factory=list)
+    total: int  # Recordings of the study
+    before: int = 0  # Those that an earlier run has done, or tried
+    computed: int = 0  # Those that this run has done, and those that failed in it
+    failed: int = 0  # Those that this run has done, and those that failed in it
+    recorded_s: float = 0.0  # Length of the recordings that this run has done, s
+    began: float = field(default_factory=time.monotonic)  # s: `time.monotonic` at the start of the run
+    notes: list[str] = field(default_factory=list)  # Notes for the user on the study itself
 
     @property
     def ended(self) -> int:
@@ -69,32 +53,7 @@ def run_study(
     progress: Callable[[Tally, Row | None], None],
     force: bool = False,
 ) -> tuple[Tally, pa.Table]:
-    """Recover the recordings that are not done yet.
-
-    Parameters
-    ----------
-    entries : sequence of Entry
-        The recordings.
-    folder : StudyFolder
-        Where results go.
-    work : callable
-        Does jobs, `run_local` or `run_cluster` with its settings.
-    progress : callable
-        Called with the tally, and the row of a recording that has just ended or None.
-    force : bool
-        Take a folder that contains other files.
-
-    Returns
-    -------
-    tally : Tally
-    rows : pyarrow.Table
-        Those of all recordings of the study, in order of their names.
-
-    Raises
-    ------
-    UnoccludeError
-        The study could not begin, or not go on; what was done is kept.
-    """
+    """Recover the recordings that are not done yet."""
     calibrations = {
         path: _checked(path)
         for path in {entry.calibration or settings.calibration for entry in entries} - {""}
@@ -154,15 +113,7 @@ def _count(tally: Tally, row: Row) -> None:
 
 
 class _Plan:
-    """What is to be done of a study.
-
-    Attributes
-    ----------
-    ledger : Ledger
-        The rows so far.
-    ids : dict
-        Row of each recording that is done, by its name.
-    """
+    """What is to be done of a study."""
 
     def __init__(
         self, folder: StudyFolder, word: str, settings: StudySettings, calibrations: dict[str, str]

@@ -41,21 +41,7 @@ PARTLY_S = 60.0
 
 
 def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
-    """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows.
-
-    In a long gap in which the camera sees something of the forearm that is treated as visible, too.
-
-    Parameters
-    ----------
-    prepared : PreparedSegment
-    length_s : float, s
-        Length of a window aimed at; gaps may make it longer.
-
-    Returns
-    -------
-    borders : list of float, s
-        Increasing, from the beginning of the time range to its end.
-    """
+    """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows."""
     t0, t1 = max(float(prepared.t[0]), prepared.start_s), min(float(prepared.t[-1]), prepared.end_s)
     visible = []
     last = t0
@@ -89,35 +75,13 @@ def cut(
     prepared: PreparedSegment,
     priors: Sequence[Priors],
     noise: NoiseModel,
-    borders: list[float],
+    borders: list[float],  # s
     margin_s: float,
-    gravity_magnitude: float,
+    gravity_magnitude: float,  # m/s^2
     sharing: int,
     only: Container[int] | None = None,
 ) -> Iterator[Window]:
-    """The windows between the borders, each with its margins, one after the other.
-
-    Parameters
-    ----------
-    prepared : PreparedSegment
-    priors : sequence of Priors
-        Of each window.
-    noise : NoiseModel
-    borders : list of float, s
-        From `cut_times`.
-    margin_s : float, s
-        What a window covers beyond its borders.
-    gravity_magnitude : float, m/s^2
-    sharing : int
-        How many windows share the attitude prior, over all segments.
-    only : container of int, optional
-        Numbers of the windows that are wanted; all where None.
-
-    Yields
-    ------
-    window : Window
-        In order of time.
-    """
+    """The windows between the borders, each with its margins, one after the other."""
     for index, (a, b) in enumerate(pairwise(borders)):
         if only is not None and index not in only:
             continue
@@ -156,11 +120,7 @@ def window_middles(t: FloatArray, borders: list[float], margin_s: float) -> Floa
 
 
 def _velocity_change(prepared: PreparedSegment, lo: int, hi: int) -> FloatArray:
-    """How much the velocity may change in each interval without a camera, m/s (n - 1,); inf elsewhere.
-
-    An arm whose sensor is still keeps its velocity. This is weak information, so it matters where the
-    integrated IMU knows less: at its worst the answer is as good as a straight line.
-    """
+    """How much the velocity may change in each interval without a camera, m/s (n - 1,); inf elsewhere."""
     t = prepared.t[lo:hi]
     middle, dt = 0.5 * (t[1:] + t[:-1]), np.diff(t)
     acceleration_std = np.maximum(

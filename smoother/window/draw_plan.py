@@ -26,30 +26,15 @@ _ENOUGH = 100_000
 
 @dataclass(frozen=True)
 class DrawPlan:
-    """What all windows need for drawing motions.
+    """What all windows need for drawing motions."""
 
-    Attributes
-    ----------
-    count : int
-        Motions.
-    seed : int
-        As it was asked for.
-    arm : str
-        Side and person: each arm has its own random numbers.
-    every : int
-        Each so-many-th sample of the recording's IMU has a drawn position.
-    shared : ndarray, shape (s, s)
-        Covariance of the shared vector by all windows together (`pooling.pooled_shared`).
-    considered : Considered or None
-        Errors that are constant over the recording.
-    """
-
-    count: int
-    seed: int
-    arm: str
-    every: int
+    count: int  # Motions
+    seed: int  # As it was asked for
+    arm: str  # Side and person: each arm has its own random numbers
+    every: int  # Each so-many-th sample of the recording's IMU has a drawn position
+    # (s, s): Covariance of the shared vector by all windows together (`pooling.pooled_shared`)
     shared: FloatArray
-    considered: Considered | None = None
+    considered: Considered | None = None  # Errors that are constant over the recording
 
     def once(self, name: str, width: int) -> FloatArray:
         """Standard normals (count, width) of something that the whole recording has once."""
@@ -60,21 +45,12 @@ class DrawPlan:
         ticks = np.rint(t / _TICK_S).astype(np.int64) + (1 << 60)
         return np.swapaxes(self._normals(self._stream(name), ticks.tolist(), width), 0, 1)
 
-    def shared_errors(self, covariance: FloatArray) -> FloatArray:
+    def shared_errors(self, covariance: FloatArray) -> FloatArray:  # covariance (s, s) -> (count, s)
         """Errors (count, s) of the shared vector, drawn once, as a window with this covariance has them.
 
         One draw is taken from what all windows say together. A window's own posterior differs a little from
         that, so its errors are the nearest ones with its covariance: the optimal transport between two
         Gaussians (Olkin and Pukelsheim, Linear Algebra Appl. 1982).
-
-        Parameters
-        ----------
-        covariance : ndarray, shape (s, s)
-            That the window states.
-
-        Returns
-        -------
-        errors : ndarray, shape (count, s)
         """
         scale, root, inverse_root = self._reference
         middle = root_of(root @ (covariance / scale / scale[:, None]) @ root)
@@ -88,10 +64,7 @@ class DrawPlan:
         return scale, root, np.asarray(np.linalg.inv(root))
 
     def considered_errors(self, t: FloatArray) -> FloatArray | None:
-        """Considered errors (count, SIZE + m) of a window with nodes (n,): constant ones, then at m knots.
-
-        The same at knots that windows share, but for what their ends differ in. None without any.
-        """
+        """Considered errors (count, SIZE + m) of a window with nodes (n,): constant ones, then at m knots."""
         if self.considered is None or self.constant_errors is None:
             return None
         knots = self.considered.stamp_knots(float(t[0]), float(t[-1]))

@@ -45,26 +45,12 @@ def near_impacts(signal: InertialSignal, t: FloatArray) -> BoolArray:
     return np.asarray(GROUPED_S * signal.velocity_error_between(first, last) > IMPACT_M)
 
 
-def group_frames(t: FloatArray, visible: BoolArray, near_impact: BoolArray) -> IntArray:
-    """Which frame's node each frame belongs to: its own, or that of the middle one of an odd group.
-
-    The IMU ties frames a few hundredths of a second apart much better than the camera measures them, so
-    that far from gaps a group of them can share one node (`propagate`).
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        Increasing times of the frames with at least one forearm joint.
-    visible : ndarray of bool, shape (n,)
-        Frames with enough of them.
-    near_impact : ndarray of bool, shape (n,)
-        Frames that share a node with no other.
-
-    Returns
-    -------
-    owner : ndarray of int, shape (n,)
-        Row of the frame whose node it is.
-    """
+def group_frames(
+    t: FloatArray,  # (n,) s
+    visible: BoolArray,  # bool (n,)
+    near_impact: BoolArray,  # bool (n,)
+) -> IntArray:  # int (n,)
+    """Which frame's node each frame belongs to: its own, or that of the middle one of an odd group."""
     owner = np.arange(len(t))
     if len(t) < 3:
         return owner
@@ -91,30 +77,13 @@ def _tied(t: FloatArray, owner: IntArray, alone: IntArray, near_impact: BoolArra
 
 
 def insert_nodes(
-    t: FloatArray,
+    t: FloatArray,  # (k,) s
     start_s: float,
     end_s: float,
     spacing_s: float = GAP_NODE_S,
     gaps: Sequence[Gap] = (),
-) -> FloatArray:
-    """Node times: the given ones, start and end, and evenly spaced ones where they are far apart.
-
-    Parameters
-    ----------
-    t : ndarray, shape (k,), s
-        Increasing times that nodes are wanted at.
-    start_s, end_s : float, s
-        The first node and the last.
-    spacing_s : float, s
-        Where nodes are far apart.
-    gaps : sequence of Gap
-        Nodes in them are at most `GAP_NODE_CHAIN_S` apart.
-
-    Returns
-    -------
-    nodes : ndarray, shape (n,), s
-        At most `spacing_s` apart.
-    """
+) -> FloatArray:  # (n,) s
+    """Node times: the given ones, start and end, and evenly spaced ones where they are far apart."""
     inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
     knots = np.concatenate(([start_s], inner, [end_s]))
     middle, spacing = 0.5 * (knots[1:] + knots[:-1]), np.full(len(knots) - 1, spacing_s)
@@ -128,27 +97,8 @@ def insert_nodes(
 
 def group_frames_of_cameras(
     t: FloatArray, visible: BoolArray, near_impact: BoolArray, cameras: int
-) -> IntArray:
-    """As `decimate` and `group_frames` for the joined frames of several cameras.
-
-    Frames of two cameras may lie as near to each other as they like: they share a node, and none is left out.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        Increasing times of the frames with at least one forearm joint.
-    visible : ndarray of bool, shape (n,)
-        Frames at whose time some camera sees enough of them.
-    near_impact : ndarray of bool, shape (n,)
-        Frames that share a node with none that is not at the same time.
-    cameras : int
-        How many there are.
-
-    Returns
-    -------
-    owner : ndarray of int, shape (n,)
-        Row of the frame whose node it is.
-    """
+) -> IntArray:  # int (n,)
+    """As `decimate` and `group_frames` for the joined frames of several cameras."""
     owner = np.arange(len(t))
     kept = decimate(t)
     alone = np.flatnonzero(kept)[
@@ -179,25 +129,13 @@ def group_frames_of_cameras(
 
 @dataclass(frozen=True)
 class RelativeMotion:
-    """The IMU's motion from each frame's node to the frame, in {K}.
+    """The IMU's motion from each frame's node to the frame, in {K}."""
 
-    Attributes
-    ----------
-    R_node, R_frame : ndarray, shape (k, 3, 3)
-        Orientations `R_K_A`.
-    position_change : ndarray, shape (k, 3), m
-        Of the IMU.
-    velocity_change : ndarray, shape (k, 3), m/s
-        Of the IMU.
-    rate : ndarray, shape (k, 3), rad/s
-        Angular rate at the frame in {A}.
-    """
-
-    R_node: FloatArray
-    R_frame: FloatArray
-    position_change: FloatArray
-    velocity_change: FloatArray
-    rate: FloatArray
+    R_node: FloatArray  # (k, 3, 3): orientations `R_K_A`
+    R_frame: FloatArray  # (k, 3, 3): orientations `R_K_A`
+    position_change: FloatArray  # (k, 3) m: of the IMU
+    velocity_change: FloatArray  # (k, 3) m/s: of the IMU
+    rate: FloatArray  # (k, 3) rad/s: angular rate at the frame in {A}
 
     def shift(self, lever_A: FloatArray) -> FloatArray:
         """Change of position (k, 3), m, of a point at the lever arm (3,) m in {A}."""
@@ -215,39 +153,14 @@ RATE_S = 0.02
 
 def propagate(
     signal: InertialSignal,
-    t: FloatArray,
+    t: FloatArray,  # (n,) s
     states: States,
-    frame_t_imu: FloatArray,
-    node: IntArray,
-    gravity: FloatArray,
-    bias: FloatArray,
+    frame_t_imu: FloatArray,  # (k,) s
+    node: IntArray,  # int (k,)
+    gravity: FloatArray,  # (3,) m/s^2
+    bias: FloatArray,  # (6,) m/s^2 and rad/s
 ) -> RelativeMotion:
-    """Follow the IMU from nodes to frames, forwards or backwards (Forster et al., TRO 2017, eq 32).
-
-    A velocity that is wrong at the node moves the frames before and after it by as much in opposite
-    directions: over a group that lies evenly about its node it cancels.
-
-    Parameters
-    ----------
-    signal : InertialSignal
-    t : ndarray, shape (n,), s
-        Nodes.
-    states : States
-        Estimate at the nodes.
-    frame_t_imu : ndarray, shape (k,), s
-        Frame times on the IMU's clock, inside the signal.
-    node : ndarray of int, shape (k,)
-        The node of each frame.
-    gravity : ndarray, shape (3,), m/s^2
-        In {K}.
-    bias : ndarray, shape (6,), m/s^2 and rad/s
-        Of accelerometer and gyroscope.
-
-    Returns
-    -------
-    motion : RelativeMotion
-        Of the k frames.
-    """
+    """Follow the IMU from nodes to frames, forwards or backwards (Forster et al., TRO 2017, eq 32)."""
     R = states.R[node]
     away = np.flatnonzero(np.abs(frame_t_imu - t[node]) > 1e-6)
     frame, at = frame_t_imu[away], t[node][away]

@@ -60,27 +60,10 @@ class _Information:
 def leave_one_out_priors(
     messages: Sequence[Message],
     prior: Priors,
-    t_s: FloatArray | None = None,
-    selected: IntArray | None = None,
+    t_s: FloatArray | None = None,  # (k,) s
+    selected: IntArray | None = None,  # int (len(messages) )
 ) -> Iterator[Priors]:
-    """The second pass's priors: what the first pass's prior and all other windows say.
-
-    Parameters
-    ----------
-    messages : sequence of Message
-        The first pass's answers in the order of time; not needed any more once this has returned.
-    prior : Priors
-        The first pass's, the same for all of its windows.
-    t_s : ndarray, shape (k,), s, optional
-        Middles of all windows, where not all were selected.
-    selected : ndarray of int, shape (len(messages),), optional
-        Of each message, which of these windows it is of.
-
-    Yields
-    ------
-    priors : Priors
-        Of each window, in the order of time.
-    """
+    """The second pass's priors: what the first pass's prior and all other windows say."""
     t = np.array([message.t_s for message in messages]) if t_s is None else t_s
     walk = np.zeros(prior.layout.size)
     walk[prior.layout.bias] = SLOW_WALK
@@ -91,20 +74,7 @@ def leave_one_out_priors(
 
 
 def pooled(messages: Sequence[Message], prior: Priors) -> Gaussian:
-    """The constants of the arm (upper arm, lever arms) from all windows and the prior together.
-
-    Parameters
-    ----------
-    messages : sequence of Message
-        The windows' answers, in any order.
-    prior : Priors
-        The windows' prior, the same for all of them.
-
-    Returns
-    -------
-    constants : Gaussian
-        Of the rows `prior.layout.constants`.
-    """
+    """The constants of the arm (upper arm, lever arms) from all windows and the prior together."""
     rows = prior.layout.constants
     answers = [_marginal(message.shared, rows) for message in messages]
     start, widened, _ = _accumulated(answers, _marginal(prior.shared, rows))
@@ -112,20 +82,7 @@ def pooled(messages: Sequence[Message], prior: Priors) -> Gaussian:
 
 
 def pooled_shared(messages: Sequence[Message], prior: Priors) -> Gaussian:
-    """The whole shared vector from all windows and the prior together, as if biases were constant.
-
-    Parameters
-    ----------
-    messages : sequence of Message
-        The windows' answers, in any order.
-    prior : Priors
-        The windows' prior, the same for all of them.
-
-    Returns
-    -------
-    shared : Gaussian
-        Of all rows; what differs between windows widens it.
-    """
+    """The whole shared vector from all windows and the prior together, as if biases were constant."""
     start, widened, _ = _accumulated([message.shared for message in messages], prior.shared)
     return (start + widened.sum()).gaussian()
 
@@ -151,32 +108,11 @@ def _accumulated(
 def leave_one_out(
     answers: Sequence[Gaussian],
     prior: Gaussian,
-    t: FloatArray,
-    walk: FloatArray,
-    selected: IntArray | None = None,
+    t: FloatArray,  # (k,) s
+    walk: FloatArray,  # (s,) unit/sqrt(s)
+    selected: IntArray | None = None,  # int (len(answers) )
 ) -> Iterator[Gaussian]:
-    """For each window, what the prior and all other windows say.
-
-    Forward and backward filter in information form over the windows, each window's own deviation added.
-
-    Parameters
-    ----------
-    answers : sequence of Gaussian
-        The windows' posteriors of a vector (s,), the prior still inside.
-    prior : Gaussian
-        The same for all of them.
-    t : ndarray, shape (k,), s
-        Increasing times of the windows.
-    walk : ndarray, shape (s,), unit/sqrt(s)
-        How each component wanders; zero for a constant.
-    selected : ndarray of int, shape (len(answers),), optional
-        Of each answer, which of the windows it is of, where not all have one.
-
-    Yields
-    ------
-    others : Gaussian
-        For each window, in the order of time.
-    """
+    """For each window, what the prior and all other windows say."""
     start, own, spread = _accumulated(answers, prior)
     count, size = len(t), len(prior.mean)
     widened = own if selected is None else own.among(selected, count)

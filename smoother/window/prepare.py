@@ -49,77 +49,34 @@ REACH_S = 180.0
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """An IMU between two of its pauses, at the nodes of a prepared segment.
+    """An IMU between two of its pauses, at the nodes of a prepared segment."""
 
-    Attributes
-    ----------
-    segment : str
-        Name of the arm's segment that it is on.
-    signal : InertialSignal
-        The IMU as a continuous signal, on the forearm IMU's clock.
-    first : int
-        The node that it begins at; it covers as many as `start` has.
-    start : States
-        Initial values: orientation to {K}, position and velocity.
-    attitude : ndarray, shape (m, 3, 3)
-        From the inertial filter and the alignment: the weak prior.
-    attitude_covariance : ndarray, shape (m, 3, 3), rad^2
-        Of the attitude, in {K}.
-    """
-
-    segment: str
-    signal: InertialSignal
-    first: int
-    start: States
-    attitude: FloatArray
-    attitude_covariance: FloatArray
+    segment: str  # Name of the arm's segment that it is on
+    signal: InertialSignal  # The IMU as a continuous signal, on the forearm IMU's clock
+    first: int  # The node that it begins at; it covers as many as `start` has
+    start: States  # Initial values: orientation to {K}, position and velocity
+    attitude: FloatArray  # (m, 3, 3): from the inertial filter and the alignment: the weak prior
+    attitude_covariance: FloatArray  # (m, 3, 3) rad^2: of the attitude, in {K}
 
 
 @dataclass(frozen=True)
 class PreparedSegment:
-    """A segment, or a time range of it, ready to be cut.
+    """A segment, or a time range of it, ready to be cut."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        Nodes on the IMU's clock.
-    bodies : tuple of PreparedRun
-        The forearm's IMU, which covers all nodes, then others between their pauses.
-    frame_t_imu : ndarray, shape (f,), s
-        Camera frames on the IMU's clock.
-    frame_node : ndarray of int, shape (f,)
-        The node that each frame belongs to, -1 where there is none.
-    position : ndarray, shape (f, 5, 3), m
-        The camera's samples in {K}.
-    accepted : ndarray of bool, shape (f, 5)
-        Samples that may be used.
-    sigma_m : ndarray, shape (f, 5), m
-        Their standard deviation per axis.
-    gaps : tuple of Gap
-        Inside, in order of time.
-    acceleration_std : ndarray, shape (n,), m/s^2
-        How much the sensor's acceleration varies.
-    start_s, end_s : float, s
-        What the answer is wanted for; nodes beyond only support it.
-    camera : ndarray of int8, shape (f,), or None
-        Which camera each frame is of; None where all are of one.
-    ray_origin_m : ndarray, shape (c, 3), m, or None
-        Where the rays of each camera without depth begin.
-    """
-
-    t: FloatArray
+    t: FloatArray  # (n,) s: nodes on the IMU's clock
+    # The forearm's IMU, which covers all nodes, then others between their pauses
     bodies: tuple[PreparedRun, ...]
-    frame_t_imu: FloatArray
-    frame_node: IntArray
-    position: FloatArray
-    accepted: BoolArray
-    sigma_m: FloatArray
-    gaps: tuple[Gap, ...]
-    acceleration_std: FloatArray
-    start_s: float
-    end_s: float
-    camera: CameraNumbers | None = None
-    ray_origin_m: FloatArray | None = None
+    frame_t_imu: FloatArray  # (f,) s: camera frames on the IMU's clock
+    frame_node: IntArray  # int (f,): the node that each frame belongs to, -1 where there is none
+    position: FloatArray  # (f, 5, 3) m: the camera's samples in {K}
+    accepted: BoolArray  # bool (f, 5): samples that may be used
+    sigma_m: FloatArray  # (f, 5) m: their standard deviation per axis
+    gaps: tuple[Gap, ...]  # Inside, in order of time
+    acceleration_std: FloatArray  # (n,) m/s^2: how much the sensor's acceleration varies
+    start_s: float  # What the answer is wanted for; nodes beyond only support it
+    end_s: float  # What the answer is wanted for; nodes beyond only support it
+    camera: CameraNumbers | None = None  # int (f,): which camera each frame is of; None where all are of one
+    ray_origin_m: FloatArray | None = None  # (c, 3) m: Where the rays of each camera without depth begin
 
     @property
     def forearm(self) -> PreparedRun:
@@ -139,33 +96,11 @@ def prepare(
     segment: Segment,
     calibration: ArmCalibration,
     clock: Clock,
-    sigma_m: FloatArray,
+    sigma_m: FloatArray,  # (5,) or (c, 5) m
     margin_s: float,
     alignment: Alignment | None = None,
 ) -> tuple[PreparedSegment, Alignment] | None:
-    """Nodes and initial values of a segment.
-
-    Parameters
-    ----------
-    segment : Segment
-    calibration : ArmCalibration
-        Its lever arms tie the joints to the IMU.
-    clock : Clock
-        Takes the camera's times to the IMU's.
-    sigma_m : ndarray, shape (5,) or (c, 5), m
-        Noise of the camera's joints, per axis; of each camera where there are c of them.
-    margin_s : float, s
-        Nodes extend this far beyond the times of the answer.
-    alignment : Alignment, optional
-        Of the inertial frame to the camera; estimated from the samples where None.
-
-    Returns
-    -------
-    prepared : PreparedSegment
-    alignment : Alignment
-        The one given, or the one that was estimated. Instead of both None where the camera saw nothing of
-        the forearm near enough.
-    """
+    """Nodes and initial values of a segment."""
     frame_t_imu = segment.frame_t_imu(clock)
     inside = (frame_t_imu >= segment.start_s) & (frame_t_imu <= segment.end_s)
     accepted = segment.accepted & inside[:, None] & located(calibration)
@@ -257,19 +192,8 @@ def _nodes(
 
 
 def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) -> tuple[float, float]:
-    """What has to be solved for an answer: its margins, and the far side of a gap that contains an end of it.
-
-    Parameters
-    ----------
-    start_s, end_s : float, s
-        What the answer is wanted for.
-    gaps : tuple of Gap
-    margin_s : float, s
-        Beyond the answer, or beyond the gap.
-
-    Returns
-    -------
-    first_s, last_s : float, s
+    """What has to be solved for an answer: its margins, and the far side of a gap that contains an end of
+    it.
     """
     first, last = start_s - margin_s, end_s + margin_s
     for gap in gaps:
@@ -301,28 +225,13 @@ def _imu_positions(
     return frame_t_imu[known], total[known] / count[known, None]
 
 
-def states_from_camera(t: FloatArray, R: FloatArray, frame_t_imu: FloatArray, position: FloatArray) -> States:
-    """Position and velocity at the nodes from the IMU's positions at visible frames.
-
-    Local lines through the positions give value and slope at each frame, cubic Hermite polynomials what
-    is between; beyond the first and the last frame the IMU rests.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        Nodes.
-    R : ndarray, shape (n, 3, 3)
-        Orientations at the nodes.
-    frame_t_imu : ndarray, shape (k,), s
-        Increasing times on the IMU's clock.
-    position : ndarray, shape (k, 3), m
-        The IMU's in {K}.
-
-    Returns
-    -------
-    states : States
-        At the nodes.
-    """
+def states_from_camera(
+    t: FloatArray,  # (n,) s
+    R: FloatArray,  # (n, 3, 3)
+    frame_t_imu: FloatArray,  # (k,) s
+    position: FloatArray,  # (k, 3) m
+) -> States:
+    """Position and velocity at the nodes from the IMU's positions at visible frames."""
     p, v = _local_lines(frame_t_imu, position)
     if len(frame_t_imu) == 1:
         return States(R, np.tile(p[0], (len(t), 1)), np.zeros((len(t), 3)))
@@ -363,37 +272,13 @@ def further_segments(calibration: ArmCalibration) -> tuple[str, ...]:
 
 def prepare_further(
     segment: Segment,
-    frame_t_imu: FloatArray,
-    accepted: BoolArray,
+    frame_t_imu: FloatArray,  # (f,) s
+    accepted: BoolArray,  # bool (f, 5)
     calibration: ArmCalibration,
-    t: FloatArray,
+    t: FloatArray,  # (n,) s
     parent: States | None = None,
 ) -> tuple[PreparedRun, ...]:
-    """The runs of IMUs on further segments at a segment's nodes.
-
-    Orientation comes from an inertial filter and the camera's view of the segment (as the forearm's does).
-    Position comes, between the forearm and the trunk, from the joint nearer to the trunk, or from the other
-    where that alone is visible: neither drifts. Beyond the forearm it hangs on the forearm's motion.
-
-    Parameters
-    ----------
-    segment : Segment
-    frame_t_imu : ndarray, shape (f,), s
-        Its frames on the forearm IMU's clock.
-    accepted : ndarray of bool, shape (f, 5)
-        Samples that may be used.
-    calibration : ArmCalibration
-        Its `mountings` contain the joints in the IMUs' axes.
-    t : ndarray, shape (n,), s
-        Nodes.
-    parent : States, optional
-        Of the forearm at the nodes: prepare what hangs on it; what carries it where None.
-
-    Returns
-    -------
-    runs : tuple of PreparedRun
-        Those that contain two nodes, and frames with both joints.
-    """
+    """The runs of IMUs on further segments at a segment's nodes."""
     prepared = []
     for run in segment.further:
         body = SEGMENTS[run.segment]
@@ -472,34 +357,13 @@ def _near_joint(
 
 def forearm_in_gaps(
     runs: Sequence[PreparedRun],
-    t: FloatArray,
-    R: FloatArray,
+    t: FloatArray,  # (n,) s
+    R: FloatArray,  # (n, 3, 3)
     gaps: tuple[Gap, ...],
     calibration: ArmCalibration,
-    visible: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray]:
-    """Forearm IMU positions from the camera, and in gaps by way of the segment that carries it.
-
-    Parameters
-    ----------
-    runs : sequence of PreparedRun
-    t : ndarray, shape (n,), s
-        Nodes.
-    R : ndarray, shape (n, 3, 3)
-        Initial `R_K_A` at the nodes.
-    gaps : tuple of Gap
-    calibration : ArmCalibration
-        With the shared joint's lever arms.
-    visible : ndarray, shape (k,), s, and ndarray, shape (k, 3), m
-        Positions at visible frames.
-
-    Returns
-    -------
-    times : ndarray, shape (m,), s
-        Increasing.
-    position : ndarray, shape (m, 3), m
-        The forearm IMU in {K}.
-    """
+    visible: tuple[FloatArray, FloatArray],  # (k,) s, and ndarray, shape (k, 3), m
+) -> tuple[FloatArray, FloatArray]:  # times (m,) s, position (m, 3) m
+    """Forearm IMU positions from the camera, and in gaps by way of the segment that carries it."""
     times, position = [visible[0]], [visible[1]]
     for run in runs:
         joint = SEGMENTS[run.segment].shared_joint

@@ -42,49 +42,21 @@ SHOULDER_QUANTILE, FEWEST_PAIRS = 0.98, 20
 
 @dataclass(frozen=True)
 class InitialValues:
-    """Initial values of the shared quantities.
+    """Initial values of the shared quantities."""
 
-    Attributes
-    ----------
-    down : ndarray, shape (3,)
-        Direction of gravity in {K}.
-    down_sigma_rad : float, rad
-        How well it is known, per axis.
-    gyroscope_bias : ndarray, shape (3,), rad/s
-        In {A}.
-    has_shoulder : bool
-        The camera saw the shoulder.
-    biases : dict of str to ndarray, shape (6,), m/s^2 and rad/s
-        Of IMUs on further segments, by the segment's name; zero where there is none.
-    lone_rays : bool
-        All that was seen is of one camera without depth: the limbs' lengths are part of the scale.
-    """
-
-    down: FloatArray
-    down_sigma_rad: float
-    gyroscope_bias: FloatArray
-    has_shoulder: bool
+    down: FloatArray  # (3,): direction of gravity in {K}
+    down_sigma_rad: float  # How well it is known, per axis
+    gyroscope_bias: FloatArray  # (3,) rad/s: in {A}
+    has_shoulder: bool  # The camera saw the shoulder
+    # dict of (6,) m/s^2 and rad/s: Of IMUs on further segments, by the segment's name
     biases: dict[str, FloatArray] = field(default_factory=dict)
-    lone_rays: bool = False
+    lone_rays: bool = False  # All that was seen is of one camera without depth
 
 
 def initial_values(
     prepared_segments: list[PreparedSegment], alignments: list[Alignment], segments: list[Segment]
 ) -> InitialValues:
-    """Initial values from the longest of the segments.
-
-    Parameters
-    ----------
-    prepared_segments : list of PreparedSegment
-    alignments : list of Alignment
-        Of each.
-    segments : list of Segment
-        What each was prepared from.
-
-    Returns
-    -------
-    initial : InitialValues
-    """
+    """Initial values from the longest of the segments."""
     longest = int(np.argmax([len(prepared.t) for prepared in prepared_segments]))
     down = -alignments[longest].R_K_E.apply([0.0, 0.0, 1.0]).mean(axis=0)
     sigma_rad = segments[longest].down_sigma_rad
@@ -102,20 +74,7 @@ def initial_values(
 
 
 def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Config) -> Priors:
-    """The same priors for every window of a first pass.
-
-    Parameters
-    ----------
-    initial : InitialValues
-    calibration : ArmCalibration
-        Means and sigmas of the arm's constants.
-    config : Config
-        Sigmas of the biases, and the upper arm where the calibration has none.
-
-    Returns
-    -------
-    priors : Priors
-    """
+    """The same priors for every window of a first pass."""
     layout = SharedLayout(
         joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
         has_upper_arm=initial.has_shoulder and "elbow" in calibration.lever_arms,
@@ -150,10 +109,7 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
 
 
 def limb_lengths(arm: ArmPrior) -> Gaussian:
-    """How long forearm and upper arm (2,) m are of a person of some height, or of anybody.
-
-    They are off together by the height's error; see `FOREARM_PART`.
-    """
+    """How long forearm and upper arm (2,) m are of a person of some height, or of anybody."""
     known = arm.height_m is not None
     height_m, sigma_m = (arm.height_m or 0.0, HEIGHT_SIGMA_M) if known else USUAL_HEIGHT_M[arm.anatomy]
     parts = np.array([FOREARM_PART, UPPER_ARM_PART])
@@ -162,19 +118,7 @@ def limb_lengths(arm: ArmPrior) -> Gaussian:
 
 
 def with_limb_lengths(shared: Gaussian, layout: SharedLayout, lengths: Gaussian) -> Gaussian:
-    """A Gaussian on the shared vector that knows how long the limbs of a person are.
-
-    Lengths of forearm and upper arm are off together, by the person's height: one camera without depth sees
-    every arm that is larger and farther away alike.
-
-    Parameters
-    ----------
-    shared : Gaussian
-        With lever arms of elbow and wrist.
-    layout : SharedLayout
-    lengths : Gaussian
-        Of forearm and upper arm, m; replaces what was known of the upper arm.
-    """
+    """A Gaussian on the shared vector that knows how long the limbs of a person are."""
     mean, covariance = shared.mean.copy(), shared.covariance.copy()
     elbow, wrist = layout.lever("elbow"), layout.lever("wrist")
     along = unit(mean[wrist] - mean[elbow])
@@ -203,24 +147,7 @@ def upper_arm_seen(segments: list[Segment], config: Config) -> Length:
 
 
 def upper_arm_length_sigma(segments: list[Segment], config: Config, sample_m: float) -> float:
-    """How far from constant the upper arm's length is as the camera sees it.
-
-    The shoulder's joint moves in a real arm, and a skeleton follows it badly: what the visible lengths
-    vary more than the joints' noise explains.
-
-    Parameters
-    ----------
-    segments : list of Segment
-    config : Config
-        Its `arm.upper_arm_flex_m` is the least.
-    sample_m : float, m
-        Noise of a joint's sample, per axis.
-
-    Returns
-    -------
-    sigma_m : float, m
-        One standard deviation.
-    """
+    """How far from constant the upper arm's length is as the camera sees it."""
     lengths = _upper_arm_lengths(segments, fewest=11)
     if not lengths:
         return config.arm.upper_arm_flex_m
@@ -240,22 +167,7 @@ def _upper_arm_lengths(segments: list[Segment], fewest: int) -> list[FloatArray]
 
 
 def with_measured_noise(config: Config, imu: ImuStream) -> Config:
-    """The configuration with the sensor's own white noise where somebody measured it.
-
-    What a configuration states itself has precedence. The default represents a consumer device with all that
-    a model of it lacks; a share of that stays for a better sensor (`LEAST_DENSITY_SHARE`).
-
-    Parameters
-    ----------
-    config : Config
-    imu : ImuStream
-        With its measured densities, if any.
-
-    Returns
-    -------
-    config : Config
-        The same one where nothing was measured.
-    """
+    """The configuration with the sensor's own white noise where somebody measured it."""
     measured = {
         name: max(value, LEAST_DENSITY_SHARE * getattr(config.imu, name))
         for name in ("accelerometer_density", "gyroscope_density")
@@ -265,22 +177,8 @@ def with_measured_noise(config: Config, imu: ImuStream) -> Config:
 
 
 def with_measured_shoulder(config: Config, arm: JointTracks) -> Config:
-    """The configuration with a shoulder that wanders as fast as the camera sees it move, if that is faster.
-
-    A shoulder that walks through the room, or a trunk that leans far, leaves a slow random walk behind; the
-    answer's shoulder would trail the camera's. What a configuration states itself counts more.
-
-    Parameters
-    ----------
-    config : Config
-    arm : JointTracks
-        Of which the tracked shoulder is read, in means over `SHOULDER_STEP_S`, so that its noise hardly
-        counts.
-
-    Returns
-    -------
-    config : Config
-        The same one where the shoulder moves no faster than it states.
+    """The configuration with a shoulder that wanders as fast as the camera sees it move, if that is
+    faster.
     """
     rows = np.flatnonzero(arm.tracked("shoulder"))
     if "shoulder_walk" in config.arm.model_fields_set or len(rows) < 2:
@@ -324,24 +222,7 @@ def noise_of(
 def calibration_from(
     constants: Gaussian, layout: SharedLayout, before: ArmCalibration, joint_bias_m: float
 ) -> ArmCalibration:
-    """The arm's calibration from the Gaussian of its constants (`pooling.pooled`).
-
-    Parameters
-    ----------
-    constants : Gaussian
-        Of upper arm and lever arms.
-    layout : SharedLayout
-        Of the shared vector that they are rows of.
-    before : ArmCalibration
-        Everything else stays as it is here.
-    joint_bias_m : float, m
-        Constant error of the camera's joints, per axis. Their common part goes into the lever arms and
-        lengths and shows in no residual, so it widens their sigmas.
-
-    Returns
-    -------
-    calibration : ArmCalibration
-    """
+    """The arm's calibration from the Gaussian of its constants (`pooling.pooled`)."""
     sigma = np.hypot(np.sqrt(np.diag(constants.covariance)), joint_bias_m)
     start = layout.constants.start
     levers = dict(before.lever_arms)

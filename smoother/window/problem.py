@@ -19,95 +19,43 @@ from .shared import Considered, Gaussian, SharedLayout
 
 @dataclass(frozen=True)
 class Priors:
-    """A window's prior on the quantities that it shares with the rest of the recording.
+    """A window's prior on the quantities that it shares with the rest of the recording."""
 
-    Attributes
-    ----------
-    layout : SharedLayout
-        Which rows of the shared vector contain which quantity.
-    shared : Gaussian
-        On the shared vector, with the bias at the window's middle.
-    bias_walk : ndarray, shape (6,), m/s^2/sqrt(s) and rad/s/sqrt(s)
-        How far the bias wanders inside the window.
-    """
-
-    layout: SharedLayout
-    shared: Gaussian
-    bias_walk: FloatArray
+    layout: SharedLayout  # Which rows of the shared vector contain which quantity
+    shared: Gaussian  # On the shared vector, with the bias at the window's middle
+    bias_walk: FloatArray  # (6,) m/s^2/sqrt(s) and rad/s/sqrt(s): how far the bias wanders inside the window
 
 
 @dataclass(frozen=True)
 class ImuIncrements:
-    """Equivalent IMU samples of the window's intervals (see `inertial.equivalent_samples`).
+    """Equivalent IMU samples of the window's intervals (see `inertial.equivalent_samples`)."""
 
-    Attributes
-    ----------
-    acc : ndarray, shape (m, 2, 3), m/s^2
-        Specific force in the halves of the steps, without the bias.
-    gyro : ndarray, shape (m, 3), rad/s
-        Angular rate in the steps, without the bias.
-    h : ndarray, shape (m,), s
-        Half of each step.
-    first : ndarray of int, shape (n,)
-        Index of each interval's first step, and m at the end.
-    bias : ndarray, shape (6,), m/s^2 and rad/s
-        The bias that was subtracted.
-    velocity_error : ndarray, shape (n - 1,), m/s
-        What impacts may have cost in each interval.
-    turn_error : ndarray, shape (n - 1,), rad, optional
-        What missing samples may have cost the direction in each interval.
-    """
-
-    acc: FloatArray
-    gyro: FloatArray
-    h: FloatArray
-    first: IntArray
-    bias: FloatArray
-    velocity_error: FloatArray
+    acc: FloatArray  # (m, 2, 3) m/s^2: specific force in the halves of the steps, without the bias
+    gyro: FloatArray  # (m, 3) rad/s: angular rate in the steps, without the bias
+    h: FloatArray  # (m,) s: half of each step
+    first: IntArray  # int (n,): index of each interval's first step, and m at the end
+    bias: FloatArray  # (6,) m/s^2 and rad/s: the bias that was subtracted
+    velocity_error: FloatArray  # (n - 1,) m/s: what impacts may have cost in each interval
+    # (n - 1,) rad: What missing samples may have cost the direction in each interval
     turn_error: FloatArray | None = None
 
 
 @dataclass(frozen=True)
 class JointMeasurements:
-    """A joint's accepted camera samples.
-
-    Attributes
-    ----------
-    joint : str
-        Its name.
-    t_s : ndarray, shape (k,), s
-        Frame times on the IMU's clock.
-    node : ndarray of int, shape (k,)
-        Index of the node that each belongs to, increasing.
-    position : ndarray, shape (k, 3), m
-        In {K}.
-    sigma_m : ndarray, shape (k,), m
-        Standard deviation per axis.
-    shift : ndarray, shape (k, 3), m
-        The joint at the frame less the joint at the node in {K}, by the IMU; zero for a frame that is a
-        node.
-    velocity : ndarray, shape (k, 3), m/s
-        The joint's velocity at the frame less the IMU's at the node, in {K}.
-    segment : str
-        The segment whose IMU it is tied to.
-    camera : int
-        Number of the camera that saw it.
-    origin_m : ndarray, shape (3,), m, or None
-        Where that camera's rays begin, if it sees no depth (`measurements.rays`).
-    ray : ndarray, shape (k, 3), or None
-        Unit vectors to where the joint is, once they were linearised there.
-    """
+    """A joint's accepted camera samples."""
 
     joint: str
-    t_s: FloatArray
-    node: IntArray
-    position: FloatArray
-    sigma_m: FloatArray
-    shift: FloatArray
-    velocity: FloatArray
-    segment: str = FOREARM.name
-    camera: int = 0
+    t_s: FloatArray  # (k,) s: frame times on the IMU's clock
+    node: IntArray  # int (k,): index of the node that each belongs to, increasing
+    position: FloatArray  # (k, 3) m: in {K}
+    sigma_m: FloatArray  # (k,) m: standard deviation per axis
+    shift: FloatArray  # (k, 3) m: the joint at the frame less the joint at the node in {K}, by the IMU
+    velocity: FloatArray  # (k, 3) m/s: the joint's velocity at the frame less the IMU's at the node, in {K}
+    segment: str = FOREARM.name  # The segment whose IMU it is tied to
+    camera: int = 0  # Number of the camera that saw it
+    # (3,) m: Where that camera's rays begin, if it sees no depth (`measurements.rays`)
     origin_m: FloatArray | None = None
+    # (k, 3): Unit vectors to where the joint is, once they were linearised there
     ray: FloatArray | None = None
 
     @property
@@ -154,30 +102,15 @@ class JointMeasurements:
 
 @dataclass(frozen=True)
 class ShoulderMeasurements:
-    """The shoulder's knots: where the smooth shoulder has a variable.
+    """The shoulder's knots: where the smooth shoulder has a variable."""
 
-    Attributes
-    ----------
-    node : ndarray of int, shape (k,)
-        The node whose time the knot shares.
-    position : ndarray, shape (k, 3), m
-        In {K}; nan where the camera saw no shoulder.
-    sigma_m : ndarray, shape (k,), m
-        Standard deviation per axis.
-    start : ndarray, shape (k, 3), m
-        Initial value in {K}.
-    root_information : ndarray, shape (k, 3, 3), 1/m, optional
-        Square root of each knot's information where a camera sees no depth; `sigma_m` is enough where None.
-    samples : KnotSamples, optional
-        What these were made of, where a camera sees no depth.
-    """
-
-    node: IntArray
-    position: FloatArray
-    sigma_m: FloatArray
-    start: FloatArray
+    node: IntArray  # int (k,): the node whose time the knot shares
+    position: FloatArray  # (k, 3) m: in {K}; nan where the camera saw no shoulder
+    sigma_m: FloatArray  # (k,) m: standard deviation per axis
+    start: FloatArray  # (k, 3) m: initial value in {K}
+    # (k, 3, 3) 1/m: Square root of each knot's information where a camera sees no depth
     root_information: FloatArray | None = None
-    samples: KnotSamples | None = None
+    samples: KnotSamples | None = None  # What these were made of, where a camera sees no depth
 
     def linearised(self, knots: FloatArray) -> ShoulderMeasurements:
         """The same about where the knots (k, 3) m are now; as it is where all cameras see depth."""
@@ -189,26 +122,13 @@ class ShoulderMeasurements:
 
 @dataclass(frozen=True)
 class KnotSamples:
-    """Samples of the shoulder by knot, some of them of cameras without depth.
+    """Samples of the shoulder by knot, some of them of cameras without depth."""
 
-    Attributes
-    ----------
-    knot : ndarray of int, shape (f,)
-        That each belongs to.
-    position : ndarray, shape (f, 3), m
-    sigma_m : ndarray, shape (f,), m
-        Noise per axis; on rays at the distance `rays.AT_M`.
-    origin_m : ndarray, shape (f, 3), m
-        Where rays begin; nan of cameras with depth.
-    along_m : float, m
-        What a sample says along its ray.
-    """
-
-    knot: IntArray
-    position: FloatArray
-    sigma_m: FloatArray
-    origin_m: FloatArray
-    along_m: float = SHOULDER_ALONG_M
+    knot: IntArray  # int (f,): that each belongs to
+    position: FloatArray  # (f, 3) m
+    sigma_m: FloatArray  # (f,) m: noise per axis; on rays at the distance `rays.AT_M`
+    origin_m: FloatArray  # (f, 3) m: Where rays begin; nan of cameras with depth
+    along_m: float = SHOULDER_ALONG_M  # What a sample says along its ray
 
     def of_knots(self, knots: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mean (k, 3) m, sigma (k,) m and square root of information (k, 3, 3) 1/m, the knots being there."""
@@ -232,108 +152,55 @@ class KnotSamples:
 
 @dataclass(frozen=True)
 class States:
-    """Pose and velocity at the nodes.
+    """Pose and velocity at the nodes."""
 
-    Attributes
-    ----------
-    R : ndarray, shape (n, 3, 3)
-        Orientation `R_K_A`.
-    p : ndarray, shape (n, 3), m
-        Position of the IMU in {K}.
-    v : ndarray, shape (n, 3), m/s
-        Velocity of the IMU in {K}.
-    """
-
-    R: FloatArray
-    p: FloatArray
-    v: FloatArray
+    R: FloatArray  # (n, 3, 3): orientation `R_K_A`
+    p: FloatArray  # (n, 3) m: position of the IMU in {K}
+    v: FloatArray  # (n, 3) m/s: velocity of the IMU in {K}
 
 
 @dataclass(frozen=True)
 class FieldMeasurements:
-    """A calibrated magnetometer's directions.
+    """A calibrated magnetometer's directions."""
 
-    Attributes
-    ----------
-    node : ndarray of int, shape (k,)
-        Index of the node that each belongs to.
-    in_A : ndarray, shape (k, 3)
-        Unit vectors in {A}.
-    in_K : ndarray, shape (3,)
-        Unit vector of the field in {K}.
-    sigma_rad : float, rad
-        Of each, per axis.
-    """
-
-    node: IntArray
-    in_A: FloatArray
-    in_K: FloatArray
-    sigma_rad: float
+    node: IntArray  # int (k,): index of the node that each belongs to
+    in_A: FloatArray  # (k, 3): unit vectors in {A}
+    in_K: FloatArray  # (3,): unit vector of the field in {K}
+    sigma_rad: float  # Of each, per axis
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Densities and losses that all windows share.
+    """Densities and losses that all windows share."""
 
-    Attributes
-    ----------
-    accelerometer_density : float, m/s^2/sqrt(Hz)
-        White noise of the still sensor.
-    gyroscope_density : float, rad/s/sqrt(Hz)
-        White noise of the still sensor.
-    accelerometer_share, gyroscope_share : float, sqrt(s)
-        What scale and mounting errors of the sensor cost, as a share of the specific force beyond gravity
-        and of the angular rate: the noise grows with the motion.
-    cauchy : float
-        Length of a residual, in sigmas, where its weight is halved (Cauchy's loss).
-    upper_arm_sigma_m : float, m
-        How far from constant the upper arm's length is.
-    shoulder_walk : float, m/sqrt(s)
-        How the shoulder wanders.
-    tissue_m : tuple of (str, float), m
-        By segment beyond the forearm, how far its joints are from constant in its IMU's axes, per axis.
-    """
-
-    accelerometer_density: float
-    gyroscope_density: float
+    accelerometer_density: float  # White noise of the still sensor
+    gyroscope_density: float  # White noise of the still sensor
+    # What scale and mounting errors of the sensor cost, as a share of the specific force beyond gravity and
+    # of the angular rate: the noise grows with the motion
     accelerometer_share: float
+    # What scale and mounting errors of the sensor cost, as a share of the specific force beyond gravity and
+    # of the angular rate: the noise grows with the motion
     gyroscope_share: float
-    cauchy: float
-    upper_arm_sigma_m: float
-    shoulder_walk: float
+    cauchy: float  # Length of a residual, in sigmas, where its weight is halved (Cauchy's loss)
+    upper_arm_sigma_m: float  # How far from constant the upper arm's length is
+    shoulder_walk: float  # How the shoulder wanders
+    # By segment beyond the forearm, how far its joints are from constant in its IMU's axes, per axis
     tissue_m: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class SegmentRun:
-    """An IMU on a segment of the arm, at neighbouring nodes of a window.
+    """An IMU on a segment of the arm, at neighbouring nodes of a window."""
 
-    Attributes
-    ----------
-    segment : str
-        Name of the segment (`body.SEGMENTS`).
-    first : int
-        The window's node that it begins at.
-    start : States
-        Initial values at its m nodes: orientation from the IMU's axes to {K}, position and velocity.
-    increments : ImuIncrements
-        Of its m - 1 intervals.
-    attitude_node : int
-        The node, counted from `first`, with a weak prior on its orientation, so that no direction is left
-        free by the data.
-    attitude : ndarray, shape (3, 3)
-        The prior's orientation.
-    attitude_covariance : ndarray, shape (3, 3), rad^2
-        Of the prior, in {K}.
-    """
-
-    segment: str
-    first: int
-    start: States
-    increments: ImuIncrements
+    segment: str  # Name of the segment (`body.SEGMENTS`)
+    first: int  # The window's node that it begins at
+    start: States  # Initial values at its m nodes
+    increments: ImuIncrements  # Of its m - 1 intervals
+    # The node, counted from `first`, with a weak prior on its orientation, so that no direction is left free
+    # by the data
     attitude_node: int
-    attitude: FloatArray
-    attitude_covariance: FloatArray
+    attitude: FloatArray  # (3, 3): the prior's orientation
+    attitude_covariance: FloatArray  # (3, 3) rad^2: of the prior, in {K}
 
     @property
     def nodes(self) -> slice:
@@ -343,51 +210,24 @@ class SegmentRun:
 
 @dataclass(frozen=True)
 class Window:
-    """What one graph is built from.
+    """What one graph is built from."""
 
-    Attributes
-    ----------
-    index : int
-        Number of the window in its segment.
-    t : ndarray, shape (n,), s
-        Nodes on the IMU's clock, margins included.
-    core_start_s, core_end_s : float, s
-        The window's borders; the margins lie beyond them.
-    bodies : tuple of SegmentRun
-        The forearm's IMU at all nodes, then IMUs on other segments, each between its pauses.
-    joint_measurements : tuple of JointMeasurements
-        Of the joints that the camera saw, the shoulder's apart.
-    shoulder : ShoulderMeasurements or None
-        None where the camera saw no shoulder in the segment.
-    velocity_change : ndarray, shape (n - 1,), m/s
-        How much the velocity may change in an interval; inf where nothing is known of it.
-    priors : Priors
-        On the shared quantities.
-    noise : NoiseModel
-        The same for all windows.
-    gravity_magnitude : float, m/s^2
-    field : FieldMeasurements or None
-        A magnetometer's directions where there is a calibrated one.
-    considered : Considered or None
-        Constant errors that widen the covariance.
-    alone : bool
-        There is one camera, and it has no depth.
-    """
-
-    index: int
-    t: FloatArray
-    core_start_s: float
-    core_end_s: float
+    index: int  # Number of the window in its segment
+    t: FloatArray  # (n,) s: nodes on the IMU's clock, margins included
+    core_start_s: float  # The window's borders; the margins lie beyond them
+    core_end_s: float  # The window's borders; the margins lie beyond them
+    # The forearm's IMU at all nodes, then IMUs on other segments, each between its pauses
     bodies: tuple[SegmentRun, ...]
+    # Of the joints that the camera saw, the shoulder's apart
     joint_measurements: tuple[JointMeasurements, ...]
-    shoulder: ShoulderMeasurements | None
-    velocity_change: FloatArray
-    priors: Priors
-    noise: NoiseModel
-    gravity_magnitude: float
-    field: FieldMeasurements | None = None
-    considered: Considered | None = None
-    alone: bool = False
+    shoulder: ShoulderMeasurements | None  # None where the camera saw no shoulder in the segment
+    velocity_change: FloatArray  # (n - 1,) m/s: how much the velocity may change in an interval
+    priors: Priors  # On the shared quantities
+    noise: NoiseModel  # The same for all windows
+    gravity_magnitude: float  # m/s^2
+    field: FieldMeasurements | None = None  # A magnetometer's directions where there is a calibrated one
+    considered: Considered | None = None  # Constant errors that widen the covariance
+    alone: bool = False  # There is one camera, and it has no depth
 
     @property
     def forearm(self) -> SegmentRun:
@@ -437,10 +277,7 @@ class Window:
 
 
 def joints_at_start(window: Window) -> dict[str, FloatArray]:
-    """Where start values have the joints, m: at the samples' nodes by key, the shoulder at its knots.
-
-    Empty where all cameras see depth, where nothing is linearised.
-    """
+    """Where start values have the joints, m: at the samples' nodes by key, the shoulder at its knots."""
     joints: dict[str, FloatArray] = {}
     if not window.has_rays:
         return joints

@@ -18,44 +18,20 @@ from ..recording import JOINTS
 
 @dataclass(frozen=True)
 class Gaussian:
-    """A Gaussian.
+    """A Gaussian."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (s,)
-    covariance : ndarray, shape (s, s)
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
+    mean: FloatArray  # (s,)
+    covariance: FloatArray  # (s, s)
 
 
 @dataclass(frozen=True)
 class SharedLayout:
-    """Which rows of the shared vector contain which quantity.
+    """Which rows of the shared vector contain which quantity."""
 
-    Attributes
-    ----------
-    joints : tuple of str
-        Those with a lever arm on the forearm, (3,) m in {A} each.
-    has_upper_arm : bool
-        The shoulder is used, (1,) m.
-    gravity_axes : ndarray, shape (2, 3)
-        Unit vectors in {K} across the direction of down; gravity's two coordinates are the components of
-        the unit vector of down along them.
-    further : tuple of str
-        Names of further segments with an IMU (`body.SEGMENTS`): the lever arms of their joints, (3,) m each,
-        then the bias (6,) of each of them at the end.
-    bias : slice
-        Accelerometer's and gyroscope's of the forearm, (6,) m/s^2 and rad/s.
-    gravity : slice
-        The two coordinates.
-    """
-
-    joints: tuple[str, ...]
-    has_upper_arm: bool
-    gravity_axes: FloatArray
-    further: tuple[str, ...] = ()
+    joints: tuple[str, ...]  # Those with a lever arm on the forearm, (3,) m in {A} each
+    has_upper_arm: bool  # The shoulder is used, (1,) m
+    gravity_axes: FloatArray  # (2, 3): unit vectors in {K} across the direction of down
+    further: tuple[str, ...] = ()  # Names of further segments with an IMU (`body.SEGMENTS`)
 
     bias = slice(0, 6)
     gravity = slice(6, 8)
@@ -149,39 +125,19 @@ STAMP_MEMORY_S = 1.0
 
 @dataclass(frozen=True)
 class ErrorEvidence:
-    """A window's evidence on the shared constants and the constant errors, its prior on them taken off.
+    """A window's evidence on the shared constants and the constant errors, its prior on them taken off."""
 
-    In information form, about [gravity, upper arm, lever arms (rows 6.. of the shared vector); errors], the
-    errors counted from what the window's data were corrected by.
-
-    Attributes
-    ----------
-    information : ndarray, shape (k, k)
-    vector : ndarray, shape (k,)
-        Information times mean.
-    """
-
-    information: FloatArray
-    vector: FloatArray
+    information: FloatArray  # (k, k)
+    vector: FloatArray  # (k,): information times mean
 
 
 @dataclass(frozen=True)
 class Considered:
-    """Constant errors that are left after correction.
+    """Constant errors that are left after correction."""
 
-    Attributes
-    ----------
-    covariance : ndarray, shape (SIZE, SIZE)
-        Of the errors.
-    shared : ndarray, shape (s, SIZE)
-        How the recording's estimate of the shared vector follows them.
-    stamp_sigma_s : float, s
-        How far the frames' times may be off, beyond one offset for all; 0 where they were measured.
-    """
-
-    covariance: FloatArray
-    shared: FloatArray
-    stamp_sigma_s: float = 0.0
+    covariance: FloatArray  # (SIZE, SIZE): of the errors
+    shared: FloatArray  # (s, SIZE): how the recording's estimate of the shared vector follows them
+    stamp_sigma_s: float = 0.0  # How far the frames' times may be off, beyond one offset for all
 
     def stamp_knots(self, start_s: float, end_s: float) -> FloatArray:
         """Times (m,) s between which errors of the frames' times are linear, on one grid for all windows."""

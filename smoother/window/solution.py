@@ -14,49 +14,24 @@ from .shared import ErrorEvidence, Gaussian
 
 @dataclass(frozen=True)
 class BlockShift:
-    """A block of camera samples against the rest of its window.
+    """A block of camera samples against the rest of its window."""
 
-    Attributes
-    ----------
-    start_s, end_s : float, s
-        On the IMU's clock.
-    shift_m : ndarray, shape (3,)
-        What the block has to be moved by in {K}.
-    score : float
-        Squared shift in sigmas / 3, the camera's slow errors allowed for; about 1 where it is chance.
-    camera : int
-        Whose samples they are.
-    """
-
-    start_s: float
-    end_s: float
-    shift_m: FloatArray
-    score: float
-    camera: int = 0
+    start_s: float  # On the IMU's clock
+    end_s: float  # On the IMU's clock
+    shift_m: FloatArray  # (3,): what the block has to be moved by in {K}
+    score: float  # Squared shift in sigmas / 3, the camera's slow errors allowed for
+    camera: int = 0  # Whose samples they are
 
 
 @dataclass(frozen=True)
 class WindowDraws:
-    """Deviations of drawn motions from a window's answer, or a section's.
+    """Deviations of drawn motions from a window's answer, or a section's."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (k, n, 3), m
-        Of the IMU at the nodes, in {K}.
-    rotation : ndarray, shape (k, n, 3), rad
-        In {K}.
-    velocity : ndarray, shape (k, n, 3), m/s
-        In {K}.
-    shoulder : ndarray, shape (k, s, 3), m, or None
-        At the knots of a window, at the nodes of a section; None where the camera saw no shoulder.
-    turns : dict of str to ndarray, shape (k, n, 3), rad
-        Rotation of each further IMU in {K} by its segment, nan where it has no samples.
-    """
-
-    position: FloatArray
-    rotation: FloatArray
-    velocity: FloatArray
-    shoulder: FloatArray | None
+    position: FloatArray  # (k, n, 3) m: of the IMU at the nodes, in {K}
+    rotation: FloatArray  # (k, n, 3) rad: in {K}
+    velocity: FloatArray  # (k, n, 3) m/s: in {K}
+    shoulder: FloatArray | None  # (k, s, 3) m: at the knots of a window, at the nodes of a section
+    # dict of (k, n, 3) rad: Rotation of each further IMU in {K} by its segment, nan where it has no samples
     turns: dict[str, FloatArray] = field(default_factory=dict)
 
     def at_nodes(self, knots: FloatArray, t: FloatArray) -> WindowDraws:
@@ -82,95 +57,42 @@ class WindowDraws:
 
 @dataclass(frozen=True)
 class Message:
-    """A window's answer on the shared quantities.
+    """A window's answer on the shared quantities."""
 
-    Attributes
-    ----------
-    t_s : float, s
-        The window's middle, where the bias holds.
-    shared : Gaussian
-        Posterior of the shared vector; the window's prior is still inside.
-    """
-
-    t_s: float
-    shared: Gaussian
+    t_s: float  # The window's middle, where the bias holds
+    shared: Gaussian  # Posterior of the shared vector; the window's prior is still inside
 
 
 @dataclass(frozen=True)
 class SegmentSolution:
-    """A window's answer on the IMU of a segment, at all of the window's nodes.
+    """A window's answer on the IMU of a segment, at all of the window's nodes."""
 
-    Attributes
-    ----------
-    segment : str
-        Name of the segment.
-    known : ndarray of bool, shape (n,)
-        Nodes at which that IMU has samples; elsewhere orientation is the identity and the rest nan.
-    states : States
-        Orientation to {K}, position and velocity of the IMU.
-    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2, or None
-        Of (position, rotation vector) in {K}; None where not asked for.
-    velocity_covariance : ndarray, shape (n, 3, 3), m^2/s^2, or None
-        In {K}, of the forearm; None where not asked for.
-    bias : ndarray, shape (n, 6), m/s^2 and rad/s
-    """
-
-    segment: str
-    known: BoolArray
-    states: States
-    pose_covariance: FloatArray | None
-    velocity_covariance: FloatArray | None
-    bias: FloatArray
+    segment: str  # Name of the segment
+    known: BoolArray  # bool (n,): nodes at which that IMU has samples
+    states: States  # Orientation to {K}, position and velocity of the IMU
+    pose_covariance: FloatArray | None  # (n, 6, 6) m^2, m rad, rad^2: of (position, rotation vector) in {K}
+    velocity_covariance: FloatArray | None  # (n, 3, 3) m^2/s^2: in {K}, of the forearm
+    bias: FloatArray  # (n, 6) m/s^2 and rad/s
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A window's answer.
+    """A window's answer."""
 
-    Attributes
-    ----------
-    index : int
-        Of the window.
-    bodies : tuple of SegmentSolution
-        Of each segment with an IMU, the forearm first.
-    shoulder : ndarray, shape (k, 3), m, or None
-        At the knots, in {K}.
-    shoulder_covariance : ndarray, shape (k, 3, 3), m^2, or None
-        At the knots; None where not asked for.
-    message : Message
-        The shared quantities.
-    residuals : dict of str to ndarray, shape (k, 3), m
-        By joint, camera minus answer in the order of `JointMeasurements`.
-    iterations : int
-        Of the optimiser.
-    error : float
-        Half the weighted squared sum.
-    offset_information : float, 1/s^2
-        On a clock offset of the window's own; 0 where not asked for.
-    accepted : bool
-        The model explains the motion in the window's long gaps; where False the upper arm is left out
-        there, so that the covariance covers what is open.
-    evidence : ErrorEvidence or None
-        On errors that are constant over the recording; None where not asked for.
-    draws : WindowDraws or None
-        Drawn from the posterior; None where not asked for.
-    shifts : tuple of BlockShift
-        Blocks of the camera's samples against the rest; empty where not asked for.
-    """
-
-    index: int
-    bodies: tuple[SegmentSolution, ...]
-    shoulder: FloatArray | None
-    shoulder_covariance: FloatArray | None
-    message: Message
+    index: int  # Of the window
+    bodies: tuple[SegmentSolution, ...]  # Of each segment with an IMU, the forearm first
+    shoulder: FloatArray | None  # (k, 3) m: at the knots, in {K}
+    shoulder_covariance: FloatArray | None  # (k, 3, 3) m^2: at the knots; None where not asked for
+    message: Message  # The shared quantities
+    # dict of (k, 3) m: By joint, camera minus answer in the order of `JointMeasurements`
     residuals: dict[str, FloatArray]
-    iterations: int
-    error: float
-    offset_information: float = 0.0
-    accepted: bool = True
-    evidence: ErrorEvidence | None = None
-    draws: WindowDraws | None = None
-    shifts: tuple[BlockShift, ...] = ()
+    iterations: int  # Of the optimiser
+    error: float  # Half the weighted squared sum
+    offset_information: float = 0.0  # On a clock offset of the window's own; 0 where not asked for
+    accepted: bool = True  # The model explains the motion in the window's long gaps
+    evidence: ErrorEvidence | None = None  # On errors that are constant over the recording
+    draws: WindowDraws | None = None  # Drawn from the posterior; None where not asked for
+    shifts: tuple[BlockShift, ...] = ()  # Blocks of the camera's samples against the rest
 
     @property
     def forearm(self) -> SegmentSolution:
@@ -184,61 +106,27 @@ class Solution:
 
 @dataclass(frozen=True)
 class NodeState:
-    """Pose and velocity of the IMU at one moment.
+    """Pose and velocity of the IMU at one moment."""
 
-    Attributes
-    ----------
-    t : float, s
-        On the IMU's clock.
-    R : ndarray, shape (3, 3)
-        `R_K_A`.
-    p : ndarray, shape (3,), m
-        In {K}.
-    v : ndarray, shape (3,), m/s
-        In {K}.
-    """
-
-    t: float
-    R: FloatArray
-    p: FloatArray
-    v: FloatArray
+    t: float  # s: on the IMU's clock
+    R: FloatArray  # (3, 3): `R_K_A`
+    p: FloatArray  # (3,) m: in {K}
+    v: FloatArray  # (3,) m/s: in {K}
 
 
 @dataclass(frozen=True)
 class LagSolution:
-    """A solved window.
+    """A solved window."""
 
-    Attributes
-    ----------
-    newest, settled : NodeState
-        Of the newest node, and of the one that `settled` was asked for.
-    bias : ndarray, shape (6,), m/s^2 and rad/s
-        The newest.
-    gravity : ndarray, shape (3,), m/s^2
-        In {K}.
-    levers : dict of str to ndarray, shape (3,), m
-        In {A}.
-    shoulder : ndarray, shape (3,), m, or None
-        The newest knot's, in {K}; None before the camera saw one.
-    covariance : ndarray, shape (c, c)
-        Joint, of the rows below; rotations as vectors in {K}.
-    rows : dict of str to slice
-        `turn`, `position`, `velocity`, `bias`, `gravity` of the newest node; `settled_turn`,
-        `settled_position`, `settled_velocity`; `shoulder`; and the lever arms by joint.
-    change_m : float, m
-        How far the last iteration moved the newest node.
-    iterations : int
-    """
-
-    newest: NodeState
-    settled: NodeState
-    bias: FloatArray
-    gravity: FloatArray
-    levers: dict[str, FloatArray]
-    shoulder: FloatArray | None
-    covariance: FloatArray
-    rows: dict[str, slice]
-    change_m: float
+    newest: NodeState  # Of the newest node, and of the one that `settled` was asked for
+    settled: NodeState  # Of the newest node, and of the one that `settled` was asked for
+    bias: FloatArray  # (6,) m/s^2 and rad/s: the newest
+    gravity: FloatArray  # (3,) m/s^2: in {K}
+    levers: dict[str, FloatArray]  # dict of (3,) m: in {A}
+    shoulder: FloatArray | None  # (3,) m: the newest knot's, in {K}; None before the camera saw one
+    covariance: FloatArray  # (c, c): joint, of the rows below; rotations as vectors in {K}
+    rows: dict[str, slice]  # `turn`, `position`, `velocity`, `bias`, `gravity` of the newest node
+    change_m: float  # How far the last iteration moved the newest node
     iterations: int
 
     def block(self, *names: str) -> FloatArray:

@@ -22,33 +22,15 @@ BLEND_HALF_S = 0.5
 
 @dataclass(frozen=True)
 class SegmentTrajectory:
-    """The IMU of a segment of the arm at the nodes.
+    """The IMU of a segment of the arm at the nodes."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,), s
-        Nodes on the forearm IMU's clock.
-    states : States
-        Pose and velocity of the IMU; position nan where it has no samples.
-    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2
-        Of (position, rotation vector) in {K}; zero where the windows were solved without.
-    velocity_covariance : ndarray, shape (n, 3, 3), m^2/s^2
-        In {K}; zero where the windows were solved without.
-    bias : ndarray, shape (n, 6), m/s^2 and rad/s
-        Of accelerometer and gyroscope.
-    gravity : ndarray, shape (n, 3), m/s^2
-        In {K}.
-    segment : str
-        Name of the segment.
-    """
-
-    t: FloatArray
-    states: States
-    pose_covariance: FloatArray
-    velocity_covariance: FloatArray
-    bias: FloatArray
-    gravity: FloatArray
-    segment: str = FOREARM.name
+    t: FloatArray  # (n,) s: nodes on the forearm IMU's clock
+    states: States  # Pose and velocity of the IMU; position nan where it has no samples
+    pose_covariance: FloatArray  # (n, 6, 6) m^2, m rad, rad^2: of (position, rotation vector) in {K}
+    velocity_covariance: FloatArray  # (n, 3, 3) m^2/s^2: in {K}; zero where the windows were solved without
+    bias: FloatArray  # (n, 6) m/s^2 and rad/s: of accelerometer and gyroscope
+    gravity: FloatArray  # (n, 3) m/s^2: in {K}
+    segment: str = FOREARM.name  # Name of the segment
 
     def of_nodes(self, nodes: slice) -> SegmentTrajectory:
         """At some of the nodes."""
@@ -61,25 +43,12 @@ class SegmentTrajectory:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The arm at the nodes.
+    """The arm at the nodes."""
 
-    Attributes
-    ----------
-    bodies : tuple of SegmentTrajectory
-        Of each segment with an IMU, the forearm first.
-    shoulder : ndarray, shape (n, 3), m, or None
-        In {K}; None where the camera saw no shoulder.
-    shoulder_covariance : ndarray, shape (n, 3, 3), m^2, or None
-        In {K}.
-    levers : dict of str to ndarray, shape (n, 3), m
-        Lever arms by joint in the axes of the IMU that its camera samples are tied to, as the windows that
-        the poses come from have them.
-    """
-
-    bodies: tuple[SegmentTrajectory, ...]
-    shoulder: FloatArray | None
-    shoulder_covariance: FloatArray | None
-    levers: dict[str, FloatArray]
+    bodies: tuple[SegmentTrajectory, ...]  # Of each segment with an IMU, the forearm first
+    shoulder: FloatArray | None  # (n, 3) m: in {K}; None where the camera saw no shoulder
+    shoulder_covariance: FloatArray | None  # (n, 3, 3) m^2: in {K}
+    levers: dict[str, FloatArray]  # dict of (n, 3) m
 
     @property
     def t(self) -> FloatArray:
@@ -102,23 +71,8 @@ class Trajectory:
         return interpolate(self.t, self.levers[joint], t)
 
 
-def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Trajectory:
-    """Blend the windows of a segment.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        The segment's nodes; each window covers a run of them.
-    windows : list of Window
-        In order of time.
-    solutions : list of Solution
-        Of each.
-
-    Returns
-    -------
-    trajectory : Trajectory
-        Covariances stay zero where the windows were solved without.
-    """
+def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Trajectory:  # t (n,) s
+    """Blend the windows of a segment."""
     n = len(t)
     has_shoulder = windows[0].shoulder is not None
     shoulder, shoulder_covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
@@ -180,24 +134,12 @@ def _merge_segment(
     )
 
 
-def window_share(t: FloatArray, window: Window, filled: np.ndarray) -> tuple[IntArray, IntArray, FloatArray]:
-    """What a window counts for in its section.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        The section's nodes.
-    window : Window
-    filled : ndarray of bool, shape (n,)
-        Nodes that windows before it have answered for.
-
-    Returns
-    -------
-    own, rows : ndarray of int, shape (k,)
-        The nodes that it answers for, counted in the window and in the section.
-    share : ndarray, shape (k,)
-        Its share there against the window before.
-    """
+def window_share(
+    t: FloatArray,  # (n,) s
+    window: Window,
+    filled: np.ndarray,  # bool (n,)
+) -> tuple[IntArray, IntArray, FloatArray]:  # own int (k,), rows int (k,), share (k,)
+    """What a window counts for in its section."""
     offset = int(np.searchsorted(t, window.t[0] - 1e-9))
     own = _own_nodes(window, first=offset == 0, last=offset + len(window.t) == len(t))
     rows = offset + own
@@ -243,37 +185,17 @@ def _shoulder_at_nodes(window: Window, solution: Solution) -> tuple[FloatArray, 
 
 
 def joint_from_pose(
-    R: FloatArray,
-    p: FloatArray,
-    pose_covariance: FloatArray,
-    lever: FloatArray,
-    lever_covariance: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray]:
+    R: FloatArray,  # (n, 3, 3)
+    p: FloatArray,  # (n, 3) m
+    pose_covariance: FloatArray,  # (n, 6, 6) m^2, m rad, rad^2
+    lever: FloatArray,  # (3,) or (n, 3) m
+    lever_covariance: FloatArray | None = None,  # (3, 3) m^2
+) -> tuple[FloatArray, FloatArray]:  # position (n, 3) m, covariance (n, 3, 3) m^2
     """A joint's position and covariance from the IMU's pose and the joint's lever arm.
 
     First-order propagation of `p + R l` with a rotation error in {K}: J = [I, -[R l]x] (Barfoot, State
     Estimation for Robotics, 2017, section 7.2); the lever arm's error is taken as independent
     of the pose's.
-
-    Parameters
-    ----------
-    R : ndarray, shape (n, 3, 3)
-        Orientations `R_K_A`.
-    p : ndarray, shape (n, 3), m
-        The IMU's positions in {K}.
-    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2
-        Of (position, rotation vector) in {K}; nan where the pose's covariance is not known.
-    lever : ndarray, shape (3,) or (n, 3), m
-        The joint in {A}.
-    lever_covariance : ndarray, shape (3, 3), m^2, optional
-        Of the lever arm in {A}; none where the joint is the IMU itself.
-
-    Returns
-    -------
-    position : ndarray, shape (n, 3), m
-        The joint in {K}.
-    covariance : ndarray, shape (n, 3, 3), m^2
-        Of the position, in {K}.
     """
     arm = np.einsum("nij,nj->ni", R, np.broadcast_to(lever, p.shape))
     jacobian = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(arm)], axis=2)
@@ -283,25 +205,8 @@ def joint_from_pose(
     return p + arm, covariance
 
 
-def at_times(motion: SegmentTrajectory, signal: InertialSignal, at: FloatArray) -> States:
-    """Pose and velocity at any times within the nodes: each node's state propagated forwards by the IMU.
-
-    What is missing at the next node (millimetres) is spread over the interval by the cubic that
-    leaves both ends where the graph put them.
-
-    Parameters
-    ----------
-    motion : SegmentTrajectory
-    signal : InertialSignal
-        Of the same IMU.
-    at : ndarray, shape (N,), s
-        Increasing times between the first and the last node.
-
-    Returns
-    -------
-    states : States
-        At the N times.
-    """
+def at_times(motion: SegmentTrajectory, signal: InertialSignal, at: FloatArray) -> States:  # at (N,) s
+    """Pose and velocity at any times within the nodes: each node's state propagated forwards by the IMU."""
     first, last = np.searchsorted(motion.t, at[[0, -1]], side="right").tolist()
     motion = motion.of_nodes(slice(max(min(first, len(motion.t) - 1) - 1, 0), last + 1))
     nodes = motion.t
@@ -342,24 +247,12 @@ def at_times(motion: SegmentTrajectory, signal: InertialSignal, at: FloatArray) 
     return States(turned, p[row] + value, v[row] + slope)
 
 
-def merge_draws(t: FloatArray, windows: Sequence[Window], solutions: Sequence[Solution]) -> WindowDraws:
-    """The windows' draws blended as `merge_windows` blends the answer.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,), s
-        The section's nodes; each window covers a run of them.
-    windows : sequence of Window
-        In order of time.
-    solutions : sequence of Solution
-        Of each, with draws.
-
-    Returns
-    -------
-    draws : WindowDraws
-        At the nodes; both windows drew nearly the same motion where they overlap, so that the blend keeps
-        its variance.
-    """
+def merge_draws(
+    t: FloatArray,  # (n,) s
+    windows: Sequence[Window],
+    solutions: Sequence[Solution],
+) -> WindowDraws:
+    """The windows' draws blended as `merge_windows` blends the answer."""
     merged: dict[str, FloatArray] = {}
     filled = np.zeros(len(t), dtype=bool)
     for window, solution in zip(windows, solutions, strict=True):
@@ -373,22 +266,8 @@ def merge_draws(t: FloatArray, windows: Sequence[Window], solutions: Sequence[So
     return WindowDraws.from_columns(merged)
 
 
-def segment_at(motion: SegmentTrajectory, prepared: PreparedSegment, at: FloatArray) -> States:
-    """Pose and velocity of an IMU that pauses at any times; orientation and all else nan without samples.
-
-    Parameters
-    ----------
-    motion : SegmentTrajectory
-    prepared : PreparedSegment
-        What it was solved of.
-    at : ndarray, shape (k,), s
-        Increasing.
-
-    Returns
-    -------
-    states : States
-        At the k times.
-    """
+def segment_at(motion: SegmentTrajectory, prepared: PreparedSegment, at: FloatArray) -> States:  # at (k,) s
+    """Pose and velocity of an IMU that pauses at any times; orientation and all else nan without samples."""
     states = States(
         np.full((len(at), 3, 3), np.nan), np.full((len(at), 3), np.nan), np.full((len(at), 3), np.nan)
     )
@@ -412,18 +291,7 @@ def segment_at(motion: SegmentTrajectory, prepared: PreparedSegment, at: FloatAr
 def with_start(
     prepared: PreparedSegment, forearm: States, trajectory: Trajectory, before: PreparedSegment
 ) -> PreparedSegment:
-    """The segment with an earlier solution's motion as start values, where it has any.
-
-    Parameters
-    ----------
-    prepared : PreparedSegment
-    forearm : States
-        The forearm's at its nodes.
-    trajectory : Trajectory
-        The earlier solution.
-    before : PreparedSegment
-        What that was solved of.
-    """
+    """The segment with an earlier solution's motion as start values, where it has any."""
     bodies = [replace(prepared.forearm, start=forearm)]
     for run in prepared.bodies[1:]:
         start, motion = run.start, trajectory.of(run.segment)

@@ -36,20 +36,7 @@ class AngleErrors:
 
 
 def angle_errors(made: SimulatedArm, imus: int) -> list[AngleErrors]:
-    """Errors of every angle that a recovery of a simulated arm has.
-
-    Parameters
-    ----------
-    made : SimulatedArm
-        With IMUs on upper arm and trunk, of which no more than asked for are used.
-    imus : int
-        1: on the forearm alone; 2: and on the upper arm. The trunk is the camera's in both.
-
-    Returns
-    -------
-    errors : list of AngleErrors
-        Of the samples with a value and a sigma. The mounting is estimated, and pronation with it.
-    """
+    """Errors of every angle that a recovery of a simulated arm has."""
     recorded = replace(made.recording, truth=None, trunk=None)
     if made.recording.trunk is not None:  # a skeleton of two arms, without the IMU
         recorded = replace(recorded, opposite=made.recording.trunk.other_arm)

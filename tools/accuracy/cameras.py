@@ -52,9 +52,8 @@ def placing_error(found: CameraEstimate, simulated: SimulatedArm) -> tuple[float
 
 
 def compare_cameras(options: argparse.Namespace) -> Iterator[str]:
-    """The wrist's error in the first camera's gaps, with it alone and with further ones; nothing calibrated.
-
-    `blind`: no camera sees the forearm; `helped`: a further one does. Then how well they were placed.
+    """The wrist's error in the first camera's gaps, with it alone and with further ones; nothing
+    calibrated.
     """
     settings = {
         "protocol": "random",
@@ -108,11 +107,7 @@ def compare_cameras(options: argparse.Namespace) -> Iterator[str]:
 
 
 def lone_rgb(options: argparse.Namespace) -> Iterator[str]:
-    """One camera without depth and a wrist IMU: the wrist's error in gaps by how fast the arm moves.
-
-    `depth`: its part along the camera's axis, in the mean of a recording; `far`: recordings whose verdict
-    says that the distance is not determined better than some cm.
-    """
+    """One camera without depth and a wrist IMU: the wrist's error in gaps by how fast the arm moves."""
     settings: dict[str, object] = {
         "protocol": "random",
         "duration_s": 60.0,

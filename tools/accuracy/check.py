@@ -36,19 +36,10 @@ def option(*names: str, **settings: Any) -> Option:
 
 @dataclass(frozen=True)
 class Check:
-    """A figure that can be repeated.
+    """A figure that can be repeated."""
 
-    Attributes
-    ----------
-    name : str
-        `python -m tools.accuracy NAME`.
-    rows : callable
-        From the options to the lines that are printed; its docstring states what is measured.
-    options : tuple of Option
-    """
-
-    name: str
-    rows: Callable[[argparse.Namespace], Iterator[str]]
+    name: str  # `python -m tools.accuracy NAME`
+    rows: Callable[[argparse.Namespace], Iterator[str]]  # From the options to the lines that are printed
     options: tuple[Option, ...] = ()
 
     @property

@@ -34,18 +34,13 @@ FIRST_S = 7.0
 
 @dataclass
 class Errors:
-    """Errors of all answers.
+    """Errors of all answers."""
 
-    Attributes
-    ----------
-    now, settled : list of tuple of float
-        Time since the last frame (s, 0 where visible), error (m), squared error over variance / 3, time since
-        the first answer (s).
-    step_ms : list of float, ms
-    lags_s : list of float, s
-    """
-
+    # Time since the last frame (s, 0 where visible), error (m), squared error over variance / 3, time since
+    # the first answer (s)
     now: list[tuple[float, float, float, float]] = field(default_factory=list)
+    # Time since the last frame (s, 0 where visible), error (m), squared error over variance / 3, time since
+    # the first answer (s)
     settled: list[tuple[float, float, float, float]] = field(default_factory=list)
     step_ms: list[float] = field(default_factory=list)
     lags_s: list[float] = field(default_factory=list)

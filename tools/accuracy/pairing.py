@@ -54,24 +54,12 @@ GRID_HZ, KNOWN_S = 25.0, 0.1
 
 @dataclass(frozen=True)
 class PairTrial:
-    """A pair of streams, and what came of it.
-
-    Attributes
-    ----------
-    is_right : bool
-    proved : bool
-        As files with unrelated clocks.
-    accepted : bool
-        As streams of one recorder: no reason against it.
-    found : bool or None
-        The clock of the unrelated files is right; None where it is not known.
-    evidence : float
-    """
+    """A pair of streams, and what came of it."""
 
     is_right: bool
-    proved: bool
-    accepted: bool
-    found: bool | None
+    proved: bool  # As files with unrelated clocks
+    accepted: bool  # As streams of one recorder: no reason against it
+    found: bool | None  # The clock of the unrelated files is right; None where it is not known
     evidence: float
 
 
@@ -216,12 +204,7 @@ def _imported(skeleton: Path, imu: tuple[Path, ...]) -> Recording | None:
 
 
 def known_clock_s(recording: Recording) -> float | None:
-    """The clock offset that inclination and turning rate agree on, s; None where they do not.
-
-    Inclination: the forearm's angle to gravity by the camera, as a linear function of gravity in the sensor.
-    Turning rate: how fast its direction turns, against the gyroscope. Each takes the shift at which it is
-    least likely to agree by chance, with 4 s (or most of the shorter stream) in common.
-    """
+    """The clock offset that inclination and turning rate agree on, s; None where they do not."""
     arm, imu = recording.arm, recording.imu
     seen = arm.tracked("elbow") & arm.tracked("wrist")
     t = arm.t_s[seen]

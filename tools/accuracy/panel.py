@@ -140,11 +140,7 @@ def real(options: argparse.Namespace) -> Iterator[str]:
 
 
 def real_planes(folder: Path, corrected: bool) -> dict[str, tuple[float, float, float, float, float]]:
-    """By image: depth (m), angle (deg) and distance (mm) to the published plane, sigma (deg), noise (mm).
-
-    The plane is that of principal components of the panel's depth, its outline given; the published one comes
-    from the colour image's corners. The distance is taken at the centre of the depth points.
-    """
+    """By image: depth (m), angle (deg) and distance (mm) to the published plane, sigma (deg), noise (mm)."""
     data = loadmat(folder / "full_set.mat", squeeze_me=True, struct_as_record=False)
     published = data["final_calib"]
     k1, k2, p1, p2, k3 = published.dkc

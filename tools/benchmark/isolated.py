@@ -21,20 +21,7 @@ MEMORY_LOOK_S = 0.02
 
 
 class PrivatePeak:
-    """Looks at the private memory of a process and of its workers again and again.
-
-    Parameters
-    ----------
-    pid : int, optional
-        The process; this one if not given.
-    look_s : float, s
-        How often to look.
-
-    Attributes
-    ----------
-    workers : int
-        Most processes that it had started at a time.
-    """
+    """Looks at the private memory of a process and of its workers again and again."""
 
     def __init__(self, pid: int | None = None, look_s: float = MEMORY_LOOK_S) -> None:
         self._pid = os.getpid() if pid is None else pid
@@ -106,13 +93,7 @@ LOOK_S = 0.2
 
 
 class Stopped(Exception):
-    """The function was stopped at a limit; the message states which.
-
-    Attributes
-    ----------
-    seconds, peak_mb : float, s and MB
-        What it had taken until then.
-    """
+    """The function was stopped at a limit; the message states which."""
 
     def __init__(self, text: str, seconds: float, peak_mb: float) -> None:
         super().__init__(text)
@@ -126,15 +107,7 @@ def isolated(
     limit_gb: float = float("inf"),
     environment: dict[str, str] | None = None,
 ) -> Any:
-    """What the function returns, run in a new process.
-
-    Raises
-    ------
-    Stopped
-        It took longer, or more memory, than allowed.
-    RuntimeError
-        It failed.
-    """
+    """What the function returns, run in a new process."""
     context = multiprocessing.get_context("spawn")
     mine, its = context.Pipe(duplex=False)
     process = context.Process(target=_run, args=(its, function, arguments))

@@ -62,10 +62,7 @@ UPPER_ARM_SIGMA_M = 0.05
 
 @dataclass(frozen=True)
 class Frames:
-    """What the graph is built from: camera frames (f,) with joints (f, 5, 3), start values, IMU pieces.
-
-    Piece k belongs to the interval before frame `owner[k]`: acc, gyro (m, 3) over h (m,) s.
-    """
+    """What the graph is built from: camera frames (f,) with joints (f, 5, 3), start values, IMU pieces."""
 
     t: FloatArray
     joints: FloatArray

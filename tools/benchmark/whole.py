@@ -46,35 +46,18 @@ OCCLUSION_S, OCCLUSION_EVERY_S = 2.0, 10.0
 
 @dataclass(frozen=True)
 class Made:
-    """A recording on disk.
-
-    Attributes
-    ----------
-    path : Path
-    truth : Path
-        The simulated motion (.npz), which the measured file contains too unless it was left out.
-    length_s, samples, frames : float, s, and int
-        Of the recording.
-    """
+    """A recording on disk."""
 
     path: Path
-    truth: Path
+    truth: Path  # The simulated motion (.npz), which the measured file contains too unless it was left out
     minutes: float
-    length_s: float
-    samples: int
-    frames: int
+    length_s: float  # Of the recording
+    samples: int  # s: of the recording
+    frames: int  # s: of the recording
 
 
 def make(folder: Path, minutes: float, preset: str, seed: int, truth_inside: bool) -> Made:
-    """Simulate and write a recording of `OCCLUSION_S` of occlusion about every `OCCLUSION_EVERY_S`.
-
-    Six hours are simulated in one go like any length (103 s and 2.1 GB): nothing is repeated or joined.
-
-    Parameters
-    ----------
-    truth_inside : bool
-        The file contains the true motion too, as `unocclude simulate` writes it.
-    """
+    """Simulate and write a recording of `OCCLUSION_S` of occlusion about every `OCCLUSION_EVERY_S`."""
     config = ArmSimulation.preset(
         preset,
         protocol="random",
@@ -119,35 +102,17 @@ COMMAND = "from smoother.cli import main; main()"
 
 @dataclass(frozen=True)
 class Run:
-    """One run of the command.
+    """One run of the command."""
 
-    Attributes
-    ----------
-    seconds : float, s
-        From start to end of the program.
-    cpu_s : float, s
-        Of all its processes.
-    main_mb, worker_mb : float, MB
-        Peak of the private memory (RssAnon) of the main process and of the largest worker; 0 where unknown.
-    workers : int
-        Processes that it started, at most this many at a time.
-    """
-
-    seconds: float
-    cpu_s: float
-    main_mb: float
-    worker_mb: float
-    workers: int
+    seconds: float  # s: from start to end of the program
+    cpu_s: float  # Of all its processes
+    main_mb: float  # Peak of the private memory (RssAnon) of the main process and of the largest worker
+    worker_mb: float  # Peak of the private memory (RssAnon) of the main process and of the largest worker
+    workers: int  # Processes that it started, at most this many at a time
 
 
 def end_to_end(source: Path, result: Path, processes: int, python: str = sys.executable) -> Run:
-    """Run `unocclude smooth SOURCE -o RESULT`, that of another installation where its `python` is given.
-
-    Raises
-    ------
-    RuntimeError
-        It failed; the text is what it said.
-    """
+    """Run `unocclude smooth SOURCE -o RESULT`, that of another installation where its `python` is given."""
     with tempfile.TemporaryFile() as said:
         began = time.perf_counter()
         command = subprocess.Popen(
@@ -167,20 +132,7 @@ def end_to_end(source: Path, result: Path, processes: int, python: str = sys.exe
 
 
 def against(python: str, source: Path, result: Path, processes: int, runs: int) -> dict[str, float]:
-    """Run the command of another installation and ours in turn on one recording.
-
-    Parameters
-    ----------
-    python : str
-        The other installation's interpreter.
-    runs : int
-        Of each.
-
-    Returns
-    -------
-    ratios : dict
-        Median of the others over median of ours, by the name in `Run`; above 1 we need less.
-    """
+    """Run the command of another installation and ours in turn on one recording."""
     theirs, ours = [], []
     for _ in range(runs):
         theirs.append(end_to_end(source, result, processes, python))
@@ -205,29 +157,15 @@ def help_seconds(runs: int = 3) -> float:
 
 @dataclass(frozen=True)
 class Exactness:
-    """Errors of a recovery's occluded samples.
+    """Errors of a recovery's occluded samples."""
 
-    Attributes
-    ----------
-    rms_cm, max_cm : float, cm
-        Of the IMU's position, cm.
-    rms_deg : float, deg
-        Of its orientation, degrees; nan where the method has none.
-    inside_95 : float
-        Part of the samples inside the region that should hold 95 %; nan without a covariance.
-    samples, unanswered : int
-        How many have an answer, and how many have not.
-    gaps : int
-        Of the recording.
-    """
-
-    rms_cm: float
-    max_cm: float
-    rms_deg: float
-    inside_95: float
-    samples: int
-    unanswered: int
-    gaps: int
+    rms_cm: float  # Of the IMU's position, cm
+    max_cm: float  # Of the IMU's position, cm
+    rms_deg: float  # Of its orientation, degrees; nan where the method has none
+    inside_95: float  # Part of the samples inside the region that should hold 95 %; nan without a covariance
+    samples: int  # How many have an answer, and how many have not
+    unanswered: int  # How many have an answer, and how many have not
+    gaps: int  # Of the recording
 
 
 def exactness(recovery: Recovery, truth: Truth, occluded: BoolArray | None = None) -> Exactness:
@@ -267,32 +205,16 @@ METHODS = (*(f"plain graph, {way}" for way in WAYS), *BASELINES_BESIDE)
 
 @dataclass(frozen=True)
 class Beside:
-    """A method's time and errors.
+    """A method's time and errors."""
 
-    Attributes
-    ----------
-    own_s, all_s : float, s
-        Its own time, and with what it needs; of `smooth` both are the whole call, from a recording in memory
-        to a recovery in memory, self-calibration included.
-    cpu_s : float, s
-        Processor time of `all_s`, workers' included where they have ended.
-    peak_mb : float, MB
-        Private memory of the process that ran it, which contains recording and `smooth`'s answer too.
-    exact : Exactness
-        Errors in the gaps.
-    from_smooth_cm : float, cm
-        Rms distance from `smooth`'s answer in the gaps.
-    steps : dict
-        Seconds by step, and iterations, of a plain graph.
-    """
-
-    own_s: float
-    all_s: float
-    cpu_s: float
+    own_s: float  # Its own time, and with what it needs
+    all_s: float  # Its own time, and with what it needs
+    cpu_s: float  # Processor time of `all_s`, workers' included where they have ended
+    # Private memory of the process that ran it, which contains recording and `smooth`'s answer too
     peak_mb: float
-    exact: Exactness
-    from_smooth_cm: float
-    steps: dict[str, float] = field(default_factory=dict)
+    exact: Exactness  # Errors in the gaps
+    from_smooth_cm: float  # Rms distance from `smooth`'s answer in the gaps
+    steps: dict[str, float] = field(default_factory=dict)  # Seconds by step, and iterations, of a plain graph
 
 
 def run_smooth(made: Made, processes: int, kept: Path) -> Beside:
@@ -359,21 +281,11 @@ EXPORTS = ("csv", "parquet", "trc", "mot", "c3d", "sto")
 
 @dataclass(frozen=True)
 class Waited:
-    """One command.
+    """One command."""
 
-    Attributes
-    ----------
-    name : str
-        What was called.
-    seconds : float, s
-        From start to end.
-    shows_progress : bool
-        Whether it shows progress.
-    """
-
-    name: str
-    seconds: float
-    shows_progress: bool
+    name: str  # What was called
+    seconds: float  # s: from start to end
+    shows_progress: bool  # Whether it shows progress
 
 
 def commands(made: Made, folder: Path) -> Iterator[tuple[str, list[str]]]:
@@ -395,20 +307,7 @@ def commands(made: Made, folder: Path) -> Iterator[tuple[str, list[str]]]:
 
 
 def waited(made: Made, folder: Path) -> list[Waited]:
-    """Run every command on one recording, each in a process of its own.
-
-    Parameters
-    ----------
-    made : Made
-        With the truth inside.
-    folder : Path
-        Where the results may lie.
-
-    Raises
-    ------
-    RuntimeError
-        One failed; the text is what it said. 3, not to be trusted, is not a failure.
-    """
+    """Run every command on one recording, each in a process of its own."""
     return [_run(name, arguments, folder) for name, arguments in commands(made, folder)]
 
 

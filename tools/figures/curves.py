@@ -100,24 +100,12 @@ TITLES = {
 
 @dataclass(frozen=True)
 class Job:
-    """One recording with gaps of one length, all methods.
+    """One recording with gaps of one length, all methods."""
 
-    Attributes
-    ----------
-    data : str
-        A name of `TITLES`.
-    recording : str or int
-        Which of its recordings: a seed, a file, or "subject/trial".
-    length_s : float, s
-        The gaps' length, s.
-    methods : sequence of str
-        Names to run.
-    """
-
-    data: str
-    recording: str
-    length_s: float
-    methods: tuple[str, ...] = METHODS
+    data: str  # A name of `TITLES`
+    recording: str  # Which of its recordings: a seed, a file, or "subject/trial"
+    length_s: float  # The gaps' length, s
+    methods: tuple[str, ...] = METHODS  # Names to run
 
     @property
     def name(self) -> str:
@@ -228,15 +216,7 @@ Rows = list[dict[str, Any]]
 
 
 def measure(todo: Iterable[Job], kept: Path, processes: int, until_s: float = float("inf")) -> None:
-    """Run what `kept` does not hold yet, and add each job to it as it ends.
-
-    Parameters
-    ----------
-    kept : Path
-        JSON lines, {"job", "data", "rows"} each; an interrupted run goes on from it.
-    until_s : float, s
-        No job is begun after this many seconds.
-    """
+    """Run what `kept` does not hold yet, and add each job to it as it ends."""
     done = {entry["job"] for entry in read_rows(kept)}
     left = [job for job in todo if job.name not in done]
     began = time.perf_counter()

@@ -73,14 +73,7 @@ def _rows(imu: ImuStream) -> ImuRows:
 
 
 class StreamsSource:
-    """Streams as the source of a session whose time is theirs; it never waits.
-
-    Parameters
-    ----------
-    streams : Streams
-    simulation : SimulatedArm
-        That they are of.
-    """
+    """Streams as the source of a session whose time is theirs; it never waits."""
 
     speed = 0.0
 
@@ -149,17 +142,10 @@ class StreamsSource:
 
 @dataclass
 class Answers:
-    """All answers of a session; a receiver.
-
-    Attributes
-    ----------
-    outputs : list of LiveOutput
-    events : list of (float, str)
-        When, and what was said.
-    """
+    """All answers of a session; a receiver."""
 
     outputs: list[LiveOutput] = field(default_factory=list)
-    events: list[tuple[float, str]] = field(default_factory=list)
+    events: list[tuple[float, str]] = field(default_factory=list)  # When, and what was said
 
     def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
         """Keep them."""
@@ -171,14 +157,7 @@ class Answers:
 
 
 class Sound:
-    """A sound session until a moment: faults branch off from it, each in a process of its own (`os.fork`).
-
-    Parameters
-    ----------
-    simulation : SimulatedArm
-    until_s : float, s
-        The session's time at which faults begin.
-    """
+    """A sound session until a moment: faults branch off from it, each in a process of its own (`os.fork`)."""
 
     def __init__(self, simulation: SimulatedArm, until_s: float = -np.inf):
         recording = simulation.recording
@@ -230,38 +209,18 @@ def forked(job: Callable[[], Verdict], longest_s: float) -> Verdict:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How one kind of fault ended.
-
-    Attributes
-    ----------
-    kind : str
-    seed : int
-    wrong_s : float, s
-        Time with an answer whose error is beyond three of its sigmas.
-    silent_s : float, s
-        Time after the fault began without an answer, or with one that is provisional.
-    worst_m, at_sigma_m : float, m
-        The largest error in sigmas: the error, and the sigma that was stated.
-    sound_cm : float, cm
-        Error (rms) of the last five seconds where the arm was visible; nan without an answer.
-    said_s : float, s
-        After the fault began, the first sentence about it or answer that calls itself doubtful; nan: never.
-    ended : str
-        What was done, in the order of the first time.
-    said : tuple of str
-        What was said after the fault began.
-    """
+    """How one kind of fault ended."""
 
     kind: str
     seed: int
-    wrong_s: float
-    silent_s: float
-    worst_m: float
-    at_sigma_m: float
-    sound_cm: float
-    said_s: float
-    ended: str
-    said: tuple[str, ...]
+    wrong_s: float  # Time with an answer whose error is beyond three of its sigmas
+    silent_s: float  # Time after the fault began without an answer, or with one that is provisional
+    worst_m: float  # The largest error in sigmas: the error, and the sigma that was stated
+    at_sigma_m: float  # The largest error in sigmas: the error, and the sigma that was stated
+    sound_cm: float  # Error (rms) of the last five seconds where the arm was visible; nan without an answer
+    said_s: float  # After the fault began, the first sentence about it or answer that calls itself doubtful
+    ended: str  # What was done, in the order of the first time
+    said: tuple[str, ...]  # What was said after the fault began
 
 
 #: What a sentence says was done, by words of it.

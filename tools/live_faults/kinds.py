@@ -17,19 +17,11 @@ _SHOULDER, _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("shoulder", "elbo
 
 @dataclass(frozen=True)
 class Streams:
-    """What a session gets, in order of arrival.
-
-    Attributes
-    ----------
-    imu : ImuRows
-    frames : FrameRows
-    further : mapping of str to ImuRows
-        Of IMUs beyond the forearm, by segment.
-    """
+    """What a session gets, in order of arrival."""
 
     imu: ImuRows
     frames: FrameRows
-    further: Mapping[str, ImuRows] = field(default_factory=dict)
+    further: Mapping[str, ImuRows] = field(default_factory=dict)  # Of IMUs beyond the forearm, by segment
 
     def sorted(self) -> Streams:
         """In order of arrival."""

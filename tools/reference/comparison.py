@@ -26,19 +26,11 @@ _WIDTH = 160
 
 @dataclass(frozen=True)
 class Finding:
-    """One part of a case.
+    """One part of a case."""
 
-    Attributes
-    ----------
-    case, part : str
-        Such as `demo: smooth ..`, and `stdout` or a file's name.
-    state : str
-        One of `STATES`.
-    """
-
-    case: str
-    part: str
-    state: str
+    case: str  # Such as `demo: smooth ..`, and `stdout` or a file's name
+    part: str  # Such as `demo: smooth ..`, and `stdout` or a file's name
+    state: str  # One of `STATES`
 
     @property
     def group(self) -> str:
@@ -47,14 +39,7 @@ class Finding:
 
 
 def findings(old: Reference, new: Reference, only: str = "") -> list[Finding]:
-    """Every part of every case that is in one of both.
-
-    Parameters
-    ----------
-    old, new : Reference
-    only : str
-        Cases of the old one whose name does not contain this are left out.
-    """
+    """Every part of every case that is in one of both."""
     found = []
     for case in dict.fromkeys([*old.hashes, *new.hashes]):
         if only not in case:
@@ -87,14 +72,7 @@ def table(found: list[Finding]) -> str:
 
 
 def first_difference(before: str, after: str, most: int) -> list[str]:
-    """A unified diff from the first line that differs on.
-
-    Parameters
-    ----------
-    before, after : str
-    most : int
-        Lines of it.
-    """
+    """A unified diff from the first line that differs on."""
     old, new = before.split("\n"), after.split("\n")
     start = next(
         (k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new))
@@ -155,21 +133,11 @@ def made_on() -> dict[str, str]:
 
 @dataclass
 class Reference:
-    """Hashes of every case's parts, and their texts.
+    """Hashes of every case's parts, and their texts."""
 
-    Attributes
-    ----------
-    hashes : dict
-        By case, by part.
-    texts : dict
-        By hash.
-    made_on : dict
-        Versions and the commit.
-    """
-
-    hashes: dict[str, dict[str, str]] = field(default_factory=dict)
-    texts: dict[str, str] = field(default_factory=dict)
-    made_on: dict[str, str] = field(default_factory=dict)
+    hashes: dict[str, dict[str, str]] = field(default_factory=dict)  # By case, by part
+    texts: dict[str, str] = field(default_factory=dict)  # By hash
+    made_on: dict[str, str] = field(default_factory=dict)  # Versions and the commit
 
     @classmethod
     def of(cls, records: Records) -> Reference:

@@ -32,14 +32,7 @@ def digest(data: bytes) -> str:
 
 
 def rendering(path: Path, folder: Path) -> str:
-    """A file as text, without what changes from run to run.
-
-    Parameters
-    ----------
-    path : Path
-    folder : Path
-        Where the command ran.
-    """
+    """A file as text, without what changes from run to run."""
     return rendered(path.name, path.read_bytes(), folder)
 
 
@@ -186,14 +179,7 @@ MASKS: tuple[tuple[str, str], ...] = (
 
 
 def masked(text: str, folder: Path | None = None) -> str:
-    """The text without what changes from run to run.
-
-    Parameters
-    ----------
-    text : str
-    folder : Path, optional
-        Where the command ran: stands as FOLDER.
-    """
+    """The text without what changes from run to run."""
     if folder is not None:
         for name in sorted({str(folder), str(folder.resolve())}, key=len, reverse=True):
             text = text.replace(name, "FOLDER")

@@ -44,23 +44,12 @@ _PRELOADED = (
 
 @dataclass(frozen=True)
 class Step:
-    """One command.
+    """One command."""
 
-    Attributes
-    ----------
-    words : tuple of str
-        Of the command line, run in `folder`.
-    folder : Path
-    name : str
-        In the reference, beside the group's; the command line if not given.
-    prepare : callable, optional
-        Puts inputs into the folder.
-    """
-
-    words: tuple[str, ...]
+    words: tuple[str, ...]  # Of the command line, run in `folder`
     folder: Path
-    name: str = ""
-    prepare: Callable[[], None] | None = None
+    name: str = ""  # In the reference, beside the group's; the command line if not given
+    prepare: Callable[[], None] | None = None  # Puts inputs into the folder
 
     @property
     def title(self) -> str:
@@ -70,22 +59,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Group:
-    """Commands that build on each other, in a folder of their own.
-
-    Attributes
-    ----------
-    name : str
-    lines : str
-        A command a line, without the program's name. Paths are relative; PROJECT/ is the project's folder.
-    inputs : callable, optional
-        Puts files into the folder first.
-    steps : callable, optional
-        Gives the steps by itself, from the folder, instead of `lines`.
-    """
+    """Commands that build on each other, in a folder of their own."""
 
     name: str
-    lines: str = ""
-    inputs: Callable[[Path], None] | None = None
+    lines: str = ""  # A command a line, without the program's name. Paths are relative
+    inputs: Callable[[Path], None] | None = None  # Puts files into the folder first
+    # Gives the steps by itself, from the folder, instead of `lines`
     steps: Callable[[Path], Iterator[Step]] | None = None
 
     @property
@@ -224,24 +203,7 @@ def _read_log(log: Path) -> Records:
 
 
 def run_groups(groups: Sequence[Group], processes: int, only: str = "", shown: bool = True) -> Records:
-    """Run all groups, some at a time.
-
-    Parameters
-    ----------
-    groups : sequence of Group
-        Those that take longest first.
-    processes : int
-        Groups at a time.
-    only : str
-        Only cases whose name, `GROUP: COMMAND`, holds this.
-    shown : bool
-        Tell of each group on stderr.
-
-    Returns
-    -------
-    records : Records
-        In the order of the groups.
-    """
+    """Run all groups, some at a time."""
     os.environ.update(ENVIRONMENT)
     time.tzset()
     for module in _PRELOADED:

@@ -30,30 +30,15 @@ PAIR_S = (40.0, 72.0)
 
 @dataclass(frozen=True)
 class Job:
-    """A set-up to draw: which case (its number in `CASES`), who does what for how long, and the seeds.
-
-    Attributes
-    ----------
-    case : int
-    exercise : str
-    duration_s : float, s
-    rate_hz : float, Hz
-        Of the camera.
-    seed : int
-        As printed.
-    family : int
-        1 for the seeds that are held out.
-    kind : str
-        See `Row.kind`.
-    """
+    """A set-up to draw: which case (its number in `CASES`), who does what for how long, and the seeds."""
 
     case: int
     exercise: str
     duration_s: float
-    rate_hz: float
-    seed: int
-    family: int
-    kind: str
+    rate_hz: float  # Of the camera
+    seed: int  # As printed
+    family: int  # 1 for the seeds that are held out
+    kind: str  # See `Row.kind`
 
     def row(self) -> Row:
         """Smooth and judge it."""

@@ -26,24 +26,15 @@ RIGHT, UP, FORWARD = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
 
 @dataclass(frozen=True)
 class Bones:
-    """Lengths of a person, and the sensor on the forearm.
+    """Lengths of a person, and the sensor on the forearm."""
 
-    Attributes
-    ----------
-    upper_arm, forearm, hand, half_shoulders : float, m
-        Shoulder to elbow, elbow to wrist, wrist to the hand's centre, neck to shoulder.
-    imu_in_forearm : ndarray, shape (3,), m
-        In {F}.
-    R_F_A : ndarray, shape (3, 3)
-        Sensor axes to forearm axes.
-    """
-
-    upper_arm: float
-    forearm: float
-    hand: float
+    upper_arm: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre, neck to shoulder
+    forearm: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre, neck to shoulder
+    hand: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre, neck to shoulder
+    # m: Shoulder to elbow, elbow to wrist, wrist to the hand's centre, neck to shoulder
     half_shoulders: float
-    imu_in_forearm: FloatArray
-    R_F_A: FloatArray
+    imu_in_forearm: FloatArray  # (3,) m: in {F}
+    R_F_A: FloatArray  # (3, 3): sensor axes to forearm axes
 
 
 def draw_bones(rng: np.random.Generator, *, small: bool = False) -> Bones:
@@ -72,33 +63,18 @@ def draw_bones(rng: np.random.Generator, *, small: bool = False) -> Bones:
 
 @dataclass(frozen=True)
 class Posture:
-    """Where an arm is at a moment.
+    """Where an arm is at a moment."""
 
-    Attributes
-    ----------
-    upper : Rotation
-        `R_P_U`.
-    flexion, pronation, wrist : float, rad
-        Of elbow, forearm, and of the wrist (flexion).
-    trunk : ndarray, shape (3,), m
-        Shift of the whole trunk in {P}.
-    girdle : ndarray, shape (3,), m
-        Shift of the shoulder on the trunk in {P}.
-    """
-
-    upper: Rotation
-    flexion: float
-    pronation: float = 0.0
-    wrist: float = 0.0
+    upper: Rotation  # `R_P_U`
+    flexion: float  # rad: of elbow, forearm, and of the wrist (flexion)
+    pronation: float = 0.0  # rad: of elbow, forearm, and of the wrist (flexion)
+    wrist: float = 0.0  # rad: of elbow, forearm, and of the wrist (flexion)
     trunk: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     girdle: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
 
 
 def pointing(upper: ArrayLike, forearm: ArrayLike, **more: object) -> Posture:
-    """The posture with the upper arm and the forearm along two directions of {P} (3,).
-
-    With the arm straight, where its plane is open, the elbow points outward and down.
-    """
+    """The posture with the upper arm and the forearm along two directions of {P} (3,)."""
     u, f = unit(np.asarray(upper, float)), unit(np.asarray(forearm, float))
     axis = np.cross(u, f)
     size = np.linalg.norm(axis)
@@ -109,19 +85,14 @@ def pointing(upper: ArrayLike, forearm: ArrayLike, **more: object) -> Posture:
     return Posture(Rotation.from_matrix(R_P_U), float(np.arctan2(size, u @ f)), **more)  # type: ignore[arg-type]
 
 
-def reaching(target: FloatArray, bones: Bones, swivel_deg: float = 0.0, **more: object) -> Posture:
-    """The posture whose wrist is at a place seen from the shoulder (3,), m in {P}: two links in their plane.
-
-    Parameters
-    ----------
-    target : ndarray, shape (3,), m
-        In {P}; farther than the arm reaches, the arm is nearly straight.
-    bones : Bones
-        Whose arm.
-    swivel_deg : float, degrees
-        Where the elbow points: 0 down and back, 90 outward.
-    more
-        Further fields of the posture.
+def reaching(
+    target: FloatArray,  # (3,) m
+    bones: Bones,
+    swivel_deg: float = 0.0,
+    **more: object,
+) -> Posture:
+    """The posture whose wrist is at a place seen from the shoulder (3,), m in {P}: two links in their
+    plane.
     """
     a, b, way = bones.upper_arm, bones.forearm, np.asarray(target, float)
     far = float(np.clip(np.linalg.norm(way), 1.05 * abs(a - b) + 0.05, 0.995 * (a + b)))
@@ -160,25 +131,13 @@ def slow_noise(
 
 @dataclass(frozen=True)
 class Jitter:
-    """How a person differs from the plan.
+    """How a person differs from the plan."""
 
-    Attributes
-    ----------
-    sway_m : float, m
-        Slow sway of the trunk, per axis.
-    wander_deg : float, degrees
-        Slow wandering of the arm's angles.
-    tremor_deg, tremor_hz : float
-        Size (rms at the elbow and in pronation) and rate of a tremor; 0 for none.
-    smooth_s : float, s
-        Width of the smoothing over the moves.
-    """
-
-    sway_m: float = 0.006
-    wander_deg: float = 1.5
-    tremor_deg: float = 0.0
-    tremor_hz: float = 5.0
-    smooth_s: float = 0.05
+    sway_m: float = 0.006  # Slow sway of the trunk, per axis
+    wander_deg: float = 1.5  # Slow wandering of the arm's angles
+    tremor_deg: float = 0.0  # Size (rms at the elbow and in pronation) and rate of a tremor; 0 for none
+    tremor_hz: float = 5.0  # Size (rms at the elbow and in pronation) and rate of a tremor; 0 for none
+    smooth_s: float = 0.05  # Width of the smoothing over the moves
 
 
 class ArmPath:
@@ -252,18 +211,10 @@ def _bounded(flexion: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Camera:
-    """Where the camera stands.
+    """Where the camera stands."""
 
-    Attributes
-    ----------
-    R_K_P : ndarray, shape (3, 3)
-        The person's axes to the camera's.
-    person_K : ndarray, shape (3,), m
-        The neck at rest, in {K}.
-    """
-
-    R_K_P: FloatArray
-    person_K: FloatArray
+    R_K_P: FloatArray  # (3, 3): the person's axes to the camera's
+    person_K: FloatArray  # (3,) m: the neck at rest, in {K}
 
     @property
     def gravity(self) -> FloatArray:
@@ -280,25 +231,13 @@ def draw_camera(rng: np.random.Generator, *, yaw_deg: float = 25.0) -> Camera:
 
 @dataclass(frozen=True)
 class Motion:
-    """A person before a camera.
+    """A person before a camera."""
 
-    Attributes
-    ----------
-    bones : Bones
-        Of the person.
-    right, left : ArmPath
-        Both arms; the left one's is mirrored, and its trunk is the right one's.
-    camera : Camera
-        Who looks.
-    wobble : callable
-        Times (N,) to rotation vectors (N, 3), rad: the strap's own turning on the forearm, in {A}.
-    """
-
-    bones: Bones
-    right: ArmPath
-    left: ArmPath
-    camera: Camera
-    wobble: Callable[[FloatArray], FloatArray]
+    bones: Bones  # Of the person
+    right: ArmPath  # Both arms; the left one's is mirrored, and its trunk is the right one's
+    left: ArmPath  # Both arms; the left one's is mirrored, and its trunk is the right one's
+    camera: Camera  # Who looks
+    wobble: Callable[[FloatArray], FloatArray]  # Times (N,) to rotation vectors (N, 3), rad
 
     def frames(self, t_s: FloatArray, *, left: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Shoulder (N, 3) m, `R_P_U` and `R_P_F` (N, 3, 3) in {P}, of an arm as if it were the right one."""
@@ -326,10 +265,7 @@ class Motion:
         return {name: self._to_camera(place + trunk, False) for name, place in places.items()}
 
     def imu_pose(self, t_s: FloatArray, *, left: bool = False) -> tuple[FloatArray, FloatArray]:
-        """`R_K_A` (N, 3, 3) and the sensor's place (N, 3), m in {K}.
-
-        A sensor on the left arm sits at the mirrored place, its axes turned as a right-handed one's can be.
-        """
+        """`R_K_A` (N, 3, 3) and the sensor's place (N, 3), m in {K}."""
         shoulder, R_P_U, R_P_F = self.frames(t_s, left=left)
         place = shoulder + self.bones.upper_arm * R_P_U[:, :, 1] + R_P_F @ self.bones.imu_in_forearm
         R_P_A = R_P_F @ self.bones.R_F_A

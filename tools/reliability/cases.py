@@ -38,30 +38,14 @@ EVERY = tuple(EXERCISES)
 
 @dataclass(frozen=True)
 class Case:
-    """A set-up.
+    """A set-up."""
 
-    Attributes
-    ----------
-    apply : callable
-        A sound scene to this one.
-    kind : str
-        "sound" must be trusted; "wrong" and "unusual" must not be where the answer is wrong.
-    exercises : tuple of str
-        What the person does, one of these.
-    duration_s : tuple of float, s
-        The shortest and the longest.
-    rate_hz : tuple of float, Hz
-        Of the camera, one of these.
-    every_s : float, s
-        From a gap to the next one, on average.
-    """
-
-    apply: Callable[[Scene], Scene]
-    kind: str = "wrong"
-    exercises: tuple[str, ...] = LIVELY
-    duration_s: tuple[float, float] = (26.0, 45.0)
-    rate_hz: tuple[float, ...] = (30.0,)
-    every_s: float = 5.0
+    apply: Callable[[Scene], Scene]  # A sound scene to this one
+    kind: str = "wrong"  # "sound" must be trusted
+    exercises: tuple[str, ...] = LIVELY  # What the person does, one of these
+    duration_s: tuple[float, float] = (26.0, 45.0)  # The shortest and the longest
+    rate_hz: tuple[float, ...] = (30.0,)  # Of the camera, one of these
+    every_s: float = 5.0  # From a gap to the next one, on average
 
     @property
     def name(self) -> str:

@@ -44,29 +44,14 @@ class Interval:
 
 @dataclass(frozen=True)
 class Trial:
-    """A recording with what is needed to judge its answer.
+    """A recording with what is needed to judge its answer."""
 
-    Attributes
-    ----------
-    recording : Recording
-        As a user gives it.
-    truth_at : callable
-        See `TruthAt`.
-    intervals : tuple of Interval
-        What to judge.
-    offset_s : float, s, optional
-        Where the IMU's time has nothing to do with the motion: true offset of the camera's stamps, so that
-        the answer is rated on the camera's clock, as the answer itself places it.
-    calibration : ArmCalibration, optional
-    true_t_s : ndarray, shape (N,), s, optional
-        When the IMU's samples were taken, where their stamps are wrong.
-    """
-
-    recording: Recording
-    truth_at: TruthAt
-    intervals: tuple[Interval, ...]
-    offset_s: float | None = None
+    recording: Recording  # As a user gives it
+    truth_at: TruthAt  # See `TruthAt`
+    intervals: tuple[Interval, ...]  # What to judge
+    offset_s: float | None = None  # Where the IMU's time has nothing to do with the motion
     calibration: ArmCalibration | None = None
+    # (N,) s: When the IMU's samples were taken, where their stamps are wrong
     true_t_s: FloatArray | None = None
 
 
@@ -88,31 +73,19 @@ def trial_of(scene: Scene) -> Trial:
 
 @dataclass(frozen=True, eq=False)
 class Rated:
-    """An interval of an answer.
-
-    Attributes
-    ----------
-    interval : Interval
-    error_m, sigma_m : float, m
-        Rms of the wrist's error or of the IMU's (or of another joint's), the larger one in
-        sigmas, and what is stated of it (3D); nan where there is no answer.
-    trusted : bool
-        The answer calls more than half of the interval's samples trusted.
-    squared_sigmas : ndarray, shape (n,)
-        Of its samples, wrist and IMU.
-    line_m : float, m
-        Rms error of a straight line between the visible wrists beside it; nan where there is none.
-    reasons : tuple of str
-        The gap's own.
-    """
+    """An interval of an answer."""
 
     interval: Interval
+    # Rms of the wrist's error or of the IMU's (or of another joint's), the larger one in sigmas, and what is
+    # stated of it (3D); nan where there is no answer
     error_m: float
+    # Rms of the wrist's error or of the IMU's (or of another joint's), the larger one in sigmas, and what is
+    # stated of it (3D); nan where there is no answer
     sigma_m: float
-    trusted: bool
-    squared_sigmas: FloatArray
-    line_m: float = float("nan")
-    reasons: tuple[str, ...] = ()
+    trusted: bool  # The answer calls more than half of the interval's samples trusted
+    squared_sigmas: FloatArray  # (n,): of its samples, wrist and IMU
+    line_m: float = float("nan")  # Rms error of a straight line between the visible wrists beside it
+    reasons: tuple[str, ...] = ()  # The gap's own
 
     def off(self, limit_m: float = ONE_GAP_M) -> bool:
         """Farther off than it may be."""
@@ -121,34 +94,16 @@ class Rated:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a trial ended.
+    """How a trial ended."""
 
-    Attributes
-    ----------
-    rated : tuple of Rated
-        By interval; empty without an answer.
-    sentence : str
-        The error that it ended with; "" for an answer.
-    trusted : bool or None
-        The recording's verdict.
-    reasons : tuple of str
-        The verdict's reasons, or its cautions.
-    pairing : str
-        What the answer states of its pairing.
-    seconds, duration_s : float, s
-        What `smooth` took, and how long the recording is.
-    contradiction : str
-        Where the verdicts of the answer contradict each other.
-    """
-
-    rated: tuple[Rated, ...] = ()
-    sentence: str = ""
-    trusted: bool | None = None
-    reasons: tuple[str, ...] = ()
-    pairing: str = ""
-    seconds: float = float("nan")
-    duration_s: float = float("nan")
-    contradiction: str = ""
+    rated: tuple[Rated, ...] = ()  # By interval; empty without an answer
+    sentence: str = ""  # The error that it ended with; "" for an answer
+    trusted: bool | None = None  # The recording's verdict
+    reasons: tuple[str, ...] = ()  # The verdict's reasons, or its cautions
+    pairing: str = ""  # What the answer states of its pairing
+    seconds: float = float("nan")  # s: what `smooth` took, and how long the recording is
+    duration_s: float = float("nan")  # What `smooth` took, and how long the recording is
+    contradiction: str = ""  # Where the verdicts of the answer contradict each other
 
     @property
     def verdict(self) -> str:
@@ -336,21 +291,11 @@ def _pairing(recovery: Recovery) -> str:
 
 @dataclass(frozen=True)
 class Row:
-    """A trial's name and its end.
+    """A trial's name and its end."""
 
-    Attributes
-    ----------
-    case, about : str
-        The case, and what the person did before which tracker.
-    kind : str
-        "sound", "unusual", "wrong" or "pair": an answer to a pair must not be trusted, however near it is.
-    seed : int
-    outcome : Outcome
-    """
-
-    case: str
-    about: str
-    kind: str
+    case: str  # The case, and what the person did before which tracker
+    about: str  # The case, and what the person did before which tracker
+    kind: str  # "sound", "unusual", "wrong" or "pair"
     seed: int
     outcome: Outcome
 

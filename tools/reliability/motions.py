@@ -24,26 +24,13 @@ Moves = Iterator[Move]
 
 @dataclass
 class Draw:
-    """Random numbers as the exercises need them.
-
-    Attributes
-    ----------
-    rng : Generator
-    bones : Bones
-        Whose arm moves.
-    pace : float
-        Factor on all durations: how slowly this person moves.
-    gaps : tuple of (float, float), s
-        When the camera will not see the arm.
-    t_s : float, s
-        How long the moves drawn so far take.
-    """
+    """Random numbers as the exercises need them."""
 
     rng: np.random.Generator
-    bones: Bones
-    pace: float = 1.0
-    gaps: Gaps = ()
-    t_s: float = 0.0
+    bones: Bones  # Whose arm moves
+    pace: float = 1.0  # Factor on all durations: how slowly this person moves
+    gaps: Gaps = ()  # s: when the camera will not see the arm
+    t_s: float = 0.0  # How long the moves drawn so far take
 
     def move(self, seconds: float, to: Posture) -> Move:
         """A move of about this many seconds."""
@@ -232,10 +219,7 @@ def daily_life(draw: Draw) -> Moves:
 
 
 def in_one_plane(draw: Draw) -> Moves:
-    """Flexion and extension in one upright plane while the camera sees it; anything while it does not.
-
-    A motion in an upright plane is its own mirror image but for a turn about the vertical.
-    """
+    """Flexion and extension in one upright plane while the camera sees it; anything while it does not."""
     heading = draw.rng.uniform(-0.3, 0.3)
     ahead, free = np.array([np.sin(heading), 0.0, -np.cos(heading)]), daily_life(draw)
     down = np.array([0.0, -1.0, 0.0])
@@ -317,21 +301,7 @@ SYMMETRIC = {"wheelchair", "lifting", "bending forward"}
 def perform(
     name: str, duration_s: float, rng: np.random.Generator, gaps: Gaps = (), bones: Bones | None = None
 ) -> Motion:
-    """A person who does an exercise before a camera.
-
-    Parameters
-    ----------
-    name : str
-        Of `EXERCISES` or `SPECIAL`.
-    duration_s : float, s
-        At least as long.
-    rng : Generator
-        Of the person and of all moves.
-    gaps : tuple of (float, float), s
-        When the arm will be hidden.
-    bones : Bones, optional
-        The person; drawn where None.
-    """
+    """A person who does an exercise before a camera."""
     body_rng, plan_rng, left_rng, strap_rng, *shake_rngs = rng.spawn(6)
     exercise = (EXERCISES | SPECIAL)[name]
     bones = bones or draw_bones(body_rng, small=name.startswith("child"))

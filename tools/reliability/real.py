@@ -115,36 +115,21 @@ def utd_trials(count: int, rng: np.random.Generator) -> list[RealTrial]:
 
 @dataclass(frozen=True)
 class HiddenStretch:
-    """How the answer in a hidden stretch compares with the camera's hidden samples.
+    """How the answer in a hidden stretch compares with the camera's hidden samples."""
 
-    Attributes
-    ----------
-    name : str
-        Of the trial.
-    length_s : float, s
-    error_m, line_m, sigma_m : float, m
-        Rms of the wrist's error and of a straight line's, and what is stated (3D, with the camera's noise).
-    inside : float
-        Share of the samples in the 95 % region.
-    trusted : bool
-    clock_s : float, s
-        Offset that the answer found, less the known one; nan where that is not known.
-    reason : str
-        The first one, or the error that it ended with.
-    seconds : float, s
-        That `smooth` took.
-    """
-
-    name: str
+    name: str  # Of the trial
     length_s: float
+    # Rms of the wrist's error and of a straight line's, and what is stated (3D, with the camera's noise)
     error_m: float = float("nan")
+    # Rms of the wrist's error and of a straight line's, and what is stated (3D, with the camera's noise)
     line_m: float = float("nan")
+    # Rms of the wrist's error and of a straight line's, and what is stated (3D, with the camera's noise)
     sigma_m: float = float("nan")
-    inside: float = float("nan")
+    inside: float = float("nan")  # Share of the samples in the 95 % region
     trusted: bool = False
-    clock_s: float = float("nan")
-    reason: str = ""
-    seconds: float = float("nan")
+    clock_s: float = float("nan")  # Offset that the answer found, less the known one
+    reason: str = ""  # The first one, or the error that it ended with
+    seconds: float = float("nan")  # s: that `smooth` took
 
     def show(self) -> None:
         """Print a row."""
@@ -221,13 +206,7 @@ def _rms(error: FloatArray) -> float:
 
 
 def known_offset_s(recording: Recording) -> float:
-    """The offset t_imu - t_camera where two independent ways agree; nan where they do not.
-
-    One compares the forearm's inclination with the direction of gravity in the sensor (VQF), the other its
-    turning rate with the gyroscope's about all but the forearm's own axis, clipped samples left out; each
-    takes the shift that explains most. Both see what is hidden later, too: they judge, and give nothing to
-    the answer.
-    """
+    """The offset t_imu - t_camera where two independent ways agree; nan where they do not."""
     from vqf import offlineVQF
 
     arm, imu, step_s = recording.arm, recording.imu, 0.04

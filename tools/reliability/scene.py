@@ -25,22 +25,7 @@ FINE_HZ = 1000.0
 
 
 def ideal_imu(motion: Motion, duration_s: float, rate_hz: float, *, left: bool = False) -> ImuStream:
-    """Error-free samples: means over each sample's interval, stamped at its centre.
-
-    The angular velocity of a fine step is the rotation vector over it, so that the samples add up to the turn
-    exactly; the acceleration is the second difference of the position over it.
-
-    Parameters
-    ----------
-    motion : Motion
-        The person.
-    duration_s : float, s
-        Samples fill 0 to here.
-    rate_hz : float, Hz
-        Samples per second.
-    left : bool
-        The left wrist's instead of the right one's.
-    """
+    """Error-free samples: means over each sample's interval, stamped at its centre."""
     fine = int(np.ceil(FINE_HZ / rate_hz))
     count = int(duration_s * rate_hz)
     h = 1.0 / (rate_hz * fine)
@@ -60,31 +45,18 @@ def ideal_imu(motion: Motion, duration_s: float, rate_hz: float, *, left: bool =
 
 @dataclass(frozen=True)
 class ImuErrors:
-    """How large a sensor's errors are: densities and sigmas, SI units.
-
-    Attributes
-    ----------
-    acc_density, gyro_density : float, m/s^2/sqrt(Hz), rad/s/sqrt(Hz)
-    acc_bias, gyro_bias : float, m/s^2, rad/s
-        Per axis.
-    acc_walk, gyro_walk : float
-        Of the biases, per sqrt(s).
-    scale, misalignment : float
-        Per axis, as fractions and rad.
-    acc_range, gyro_range : float, m/s^2, rad/s
-        Full scale, of 16 bits.
-    """
+    """How large a sensor's errors are: densities and sigmas, SI units."""
 
     acc_density: float = 0.002
     gyro_density: float = 2e-4
-    acc_bias: float = 0.05
-    gyro_bias: float = 0.01
-    acc_walk: float = 5e-4
-    gyro_walk: float = 5e-5
-    scale: float = 0.002
-    misalignment: float = 0.003
-    acc_range: float = 16 * 9.81
-    gyro_range: float = np.radians(2000.0)
+    acc_bias: float = 0.05  # m/s^2: per axis
+    gyro_bias: float = 0.01  # m/s^2: per axis
+    acc_walk: float = 5e-4  # Of the biases, per sqrt(s)
+    gyro_walk: float = 5e-5  # Of the biases, per sqrt(s)
+    scale: float = 0.002  # Per axis, as fractions and rad
+    misalignment: float = 0.003  # Per axis, as fractions and rad
+    acc_range: float = 16 * 9.81  # m/s^2: full scale, of 16 bits
+    gyro_range: float = np.radians(2000.0)  # m/s^2: full scale, of 16 bits
     names: tuple[str, ...] = field(default=("acc", "gyro"), repr=False)
 
 
@@ -136,30 +108,14 @@ FOREARM = [JOINTS.index(joint) for joint in ("elbow", "wrist", "hand")]
 
 @dataclass(frozen=True)
 class Tracker:
-    """How well a tracker sees.
+    """How well a tracker sees."""
 
-    Attributes
-    ----------
-    white_m : float, m
-        White noise, per axis.
-    slow_m : tuple of float, m
-        Noise with a memory, 3D rms, by joint.
-    memory_s : float, s
-        Of the slow noise.
-    offset_m : float, m
-        Constant error of a joint, 3D, half of it fixed to the camera and half to the limb.
-    rate_hz : float, Hz
-        Frames per second.
-    dropped : float
-        Fraction of the frames that never arrive.
-    """
-
-    white_m: float
-    slow_m: tuple[float, ...]
-    memory_s: float
-    offset_m: float
-    rate_hz: float = 30.0
-    dropped: float = 0.01
+    white_m: float  # White noise, per axis
+    slow_m: tuple[float, ...]  # Noise with a memory, 3D rms, by joint
+    memory_s: float  # Of the slow noise
+    offset_m: float  # Constant error of a joint, 3D, half of it fixed to the camera and half to the limb
+    rate_hz: float = 30.0  # Frames per second
+    dropped: float = 0.01  # Fraction of the frames that never arrive
 
 
 #: Depth cameras and networks from good to poor.
@@ -186,30 +142,14 @@ def plan_gaps(duration_s: float, rng: np.random.Generator, *, every_s: float = 5
 
 @dataclass(frozen=True)
 class Film:
-    """Frames of a tracker before they are stamped.
+    """Frames of a tracker before they are stamped."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (F,), s
-        True times.
-    true : ndarray, shape (F, 5, 3), m
-        Where the joints are, in {K}.
-    error : ndarray, shape (F, 5, 3), m
-        What the tracker adds to any joint that it sees.
-    position : ndarray, shape (F, 5, 3), m
-        What it states; nan where nothing.
-    state : ndarray of int8, shape (F, 5)
-        `JointState` values.
-    hidden : ndarray of bool, shape (F,)
-        The arm is behind something, whatever the tracker states.
-    """
-
-    t_s: FloatArray
-    true: FloatArray
-    error: FloatArray
-    position: FloatArray
-    state: np.ndarray
-    hidden: BoolArray
+    t_s: FloatArray  # (F,) s: True times
+    true: FloatArray  # (F, 5, 3) m: Where the joints are, in {K}
+    error: FloatArray  # (F, 5, 3) m: what the tracker adds to any joint that it sees
+    position: FloatArray  # (F, 5, 3) m: what it states; nan where nothing
+    state: np.ndarray  # int (F, 5): `JointState` values
+    hidden: BoolArray  # bool (F,): the arm is behind something, whatever the tracker states
 
     def tracks(self, offset_s: float, rng: np.random.Generator) -> JointTracks:
         """The frames on the camera's clock (t_imu = t_camera + offset), stamped 1 ms unevenly."""
@@ -279,68 +219,29 @@ def as_it_is(t_s: FloatArray, place: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is smoothed, and what is known of it.
+    """What is smoothed, and what is known of it."""
 
-    Attributes
-    ----------
-    exercise, tracker_name : str
-        What the person does, and how well the tracker sees.
-    duration_s : float, s
-    gaps : Gaps
-        When the arm is hidden, true time.
-    rng : Generator
-        Of the case's draws.
-    motion : Motion
-        Whose skeleton it is.
-    tracker : Tracker
-    film : Film
-        What the tracker states.
-    imu : ImuStream
-        On the true time.
-    offset_s : float, s
-        t_imu = t_camera + offset; the IMU's clock is the true time.
-    faulty : Gaps
-        Visible times at which the camera states what is not.
-    views : tuple of View
-        What the truth is called in the camera's coordinates; of several, the nearest one counts.
-    sensor_is_worn : bool
-        The IMU is this person's own, so its position has a truth.
-    unpaired : bool
-        The IMU's time has nothing to do with the motion: answers are rated on the camera's clock.
-    clocks_unrelated : bool
-        The files count from clocks that have nothing in common.
-    calibration : ArmCalibration, optional
-        Given to `smooth`.
-    side : str
-        Stated side of the arm.
-    camera_frame : CameraFrame, optional
-        Stated.
-    true_t_s : ndarray, shape (N,), s, optional
-        When the IMU's samples were taken, where their stamps are wrong.
-    judged_joints : tuple of str
-        Whose places are held against the truth, besides the IMU's.
-    """
-
-    exercise: str
-    tracker_name: str
+    exercise: str  # What the person does, and how well the tracker sees
+    tracker_name: str  # What the person does, and how well the tracker sees
     duration_s: float
-    gaps: Gaps
-    rng: np.random.Generator
-    motion: Motion
+    gaps: Gaps  # When the arm is hidden, true time
+    rng: np.random.Generator  # Of the case's draws
+    motion: Motion  # Whose skeleton it is
     tracker: Tracker
-    film: Film
-    imu: ImuStream
-    offset_s: float
-    faulty: Gaps = ()
-    views: tuple[View, ...] = (as_it_is,)
-    sensor_is_worn: bool = True
-    unpaired: bool = False
-    clocks_unrelated: bool = False
-    calibration: ArmCalibration | None = None
-    side: str = "right"
-    camera_frame: CameraFrame | None = CameraFrame.KINECT
+    film: Film  # What the tracker states
+    imu: ImuStream  # On the true time
+    offset_s: float  # t_imu = t_camera + offset; the IMU's clock is the true time
+    faulty: Gaps = ()  # Visible times at which the camera states what is not
+    views: tuple[View, ...] = (as_it_is,)  # What the truth is called in the camera's coordinates
+    sensor_is_worn: bool = True  # The IMU is this person's own, so its position has a truth
+    unpaired: bool = False  # The IMU's time has nothing to do with the motion
+    clocks_unrelated: bool = False  # The files count from clocks that have nothing in common
+    calibration: ArmCalibration | None = None  # Given to `smooth`
+    side: str = "right"  # Stated side of the arm
+    camera_frame: CameraFrame | None = CameraFrame.KINECT  # Stated
+    # (N,) s: When the IMU's samples were taken, where their stamps are wrong
     true_t_s: FloatArray | None = None
-    judged_joints: tuple[str, ...] = ("wrist",)
+    judged_joints: tuple[str, ...] = ("wrist",)  # Whose places are held against the truth, besides the IMU's
 
     def changed(self, **changes: Any) -> Scene:
         """The scene with other fields."""
@@ -398,22 +299,7 @@ def draw_scene(
     rate_hz: float = 30.0,
     every_s: float = 5.0,
 ) -> Scene:
-    """A sound recording of an exercise.
-
-    Parameters
-    ----------
-    exercise : str
-        Of `motions.EXERCISES` or `SPECIAL`.
-    duration_s : float, s
-    seed : list of int
-        Of everything.
-    tracker_name : str, optional
-        Of `TRACKERS`; drawn where None.
-    rate_hz : float, Hz
-        Of the camera.
-    every_s : float, s
-        From a gap's end to the next one's start, on average.
-    """
+    """A sound recording of an exercise."""
     plan_rng, motion_rng, camera_rng, imu_rng, case_rng = np.random.default_rng(seed).spawn(5)
     name = tracker_name or str(plan_rng.choice(list(TRACKERS), p=[0.3, 0.5, 0.2]))
     tracker = replace(TRACKERS[name], rate_hz=rate_hz)

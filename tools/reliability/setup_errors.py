@@ -37,27 +37,13 @@ from smoother.smoothing import smooth
 
 @dataclass(frozen=True)
 class Setup:
-    """What is smoothed, and what it is made of.
+    """What is smoothed, and what it is made of."""
 
-    Attributes
-    ----------
-    simulated : SimulatedArm
-        Where the skeleton comes from; gives what the camera could not see.
-    config : ArmSimulation
-        What was simulated.
-    rng : Generator
-        Of the mistake's draws.
-    recording : Recording
-        Its truth is the IMU's motion in the coordinates that the camera gives.
-    calibration : ArmCalibration, optional
-        Given to `smooth`.
-    """
-
-    simulated: SimulatedArm
-    config: ArmSimulation
-    rng: np.random.Generator
-    recording: Recording
-    calibration: ArmCalibration | None = None
+    simulated: SimulatedArm  # Where the skeleton comes from; gives what the camera could not see
+    config: ArmSimulation  # What was simulated
+    rng: np.random.Generator  # Of the mistake's draws
+    recording: Recording  # Its truth is the IMU's motion in the coordinates that the camera gives
+    calibration: ArmCalibration | None = None  # Given to `smooth`
 
     def with_imu(self, **changes: Any) -> Setup:
         """The set-up with other samples of the IMU."""
@@ -316,20 +302,10 @@ LARGEST_ERROR_M = 0.10
 
 @dataclass(frozen=True)
 class Job:
-    """One recording to draw.
+    """One recording to draw."""
 
-    Attributes
-    ----------
-    case : function
-        The mistake.
-    seed : int
-        Of the recording and of the mistake's draws.
-    preset : str
-    duration_s : float, s
-    """
-
-    case: Callable[[Setup], Setup]
-    seed: int
+    case: Callable[[Setup], Setup]  # The mistake
+    seed: int  # Of the recording and of the mistake's draws
     preset: str
     duration_s: float
 
@@ -366,25 +342,13 @@ def draw(
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a job ended.
+    """How a job ended."""
 
-    Attributes
-    ----------
-    error_m, sigma_m : float, m
-        Rms of the IMU's position error in the gaps, and of what is stated; nan without an answer.
-    sentence : str
-        The error that it ended with; "" for an answer.
-    trusted : bool or None
-        The result's own verdict; None where it has none.
-    reasons : tuple of str
-        The verdict's reasons or cautions; the result's notes where it has no verdict.
-    """
-
-    error_m: float = float("nan")
-    sigma_m: float = float("nan")
-    sentence: str = ""
-    trusted: bool | None = None
-    reasons: tuple[str, ...] = ()
+    error_m: float = float("nan")  # Rms of the IMU's position error in the gaps, and of what is stated
+    sigma_m: float = float("nan")  # Rms of the IMU's position error in the gaps, and of what is stated
+    sentence: str = ""  # The error that it ended with; "" for an answer
+    trusted: bool | None = None  # The result's own verdict; None where it has none
+    reasons: tuple[str, ...] = ()  # The verdict's reasons or cautions
 
     @property
     def verdict(self) -> str:

@@ -38,35 +38,17 @@ INDEPENDENT_S = 1.0
 
 @dataclass(frozen=True)
 class MocapClock:
-    """The mocap's clock against the IMU's.
+    """The mocap's clock against the IMU's."""
 
-    Attributes
-    ----------
-    offset_s, sigma_s : float, s
-        `t_imu = t_mocap (1 + skew) + offset`; times count from the recording's origin.
-    skew, skew_sigma : float
-        Parts (1e-6 = 1 ppm).
-    correlation : float
-        Of the speeds at that offset, -1 to 1.
-    by : str
-        What was compared.
-    R_A_P : ndarray, shape (3, 3), or None
-        The plate's rotation in the IMU where it was solved.
-    mount_sigma_rad : float, rad
-        Its sigma; nan where it was not.
-    notes : tuple of str
-        Notes on it, one sentence each.
-    """
-
-    offset_s: float
-    sigma_s: float
-    skew: float
-    skew_sigma: float
-    correlation: float
-    by: str
-    R_A_P: FloatArray | None = None
-    mount_sigma_rad: float = float("nan")
-    notes: tuple[str, ...] = field(default_factory=tuple)
+    offset_s: float  # `t_imu = t_mocap (1 + skew) + offset`; times count from the recording's origin
+    sigma_s: float  # `t_imu = t_mocap (1 + skew) + offset`; times count from the recording's origin
+    skew: float  # Parts (1e-6 = 1 ppm)
+    skew_sigma: float  # Parts (1e-6 = 1 ppm)
+    correlation: float  # Of the speeds at that offset, -1 to 1
+    by: str  # What was compared
+    R_A_P: FloatArray | None = None  # (3, 3): the plate's rotation in the IMU where it was solved
+    mount_sigma_rad: float = float("nan")  # Its sigma; nan where it was not
+    notes: tuple[str, ...] = field(default_factory=tuple)  # Notes on it, one sentence each
 
     def to_imu(self, t_mocap: FloatArray) -> FloatArray:
         """Mocap times on the IMU's clock, s."""
@@ -78,13 +60,7 @@ class MocapClock:
 
 
 def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
-    """Find the mocap's clock.
-
-    Raises
-    ------
-    RecordingError
-        The two share too little motion, or do not show the same one.
-    """
+    """Find the mocap's clock."""
     least_s = _least_overlap(recovery.t_s, motion.t_s)
     turns = motion.R_E_P is not None and np.isfinite(recovery.quaternion).all(axis=1).any()
     signals: _Turns | _Ways = _Turns(recovery, motion) if turns else _Ways(recovery, motion)
@@ -200,11 +176,7 @@ def _least_overlap(a: FloatArray, b: FloatArray) -> float:
 def _coarse(
     signals: _Turns | _Ways, t_answer: FloatArray, t_truth: FloatArray, least_s: float
 ) -> tuple[float, float, list[float]]:
-    """Offset on the grid, s, its correlation, and other offsets that do nearly as well.
-
-    Of all offsets the one whose correlation is the least likely to be chance, by Fisher's transform with
-    the number of samples that overlap.
-    """
+    """Offset on the grid, s, its correlation, and other offsets that do nearly as well."""
     grids = [np.arange(t[0], t[-1], 1.0 / GRID_HZ) for t in (t_answer, t_truth)]
     a, b = (
         signals.speed(read(grid)) for read, grid in zip((signals.answer, signals.truth), grids, strict=True)
@@ -227,11 +199,7 @@ def _coarse(
 def _refine(
     signals: _Turns | _Ways, t_answer: FloatArray, t_truth: FloatArray, lag: float, correlation: float
 ) -> MocapClock:
-    """Least squares with Cauchy's loss over offset, skew and how the plate's turns show in the IMU.
-
-    The last is a whole matrix, close to the plate's rotation: the gyroscope's scale and cross-axis errors
-    are in it, which would else pull at the clock.
-    """
+    """Least squares with Cauchy's loss over offset, skew and how the plate's turns show in the IMU."""
     t = t_answer[:: max(1, int(0.02 / max(np.median(np.diff(t_answer)), 1e-6)))]
     measured = signals.answer(t)
     inside = (t - lag >= t_truth[0]) & (t - lag <= t_truth[-1]) & np.isfinite(measured).any(axis=1)

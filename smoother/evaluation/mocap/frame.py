@@ -35,28 +35,14 @@ LEAST_SPREAD_M = 0.02
 
 @dataclass(frozen=True)
 class CameraFromMocap:
-    """The transform, p_K = R_K_E p_E + t_K_E, in the recording's own camera axes.
+    """The transform, p_K = R_K_E p_E + t_K_E, in the recording's own camera axes."""
 
-    Attributes
-    ----------
-    R_K_E, t_K_E : ndarray, shape (3, 3) and (3,), m
-        Rotation and translation.
-    by : str
-        What it was taken from.
-    rotation_sigma_deg : float, degrees
-        Square root of the covariance's trace; nan where not solved here.
-    translation_sigma_m : float, m
-        Likewise, of the place where the arm was.
-    residual_m : float, m
-        Rms distance of the joint centres that it was solved from; nan where not.
-    """
-
-    R_K_E: FloatArray
-    t_K_E: FloatArray
-    by: str
-    rotation_sigma_deg: float = float("nan")
-    translation_sigma_m: float = float("nan")
-    residual_m: float = float("nan")
+    R_K_E: FloatArray  # (3, 3) and (3,) m: rotation and translation
+    t_K_E: FloatArray  # (3, 3) and (3,) m: rotation and translation
+    by: str  # What it was taken from
+    rotation_sigma_deg: float = float("nan")  # Square root of the covariance's trace
+    translation_sigma_m: float = float("nan")  # Likewise, of the place where the arm was
+    residual_m: float = float("nan")  # Rms distance of the joint centres that it was solved from
 
     def place(self, points: FloatArray) -> FloatArray:
         """Points (N, 3) of {E} in {K}, m."""
@@ -64,13 +50,7 @@ class CameraFromMocap:
 
 
 def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFromMocap:
-    """The transform of a calibration's table `camera_from_mocap`, in the axes of a recording.
-
-    Raises
-    ------
-    CalibrationError
-        The table is missing or wrong, or the recording does not state its axes.
-    """
+    """The transform of a calibration's table `camera_from_mocap`, in the axes of a recording."""
     if not isinstance(table, dict):
         raise CalibrationError(
             f"{source} has no [{TABLE}]; make it with `unocclude calibrate panel`, or leave --calibration out"
@@ -99,13 +79,7 @@ def _numbers(table: dict[str, Any], key: str, size: int, source: str) -> FloatAr
 
 
 def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> CameraFromMocap:
-    """The transform from joint centres, and the IMU, while the camera saw the forearm; robust.
-
-    Raises
-    ------
-    RecordingError
-        There is too little to solve it from.
-    """
+    """The transform from joint centres, and the IMU, while the camera saw the forearm; robust."""
     rows = np.flatnonzero(~recovery.occluded)
     t = clock.to_mocap(recovery.t_s[rows])
     unknown = np.full((len(recovery), 3, 3), np.nan)
@@ -151,12 +125,7 @@ def _typical_variance(covariance: FloatArray) -> float:
 def _robust_transform(
     K: FloatArray, E: FloatArray, t_imu: FloatArray, owner: IntArray, variance: FloatArray
 ) -> CameraFromMocap:
-    """The transform from pairs of points (n, 3): nearest rotation, Cauchy weights.
-
-    Its sigma has two parts: what differs from second to second (errors of joint centres stay alike over some
-    tenths of one), and the error that each point (`owner`) has all the time, for which the answer's own
-    variance (P,) stands; in the worst case all points share it.
-    """
+    """The transform from pairs of points (n, 3): nearest rotation, Cauchy weights."""
     weight = np.ones(len(K))
     for _ in range(20):
         centre_K, centre_E = np.average(K, axis=0, weights=weight), np.average(E, axis=0, weights=weight)
@@ -221,13 +190,7 @@ def far_off_m(recovery: Recovery, motion: MocapMotion, clock: MocapClock, frame:
 def solve_plate_place(
     recovery: Recovery, motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap
 ) -> FloatArray:
-    """The plate's origin in the IMU's axes, `p_A_P` (3,) m, from the answer while the camera saw the arm.
-
-    Raises
-    ------
-    RecordingError
-        Plate and visible answer share no sample.
-    """
+    """The plate's origin in the IMU's axes, `p_A_P` (3,) m, from the answer while the camera saw the arm."""
     assert motion.R_A_P is not None and motion.p_E_P is not None
     rows = np.flatnonzero(~recovery.occluded)
     t = clock.to_mocap(recovery.t_s[rows])

@@ -49,41 +49,20 @@ PLATE = "imu_plate"
 
 @dataclass(frozen=True)
 class MarkerMap:
-    """Names of markers by what they represent.
+    """Names of markers by what they represent."""
 
-    Attributes
-    ----------
-    joints : dict[str, tuple of str]
-        Names of the markers whose mean is the joint's centre, by joint.
-    plate : tuple of str
-        Names of the markers on the IMU's plate; empty without one.
-    landmarks : dict[str, str]
-        A marker's name by landmark.
-    plate_A : dict[str, ndarray], shape (3,), m
-        Places of the plate's markers in the IMU's axes, by name; empty where unknown.
-    R_A_P, p_A_P : ndarray, shape (3, 3) and (3,), m, or None
-        Rotation and origin of the plate's axes in the IMU's.
-    source : str
-        What to call the map in messages.
-    """
-
-    joints: dict[str, tuple[str, ...]]
-    plate: tuple[str, ...] = ()
-    landmarks: dict[str, str] = field(default_factory=dict)
+    joints: dict[str, tuple[str, ...]]  # Names of the markers whose mean is the joint's centre, by joint
+    plate: tuple[str, ...] = ()  # Names of the markers on the IMU's plate; empty without one
+    landmarks: dict[str, str] = field(default_factory=dict)  # A marker's name by landmark
+    # dict of (3,) m: Places of the plate's markers in the IMU's axes, by name; empty where unknown
     plate_A: dict[str, FloatArray] = field(default_factory=dict)
-    R_A_P: FloatArray | None = None
-    p_A_P: FloatArray | None = None
-    source: str = "the marker map"
+    R_A_P: FloatArray | None = None  # (3, 3) and (3,) m: rotation and origin of the plate's axes in the IMU's
+    p_A_P: FloatArray | None = None  # (3, 3) and (3,) m: rotation and origin of the plate's axes in the IMU's
+    source: str = "the marker map"  # What to call the map in messages
 
 
 def read_marker_map(path: Path | str) -> MarkerMap:
-    """Read a map of markers.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, not TOML, or a key or value is not one of a map; the text names the key.
-    """
+    """Read a map of markers."""
     path = Path(path)
     check_input(path, RecordingError)
     try:
@@ -123,13 +102,7 @@ def read_marker_map(path: Path | str) -> MarkerMap:
 
 
 def map_by_names(names: Sequence[str], source: str) -> MarkerMap:
-    """The map of a file whose markers are called as joints are.
-
-    Raises
-    ------
-    RecordingError
-        No marker is called as a joint is; the text lists those that are there.
-    """
+    """The map of a file whose markers are called as joints are."""
     plain = {_bare(name).lower(): name for name in names}
     joints: dict[str, tuple[str, ...]] = {joint: (plain[joint],) for joint in MAPPED_JOINTS if joint in plain}
     if not joints:
@@ -140,13 +113,7 @@ def map_by_names(names: Sequence[str], source: str) -> MarkerMap:
 
 
 def find_markers(wanted: Sequence[str], names: Sequence[str], map_source: str, source: str) -> list[int]:
-    """Places of the wanted markers among a file's names; a subject's prefix (`Subj:RWRA`) may be left out.
-
-    Raises
-    ------
-    RecordingError
-        A marker is not there, or only with the prefixes of several subjects.
-    """
+    """Places of the wanted markers among a file's names; a subject's prefix (`Subj:RWRA`) may be left out."""
     columns = []
     for name in wanted:
         exact = [k for k, other in enumerate(names) if other == name]
@@ -212,46 +179,19 @@ _MOST_FRAMES = 2000
 
 @dataclass(frozen=True)
 class ClusterMotion:
-    """The poses of a rigid cluster.
+    """The poses of a rigid cluster."""
 
-    Attributes
-    ----------
-    rotation, position : ndarray, shape (n, 3, 3) and (n, 3), m
-        `p_E = rotation p_P + position`; nan where unknown.
-    residual_m : ndarray, shape (n,), m
-        Rms distance of the seen markers from the body.
-    used : ndarray of bool, shape (n, m)
-        The marker was used.
-    mistaken : int
-        Single samples that were rejected.
-    """
-
-    rotation: FloatArray
-    position: FloatArray
-    residual_m: FloatArray
-    used: BoolArray
-    mistaken: int
+    rotation: FloatArray  # (n, 3, 3) and (n, 3) m: `p_E = rotation p_P + position`; nan where unknown
+    position: FloatArray  # (n, 3, 3) and (n, 3) m: `p_E = rotation p_P + position`; nan where unknown
+    residual_m: FloatArray  # (n,) m: rms distance of the seen markers from the body
+    used: BoolArray  # bool (n, m): the marker was used
+    mistaken: int  # Single samples that were rejected
 
 
 def fit_poses(
     shape: FloatArray, observed: FloatArray, weight: FloatArray | BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Least-squares poses (N, 3, 3), (N, 3) that bring a shape to the markers seen (Kabsch 1976).
-
-    Parameters
-    ----------
-    shape : ndarray, shape (m, 3) or (n, m, 3), m
-        The markers on the body.
-    observed : ndarray, shape (n, m, 3), m
-        The markers as seen; those of weight zero may be nan.
-    weight : ndarray, shape (n, m)
-        Zero where a marker takes no part.
-
-    Returns
-    -------
-    rotation, position : ndarray, shape (n, 3, 3) and (n, 3), m
-        `p_E = rotation p_P + position`.
-    """
+) -> tuple[FloatArray, FloatArray]:  # rotation (n, 3, 3) and (n, 3) m, position (n, 3, 3) and (n, 3) m
+    """Least-squares poses (N, 3, 3), (N, 3) that bring a shape to the markers seen (Kabsch 1976)."""
     weight = np.asarray(weight, dtype=np.float64)
     shape = np.broadcast_to(np.where(np.isfinite(shape), shape, 0.0), observed.shape)
     observed = np.where(weight[..., None] > 0, observed, 0.0)
@@ -263,16 +203,9 @@ def fit_poses(
     return rotation, centre_seen - np.einsum("nij,nj->ni", rotation, centre_shape)
 
 
-def find_shape(position: FloatArray) -> FloatArray:
-    """The shape (M, 3) m of a rigid cluster from its motion, in axes of its own; nan for what never showed.
-
-    It grows from the frame in which the most markers are seen: markers get their places in the body from
-    frames whose pose is known by others. The median over the frames keeps swapped labels out.
-
-    Parameters
-    ----------
-    position : ndarray, shape (n, m, 3), m
-        nan where a marker was not seen.
+def find_shape(position: FloatArray) -> FloatArray:  # position (n, m, 3) m
+    """The shape (M, 3) m of a rigid cluster from its motion, in axes of its own; nan for what never
+    showed.
     """
     finite: BoolArray = np.asarray(np.isfinite(position).all(axis=2))
     rows = np.flatnonzero(finite.sum(axis=1) >= 3)
@@ -309,11 +242,7 @@ def _typical(position: FloatArray, finite: BoolArray) -> FloatArray:
 
 
 def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
-    """Poses of a body of known shape (M, 3) in every frame with three markers that span a plane.
-
-    Where four or more do not fit, the one without which the others fit best is rejected, one after another,
-    until none is more than 5 mm off; where three are left that do not fit, there is no pose.
-    """
+    """Poses of a body of known shape (M, 3) in every frame with three markers that span a plane."""
     known = np.isfinite(shape).all(axis=1)
     weight: BoolArray = np.asarray(np.isfinite(position).all(axis=2) & known)
     count, mistaken = len(position), 0
@@ -371,11 +300,7 @@ def _width(shape: FloatArray, weight: BoolArray) -> FloatArray:
 
 
 def plate_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Axes (3, 3) and origin (3,) of {P} in the shape's own axes, as the map of markers defines them.
-
-    Origin: mean of the markers. x: first to second marker; z: x cross the way to the third (the first
-    marker that does not lie on that line).
-    """
+    """Axes (3, 3) and origin (3,) of {P} in the shape's own axes, as the map of markers defines them."""
     known = shape[np.isfinite(shape).all(axis=1)]
     x = known[1] - known[0]
     x = x / np.linalg.norm(x)
@@ -395,28 +320,8 @@ SIDE_S, LEAST_SIDE_S = 0.25, 0.1
 
 def fill_on_plate(
     t_s: FloatArray, position: FloatArray, R_E_P: FloatArray, p_E_P: FloatArray
-) -> tuple[FloatArray, int]:
-    """A marker's path, filled where it was hidden for a moment.
-
-    As seen from the plate, a marker on the same bone hardly moves and one beyond the elbow moves smoothly:
-    there a cubic is fitted to what was seen in the 0.25 s before and after.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (n,), s
-        Times.
-    position : ndarray, shape (n, 3), m
-        In {E}; nan where it was not seen.
-    R_E_P, p_E_P : ndarray, shape (n, 3, 3) and (n, 3), m
-        Pose of the plate; nan where it has none.
-
-    Returns
-    -------
-    path : ndarray, shape (n, 3), m
-        The path with what was filled.
-    count : int
-        Samples that were filled.
-    """
+) -> tuple[FloatArray, int]:  # path (n, 3) m, count
+    """A marker's path, filled where it was hidden for a moment."""
     on_plate = np.einsum("nji,nj->ni", R_E_P, position - p_E_P)
     seen, known, has_plate = (
         np.asarray(np.isfinite(each).all(axis=1)) for each in (position, on_plate, p_E_P)

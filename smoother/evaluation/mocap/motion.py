@@ -40,33 +40,18 @@ LEAST_RIGID = 0.5
 
 @dataclass(frozen=True)
 class MocapMotion:
-    """Joint centres, landmarks and the plate's pose.
+    """Joint centres, landmarks and the plate's pose."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,), s
-        On the mocap's clock.
-    joints, landmarks : dict[str, ndarray], shape (n, 3), m
-        Positions by name, in {E}; nan where a marker of theirs was not seen.
-    R_E_P, p_E_P : ndarray, shape (n, 3, 3) and (n, 3), m, or None
-        Pose of the plate's axes {P}; None without a plate.
-    R_A_P, p_A_P : ndarray, shape (3, 3) and (3,), m, or None
-        The plate's axes in the IMU's; None where to be solved.
-    source : str
-        What to call it in messages.
-    notes : tuple of str
-        What was decided, one sentence each.
-    """
-
-    t_s: FloatArray
-    joints: dict[str, FloatArray] = field(default_factory=dict)
+    t_s: FloatArray  # (n,) s: on the mocap's clock
+    joints: dict[str, FloatArray] = field(default_factory=dict)  # dict of (n, 3) m: positions by name, in {E}
+    # dict of (n, 3) m: Positions by name, in {E}; nan where a marker of theirs was not seen
     landmarks: dict[str, FloatArray] = field(default_factory=dict)
-    R_E_P: FloatArray | None = None
-    p_E_P: FloatArray | None = None
-    R_A_P: FloatArray | None = None
-    p_A_P: FloatArray | None = None
-    source: str = "the motion capture"
-    notes: tuple[str, ...] = ()
+    R_E_P: FloatArray | None = None  # (n, 3, 3) and (n, 3) m: pose of the plate's axes {P}
+    p_E_P: FloatArray | None = None  # (n, 3, 3) and (n, 3) m: pose of the plate's axes {P}
+    R_A_P: FloatArray | None = None  # (3, 3) and (3,) m: the plate's axes in the IMU's
+    p_A_P: FloatArray | None = None  # (3, 3) and (3,) m: the plate's axes in the IMU's
+    source: str = "the motion capture"  # What to call it in messages
+    notes: tuple[str, ...] = ()  # What was decided, one sentence each
 
     @property
     def quaternion(self) -> FloatArray:
@@ -79,13 +64,7 @@ class MocapMotion:
 
 
 def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
-    """Joint centres as means of their markers, the plate as a rigid body.
-
-    Raises
-    ------
-    RecordingError
-        A marker of the map is not there, or the plate never shows three markers.
-    """
+    """Joint centres as means of their markers, the plate as a rigid body."""
 
     def places(names: Sequence[str]) -> FloatArray:
         index = find_markers(names, markers.names, marker_map.source, markers.source)
@@ -136,10 +115,7 @@ def _check_unit(positions: dict[str, FloatArray], markers: Markers) -> None:
 
 
 def _exchanged(joints: dict[str, FloatArray]) -> list[str]:
-    """Whether lengths show that elbow and wrist are called by each other's name.
-
-    The hand is nearer to the wrist than to the elbow, and the elbow keeps its distance from the shoulder.
-    """
+    """Whether lengths show that elbow and wrist are called by each other's name."""
     if not {"elbow", "wrist"} <= set(joints):
         return []
     elbow, wrist = joints["elbow"], joints["wrist"]
@@ -252,11 +228,8 @@ def _in_stated_axes(
 
 
 def smoothed(t_s: FloatArray, rotation: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses low-passed without delay, not across missing frames: cubics about each sample (Savitzky, Golay).
-
-    The window, the same for the whole capture, is the one whose cubics predict the samples best that they
-    were not fitted to (leave-one-out): noise alone requires a long one, quick movement a short one. A
-    rotation is smoothed as a quaternion and brought back to unit length.
+    """Poses low-passed without delay, not across missing frames: cubics about each sample (Savitzky,
+    Golay).
     """
     known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(position).all(axis=1)
     rotation, position = rotation.copy(), position.copy()

@@ -24,27 +24,14 @@ from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, TIME, from_1
 
 @dataclass
 class Guess:
-    """What a table seems to contain.
+    """What a table seems to contain."""
 
-    Attributes
-    ----------
-    kind : str
-        "imu", "skeleton" or "" where nothing fits.
-    columns : dict of str to object
-        As in recording.toml: a name or a number by what it is.
-    keys : dict of str to object
-        Further keys of the section (time_unit, accelerometer_unit ..).
-    reasons : dict of str to str
-        Why, by column or key.
-    unsure : list of str
-        What to check, a sentence each.
-    """
-
-    kind: str = ""
-    columns: dict[str, object] = field(default_factory=dict)
+    kind: str = ""  # "imu", "skeleton" or "" where nothing fits
+    columns: dict[str, object] = field(default_factory=dict)  # As in recording.toml
+    # Further keys of the section (time_unit, accelerometer_unit ..)
     keys: dict[str, object] = field(default_factory=dict)
-    reasons: dict[str, str] = field(default_factory=dict)
-    unsure: list[str] = field(default_factory=list)
+    reasons: dict[str, str] = field(default_factory=dict)  # Why, by column or key
+    unsure: list[str] = field(default_factory=list)  # What to check, a sentence each
 
 
 def toml_of(path: Path, guess: Guess, name: str) -> str:
@@ -412,18 +399,7 @@ def _down(sheet: Sheet, axes: dict[str, tuple[int, int, int]]) -> tuple[str, str
 
 
 def guess_of(sheet: Sheet) -> Guess:
-    """Guess what a table contains.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        The table.
-
-    Returns
-    -------
-    Guess
-        Of `kind` "" where it is neither an IMU's nor a skeleton's.
-    """
+    """Guess what a table contains."""
     joints = find_joint_columns(sheet.layout.names) if sheet.layout.names else None
     if joints is not None and joints.has_arm():
         return guess_skeleton(sheet, joints)

@@ -50,95 +50,45 @@ _PLOTTED = ("wrist", "strap", "hand", "elbow")
 
 @dataclass(frozen=True)
 class StreamPlot:
-    """A small plot of a stream.
+    """A small plot of a stream."""
 
-    Attributes
-    ----------
-    title, unit : str
-        What is plotted ("accelerometer", "m/s^2").
-    t_s : list of float, s
-        Middle of each column, from the stream's first sample.
-    lines : list of dict
-        `name` ("x"), `low` and `high`: least and largest value in each column, None where there is none.
-    """
-
-    title: str
-    unit: str
-    t_s: list[float]
-    lines: list[dict[str, Any]]
+    title: str  # What is plotted ("accelerometer", "m/s^2")
+    unit: str  # What is plotted ("accelerometer", "m/s^2")
+    t_s: list[float]  # Middle of each column, from the stream's first sample
+    lines: list[dict[str, Any]]  # `name` ("x"), `low` and `high`
 
 
 @dataclass(frozen=True)
 class DescribedStream:
-    """One IMU or one person's skeleton of a file.
+    """One IMU or one person's skeleton of a file."""
 
-    Attributes
-    ----------
-    kind : str
-        "imu" or "skeleton".
-    name : str
-        What the file calls the sensor; "" where it does not say.
-    holds : list of str
-        Sensors of the device, or joints.
-    count : int
-        Samples or frames.
-    rate_hz : float, Hz, optional
-        Median rate.
-    start_s, duration_s : float, s
-        First time on the file's own clock, and from there to the last.
-    units : str
-        As the file has them.
-    axes : str
-        Of a skeleton: "kinect", "optical", "zup", or "" where the file does not settle them.
-    body : int, optional
-        The file's number of the person.
-    plots : list of StreamPlot
-    """
-
-    kind: str
-    name: str
-    holds: list[str]
-    count: int
-    rate_hz: float | None
-    start_s: float
-    duration_s: float
-    units: str
-    axes: str = ""
-    body: int | None = None
+    kind: str  # "imu" or "skeleton"
+    name: str  # What the file calls the sensor; "" where it does not say
+    holds: list[str]  # Sensors of the device, or joints
+    count: int  # Samples or frames
+    rate_hz: float | None  # Median rate
+    start_s: float  # First time on the file's own clock, and from there to the last
+    duration_s: float  # First time on the file's own clock, and from there to the last
+    units: str  # As the file has them
+    axes: str = ""  # Of a skeleton: "kinect", "optical", "zup", or "" where the file does not settle them
+    body: int | None = None  # The file's number of the person
     plots: list[StreamPlot] = field(default_factory=list)
 
 
 @dataclass
 class DescribedFile:
-    """A file among others.
+    """A file among others."""
 
-    Attributes
-    ----------
-    file : str
-        Its path as given.
-    format, title : str
-        Key and name of its importer; "" where it is of none.
-    kind : str
-        "imu", "skeleton", "recording", "video", "model" (of the pose landmarker), "calibration",
-        "description" (a recording.toml), or "" where the file is not recognised or cannot be read.
-    streams : list of DescribedStream
-    notes : list of str
-        What was decided or corrected.
-    error : str
-        Why it cannot be used; "" where it can.
-    guess : dict, optional
-        Of a table that no importer knows: `kind`, `columns`, `keys`, `reasons`, `unsure` as of `Guess`,
-        `names` of the columns and the first `rows`.
-    """
-
-    file: str
-    format: str = ""
-    title: str = ""
+    file: str  # Its path as given
+    format: str = ""  # Key and name of its importer; "" where it is of none
+    title: str = ""  # Key and name of its importer; "" where it is of none
+    # "imu", "skeleton", "recording", "video", "model" (of the pose landmarker), "calibration", "description"
+    # (a recording.toml), or "" where the file is not recognised or cannot be read
     kind: str = ""
     streams: list[DescribedStream] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    error: str = ""
-    guess: dict[str, Any] | None = None
+    notes: list[str] = field(default_factory=list)  # What was decided or corrected
+    error: str = ""  # Why it cannot be used; "" where it can
+    guess: dict[str, Any] | None = None  # Of a table that no importer knows
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values."""
@@ -148,22 +98,7 @@ class DescribedFile:
 def describe_files(
     paths: list[Path], reader: FileReader | None = None, output: Path | None = None
 ) -> list[DescribedFile]:
-    """Look at files, one after the other; none is refused.
-
-    Parameters
-    ----------
-    paths : list of Path
-        Files, and folders whose files are meant.
-    reader : FileReader, optional
-        One that has templates, or has read some of the files.
-    output : Path, optional
-        No input where it is in a folder.
-
-    Returns
-    -------
-    files : list of DescribedFile
-        In the order of the paths, those of a folder by name.
-    """
+    """Look at files, one after the other; none is refused."""
     reader = reader or FileReader()
     return [describe_file(path, reader) for path in files_meant(paths, output)]
 
@@ -317,20 +252,7 @@ def _rounded(values: FloatArray) -> list[float | None]:
 
 
 def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, Sheet | None, Guess | None]:
-    """The importer of a file, and what it would be taken for as a plain table.
-
-    Returns
-    -------
-    importer : DeviceFormat or None
-        None where it has an unknown format.
-    sheet, guess : Sheet and Guess, or None
-        None where a recognised file is not a text table.
-
-    Raises
-    ------
-    RecordingError
-        It is neither of a known format nor a table that could be an IMU's or a skeleton's.
-    """
+    """The importer of a file, and what it would be taken for as a plain table."""
     head = read_head(path)
     importer = reader.recognised(path)
     try:

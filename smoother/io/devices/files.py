@@ -32,55 +32,25 @@ from .repair import Timed, check_one_session, count_from_zero, repaired_imu, rep
 
 @dataclass(frozen=True)
 class ImuFiles:
-    """Files of one IMU (or of several, where one file contains them).
+    """Files of one IMU (or of several, where one file contains them)."""
 
-    Attributes
-    ----------
-    paths : tuple of Path
-        One file, or one of the accelerometer and one of the gyroscope.
-    name : str
-        As in recording.toml (`forearm_right`); "" leaves it to the motion.
-    sensor : str
-        Of a file that contains several sensors, the one to take; "" = all.
-    """
-
-    paths: tuple[Path, ...]
-    name: str = ""
-    sensor: str = ""
+    paths: tuple[Path, ...]  # One file, or one of the accelerometer and one of the gyroscope
+    name: str = ""  # As in recording.toml (`forearm_right`); "" leaves it to the motion
+    sensor: str = ""  # Of a file that contains several sensors, the one to take; "" = all
 
 
 @dataclass
 class FileReport:
-    """What was recognised in a file.
+    """What was recognised in a file."""
 
-    Attributes
-    ----------
-    path : str
-        The file.
-    format : str
-        The importer's key.
-    sentence : str
-        The line that is said of it.
-    topics : list of str
-        What it was written to.
-    rate_hz : float
-        Median rate.
-    count : int
-        Samples or frames.
-    units : str
-        As the file has them.
-    notes : list of str
-        What was decided or corrected, a sentence each.
-    """
-
-    path: str
-    format: str
-    sentence: str
-    topics: list[str] = field(default_factory=list)
-    rate_hz: float = float("nan")
-    count: int = 0
-    units: str = ""
-    notes: list[str] = field(default_factory=list)
+    path: str  # The file
+    format: str  # The importer's key
+    sentence: str  # The line that is said of it
+    topics: list[str] = field(default_factory=list)  # What it was written to
+    rate_hz: float = float("nan")  # Median rate
+    count: int = 0  # Samples or frames
+    units: str = ""  # As the file has them
+    notes: list[str] = field(default_factory=list)  # What was decided or corrected, a sentence each
 
 
 def import_files(
@@ -95,40 +65,7 @@ def import_files(
     cameras: Sequence[str] = (),
     lenses: Mapping[str, CameraFile] | None = None,
 ) -> tuple[RecordingFile, list[FileReport]]:
-    """Make a recording of device files.
-
-    Parameters
-    ----------
-    skeletons : list of Path
-        Files with skeletons.
-    imus : list of ImuFiles
-        Files with IMUs.
-    imu_format, skeleton_format : str, optional
-        Keys of importers that overrule what is recognised.
-    imu_starts_at_s : float, s, optional
-        When the first IMU sample was taken, after the first camera frame.
-    reader : FileReader, optional
-        One that has read some of the files already.
-    one_session : bool
-        Refuse files whose dates lie a day apart or more, as those that one folder held.
-    cameras : sequence of str
-        Names of the skeletons' cameras, "" where none was given; a named one beyond the first skeleton is a
-        further camera that saw the same person.
-    lenses : mapping of str to CameraFile, optional
-        Of cameras whose files contain keypoints in images, by name; "" is of the one without a name.
-
-    Returns
-    -------
-    file : RecordingFile
-        All streams, for `write_recording`.
-    reports : list of FileReport
-        One per file.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be read or used; the message names it and states what to do.
-    """
+    """Make a recording of device files."""
     if not skeletons and not imus:
         raise RecordingError("There is nothing to import: name files with --skeleton and --imu.")
     reader = reader or FileReader(imu_format, skeleton_format)
@@ -329,30 +266,7 @@ def add_skeleton(
     camera: str = "camera",
     known: KnownLens | None = None,
 ) -> None:
-    """Put the arms of a file's bodies into a recording; all of them share its frames.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        The recording.
-    tables : list of SkeletonTable
-        Bodies with corrected times.
-    source : str
-        The file, for messages.
-    topic : str
-        What to write them to.
-    shift_s : float, s
-        What to add to the times.
-    camera : str
-        Whose frame the joints are in.
-    known : KnownLens, optional
-        Of a file with keypoints in images.
-
-    Raises
-    ------
-    RecordingError
-        No joint of a forearm is tracked, or the positions are in no metres.
-    """
+    """Put the arms of a file's bodies into a recording; all of them share its frames."""
     stamps = [nanoseconds(times_of(table) + shift_s, 0) for table in tables]
     frames = np.unique(np.concatenate(stamps))
     rows = JointRows()

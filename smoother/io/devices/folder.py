@@ -17,30 +17,7 @@ from .registry import FileReader, keys, unknown_file
 def sort_files(
     paths: list[Path], reader: FileReader, output: Path | None = None
 ) -> tuple[list[Path], list[ImuFiles], list[str]]:
-    """Device files among paths, by what is in them.
-
-    Parameters
-    ----------
-    paths : list of Path
-        Files, and folders whose files are meant (not those in folders below).
-    reader : FileReader
-        Keeps what it reads.
-    output : Path, optional
-        The recording to write, which is not an input where it is in a folder.
-
-    Returns
-    -------
-    skeletons : list of Path
-    imus : list of ImuFiles
-        An accelerometer and a gyroscope in two files of one folder are one IMU, where there is one of each.
-    passed_over : list of str
-        Files that no importer recognises, a sentence each.
-
-    Raises
-    ------
-    RecordingError
-        Nothing is recognised, or a file cannot be read.
-    """
+    """Device files among paths, by what is in them."""
     skeletons: list[Path] = []
     imus: list[ImuFiles] = []
     halves: dict[str, list[Path]] = {"acc": [], "gyro": []}
@@ -108,25 +85,7 @@ def files_meant(paths: list[Path], output: Path | None) -> list[Path]:
 
 
 def add_truth(file: RecordingFile, path: Path) -> FileReport:
-    """Put poses of the forearm IMU into a recording; markers stay a file of their own.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        The recording, IMUs on the clock that the poses count on.
-    path : Path
-        `.csv` with t_s, x, y, z [, qw, qx, qy, qz], `.mcap` with poses, or markers (`.c3d`, `.trc`).
-
-    Returns
-    -------
-    FileReport
-        What is said of it.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read, or does not overlap with the IMUs in time.
-    """
+    """Put poses of the forearm IMU into a recording; markers stay a file of their own."""
     kind = path.suffix.lower()
     if kind in MARKER_FORMATS:
         markers = read_markers(path)

@@ -25,15 +25,7 @@ Row = tuple[float, float, list[float]]
 
 
 def keypoint_rows(value: Any, frames: list[tuple[float, float, Any]]) -> list[Row] | None:
-    """The first person's keypoints by frame; None where the file contains no keypoints in images.
-
-    Parameters
-    ----------
-    value : object
-        What the JSON file contains.
-    frames : list of (float, float, object)
-        Number, time and content of its frames, if it is a list of them.
-    """
+    """The first person's keypoints by frame; None where the file contains no keypoints in images."""
     coco = _coco(value)
     if coco is not None:
         return coco
@@ -90,24 +82,7 @@ def _float(value: Any) -> float:
 
 
 def keypoint_table(path: Path, rows: list[Row], scale: float | None, rate_hz: float | None) -> SkeletonTable:
-    """A body whose positions are u, v and score.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    rows : list of Row
-        Of its frames.
-    scale : float, s, optional
-        Unit of the times, if the file states it.
-    rate_hz : float, Hz, optional
-        Frames per second, if the file states it.
-
-    Raises
-    ------
-    RecordingError
-        Their number is of no known set of points, or no arm is among them.
-    """
+    """A body whose positions are u, v and score."""
     count = next((len(flat) // 3 for _, _, flat in rows if flat), 0)
     names = POINT_SETS.get(count)
     if names is None:

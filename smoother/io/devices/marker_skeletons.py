@@ -25,30 +25,7 @@ _ORDER = ("centre", "joint", "skin")
 
 
 def skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
-    """The arms that a file of markers shows.
-
-    Joint centres are taken before joints of a skeleton, those before the middle of two skin markers, and
-    that before one skin marker.
-
-    Parameters
-    ----------
-    markers : Markers
-        As read, in metres.
-    path : Path
-        The file, for messages.
-    y_up : bool
-        The format is written with y up as a rule, which counts where the body does not show it.
-
-    Returns
-    -------
-    SkeletonTable
-        Joints, the direction of down, and notes of what was taken.
-
-    Raises
-    ------
-    RecordingError
-        No marker has the name of an arm's joint, or too few.
-    """
+    """The arms that a file of markers shows."""
     in_reach = (np.abs(markers.position) < _FARTHEST_M).all(axis=2, keepdims=True)
     markers = replace(markers, position=np.where(in_reach, markers.position, np.nan))
     named = [(joint_name(name), column) for column, name in enumerate(markers.names)]
@@ -167,22 +144,8 @@ _PARAMETER_BYTES = 262_144
 
 
 def read_segment_origins(path: Path) -> Markers | None:
-    """Origins of the arms' segments: the shoulder is the upper arm's, elbow the forearm's, wrist the hand's.
-
-    Parameters
-    ----------
-    path : Path
-        A C3D file.
-
-    Returns
-    -------
-    Markers or None
-        Named as joint centres; None where the file has no poses of arms.
-
-    Raises
-    ------
-    RecordingError
-        The file is damaged.
+    """Origins of the arms' segments: the shoulder is the upper arm's, elbow the forearm's, wrist the
+    hand's.
     """
     check_input(path, RecordingError)
     with open(path, "rb") as file:
@@ -247,13 +210,7 @@ def _is_c3d(head: FileHead) -> bool:
 
 
 def read_c3d_skeleton(path: Path) -> list[SkeletonTable]:
-    """C3D files whose points are named as joints.
-
-    Raises
-    ------
-    RecordingError
-        The file is damaged, or none of its points is an arm's joint.
-    """
+    """C3D files whose points are named as joints."""
     markers = read_segment_origins(path) or read_c3d(path)
     return [skeleton_of(markers, path, y_up=False)]
 
@@ -275,13 +232,7 @@ def _is_trc(head: FileHead) -> bool:
 
 
 def read_trc_skeleton(path: Path) -> list[SkeletonTable]:
-    """TRC files whose markers are named as joints; y is up as OpenSim has it, where the body agrees.
-
-    Raises
-    ------
-    RecordingError
-        The file is damaged, or none of its markers is an arm's joint.
-    """
+    """TRC files whose markers are named as joints; y is up as OpenSim has it, where the body agrees."""
     return [skeleton_of(read_trc(path), path, y_up=True)]
 
 

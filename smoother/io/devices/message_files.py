@@ -28,13 +28,7 @@ from ..tables.units import METRES
 
 
 def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
-    """IMUs and arms of an MCAP file, as `unocclude smooth` reads them too.
-
-    Raises
-    ------
-    RecordingError
-        The file is damaged, or holds neither.
-    """
+    """IMUs and arms of an MCAP file, as `unocclude smooth` reads them too."""
     file = open_recording(path, truth=False)
     by_body: dict[tuple[str, int], list[ArmFrames]] = {}
     for arm in file.arms:
@@ -112,13 +106,7 @@ class _Rows:
 
 
 def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
-    """Bags of ROS 1; markers are bodies of the Azure Kinect's driver (id = body x 100 + joint).
-
-    Raises
-    ------
-    RecordingError
-        The library rosbags is not installed, the bag is damaged, or none of its topics can be used.
-    """
+    """Bags of ROS 1; markers are bodies of the Azure Kinect's driver (id = body x 100 + joint)."""
     try:
         from rosbags.rosbag1 import Reader
     except ImportError:
@@ -270,16 +258,7 @@ class _Stream:
 
 
 def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
-    """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied.
-
-    Stamps stay as they were sent otherwise: an even rate is estimated for sensors later, as for all files,
-    and not for cameras, which drop frames.
-
-    Raises
-    ------
-    RecordingError
-        The library pyxdf is not installed, the file is damaged, or none of its streams can be used.
-    """
+    """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied."""
     streams = [stream for entry in _loaded(path) if (stream := _stream(entry)) is not None]
     skeletons = [table for stream in streams for table in _xdf_skeletons(stream, path)]
     imus, reasons = _imus(streams, path)

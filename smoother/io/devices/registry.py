@@ -52,18 +52,7 @@ def formats() -> tuple[DeviceFormat, ...]:
 
 
 def format_named(key: str) -> DeviceFormat:
-    """The importer of that key.
-
-    Parameters
-    ----------
-    key : str
-        As `unocclude import formats` lists it.
-
-    Raises
-    ------
-    RecordingError
-        There is none of that name; the message lists them.
-    """
+    """The importer of that key."""
     for importer in formats():
         if importer.key == key.strip().lower():
             return importer
@@ -73,20 +62,7 @@ def format_named(key: str) -> DeviceFormat:
 
 
 def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
-    """The importer that a file belongs to, by what is in it.
-
-    Parameters
-    ----------
-    head : FileHead
-        The file's beginning.
-    kinds : tuple of str
-        Importers of these kinds come first ("imu", "skeleton", "recording").
-
-    Returns
-    -------
-    DeviceFormat or None
-        None where no importer recognises it.
-    """
+    """The importer that a file belongs to, by what is in it."""
     for importer in formats():
         if (not kinds or importer.kind in kinds) and importer.recognises(head):
             return importer
@@ -131,15 +107,7 @@ def keys() -> str:
 
 
 class FileReader:
-    """Reads device files, each once.
-
-    Parameters
-    ----------
-    imu_format, skeleton_format : str, optional
-        Keys of importers that overrule what is recognised.
-    templates : sequence of DeviceFormat
-        Further importers, asked before all others.
-    """
+    """Reads device files, each once."""
 
     def __init__(
         self,
@@ -153,13 +121,7 @@ class FileReader:
         self._formats: dict[Path, DeviceFormat | None] = {}
 
     def format_of(self, path: Path, kind: str) -> DeviceFormat:
-        """The importer of a file that is to be an "imu" or a "skeleton" (or "" for either).
-
-        Raises
-        ------
-        RecordingError
-            No importer recognises it, or it is of the other kind.
-        """
+        """The importer of a file that is to be an "imu" or a "skeleton" (or "" for either)."""
         if (key := self._named.get(kind)) is not None:
             return format_named(key)
         importer = self.recognised(path, (kind, "recording") if kind else ())
@@ -180,13 +142,7 @@ class FileReader:
         return known
 
     def read(self, path: Path, importer: DeviceFormat) -> Tables:
-        """All tables of a file.
-
-        Raises
-        ------
-        RecordingError
-            In one sentence: the file, what it was recognised as, and what is wrong with it.
-        """
+        """All tables of a file."""
         key = (path, importer.key)
         if key not in self._tables:
             try:
@@ -217,10 +173,7 @@ class FileReader:
         self._tables = {key: tables for key, tables in self._tables.items() if key[0] != path}
 
     def _by_names(self, path: Path, importer: DeviceFormat, error: RecordingError) -> list[ImuTable]:
-        """A table that its importer refuses and whose columns suffice; [] where they do not.
-
-        Other programs write columns that look like a device's.
-        """
+        """A table that its importer refuses and whose columns suffice; [] where they do not."""
         from .named_table import NAMED_IMU, read_named_imu
 
         if importer.kind != "imu" or importer is NAMED_IMU or not NAMED_IMU.recognises(read_head(path)):

@@ -37,25 +37,7 @@ _OWN_STAMPS = 0.25
 
 
 def repaired_imu(table: ImuTable, source: str) -> ImuTable:
-    """An IMU's samples with times that increase.
-
-    Parameters
-    ----------
-    table : ImuTable
-        As a file has it.
-    source : str
-        The file, for messages.
-
-    Returns
-    -------
-    ImuTable
-        `t_s` increases strictly; `notes` list what was done.
-
-    Raises
-    ------
-    RecordingError
-        No usable samples, or neither times nor a rate.
-    """
+    """An IMU's samples with times that increase."""
     table = _rows(table, ~_silent_start(table), "rows of zeros at the start were left out")
     finite = np.ones(_length(table), bool)
     for values in (table.acc, table.gyro):
@@ -315,24 +297,12 @@ FROM_START_S, SAME_LENGTH_S = 60.0, 1.0
 
 @dataclass
 class Timed:
-    """Times of a stream, and what to call it.
+    """Times of a stream, and what to call it."""
 
-    Attributes
-    ----------
-    label : str
-        For sentences.
-    t_s : ndarray, shape (n,), s
-        Increasing, on its own clock.
-    is_imu : bool
-        An IMU, not a camera.
-    source : str
-        The file; "" where it does not matter.
-    """
-
-    label: str
-    t_s: FloatArray
-    is_imu: bool
-    source: str = ""
+    label: str  # For sentences
+    t_s: FloatArray  # (n,) s: increasing, on its own clock
+    is_imu: bool  # An IMU, not a camera
+    source: str = ""  # The file; "" where it does not matter
 
 
 #: Stamps from the year 2000 on are dates, s; files of one session are not so far apart, s.
@@ -340,13 +310,7 @@ _DATES_S, _SESSION_S = 946_684_800.0, 86_400.0
 
 
 def check_one_session(streams: list[Timed]) -> None:
-    """Refuse files that were found together and are of different days.
-
-    Raises
-    ------
-    RecordingError
-        Two lie a day apart or more by their dates: names both.
-    """
+    """Refuse files that were found together and are of different days."""
     dated = [stream for stream in streams if len(stream.t_s) and stream.t_s[0] >= _DATES_S]
     if not dated:
         return
@@ -365,25 +329,7 @@ def check_one_session(streams: list[Timed]) -> None:
 
 
 def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[list[float], list[str]]:
-    """What to add to each stream's times so that all of them can be in one recording.
-
-    Streams that overlap share a clock and are moved together. Where the IMUs' clock has nothing in common
-    with the camera's, both were set to start at zero; the offset is estimated from the motion.
-
-    Parameters
-    ----------
-    streams : list of Timed
-        All cameras and IMUs.
-    imu_starts_at_s : float, s, optional
-        When the first IMU sample was taken, after the first camera frame.
-
-    Returns
-    -------
-    shift_s : list of float, s
-        By stream.
-    sentences : list of str
-        What was done.
-    """
+    """What to add to each stream's times so that all of them can be in one recording."""
     camera = [stream for stream in streams if not stream.is_imu]
     groups = _groups([row for row, stream in enumerate(streams) if stream.is_imu], streams)
     if not camera or not groups:
@@ -421,13 +367,7 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
 
 
 def count_from_zero(streams: list[Timed]) -> bool:
-    """Whether cameras and IMUs each count from zero, so that their relative start is unknown.
-
-    Parameters
-    ----------
-    streams : list of Timed
-        All cameras and IMUs, as recorded; of one file, they share its clock.
-    """
+    """Whether cameras and IMUs each count from zero, so that their relative start is unknown."""
     first = [float(stream.t_s[0]) for stream in streams]
     kinds = {stream.is_imu for stream in streams}
     one_file = len({stream.source for stream in streams}) == 1 and bool(streams[0].source)

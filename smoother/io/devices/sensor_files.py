@@ -19,16 +19,7 @@ from ..tables.protocol import FileFormat, FileHead, ImuTable, amount, begins, sh
 
 
 def read_apdm_hdf(path: Path) -> list[ImuTable]:
-    """Each sensor one IMU: m/s^2, rad/s, time in us since 1970.
-
-    Layout: APDM, "HDF file format", version 5 (`/Sensors/<id>/Accelerometer`) and versions 1 to 4
-    (`/<id>/Calibrated/Accelerometers`).
-
-    Raises
-    ------
-    RecordingError
-        The package h5py is absent, or the file has no sensors.
-    """
+    """Each sensor one IMU: m/s^2, rad/s, time in us since 1970."""
     try:
         import h5py
     except ImportError:
@@ -153,13 +144,7 @@ _USUAL_RANGE = 2000.0
 
 
 def read_axivity(path: Path) -> list[ImuTable]:
-    """Gyroscope in deg/s and accelerometer in g, 16 bits, in blocks with a time stamp each.
-
-    Raises
-    ------
-    RecordingError
-        There are no blocks of samples, or they contain no gyroscope.
-    """
+    """Gyroscope in deg/s and accelerometer in g, 16 bits, in blocks with a time stamp each."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -264,15 +249,7 @@ def _is_mvnx(head: FileHead) -> bool:
 
 
 def read_mvnx(path: Path) -> list[ImuTable]:
-    """Sensors of a suit, each one IMU: m/s^2 and rad/s in the sensor's axes.
-
-    Layout: MVN user manual, appendix on MVNX (`sensorAcceleration`, `sensorAngularVelocity`).
-
-    Raises
-    ------
-    RecordingError
-        It is not sound XML, or has no raw sensors.
-    """
+    """Sensors of a suit, each one IMU: m/s^2 and rad/s in the sensor's axes."""
     rows: dict[str, list[str]] = {key: [] for key in _VALUES}
     names: list[str] = []
     times: list[str] = []

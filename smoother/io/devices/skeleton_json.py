@@ -29,20 +29,7 @@ from .image_keypoints import keypoint_rows, keypoint_table
 
 
 def read_json(path: Path, expected: str) -> Any:
-    """The value that a JSON file contains; a line a value makes a list.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    expected : str
-        What it should be, for messages.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read, or is not JSON.
-    """
+    """The value that a JSON file contains; a line a value makes a list."""
     check_input(path, RecordingError)
     try:
         text = decode(path.read_bytes())
@@ -171,13 +158,7 @@ def _is_kinect_json(head: FileHead) -> bool:
 
 
 def read_kinect_json(path: Path) -> list[SkeletonTable]:
-    """`frames`, each with `timestamp_usec` and `bodies`, each with `body_id` and `joint_positions` in mm.
-
-    Raises
-    ------
-    RecordingError
-        The file breaks off, has other fields, or no arm is in it.
-    """
+    """`frames`, each with `timestamp_usec` and `bodies`, each with `body_id` and `joint_positions` in mm."""
     value = read_json(path, _KINECT_EXPECTED)
     frames = value.get("frames") if isinstance(value, Mapping) else value
     if not isinstance(frames, list) or not frames:
@@ -329,13 +310,7 @@ def _is_pose_json(head: FileHead) -> bool:
 
 
 def read_pose_json(path: Path) -> list[SkeletonTable]:
-    """Frames of landmarks: in a list or by number, landmarks in a list or by name.
-
-    Raises
-    ------
-    RecordingError
-        The file breaks off, the landmarks are parts of the image, or no arm is in it.
-    """
+    """Frames of landmarks: in a list or by number, landmarks in a list or by name."""
     value = read_json(path, _POSE_EXPECTED)
     frames, listed = _Frames(), _frames_of(value)
     for key, frame in listed:

@@ -92,13 +92,7 @@ def _has_joint_rows(head: FileHead) -> bool:
 
 
 def read_joint_rows(path: Path) -> list[SkeletonTable]:
-    """One row per joint, joints by name or by their number in a Kinect v2, an Azure Kinect or BlazePose.
-
-    Raises
-    ------
-    RecordingError
-        The file is not such a table, or no arm is in it.
-    """
+    """One row per joint, joints by name or by their number in a Kinect v2, an Azure Kinect or BlazePose."""
     sheet = read_sheet(path, "a table with one row per joint")
     columns = _columns_of(sheet.layout.names)
     if columns is None:
@@ -260,13 +254,7 @@ def _are_kinect_numbers(head: FileHead) -> bool:
 
 
 def read_kinect_numbers(path: Path) -> list[SkeletonTable]:
-    """32 or 25 joints of 3, 4, 7 or 8 numbers, with or without a time and a body's number in front.
-
-    Raises
-    ------
-    RecordingError
-        Rows do not contain this many numbers, or no arm is in them.
-    """
+    """32 or 25 joints of 3, 4, 7 or 8 numbers, with or without a time and a body's number in front."""
     sheet = read_sheet(path, "rows of numbers of a Kinect's joints")
     rows = _filled(sheet.vectors(range(sheet.layout.width)))
     order = _order_of(rows)
@@ -365,13 +353,7 @@ def _leading(raw: RawSkeleton, columns: FloatArray) -> None:
 
 
 def read_joint_array(path: Path) -> list[SkeletonTable]:
-    """An array of frames, points and x, y, z (and a score); points are identified by their number.
-
-    Raises
-    ------
-    RecordingError
-        The file breaks off, or its shape is of no known set of points.
-    """
+    """An array of frames, points and x, y, z (and a score); points are identified by their number."""
     array = _loaded(path)
     names = POINT_SETS[array.shape[1]]
     raw = RawSkeleton(path, {})

@@ -43,33 +43,17 @@ def is_video(raw: bytes) -> bool:
 
 @dataclass
 class PoseVideo:
-    """An importer of videos; see `DeviceFormat`.
+    """An importer of videos; see `DeviceFormat`."""
 
-    Attributes
-    ----------
-    model : Path, optional
-        Of the pose landmarker.
-    people : int
-        As many are looked for at most.
-    mirrored : bool
-        The camera stored a mirror image.
-    turn_deg : int
-        Rotate the pictures clockwise, in addition to the file's own rotation.
-    progress : callable, optional
-        Told how far it is.
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
-    """
-
-    model: Path | None
-    people: int = 2
-    mirrored: bool = False
-    turn_deg: int = 0
-    progress: Progress | None = None
-    key: str = "video"
-    title: str = "video, MediaPipe pose landmarker"
-    kind: str = "skeleton"
-    recognised_by: str = "the beginning of MP4, MOV, MKV, WebM or AVI"
+    model: Path | None  # Of the pose landmarker
+    people: int = 2  # As many are looked for at most
+    mirrored: bool = False  # The camera stored a mirror image
+    turn_deg: int = 0  # Rotate the pictures clockwise, in addition to the file's own rotation
+    progress: Progress | None = None  # Told how far it is
+    key: str = "video"  # See `DeviceFormat`
+    title: str = "video, MediaPipe pose landmarker"  # See `DeviceFormat`
+    kind: str = "skeleton"  # See `DeviceFormat`
+    recognised_by: str = "the beginning of MP4, MOV, MKV, WebM or AVI"  # See `DeviceFormat`
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the file is a video."""
@@ -83,13 +67,7 @@ class PoseVideo:
         )
 
     def read(self, path: Path) -> list[SkeletonTable]:
-        """Find the persons in all pictures.
-
-        Raises
-        ------
-        RecordingError, UnoccludeError
-            It is not a video, it shows no person, MediaPipe is not installed, or there is no model.
-        """
+        """Find the persons in all pictures."""
         mediapipe_module()  # what is missing is said before minutes of work
         model = check_model(self.model)
         with open_video(path, self.turn_deg, self.mirrored) as video:

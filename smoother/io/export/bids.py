@@ -33,17 +33,11 @@ _SPATIAL = {CameraFrame.KINECT: "LSA", CameraFrame.OPTICAL: "RIA", CameraFrame.Z
 
 @dataclass(frozen=True)
 class BidsNames:
-    """How a recording is called in a data set.
+    """How a recording is called in a data set."""
 
-    Attributes
-    ----------
-    subject, session, task : str
-        Labels of letters and digits; `session` may be "".
-    """
-
-    subject: str
-    session: str = ""
-    task: str = "arm"
+    subject: str  # Labels of letters and digits; `session` may be ""
+    session: str = ""  # Labels of letters and digits; `session` may be ""
+    task: str = "arm"  # Labels of letters and digits; `session` may be ""
 
     def __post_init__(self) -> None:
         for option, label in (("subject", self.subject), ("session", self.session), ("task", self.task)):
@@ -69,48 +63,28 @@ def label_of(name: str) -> str:
 
 @dataclass(frozen=True)
 class Channel:
-    """A column of a motion file.
+    """A column of a motion file."""
 
-    Attributes
-    ----------
-    name, component, kind, point, units, description, frame : str
-        As `channels.tsv` has them; `kind` is its `type`, "" is n/a.
-    values : ndarray, shape (N,)
-        nan is n/a.
-    """
-
-    name: str
-    component: str
-    kind: str
-    point: str
-    units: str
-    values: FloatArray
-    description: str
-    frame: str = ""
+    name: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
+    component: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
+    kind: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
+    point: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
+    units: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
+    values: FloatArray  # (N,): nan is n/a
+    description: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
+    frame: str = ""  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
 
 
 @dataclass(frozen=True)
 class TrackingSystem:
-    """One stream with one clock.
+    """One stream with one clock."""
 
-    Attributes
-    ----------
-    label, title : str
-        `tracksys-LABEL`, and what it is.
-    t_s : ndarray, shape (N,), s
-    channels : list of Channel
-    more : dict
-        Further keys of `motion.json`.
-    frames : dict
-        Levels of the column `reference_frame`.
-    """
-
-    label: str
-    title: str
-    t_s: FloatArray
+    label: str  # `tracksys-LABEL`, and what it is
+    title: str  # `tracksys-LABEL`, and what it is
+    t_s: FloatArray  # (N,) s
     channels: list[Channel]
-    more: dict[str, object] = field(default_factory=dict)
-    frames: dict[str, dict[str, str]] = field(default_factory=dict)
+    more: dict[str, object] = field(default_factory=dict)  # Further keys of `motion.json`
+    frames: dict[str, dict[str, str]] = field(default_factory=dict)  # Levels of the column `reference_frame`
 
 
 def recorded_systems(recording: Recording) -> list[TrackingSystem]:
@@ -182,33 +156,7 @@ def write_bids(
     version: str,
     force: bool = False,
 ) -> int:
-    """Write one session into a data set, which is begun where there is none.
-
-    Parameters
-    ----------
-    folder : Path
-        The data set.
-    names : BidsNames
-    recordings : sequence of Recording
-        Of all arms, with what was recorded; may be empty.
-    recoveries : sequence of Recovery
-        Of all arms.
-    version : str
-        Of the program.
-    force : bool
-        Overwrite this session's files.
-
-    Returns
-    -------
-    files : int
-        Motion files that were written.
-
-    Raises
-    ------
-    UnoccludeError
-        The folder contains something else than a BIDS data set, or this session is there and `force` is not
-        given.
-    """
+    """Write one session into a data set, which is begun where there is none."""
     derivative = folder / "derivatives" / "unocclude"
     raw = [system for recording in recordings for system in recorded_systems(recording)]
     answers = [recovered_system(recovery, version) for recovery in recoveries]

@@ -19,23 +19,7 @@ def export_recovery(
     rate_hz: float | None = None,
     origin: str = "camera",
 ) -> None:
-    """Write a recovery in the format of the file's ending.
-
-    Parameters
-    ----------
-    recovery : Recovery
-    path : path-like
-        Its ending is one of `unocclude export`'s formats, or `.mcap`.
-    force : bool
-        Overwrite a file that exists.
-    frame, rate_hz, origin
-        As `prepare_export` takes them; of formats that have them.
-
-    Raises
-    ------
-    UnoccludeError
-        The ending is not a format, the recovery lacks what the format needs, or the file exists.
-    """
+    """Write a recovery in the format of the file's ending."""
     path = Path(path)
     ending = path.suffix.lower().removeprefix(".")
     if ending == "mcap":

@@ -20,49 +20,16 @@ _JOINTS = ("elbow", "wrist", "shoulder")
 
 
 class ColumnGroup(NamedTuple):
-    """Columns of an export that belong together.
+    """Columns of an export that belong together."""
 
-    Attributes
-    ----------
-    names : list of str
-        Of the columns.
-    values : ndarray, shape (N, columns)
-        nan where there is no answer.
-    unit, description : str
-        Of all of them.
-    """
-
-    names: list[str]
-    values: FloatArray
-    unit: str
-    description: str
+    names: list[str]  # Of the columns
+    values: FloatArray  # (N, columns): nan where there is no answer
+    unit: str  # Of all of them
+    description: str  # Of all of them
 
 
 def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = False) -> None:
-    """Write one row a forearm-IMU sample; cells are empty where the method has no answer.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm.
-    path : path-like
-        The file to write.
-    force : bool
-        Overwrite a file that exists.
-
-    Notes
-    -----
-    Metres in the camera frame; `imu_q*` is the rotation IMU axes to camera; `t_s` is the IMU's own
-    stamp with nine decimals; sigmas are one standard deviation per axis; velocity of the IMU, m/s.
-    `trusted` is 1 where the answer is to be trusted, 0 where it is not, and empty without a verdict;
-    `usable` (the last column) is 1 where there is an answer that is not distrusted, below the limit on sigma
-    if one was set.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or it cannot be written.
-    """
+    """Write one row a forearm-IMU sample; cells are empty where the method has no answer."""
     header, values = csv_columns(recovery)
     header = [*header, "trusted", "usable"]
     marks = 2 * recovery.trusted.astype(np.uint8) + usable(recovery)

@@ -18,43 +18,15 @@ MOST_STEPS = 2.5
 
 @dataclass(frozen=True)
 class Grid:
-    """Times with a constant step.
+    """Times with a constant step."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (G,), s
-        After the recovery's origin.
-    rate_hz : float
-        Rows per second.
-    same : bool
-        The times are the recovery's own: nothing is interpolated.
-    """
-
-    t_s: FloatArray
-    rate_hz: float
-    same: bool
+    t_s: FloatArray  # (G,) s: after the recovery's origin
+    rate_hz: float  # Rows per second
+    same: bool  # The times are the recovery's own: nothing is interpolated
 
 
 def constant_step(recovery: Recovery, rate_hz: float | None = None) -> Grid:
-    """The recovery's own times where their step is constant, else a grid from the first to the last.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm.
-    rate_hz : float, optional
-        Rows per second; None for the IMU's rate.
-
-    Returns
-    -------
-    Grid
-        The times.
-
-    Raises
-    ------
-    UnoccludeError
-        The recovery has less than two samples.
-    """
+    """The recovery's own times where their step is constant, else a grid from the first to the last."""
     t_s = recovery.t_s
     if len(t_s) < 2:
         raise UnoccludeError(
@@ -73,10 +45,7 @@ def constant_step(recovery: Recovery, rate_hz: float | None = None) -> Grid:
 
 
 def at_grid(t_s: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
-    """A recovery's values (N, ..) at the grid's times, by cubic splines; nan where there is none.
-
-    Splines never cross samples that are missing, or a gap in the times.
-    """
+    """A recovery's values (N, ..) at the grid's times, by cubic splines; nan where there is none."""
     from scipy.interpolate import CubicSpline
 
     if grid.same:
@@ -100,25 +69,13 @@ def nearest(t_s: FloatArray, grid: Grid) -> np.ndarray:
     return np.where(grid.t_s - t_s[after - 1] < t_s[after] - grid.t_s, after - 1, after)
 
 
-def frames_at_grid(t_s: FloatArray, values: FloatArray, has: BoolArray, grid: Grid) -> FloatArray:
-    """A camera's values (F, C) at the grid's times: straight lines between frames that follow each other.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (F,), s
-        Frame times on the IMU's clock.
-    values : ndarray, shape (F, C)
-        What to interpolate.
-    has : ndarray of bool, shape (F,)
-        Frames that have a value. A single one is assigned to the nearest time of the grid.
-    grid : Grid
-        The times to interpolate at.
-
-    Returns
-    -------
-    ndarray, shape (G, C)
-        nan where there is none.
-    """
+def frames_at_grid(
+    t_s: FloatArray,  # (F,) s
+    values: FloatArray,  # (F, C)
+    has: BoolArray,  # bool (F,)
+    grid: Grid,
+) -> FloatArray:  # (G, C)
+    """A camera's values (F, C) at the grid's times: straight lines between frames that follow each other."""
     out = np.full((len(grid.t_s), values.shape[1]), np.nan)
     if not len(grid.t_s):
         return out

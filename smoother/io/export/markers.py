@@ -32,33 +32,12 @@ _COLUMNS += ["OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"]
 def write_trc(
     path: str | os.PathLike[str],
     names: Sequence[str],
-    t_s: FloatArray,
-    position: FloatArray,
+    t_s: FloatArray,  # (N,) s
+    position: FloatArray,  # (N, M, 3) m
     rate_hz: float,
     force: bool = False,
 ) -> None:
-    """Write marker positions; cells are blank where a marker has none.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to write.
-    names : sequence of str
-        Of the markers, M.
-    t_s : ndarray, shape (N,), s
-        Times.
-    position : ndarray, shape (N, M, 3), m
-        nan where there is none. The file is in millimetres, as its header states.
-    rate_hz : float
-        Of the rows, for the header.
-    force : bool
-        Overwrite a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or it cannot be written.
-    """
+    """Write marker positions; cells are blank where a marker has none."""
     rate = f"{rate_hz:.10g}"
     count = str(len(t_s))
     head = [
@@ -98,60 +77,23 @@ _INTEGER = 2  # ezc3d's number of the type
 
 @dataclass(frozen=True)
 class C3dContent:
-    """The content of a C3D file.
+    """The content of a C3D file."""
 
-    Attributes
-    ----------
-    names : sequence of str
-        Of the points, M.
-    position : ndarray, shape (N, M, 3), m
-        nan where there is none. The file is in millimetres, as its header states.
-    rate_hz : float
-        Frames per second.
-    residual : ndarray, shape (N, M), optional
-        Of each point by the format's convention: -1 none, 0 computed, above 0 measured; -1 wherever the
-        position is not finite. None: 0 and -1.
-    descriptions : sequence of str
-        Of the points, or empty.
-    channels : mapping of str to (ndarray, str)
-        Further signals (N,) at the frames' rate, by name, with their unit.
-    events : sequence of (str, float)
-        Label and time (s from the first frame), with `context` for all of them.
-    context : str
-        "Left", "Right" or "General".
-    parameters : mapping of str to sequence of str
-        Group UNOCCLUDE: texts by parameter name.
-    """
-
-    names: Sequence[str]
-    position: FloatArray
-    rate_hz: float
-    residual: FloatArray | None = None
-    descriptions: Sequence[str] = ()
+    names: Sequence[str]  # Of the points, M
+    position: FloatArray  # (N, M, 3) m: nan where there is none
+    rate_hz: float  # Frames per second
+    residual: FloatArray | None = None  # (N, M): of each point by the format's convention
+    descriptions: Sequence[str] = ()  # Of the points, or empty
+    # Further signals (N,) at the frames' rate, by name, with their unit
     channels: Mapping[str, tuple[FloatArray, str]] = field(default_factory=dict)
+    # Label and time (s from the first frame), with `context` for all of them
     events: Sequence[tuple[str, float]] = ()
-    context: str = "General"
-    parameters: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    context: str = "General"  # "Left", "Right" or "General"
+    parameters: Mapping[str, Sequence[str]] = field(default_factory=dict)  # Group UNOCCLUDE
 
 
 def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = False) -> None:
-    """Write a C3D file (floating point, millimetres).
-
-    Parameters
-    ----------
-    path : path-like
-        The file to write.
-    content : C3dContent
-        Its content.
-    force : bool
-        Overwrite a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, it cannot be written, or it has too many frames for
-        the format.
-    """
+    """Write a C3D file (floating point, millimetres)."""
     frames = len(content.position)
     check_frames(path, frames, content.rate_hz)
     file = _assemble(content)
@@ -167,13 +109,7 @@ def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = F
 
 
 def check_frames(name: str | os.PathLike[str], frames: int, rate_hz: float) -> None:
-    """Refuse what is too long for the format.
-
-    Raises
-    ------
-    UnoccludeError
-        There are more frames than a C3D file can contain.
-    """
+    """Refuse what is too long for the format."""
     if frames > MOST_FRAMES:
         slower = np.floor(100 * rate_hz * MOST_FRAMES / frames) / 100
         raise UnoccludeError(
@@ -253,29 +189,14 @@ _RESIDUALS = (
 
 @dataclass(frozen=True)
 class MarkerTable:
-    """Markers of one arm with a constant time step.
+    """Markers of one arm with a constant time step."""
 
-    Attributes
-    ----------
-    grid : Grid
-        The times.
-    names : tuple of str
-        Recovered joints and `imu`, then `camera_` and a joint.
-    position : ndarray, shape (G, M, 3), m
-        In the chosen axes; nan where there is none.
-    residual : ndarray, shape (G, M)
-        As C3D files have it: 1, 0, -1 (see `_RESIDUALS`).
-    occluded : ndarray of bool, shape (G,)
-        The camera did not see the forearm.
-    sigma_m : ndarray, shape (G, A), m
-        One standard deviation of the A recovered markers, root mean square over the axes.
-    """
-
-    grid: Grid
-    names: tuple[str, ...]
-    position: FloatArray
-    residual: FloatArray
-    occluded: BoolArray
+    grid: Grid  # The times
+    names: tuple[str, ...]  # Recovered joints and `imu`, then `camera_` and a joint
+    position: FloatArray  # (G, M, 3) m: in the chosen axes; nan where there is none
+    residual: FloatArray  # (G, M): as C3D files have it: 1, 0, -1 (see `_RESIDUALS`)
+    occluded: BoolArray  # bool (G,): the camera did not see the forearm
+    # (G, A) m: One standard deviation of the A recovered markers, root mean square over the axes
     sigma_m: FloatArray
 
 
@@ -283,37 +204,10 @@ def marker_table(
     recovery: Recovery,
     frame: str = "camera",
     rate_hz: float | None = None,
-    level_down: FloatArray | None = None,
+    level_down: FloatArray | None = None,  # (3,)
     origin: str = "camera",
 ) -> MarkerTable:
-    """Markers before and after.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm.
-    frame : str
-        "camera", or "opensim": x horizontally towards the camera (forward for a person who faces it), y up
-        against gravity, z to that person's right; the origin stays in the camera.
-    rate_hz : float, optional
-        Rows per second; None for the IMU's rate.
-    level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if the camera is level, for a method that did not find gravity; None
-        where the axes are not known.
-    origin : str
-        "camera", or "shoulder": the shoulder's median place, one point for all of the recording, so that
-        the shoulder's own motion stays.
-
-    Returns
-    -------
-    MarkerTable
-        In the chosen axes.
-
-    Raises
-    ------
-    UnoccludeError
-        Gravity or the shoulder is needed and not known, or there are too few samples.
-    """
+    """Markers before and after."""
     grid = constant_step(recovery, rate_hz)
     after = {joint: recovery.joints[joint] for joint in JOINTS[:-1] if joint in recovery.joints}
     after["imu"] = recovery.position
@@ -341,13 +235,7 @@ def marker_table(
 
 
 def shoulder_place(recovery: Recovery) -> FloatArray:
-    """The shoulder's median place (3,) in the camera's axes, m.
-
-    Raises
-    ------
-    UnoccludeError
-        The recovery has no shoulder.
-    """
+    """The shoulder's median place (3,) in the camera's axes, m."""
     places = recovery.joints.get("shoulder", np.empty((0, 3)))
     places = places[np.isfinite(places).all(axis=1)]
     if not len(places):
@@ -355,26 +243,11 @@ def shoulder_place(recovery: Recovery) -> FloatArray:
     return np.asarray(np.median(places, axis=0))
 
 
-def opensim_axes(recovery: Recovery, level_down: FloatArray | None = None) -> FloatArray:
-    """`R_K_O` (3, 3): OpenSim's axes (y up) in the camera's; a row vector of {K} times it is in {O}.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm.
-    level_down : ndarray, shape (3,), optional
-        See `marker_table`.
-
-    Returns
-    -------
-    R_K_O : ndarray, shape (3, 3)
-        By the direction of gravity.
-
-    Raises
-    ------
-    UnoccludeError
-        Neither gravity nor the camera's axes are known.
-    """
+def opensim_axes(
+    recovery: Recovery,
+    level_down: FloatArray | None = None,  # (3,)
+) -> FloatArray:  # (3, 3)
+    """`R_K_O` (3, 3): OpenSim's axes (y up) in the camera's; a row vector of {K} times it is in {O}."""
     down = recovery.gravity_direction
     if not np.isfinite(down).all():
         if level_down is None:

@@ -32,28 +32,7 @@ _GROUP = 100_000
 def export_parquet(
     recovery: Recovery, path: str | os.PathLike[str], version: str = "unknown", force: bool = False
 ) -> None:
-    """Write one row a forearm-IMU sample, null where the method has no answer.
-
-    The columns are those of the CSV export and `stamp_ns`; `occluded`, `trusted` (null where not judged) and
-    `usable` are booleans. Each column's metadata has `unit` and `description`; the file's metadata has the
-    key `unocclude`, a JSON object with method, configuration, figures, calibration, gaps, clock and notes.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm.
-    path : path-like
-        The file to write.
-    version : str
-        Of the program that made the recovery.
-    force : bool
-        Overwrite a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or it cannot be written.
-    """
+    """Write one row a forearm-IMU sample, null where the method has no answer."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -98,13 +77,7 @@ _PARTS = 2.0**17
 
 
 def drawn_rows(recovery: Recovery) -> int:
-    """Rows of the file: a row a motion and drawn time.
-
-    Raises
-    ------
-    UnoccludeError
-        No motions were drawn.
-    """
+    """Rows of the file: a row a motion and drawn time."""
     if recovery.draws is None:
         raise UnoccludeError(
             f"the result of {recovery.name} has no drawn motions; run `unocclude smooth` with --draws 64"
@@ -115,29 +88,7 @@ def drawn_rows(recovery: Recovery) -> int:
 def export_draws(
     recovery: Recovery, path: str | os.PathLike[str], version: str = "unknown", force: bool = False
 ) -> None:
-    """Write every drawn motion, one after the other, a row a drawn time; null where there is no answer.
-
-    Columns: `motion` (from 0), `t_s`, `stamp_ns`, `imu_x` .. `imu_qz`, each joint's place, and `trusted`, the
-    answer's at that time; metres in the camera's frame, to a hundredth of a millimetre. The file's metadata
-    has the key `unocclude`: a JSON object with the program's version, the name, the side, how many motions
-    there are and the seed.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm, with draws.
-    path : path-like
-        The file to write.
-    version : str
-        Of the program.
-    force : bool
-        Overwrite a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        No motions were drawn, the file exists and `force` is not given, or it cannot be written.
-    """
+    """Write every drawn motion, one after the other, a row a drawn time; null where there is no answer."""
     import pyarrow as pa
     from pyarrow import parquet
 

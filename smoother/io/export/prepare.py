@@ -20,27 +20,13 @@ DEFAULT_FRAME = {"trc": "opensim", "c3d": "camera", "sto": "opensim"}
 
 @dataclass(frozen=True)
 class Export:
-    """An arm in a format.
+    """An arm in a format."""
 
-    Attributes
-    ----------
-    rows : int
-        In the file.
-    write : callable
-        Writes it to a path; the second argument is `force`.
-    rate_hz : float, optional
-        Rows per second where the step is constant.
-    frame : str, optional
-        Axes of the positions.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    """
-
-    rows: int
-    write: Callable[[Path, bool], None]
-    rate_hz: float | None = None
-    frame: str | None = None
-    notes: tuple[str, ...] = ()
+    rows: int  # In the file
+    write: Callable[[Path, bool], None]  # Writes it to a path; the second argument is `force`
+    rate_hz: float | None = None  # Rows per second where the step is constant
+    frame: str | None = None  # Axes of the positions
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
 
 def prepare_export(
@@ -48,42 +34,12 @@ def prepare_export(
     format_name: str,
     frame: str | None = None,
     rate_hz: float | None = None,
-    level_down: FloatArray | None = None,
+    level_down: FloatArray | None = None,  # (3,)
     version: str = "unknown",
     origin: str = "camera",
     draws: bool = False,
 ) -> Export:
-    """Bring one arm into a format, without writing yet.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm.
-    format_name : str
-        One of `FORMATS`.
-    frame : str, optional
-        "camera" or "opensim" for `trc` (default opensim) and `c3d` (default camera).
-    rate_hz : float, optional
-        Rows per second for `trc`, `mot`, `c3d`; None for the IMU's rate.
-    level_down : ndarray, shape (3,), optional
-        See `marker_table`.
-    version : str
-        Of the program that made the recovery.
-    origin : str
-        "camera" or "shoulder" for `trc` and `c3d`; see `marker_table`.
-    draws : bool
-        For `parquet`: the drawn motions in place of the answer.
-
-    Returns
-    -------
-    Export
-        Ready to be written.
-
-    Raises
-    ------
-    UnoccludeError
-        The recovery has not what the format needs, or the format is not known.
-    """
+    """Bring one arm into a format, without writing yet."""
     if format_name not in FORMATS:
         raise UnoccludeError(f"the format '{format_name}' is not available; formats: {', '.join(FORMATS)}")
     if format_name == "mot":
@@ -116,27 +72,9 @@ def prepare_export(
 
 def prepare_rrd(
     recoveries: Sequence[Recovery],
-    level_down: FloatArray | None = None,
+    level_down: FloatArray | None = None,  # (3,)
 ) -> Export:
-    """All arms of a result as one recording of Rerun, without writing yet; see `rrd.write_rrd`.
-
-    Parameters
-    ----------
-    recoveries : sequence of Recovery
-        One for each arm.
-    level_down : ndarray, shape (3,), optional
-        See `rrd.write_rrd`.
-
-    Returns
-    -------
-    Export
-        Ready to be written.
-
-    Raises
-    ------
-    UnoccludeError
-        rerun-sdk is not installed, or no arm has an answer.
-    """
+    """All arms of a result as one recording of Rerun, without writing yet; see `rrd.write_rrd`."""
     from .rrd import check_rrd, write_rrd
 
     check_rrd(recoveries)

@@ -45,19 +45,7 @@ _STATES = ("seen", "occluded", "not to be trusted", "no answer")
 
 
 class RerunArm:
-    """What is logged of one arm, batch by batch.
-
-    Parameters
-    ----------
-    rr : module
-        The package `rerun`.
-    recovery : Recovery
-        The arm.
-    name : str
-        In entity paths.
-    number : int, optional
-        Which of several arms it is: its curves get a colour and its name. None for the only one.
-    """
+    """What is logged of one arm, batch by batch."""
 
     def __init__(self, rr: Any, recovery: Recovery, name: str, number: int | None = None):
         self.rr = rr
@@ -268,24 +256,8 @@ _EYE = np.array([0.80, -0.52, 0.30])
 _FAR, _NEAR_M = 1.45, 0.7
 
 
-def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> Any:
-    """The blueprint: the arm in space and its gaps on the left, curves on the right.
-
-    Parameters
-    ----------
-    rr : module
-        The package `rerun`.
-    arms : list of RerunArm
-        What is shown.
-    R_W_K : ndarray, shape (3, 3)
-        From the camera's axes to the level frame's.
-    upright : bool
-        `R_W_K` is by gravity: z is up.
-
-    Returns
-    -------
-    Blueprint
-    """
+def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> Any:  # R_W_K (3, 3)
+    """The blueprint: the arm in space and its gaps on the left, curves on the right."""
     rrb = rr.blueprint
     curves = [(f"{point}_{axis}", f"{point} {axis}, m") for point in _points(arms) for axis in "xyz"]
     angles = {angle.name: f"{angle.title}, degrees" for arm in arms for angle in arm.angles}
@@ -362,24 +334,12 @@ def _space(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> A
 
 
 def rerun_module() -> ModuleType:
-    """The package `rerun`, an extra.
-
-    Raises
-    ------
-    UnoccludeError
-        It is not installed, or too old; the message explains how to install it.
-    """
+    """The package `rerun`, an extra."""
     return extra_module("rerun", "rerun-sdk", "view", ["StateChange"], ["blueprint"])
 
 
 def check_rrd(recoveries: Sequence[Recovery]) -> None:
-    """Refuse what could not be shown, before any work is done for it.
-
-    Raises
-    ------
-    UnoccludeError
-        rerun-sdk is not installed, or no arm has an answer at any time.
-    """
+    """Refuse what could not be shown, before any work is done for it."""
     rerun_module()
     if not any(recovery.answered.any() for recovery in recoveries):
         raise UnoccludeError(f"{recoveries[0].name}: there is no answer at any time, and nothing to show")
@@ -389,29 +349,10 @@ def write_rrd(
     recoveries: Sequence[Recovery],
     path: str | os.PathLike[str],
     *,
-    level_down: FloatArray | None = None,
+    level_down: FloatArray | None = None,  # (3,)
     force: bool = False,
 ) -> None:
-    """Write all arms of a result into one file of Rerun.
-
-    Parameters
-    ----------
-    recoveries : sequence of Recovery
-        One for each arm, of one camera.
-    path : path-like
-        The file to write.
-    level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if the camera is level, where no arm's method found gravity. Without
-        either the picture is in the camera's axes.
-    force : bool
-        Overwrite a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        rerun-sdk is not installed, no arm has an answer, the file exists and `force` is not given, or it
-        cannot be written.
-    """
+    """Write all arms of a result into one file of Rerun."""
     rr = rerun_module()
     results = list(recoveries)
     check_rrd(results)

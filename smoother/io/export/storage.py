@@ -23,33 +23,15 @@ _ROWS = 20_000
 
 @dataclass(frozen=True)
 class MotTable:
-    """Joint angles of one arm with a constant time step and a number in every cell.
+    """Joint angles of one arm with a constant time step and a number in every cell."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (G,), s
-        After the recovery's origin.
-    rate_hz : float
-        Rows per second.
-    angles : dict of str to ndarray, shape (G,), deg
-        By coordinate.
-    occluded : ndarray of bool, shape (G,)
-        The camera did not see the forearm.
-    answered : ndarray of bool, shape (G,)
-        False where the method has no answer and a straight line bridges it.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    trusted : ndarray of bool, shape (G,), optional
-        Which rows are to be trusted; None where not judged.
-    """
-
-    t_s: FloatArray
-    rate_hz: float
-    angles: dict[str, FloatArray]
-    occluded: BoolArray
-    answered: BoolArray
-    notes: tuple[str, ...]
-    trusted: BoolArray | None = None
+    t_s: FloatArray  # (G,) s: after the recovery's origin
+    rate_hz: float  # Rows per second
+    angles: dict[str, FloatArray]  # dict of (G,) deg: by coordinate
+    occluded: BoolArray  # bool (G,): the camera did not see the forearm
+    answered: BoolArray  # bool (G,): False where the method has no answer and a straight line bridges it
+    notes: tuple[str, ...]  # What a reader must know, one sentence each
+    trusted: BoolArray | None = None  # bool (G,): which rows are to be trusted; None where not judged
 
 
 def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
@@ -60,23 +42,6 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
     ISB's axial rotation is shoulder_rot - elv_angle; `elbow_flexion`: 0 = straight; `pro_sup`: 0 = thumb up,
     90 = pronated, which is ISB's pronation - 90. A left arm has the angles of its mirror image. A column
     that the recovery cannot give is left out.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm.
-    rate_hz : float, optional
-        Rows per second; None for the IMU's rate.
-
-    Returns
-    -------
-    MotTable
-        From the first sample with all angles to the last.
-
-    Raises
-    ------
-    UnoccludeError
-        No joint angle is known anywhere: shoulder, elbow and wrist are needed.
     """
     grid = constant_step(recovery, rate_hz)
     isb_angles = recovery_angles(recovery if grid.same else _resampled(recovery, grid))
@@ -119,24 +84,7 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
 
 
 def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery, force: bool = False) -> None:
-    """Write joint angles as OpenSim reads them.
-
-    Parameters
-    ----------
-    table : MotTable
-        The angles.
-    path : path-like
-        The file to write.
-    recovery : Recovery
-        What they are of, for the header.
-    force : bool
-        Overwrite a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or it cannot be written.
-    """
+    """Write joint angles as OpenSim reads them."""
     marks = {"occluded": table.occluded, "answered": table.answered}
     if table.trusted is not None:
         marks["trusted"] = table.trusted
@@ -225,47 +173,19 @@ BODIES = {"forearm": "radius", "upper_arm": "humerus", "hand": "hand", "trunk": 
 
 @dataclass(frozen=True)
 class OrientationTable:
-    """Orientations of one arm's IMUs in OpenSim's axes, a number in every cell.
+    """Orientations of one arm's IMUs in OpenSim's axes, a number in every cell."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (G,), s
-        The forearm IMU's own stamps; samples at which an IMU has no orientation are left out.
-    quaternion : dict of str to ndarray, shape (G, 4)
-        qw, qx, qy, qz by column: the IMU's axes to OpenSim's ground ({O}: x level towards the camera, y up,
-        z to the right of a person who faces it). `torso_imu` is the thorax itself (ISB), its IMU's mounting
-        taken off.
-    rate_hz : float
-        Median of the stamps.
-    notes : tuple of str
-        What a reader must know, one sentence each.
-    """
-
-    t_s: FloatArray
-    quaternion: dict[str, FloatArray]
-    rate_hz: float
-    notes: tuple[str, ...]
+    t_s: FloatArray  # (G,) s: the forearm IMU's own stamps
+    quaternion: dict[str, FloatArray]  # dict of (G, 4): qw, qx, qy, qz by column
+    rate_hz: float  # Median of the stamps
+    notes: tuple[str, ...]  # What a reader must know, one sentence each
 
 
-def orientation_table(recovery: Recovery, level_down: FloatArray | None = None) -> OrientationTable:
-    """The orientations of all IMUs of a recovery.
-
-    Parameters
-    ----------
-    recovery : Recovery
-        One arm.
-    level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if the camera is level, for a method that did not find gravity.
-
-    Returns
-    -------
-    table : OrientationTable
-
-    Raises
-    ------
-    UnoccludeError
-        No sample has all orientations, or neither gravity nor the camera's axes are known.
-    """
+def orientation_table(
+    recovery: Recovery,
+    level_down: FloatArray | None = None,  # (3,)
+) -> OrientationTable:
+    """The orientations of all IMUs of a recovery."""
     R_O_K = Rotation.from_matrix(opensim_axes(recovery, level_down).T)
     of_camera = {"forearm": recovery.quaternion}
     of_camera |= {name: motion.quaternion for name, motion in recovery.segments.items()}
@@ -301,22 +221,7 @@ def orientation_table(recovery: Recovery, level_down: FloatArray | None = None) 
 
 
 def write_sto(table: OrientationTable, path: str | os.PathLike[str], force: bool = False) -> None:
-    """Write orientations as OpenSim 4 reads them: cells `qw,qx,qy,qz` between tabs.
-
-    Parameters
-    ----------
-    table : OrientationTable
-        What to write.
-    path : path-like
-        The file to write.
-    force : bool
-        Overwrite a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or it cannot be written.
-    """
+    """Write orientations as OpenSim 4 reads them: cells `qw,qx,qy,qz` between tabs."""
     head = [f"DataRate={table.rate_hz:.6f}", "DataType=Quaternion", "version=3", "endheader"]
     columns = "\t".join(["time", *table.quaternion])
     line = "%.9f" + "\t%.9f,%.9f,%.9f,%.9f" * len(table.quaternion) + "\n"

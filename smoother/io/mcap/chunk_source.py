@@ -31,24 +31,7 @@ from .top_level import (
 
 
 class Definitions:
-    """The channels of a file.
-
-    Attributes
-    ----------
-    topics : list of Topic
-        Channels met so far.
-    number : ndarray of int, shape (65536,)
-        By channel, its position in `topics`; -1 where it is not known.
-    schemas, channels : dict
-        Records met so far, by their numbers.
-
-    Parameters
-    ----------
-    log : DamageLog
-        Where damage is taken down.
-    schemas, channels : dict, optional
-        By number, for channels whose records come late or are lost.
-    """
+    """The channels of a file."""
 
     def __init__(
         self,
@@ -65,17 +48,7 @@ class Definitions:
         self._others = dict(schemas or {}), dict(channels or {})
 
     def define(self, opcode: int, content: bytes, is_checked: bool) -> int | None:
-        """Take in a schema or a channel; the number of a channel that is new.
-
-        Parameters
-        ----------
-        opcode : int
-            Of the record.
-        content : bytes
-            The record.
-        is_checked : bool
-            Its chunk has a checksum, which is right.
-        """
+        """Take in a schema or a channel; the number of a channel that is new."""
         stream = ReadDataStream(BytesIO(content))
         try:
             if opcode == Opcode.SCHEMA:
@@ -163,30 +136,7 @@ _METADATA_LIMIT = 1 << 26
 
 
 class ChunkSource:
-    """Reads the chunks of one file.
-
-    Attributes
-    ----------
-    metadata : dict of str to dict of str to str
-        Metadata records met so far, by name; later ones win.
-    place : int, bytes
-        Of the chunk at hand in the file.
-    attachments : int
-        Attachment records met so far.
-    is_checked : bool
-        The chunk at hand has a checksum, and it is right.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    log : DamageLog
-        Where damage is taken down.
-    definitions : Definitions
-        Channels of the file.
-    unverified : bool
-        Yield chunks that fail their checksum as well.
-    """
+    """Reads the chunks of one file."""
 
     def __init__(self, path: Path, log: DamageLog, definitions: Definitions, unverified: bool):
         self.metadata: dict[str, dict[str, str]] = {}
@@ -277,10 +227,7 @@ class ChunkSource:
         self._log.lost(loss)
 
     def _chunk(self, file: IO[bytes], record: TopRecord, size: int) -> list[bytes]:
-        """A chunk's records, of a cut or damaged chunk those before the place; nothing of one left out.
-
-        Its index, if it has one, follows.
-        """
+        """A chunk's records, of a cut or damaged chunk those before the place; nothing of one left out."""
         file.seek(record.start)
         there = min(record.length, size - record.start)
         self.place = offset = record.start

@@ -42,24 +42,12 @@ Encoded = NDArray[np.uint8] | list[bytes]
 
 
 class Records(NamedTuple):
-    """Messages with their heads, as they are in a file.
+    """Messages with their heads, as they are in a file."""
 
-    Attributes
-    ----------
-    channel : ndarray of int, shape (n,)
-        Numbers of their channels.
-    log_ns : ndarray of int, shape (n,), ns
-        Log times.
-    sizes : ndarray of int, shape (n,), bytes
-        Of the records.
-    records : memoryview
-        Heads and payloads, one record behind the other.
-    """
-
-    channel: IntArray
-    log_ns: IntArray
-    sizes: IntArray
-    records: memoryview
+    channel: IntArray  # int (n,): numbers of their channels
+    log_ns: IntArray  # int (n,) ns: log times
+    sizes: IntArray  # int (n,) bytes: of the records
+    records: memoryview  # Heads and payloads, one record behind the other
 
 
 class Payloads(NamedTuple):
@@ -105,13 +93,7 @@ class Batch:
         return counts
 
     def sorted(self, numbers: Mapping[int, int]) -> Records:
-        """All messages by log time; those of one time in the order in which they came.
-
-        Parameters
-        ----------
-        numbers : mapping of int to int
-            The next message's number by channel; zero where there is none.
-        """
+        """All messages by log time; those of one time in the order in which they came."""
         if not self._columns:
             nothing = np.empty(0, np.int64)
             return Records(nothing, nothing, nothing, memoryview(b""))
@@ -161,16 +143,7 @@ _THREADS = 2
 
 
 class ChunkedFile:
-    """Writes an MCAP file: chunks of messages, and the index that players look for at its end.
-
-    Threads sort, compress and write a batch while the next one is made; all is written in the order in which
-    it came.
-
-    Parameters
-    ----------
-    file : IO[bytes]
-        Opened for writing in binary.
-    """
+    """Writes an MCAP file: chunks of messages, and the index that players look for at its end."""
 
     def __init__(self, file: IO[bytes]):
         self._file = file
@@ -206,15 +179,7 @@ class ChunkedFile:
         return number
 
     def messages(self, batch: Batch, numbers: Mapping[int, int]) -> None:
-        """Write messages by log time, in chunks of about a megabyte, once those before them are written.
-
-        Parameters
-        ----------
-        batch : Batch
-            Messages; it must not change any more.
-        numbers : mapping of int to int
-            The next message's number by channel; zero where there is none.
-        """
+        """Write messages by log time, in chunks of about a megabyte, once those before them are written."""
         self._settle()
         self._later(self._messages, batch, numbers)
 
@@ -345,14 +310,8 @@ class ChunkedFile:
 
 
 class _ChunkIndexes:
-    """Where all chunks lie, as records for the file's end: 0.1 kB a chunk, so that a session may last a day.
-
-    Attributes
-    ----------
-    count : int
-        Chunks so far.
-    first_ns, last_ns : int, ns
-        Log times that they cover; `first_ns` is None without any.
+    """Where all chunks lie, as records for the file's end: 0.1 kB a chunk, so that a session may last a
+    day.
     """
 
     def __init__(self) -> None:

@@ -30,32 +30,7 @@ _LATEST = np.uint64(np.iinfo(np.int64).max - 1)
 
 
 class Container:
-    """A file to be read once, front to back.
-
-    Attributes
-    ----------
-    path : path-like
-        The file.
-    topics : list of Topic
-        Channels met so far.
-    metadata : dict of str to dict of str to str
-        Metadata records met so far, by name; later ones win.
-    notes : list of str
-        What was wrong with the file, one sentence each; complete once it has been read to its end.
-    losses : list of Loss
-        What gave nothing, in the file's order.
-    missing : dict of str to int
-        Messages by topic that the file's own count has and that are not there; known at the end.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    unverified : bool
-        Take messages of chunks that fail their checksum as well; they are among the losses all the same.
-    definitions : tuple of dict, optional
-        Schemas and channels by number for messages that come before the records of their channels.
-    """
+    """A file to be read once, front to back."""
 
     def __init__(
         self,
@@ -83,11 +58,7 @@ class Container:
         return self._definitions.schemas, self._definitions.channels
 
     def by_topic(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, TopicMessages]]:
-        """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`.
-
-        All messages are counted in their topic; payloads of topics that are not wanted are passed over.
-        Topics come in the order of their first message in the chunk.
-        """
+        """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`."""
         for chunk, index in self._chunks():
             heads, start, stop, number = self._messages_in(chunk, index)
             by_topic: dict[int, TopicMessages] = {}

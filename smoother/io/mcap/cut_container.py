@@ -31,22 +31,12 @@ _STATIC = ("TFMessage", "FrameTransform", "FrameTransforms", "CameraInfo", "Came
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a recording.
+    """A part of a recording."""
 
-    Attributes
-    ----------
-    name : str
-        For messages, and kept in the part's file.
-    path : Path
-        To write.
-    from_s, to_s : float, s
-        On the recording's axis, the end left out; infinite for the recording's.
-    """
-
-    name: str
-    path: Path
-    from_s: float
-    to_s: float
+    name: str  # For messages, and kept in the part's file
+    path: Path  # To write
+    from_s: float  # On the recording's axis, the end left out; infinite for the recording's
+    to_s: float  # On the recording's axis, the end left out; infinite for the recording's
 
 
 def cut_container(
@@ -56,32 +46,7 @@ def cut_container(
     of_recording: str,
     force: bool = False,
 ) -> list[dict[str, object]]:
-    """Write parts of an MCAP file; the file is read once.
-
-    Every message keeps its content and its times. Transforms and calibrations of the camera that were said
-    before a part are said at its start.
-
-    Parameters
-    ----------
-    source : path-like
-    parts : sequence of Part
-    zero_ns : int, ns
-        Log time of the recording's time zero.
-    of_recording : str
-        Name of the metadata record that states which rows of a truth are scored.
-    force : bool
-        Overwrite outputs that exist.
-
-    Returns
-    -------
-    written : list of dict
-        `name`, `file`, `from_s`, `to_s` and `messages` (by topic) of each part.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or a part has no message.
-    """
+    """Write parts of an MCAP file; the file is read once."""
     container = Container(source)
     written: list[dict[str, object]] = []
     with tempfile.TemporaryFile() as payloads:

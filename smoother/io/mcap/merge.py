@@ -38,21 +38,11 @@ END = int(np.iinfo(np.int64).max)
 
 @dataclass
 class OutputStream:
-    """Messages of one channel still to be encoded.
+    """Messages of one channel still to be encoded."""
 
-    Attributes
-    ----------
-    channel : int
-        The channel's number.
-    time_ns : ndarray of int, shape (N,), ns
-        Log times; negative ones are written as zero.
-    encode : callable
-        Wire form of a slice of the messages.
-    """
-
-    channel: int
-    time_ns: IntArray
-    encode: Callable[[slice], Encoded]
+    channel: int  # The channel's number
+    time_ns: IntArray  # int (N,) ns: log times; negative ones are written as zero
+    encode: Callable[[slice], Encoded]  # Wire form of a slice of the messages
 
     def __post_init__(self) -> None:
         # Log times must not run back, or slices could not be cut; stamps inside stay as they are.
@@ -115,15 +105,7 @@ class Output:
         self._next_foreign = next(self._foreign, None)
 
     def write(self, outgoing: Sequence[OutputStream], until: int = END) -> None:
-        """Write streams by log time, and between them those of another file.
-
-        Parameters
-        ----------
-        outgoing : sequence of OutputStream
-            Streams to encode.
-        until : int, ns
-            Log time before which all of them lie, and from which on others will come.
-        """
+        """Write streams by log time, and between them those of another file."""
         latest = dict(self._latest)
         for stream in outgoing:  # streams that go on where an earlier part of them ended
             if len(stream.time_ns):
@@ -181,19 +163,11 @@ def _slices(outgoing: Sequence[OutputStream], until: int) -> Iterator[tuple[int,
 
 
 class TimeAxis(NamedTuple):
-    """Times of a stream.
+    """Times of a stream."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (N,), s
-        After the origin, in rising order.
-    origin_ns, shift_ns : int, ns
-        The origin, and log time less stamp.
-    """
-
-    t_s: FloatArray
-    origin_ns: int
-    shift_ns: int
+    t_s: FloatArray  # (N,) s: after the origin, in rising order
+    origin_ns: int  # The origin, and log time less stamp
+    shift_ns: int  # The origin, and log time less stamp
 
     def log_ns(self, rows: slice) -> IntArray:
         """Log times of some rows, ns."""
@@ -201,37 +175,14 @@ class TimeAxis(NamedTuple):
 
 
 class TimeBatch(NamedTuple):
-    """Rows of several streams.
+    """Rows of several streams."""
 
-    Attributes
-    ----------
-    until_ns : int, ns
-        Log time that they end before.
-    rows : list of slice
-        Of each axis.
-    """
-
-    until_ns: int
-    rows: list[slice]
+    until_ns: int  # Log time that they end before
+    rows: list[slice]  # Of each axis
 
 
 def time_batches(axes: Sequence[TimeAxis], most: int = SLICE) -> Iterator[TimeBatch]:
-    """Cut streams where the densest of them has `most` rows; there is one batch at the least.
-
-    Rows that run back in time are in the batch of those around them.
-
-    Parameters
-    ----------
-    axes : sequence of TimeAxis
-        Of the streams.
-    most : int
-        Rows of a stream in one batch.
-
-    Yields
-    ------
-    TimeBatch
-        Every row is in one of them.
-    """
+    """Cut streams where the densest of them has `most` rows; there is one batch at the least."""
     starts = [0] * len(axes)
     while True:
         ahead = [
@@ -259,30 +210,15 @@ _TOGETHER = 4096
 
 @dataclass
 class RepairReport:
-    """What was still in a damaged file.
+    """What was still in a damaged file."""
 
-    Attributes
-    ----------
-    source : str
-        The damaged file's name.
-    messages : dict of str to int
-        Written, by topic.
-    missing : dict of str to int
-        Lost by topic, as the damaged file's own count says; empty where it has none.
-    losses : list of Loss
-        What is damaged, in the file's order.
-    notes : list of str
-        What was wrong, one sentence each.
-    attachments : int
-        That were not carried over.
-    """
-
-    source: str
-    messages: dict[str, int] = field(default_factory=dict)
+    source: str  # The damaged file's name
+    messages: dict[str, int] = field(default_factory=dict)  # Written, by topic
+    # Lost by topic, as the damaged file's own count says; empty where it has none
     missing: dict[str, int] = field(default_factory=dict)
-    losses: list[Loss] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    attachments: int = 0
+    losses: list[Loss] = field(default_factory=list)  # What is damaged, in the file's order
+    notes: list[str] = field(default_factory=list)  # What was wrong, one sentence each
+    attachments: int = 0  # That were not carried over
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, fit for JSON."""
@@ -310,28 +246,7 @@ class RepairReport:
 def repair_container(
     source: str | os.PathLike[str], output: str | os.PathLike[str], force: bool = False
 ) -> RepairReport:
-    """Write what is still in a damaged MCAP file as a whole one.
-
-    Messages of chunks that fail their checksum are written too, as nothing shows which of them is damaged;
-    the file's metadata state it, and every reader shows it.
-
-    Parameters
-    ----------
-    source, output : path-like
-        The damaged file, and where the whole one is to lie.
-    force : bool
-        Overwrite an output that exists.
-
-    Returns
-    -------
-    RepairReport
-        What was written, and what was lost where.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or has no complete message.
-    """
+    """Write what is still in a damaged MCAP file as a whole one."""
     container = Container(source, unverified=True)
     with tempfile.TemporaryFile() as payloads:
         rows, topics = spooled(container, payloads)

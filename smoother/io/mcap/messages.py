@@ -21,23 +21,12 @@ from ..wire.layout import Block, Buffer, MessageLayout
 SECOND_NS = 1_000_000_000
 
 
-def seconds(stamp_ns: IntArray, origin_ns: int, store: Store | None = None) -> FloatArray:
-    """Stamps as seconds after an origin; `nanoseconds` gives the same stamps back.
-
-    Parameters
-    ----------
-    stamp_ns : ndarray, shape (n,), ns
-        Stamps.
-    origin_ns : int, ns
-        The origin.
-    store : Store, optional
-        Where the seconds are to lie; in memory if None.
-
-    Returns
-    -------
-    t_s : ndarray, shape (n,), s
-        Exact to the nanosecond within fifty days of the origin.
-    """
+def seconds(
+    stamp_ns: IntArray,  # (n,) ns
+    origin_ns: int,
+    store: Store | None = None,
+) -> FloatArray:  # (n,) s
+    """Stamps as seconds after an origin; `nanoseconds` gives the same stamps back."""
     if store is None:
         return (stamp_ns - origin_ns) / 1e9
     t_s = store.array((len(stamp_ns),), 0.0)
@@ -65,29 +54,15 @@ _LONGEST_NAME = 80
 
 @dataclass
 class Loss:
-    """A part of the file that gave nothing, or gave what cannot be vouched for.
+    """A part of the file that gave nothing, or gave what cannot be vouched for."""
 
-    Attributes
-    ----------
-    what : str
-        What is there and what became of it.
-    start, stop : int, bytes
-        Where it is in the file.
-    first_ns, last_ns : int, ns, optional
-        Log times before and after it; None if unknown.
-    counts : dict of str to int
-        Messages lost by topic, as far as indexes tell.
-    is_kept : bool
-        They were read all the same, and cannot be vouched for.
-    """
-
-    what: str
-    start: int
-    stop: int
-    first_ns: int | None = None
-    last_ns: int | None = None
-    counts: dict[str, int] = field(default_factory=dict)
-    is_kept: bool = False
+    what: str  # What is there and what became of it
+    start: int  # bytes: Where it is in the file
+    stop: int  # bytes: Where it is in the file
+    first_ns: int | None = None  # Log times before and after it; None if unknown
+    last_ns: int | None = None  # Log times before and after it; None if unknown
+    counts: dict[str, int] = field(default_factory=dict)  # Messages lost by topic, as far as indexes tell
+    is_kept: bool = False  # They were read all the same, and cannot be vouched for
 
     def sentence(self, zero_ns: int | None) -> str:
         """One clause for a note; times count from `zero_ns`."""
@@ -102,21 +77,7 @@ class Loss:
 
 
 class DamageLog:
-    """What was wrong with a file, as it is met.
-
-    Attributes
-    ----------
-    name : str
-        Of the file, for notes.
-    notes : list of str
-        One sentence each.
-    losses : list of Loss
-        In the file's order.
-    is_cut : bool
-        The file ends in the middle of a record.
-    first_ns : int, ns, optional
-        Of the first messages; notes count from it.
-    """
+    """What was wrong with a file, as it is met."""
 
     def __init__(self, name: str):
         self.name = name
@@ -187,36 +148,17 @@ def plain_name(name: str) -> str:
 
 @dataclass
 class Topic:
-    """A channel of the file.
+    """A channel of the file."""
 
-    Attributes
-    ----------
-    name : str
-        The topic.
-    schema : str
-        Name of its schema; "" where there is none.
-    schema_encoding : str
-    schema_data : bytes
-        As the file has them.
-    encoding : str
-        Of the messages (`cdr`, `protobuf`).
-    metadata : dict of str to str
-        Of the channel.
-    count : int
-        Number of messages.
-    first_ns, last_ns : int, ns
-        Smallest and largest log time.
-    """
-
-    name: str
-    schema: str
+    name: str  # The topic
+    schema: str  # Name of its schema; "" where there is none
     schema_encoding: str
-    schema_data: bytes
-    encoding: str
-    metadata: dict[str, str] = field(default_factory=dict)
-    count: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
+    schema_data: bytes  # As the file has them
+    encoding: str  # Of the messages (`cdr`, `protobuf`)
+    metadata: dict[str, str] = field(default_factory=dict)  # Of the channel
+    count: int = 0  # Number of messages
+    first_ns: int = 0  # Smallest and largest log time
+    last_ns: int = 0  # Smallest and largest log time
 
     @property
     def label(self) -> str:
@@ -232,69 +174,33 @@ class Topic:
 
 
 class McapMessage(NamedTuple):
-    """A message as it is in the file.
+    """A message as it is in the file."""
 
-    Attributes
-    ----------
-    topic : Topic
-        Its topic.
-    log_ns : int, ns
-        Its log time.
-    data : memoryview
-        Its payload.
-    """
-
-    topic: Topic
-    log_ns: int
-    data: memoryview
+    topic: Topic  # Its topic
+    log_ns: int  # Its log time
+    data: memoryview  # Its payload
 
 
 class TopicMessages(NamedTuple):
-    """Messages of one topic in a chunk, as columns (n,) in the file's order.
+    """Messages of one topic in a chunk, as columns (n,) in the file's order."""
 
-    Attributes
-    ----------
-    log_ns : ndarray of int, shape (n,), ns
-        Log times.
-    chunk : bytes
-        Its bytes; payloads stay where they are in them.
-    start, stop : ndarray of int, shape (n,)
-        Where each payload begins and ends.
-    """
-
-    log_ns: IntArray
-    chunk: bytes
-    start: IntArray
-    stop: IntArray
+    log_ns: IntArray  # int (n,) ns: log times
+    chunk: bytes  # Its bytes; payloads stay where they are in them
+    start: IntArray  # int (n,): Where each payload begins and ends
+    stop: IntArray  # int (n,): Where each payload begins and ends
 
 
 class ChunkMessages(NamedTuple):
-    """Messages of one chunk, of all topics, in the file's order.
+    """Messages of one chunk, of all topics, in the file's order."""
 
-    Attributes
-    ----------
-    topics : list of Topic
-        All of them so far.
-    topic : ndarray of int, shape (n,)
-        Of each message, as a position in `topics`.
-    sequence : ndarray of int, shape (n,)
-        Their numbers within the channel.
-    log_ns, publish_ns : ndarray of int, shape (n,), ns
-        Their times.
-    chunk : bytes or memoryview
-        What contains the payloads.
-    start, stop : ndarray of int, shape (n,)
-        Where each payload begins and ends.
-    """
-
-    topics: list[Topic]
-    topic: IntArray
-    sequence: IntArray
-    log_ns: IntArray
-    publish_ns: IntArray
-    chunk: Buffer
-    start: IntArray
-    stop: IntArray
+    topics: list[Topic]  # All of them so far
+    topic: IntArray  # int (n,): of each message, as a position in `topics`
+    sequence: IntArray  # int (n,): their numbers within the channel
+    log_ns: IntArray  # int (n,) ns: their times
+    publish_ns: IntArray  # int (n,) ns: their times
+    chunk: Buffer  # What contains the payloads
+    start: IntArray  # int (n,): Where each payload begins and ends
+    stop: IntArray  # int (n,): Where each payload begins and ends
 
     @property
     def data(self) -> list[bytes]:

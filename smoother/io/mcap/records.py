@@ -60,42 +60,17 @@ class Definition(NamedTuple):
 
 
 class RecordPlaces(NamedTuple):
-    """What a chunk contains.
+    """What a chunk contains."""
 
-    Attributes
-    ----------
-    place : ndarray of int, shape (n,)
-        Where message records begin.
-    heads : ndarray, shape (n,)
-        What they begin with, `MESSAGE`.
-    definitions : list of Definition
-        Schemas and channels, in order.
-    is_cut : bool
-        The last record goes beyond the end.
-    damaged : int, bytes
-        That make no sense and were passed over.
-    """
-
-    place: IntArray
-    heads: NDArray
-    definitions: list[Definition]
-    is_cut: bool
-    damaged: int = 0
+    place: IntArray  # int (n,): Where message records begin
+    heads: NDArray  # (n,): what they begin with, `MESSAGE`
+    definitions: list[Definition]  # Schemas and channels, in order
+    is_cut: bool  # The last record goes beyond the end
+    damaged: int = 0  # bytes: that make no sense and were passed over
 
 
 def find(chunk: bytes, index: Sequence[bytes], is_whole: bool = False) -> RecordPlaces:
-    """All messages, schemas and channels of a chunk.
-
-    Parameters
-    ----------
-    chunk : bytes
-        Its records.
-    index : sequence of bytes
-        Contents of the message index records behind it.
-    is_whole : bool
-        Nothing is cut off: a record that goes beyond the end has a damaged length, and what makes sense
-        behind it is read.
-    """
+    """All messages, schemas and channels of a chunk."""
     return _indexed(chunk, index) or _walked(chunk, 0, len(chunk), is_whole)
 
 
@@ -211,43 +186,19 @@ BROKEN = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowError
 
 @dataclass
 class Summary:
-    """Records of the summary; empty where there is none that can be read.
+    """Records of the summary; empty where there is none that can be read."""
 
-    Attributes
-    ----------
-    schemas, channels : dict
-        By their numbers.
-    chunks : list of ChunkIndex
-        In the file's order.
-    counts : dict of int to int
-        Messages by channel; empty where the file does not count them.
-    is_sound : bool
-        It is whole, and its checksum is right or was not written.
-    is_checked : bool
-        Its checksum is right.
-    is_there : bool
-        The file ends as a whole file does.
-    """
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)
-    is_sound: bool = False
-    is_checked: bool = False
-    is_there: bool = False
+    schemas: dict[int, Schema] = field(default_factory=dict)  # By their numbers
+    channels: dict[int, Channel] = field(default_factory=dict)  # By their numbers
+    chunks: list[ChunkIndex] = field(default_factory=list)  # In the file's order
+    counts: dict[int, int] = field(default_factory=dict)  # Messages by channel
+    is_sound: bool = False  # It is whole, and its checksum is right or was not written
+    is_checked: bool = False  # Its checksum is right
+    is_there: bool = False  # The file ends as a whole file does
 
 
 def read_summary(file: IO[bytes], size: int) -> Summary:
-    """Read what is at a file's end; nothing is raised where it is damaged or missing.
-
-    Parameters
-    ----------
-    file : IO[bytes]
-        Opened for reading in binary.
-    size : int, bytes
-        Of the file.
-    """
+    """Read what is at a file's end; nothing is raised where it is damaged or missing."""
     summary = Summary()
     tail = _FOOTER.size + len(MAGIC)
     if size < tail + len(MAGIC):

@@ -25,13 +25,7 @@ _STEP = 512
 
 
 def chunk_limit() -> int:
-    """Largest size of a chunk that is unpacked, bytes.
-
-    Raises
-    ------
-    UnoccludeError
-        The variable that sets it is not a number.
-    """
+    """Largest size of a chunk that is unpacked, bytes."""
     text = os.environ.get(LIMIT_NAME, "") or str(LIMIT_MB)
     if not (text.isascii() and text.isdigit() and len(text) < 7 and int(text)):
         raise UnoccludeError(f"the variable {LIMIT_NAME} is a number of megabytes above zero, not {text:.40}")
@@ -44,24 +38,7 @@ def whole_limit(file_bytes: int) -> int:
 
 
 def unpack(compression: str, packed: memoryview, size: int, source: object) -> bytes:
-    """A chunk's records; of a damaged chunk those before the damage, never more than `size` bytes.
-
-    Parameters
-    ----------
-    compression : str
-        "", "zstd" or "lz4".
-    packed : memoryview
-        As they are in the file.
-    size : int, bytes
-        That the chunk states of its records.
-    source : object
-        The file, for messages.
-
-    Raises
-    ------
-    RecordingError
-        The compression is not known.
-    """
+    """A chunk's records; of a damaged chunk those before the damage, never more than `size` bytes."""
     if compression == "":
         return bytes(packed[:size])
     if is_unknown(compression, packed):
@@ -176,46 +153,20 @@ _LETTERS = 16
 
 
 class TopRecord(NamedTuple):
-    """A record, or a part of the file that contains none.
+    """A record, or a part of the file that contains none."""
 
-    Attributes
-    ----------
-    opcode : int
-        `DAMAGED` for a part that makes no sense, `CUT` where the file ends in the middle of a record.
-    start : int, bytes
-        Where its content begins; of what is damaged, where that itself does.
-    length : int, bytes
-        Of its content; what the record states, where it is cut.
-    why : str
-        What was wrong with a record that could be read all the same.
-    """
-
+    # `DAMAGED` for a part that makes no sense, `CUT` where the file ends in the middle of a record
     opcode: int
-    start: int
-    length: int
-    why: str = ""
+    start: int  # bytes: Where its content begins; of what is damaged, where that itself does
+    length: int  # bytes: of its content; what the record states, where it is cut
+    why: str = ""  # What was wrong with a record that could be read all the same
 
 
 DAMAGED, CUT = -1, -2
 
 
 def top_records(file: IO[bytes], size: int) -> Iterator[TopRecord]:
-    """Yield the records up to the end of the data section, and what is damaged between them.
-
-    A record whose length turns out to be wrong is taken back: the damage that follows begins before it.
-
-    Parameters
-    ----------
-    file : IO[bytes]
-        Opened for reading in binary; may be read from between two records.
-    size : int, bytes
-        Of the file.
-
-    Yields
-    ------
-    TopRecord
-        In the file's order.
-    """
+    """Yield the records up to the end of the data section, and what is damaged between them."""
     position, before, damages = len(MAGIC), -1, 0
     while True:
         opcode, length = _head(file, position)

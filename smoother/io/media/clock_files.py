@@ -34,24 +34,12 @@ _ROS = ("audio_common_msgs/AudioData", "audio_common_msgs/AudioDataStamped", "au
 
 @dataclass(frozen=True)
 class Track:
-    """Sound without a gap.
+    """Sound without a gap."""
 
-    Attributes
-    ----------
-    samples : ndarray, shape (N,)
-        The loudest channel, full scale 1.
-    rate_hz : float
-        Samples per second, as measured by the stamps where there are several.
-    start_s : float, s
-        Time of the first sample: 0 for a WAV file, on the recorder's clock for a topic.
-    source : str
-        File, and topic where there is one.
-    """
-
-    samples: FloatArray
-    rate_hz: float
-    start_s: float
-    source: str
+    samples: FloatArray  # (N,): the loudest channel, full scale 1
+    rate_hz: float  # Samples per second, as measured by the stamps where there are several
+    start_s: float  # Time of the first sample: 0 for a WAV file, on the recorder's clock for a topic
+    source: str  # File, and topic where there is one
 
 
 def read_sound(
@@ -60,29 +48,7 @@ def read_sound(
     ros_rate_hz: int = 16000,
     notes: list[str] | None = None,
 ) -> list[Track]:
-    """The tracks of a WAV file, or of the audio topic of an MCAP file.
-
-    Parameters
-    ----------
-    path : path-like
-        The file; anything that does not end in .mcap is read as WAV.
-    topic : str, optional
-        The audio topic, where there are several.
-    ros_rate_hz : int
-        Sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
-    notes : list of str, optional
-        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
-
-    Returns
-    -------
-    list of Track
-        In order of time.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or has no sound that can be.
-    """
+    """The tracks of a WAV file, or of the audio topic of an MCAP file."""
     path = Path(path)
     if path.suffix.lower() == ".mcap":
         return _from_mcap(path, topic, ros_rate_hz, [] if notes is None else notes)
@@ -207,27 +173,7 @@ MISSED = ("", "nan", "na", "n/a", "none", "null", "-")
 
 
 def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Receptions:
-    """Read who received which broadcast when.
-
-    A node that missed a round has no row for it, or a time that is empty or one of `MISSED`.
-
-    Parameters
-    ----------
-    path : path-like
-        CSV with the columns round (any name), node, t_s (s on that node's clock).
-    resolution_s : float, s
-        Step of the nodes' stamps.
-
-    Returns
-    -------
-    Receptions
-        A row a reception, with the standard deviation of a rounded stamp.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, lacks a column, or a line of it is wrong; the message names the line.
-    """
+    """Read who received which broadcast when."""
     path = Path(path)
     check_input(path, RecordingError)
     rounds: dict[str, int] = {}
@@ -281,7 +227,7 @@ _LOUDEST = 30000
 
 def write_clock_folder(
     path: str | os.PathLike[str],
-    sound: FloatArray,
+    sound: FloatArray,  # (n,)
     sound_rate_hz: int,
     receptions: Receptions,
     recording: Recording,
@@ -289,30 +235,7 @@ def write_clock_folder(
     *,
     force: bool = False,
 ) -> None:
-    """Write what `calibrate clock` reads, and what it should find.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder; it appears only when it is whole.
-    sound : ndarray, shape (n,)
-        Samples between -1 and 1.
-    sound_rate_hz : int, Hz
-        Of the sound.
-    receptions : Receptions
-        Who received which broadcast when.
-    recording : Recording
-        An arm in motion.
-    truth : str
-        TOML.
-    force : bool
-        Replace a folder that a simulation wrote.
-
-    Raises
-    ------
-    UnoccludeError
-        See `writing_folder`.
-    """
+    """Write what `calibrate clock` reads, and what it should find."""
     from scipy.io import wavfile
 
     rows = zip(receptions.event.tolist(), receptions.node, receptions.t_s.tolist(), strict=True)

@@ -43,32 +43,16 @@ _ENCODINGS = {
 
 @dataclass(frozen=True)
 class ImageMessage:
-    """An image of a recording, still packed.
+    """An image of a recording, still packed."""
 
-    Attributes
-    ----------
-    topic, frame_id : str
-        Where it came from.
-    stamp_ns : int, ns
-        Its stamp; the log time where that is zero.
-    encoding : str
-        Of the pixels; "" for a compressed image.
-    """
-
-    topic: str
-    frame_id: str
-    stamp_ns: int
-    encoding: str
+    topic: str  # Where it came from
+    frame_id: str  # Where it came from
+    stamp_ns: int  # Its stamp; the log time where that is zero
+    encoding: str  # Of the pixels; "" for a compressed image
     _unpack: Callable[[], NDArray]
 
     def pixels(self) -> NDArray:
-        """(height, width) or (height, width, 3 or 4) pixels; a colour image as its encoding orders it.
-
-        Raises
-        ------
-        RecordingError
-            The image is damaged, or its encoding is not known.
-        """
+        """(height, width) or (height, width, 3 or 4) pixels; a colour image as its encoding orders it."""
         try:
             return self._unpack()
         except (ValueError, KeyError, struct.error, IndexError) as error:
@@ -80,19 +64,11 @@ class ImageMessage:
 
 @dataclass(frozen=True)
 class LensMessage:
-    """The lens of a recording's camera.
+    """The lens of a recording's camera."""
 
-    Attributes
-    ----------
-    topic, frame_id : str
-        Where it came from.
-    intrinsics : Intrinsics
-        As OpenCV has them.
-    """
-
-    topic: str
-    frame_id: str
-    intrinsics: Intrinsics
+    topic: str  # Where it came from
+    frame_id: str  # Where it came from
+    intrinsics: Intrinsics  # As OpenCV has them
 
 
 def read_images(
@@ -100,27 +76,7 @@ def read_images(
     wanted: Callable[[Topic], bool] = lambda topic: True,
     notes: list[str] | None = None,
 ) -> Iterator[ImageMessage | LensMessage]:
-    """Yield images and lenses in the file's order; nothing is unpacked, memory stays flat.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    wanted : callable
-        Topics to look at; those of other schemas are passed over in any case.
-    notes : list of str, optional
-        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
-
-    Yields
-    ------
-    ImageMessage or LensMessage
-        Those that are damaged are passed over.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read.
-    """
+    """Yield images and lenses in the file's order; nothing is unpacked, memory stays flat."""
     container, damaged = Container(path), 0
 
     def taken(topic: Topic) -> bool:

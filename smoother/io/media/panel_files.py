@@ -63,47 +63,20 @@ _INFRARED = ("infrared", "/ir", "_ir", "amplitude", "intensity")
 
 @dataclass(frozen=True)
 class PanelSession:
-    """What a recording of a session contains.
+    """What a recording of a session contains."""
 
-    Attributes
-    ----------
-    views : list of View
-        A pair of images a pose.
-    times_s : list of float, s
-        Of the views.
-    panel, base : ImuStream
-        The IMU on the panel and the one on the camera; times as in `times_s`.
-    lens : Intrinsics, optional
-        Of the depth camera, or None.
-    notes : list of str
-        What was dropped, one sentence each.
-    """
-
-    views: list[View]
-    times_s: list[float]
-    panel: ImuStream
-    base: ImuStream
-    lens: Intrinsics | None
-    notes: list[str]
+    views: list[View]  # A pair of images a pose
+    times_s: list[float]  # Of the views
+    panel: ImuStream  # The IMU on the panel and the one on the camera; times as in `times_s`
+    base: ImuStream  # The IMU on the panel and the one on the camera; times as in `times_s`
+    lens: Intrinsics | None  # Of the depth camera, or None
+    notes: list[str]  # What was dropped, one sentence each
 
 
 def read_session(
     path: str | os.PathLike[str], panel_topic: str = "panel", base_topic: str = "base"
 ) -> PanelSession:
-    """Read the panel's images and the IMUs on panel and camera.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    panel_topic, base_topic : str
-        Topics of the IMUs, or parts of their names.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or lacks the images or an IMU.
-    """
+    """Read the panel's images and the IMUs on panel and camera."""
     file = open_recording(path)
     notes = list(file.notes)
     streams: list[ImuStream] = []
@@ -130,20 +103,7 @@ def read_session(
 def read_pairs(
     path: str | os.PathLike[str], notes: list[str] | None = None
 ) -> tuple[list[tuple[ImageMessage, ImageMessage]], Intrinsics | None]:
-    """Depth and infrared images of one exposure each, one pair a pose, and the depth camera's lens.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    notes : list of str, optional
-        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
-
-    Raises
-    ------
-    RecordingError
-        There are no depth images, or no infrared images at their times.
-    """
+    """Depth and infrared images of one exposure each, one pair a pose, and the depth camera's lens."""
     found: dict[bool, list[ImageMessage]] = {True: [], False: []}
     lenses: list[LensMessage] = []
     for message in read_images(path, notes=notes):
@@ -190,27 +150,7 @@ def read_panel_session(
     lens: Intrinsics | None,
     notes: list[str] | None = None,
 ) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
-    """Views of the panel, one per pose, with the mocap markers of their moment, and the lens.
-
-    Images that follow each other within a second belong to one pose, of which the middle one is taken.
-
-    Parameters
-    ----------
-    path : path-like
-        MCAP with depth and infrared images, and the markers as `foxglove.SceneUpdate` (a sphere a marker).
-        or `visualization_msgs/MarkerArray` on a topic named `marker` or `mocap`, m.
-    given : list of dict of str to ndarray
-        Markers by pose that take the place of the recording's; may be empty.
-    lens : Intrinsics, optional
-        Takes the place of the recording's.
-    notes : list of str, optional
-        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
-
-    Raises
-    ------
-    RecordingError
-        The recording lacks images, markers or the lens.
-    """
+    """Views of the panel, one per pose, with the mocap markers of their moment, and the lens."""
     path = Path(path)
     pairs, found_lens = read_pairs(path, notes)
     lens = lens or found_lens
@@ -325,36 +265,18 @@ _TRUTH = "truth.toml"
 
 @dataclass(frozen=True)
 class PanelShot:
-    """What is written of one pose.
+    """What is written of one pose."""
 
-    Attributes
-    ----------
-    t_s : float, s
-        Time of the images.
-    depth, infrared : ndarray of uint16, shape (height, width)
-        Depth in mm, 0 where there is none.
-    marker_names : sequence of str
-        Of the mocap.
-    markers : ndarray, shape (n, 3), m
-        Their positions.
-    """
-
-    t_s: float
-    depth: NDArray[np.uint16]
-    infrared: NDArray[np.uint16]
-    marker_names: Sequence[str]
-    markers: FloatArray
+    t_s: float  # Time of the images
+    depth: NDArray[np.uint16]  # (height, width): depth in mm, 0 where there is none
+    infrared: NDArray[np.uint16]  # (height, width): depth in mm, 0 where there is none
+    marker_names: Sequence[str]  # Of the mocap
+    markers: FloatArray  # (n, 3) m: their positions
 
 
 @contextmanager
 def writing_folder(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
-    """Yield a folder beside `path` to write into; it becomes `path` when all went well.
-
-    Raises
-    ------
-    UnoccludeError
-        See `check_folder`; or writing failed.
-    """
+    """Yield a folder beside `path` to write into; it becomes `path` when all went well."""
     target = Path(path)
     check_folder(target, force)
     beside = temporary_name(target)
@@ -378,15 +300,7 @@ def writing_folder(path: str | os.PathLike[str], force: bool = False) -> Iterato
 
 
 def check_folder(path: Path, force: bool = False) -> None:
-    """Refuse a folder that could not be written in the end, before any work is done for it.
-
-    With `force`, only a folder that a simulation wrote is replaced: never one that contains other things.
-
-    Raises
-    ------
-    UnoccludeError
-        `path` is a file, is a folder that must not be replaced, or has no folder to be in.
-    """
+    """Refuse a folder that could not be written in the end, before any work is done for it."""
     if path.is_dir() and any(path.iterdir()):
         if not force:
             raise UnoccludeError(f"{path} exists already; give another name, or --force to replace it.")
@@ -407,28 +321,7 @@ def write_panel_folder(
     *,
     force: bool = False,
 ) -> None:
-    """Write images, mocap markers and IMU samples of every pose, and TOML tables.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder; it appears only when it is whole.
-    shots : sequence of PanelShot
-        The poses.
-    imus : sequence of ImuStream
-        On the panel and on the camera; each pose gets the samples within `half_s` of its images.
-    half_s : float, s
-        See `imus`.
-    tables : dict of str to dict
-        TOML documents by file name.
-    force : bool
-        Replace a folder that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        See `writing_folder`.
-    """
+    """Write images, mocap markers and IMU samples of every pose, and TOML tables."""
     import cv2
 
     with writing_folder(path, force) as folder:
@@ -453,18 +346,7 @@ def write_panel_recording(
     *,
     force: bool = False,
 ) -> None:
-    """Write the session as MCAP: depth (16UC1, mm) and infrared images, lens, mocap markers, IMU samples.
-
-    Parameters
-    ----------
-    lens : dict
-        Width, height, fx, fy, cx, cy, distortion.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or it cannot be written.
-    """
+    """Write the session as MCAP: depth (16UC1, mm) and infrared images, lens, mocap markers, IMU samples."""
     stamp = nanoseconds(np.array([shot.t_s for shot in shots]), 0)
     with writing(path, force) as temporary, Output(temporary) as output:
         streams = [

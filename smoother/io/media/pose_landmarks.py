@@ -34,18 +34,11 @@ MODEL_WORDS = (
 
 @dataclass(frozen=True)
 class Pose:
-    """One person in one picture.
+    """One person in one picture."""
 
-    Attributes
-    ----------
-    world : ndarray, shape (33, 4)
-        x right, y down, z forward, m about the middle of the hips, and the visibility, 0 to 1.
-    pixels : ndarray, shape (33, 3)
-        u, v from the centre of the first pixel, and the visibility.
-    """
-
+    # (33, 4): x right, y down, z forward, m about the middle of the hips, and the visibility, 0 to 1
     world: FloatArray
-    pixels: FloatArray
+    pixels: FloatArray  # (33, 3): u, v from the centre of the first pixel, and the visibility
 
     @property
     def trunk(self) -> FloatArray:
@@ -57,13 +50,7 @@ class Pose:
 
 
 def check_model(path: Path | None) -> Path:
-    """The model's file.
-
-    Raises
-    ------
-    UnoccludeError
-        There is none, or it is not a bundle of the pose landmarker.
-    """
+    """The model's file."""
     if path is None:
         raise UnoccludeError(f"{MODEL_WORDS}; name it with --model FILE")
     if not path.is_file():
@@ -89,20 +76,7 @@ def mediapipe_module() -> ModuleType:
 
 @contextmanager
 def open_landmarker(model: Path, people: int) -> Iterator[Any]:
-    """MediaPipe's pose landmarker for a video.
-
-    Parameters
-    ----------
-    model : Path
-        Its bundle.
-    people : int
-        As many persons are looked for at most.
-
-    Raises
-    ------
-    UnoccludeError
-        MediaPipe is not installed, or does not take the model.
-    """
+    """MediaPipe's pose landmarker for a video."""
     mediapipe_module()
     tasks = import_module("mediapipe.tasks.python")  # `mediapipe.tasks` is an alias of it, or holds it
     check_model(model)
@@ -122,24 +96,7 @@ def open_landmarker(model: Path, people: int) -> Iterator[Any]:
 
 
 def find_poses(video: Video, model: Path, people: int, progress: Progress | None = None) -> list[list[Pose]]:
-    """The persons in each picture of a video; [] where there are none.
-
-    Parameters
-    ----------
-    video : Video
-        Not read yet.
-    model : Path
-        Of the landmarker.
-    people : int
-        As many are looked for at most.
-    progress : callable, optional
-        Told the part done, 0 to 1, and what is being done.
-
-    Raises
-    ------
-    UnoccludeError, RecordingError
-        As `open_landmarker`; the video has no picture.
-    """
+    """The persons in each picture of a video; [] where there are none."""
     mediapipe = mediapipe_module()
     found: list[list[Pose]] = []
     with open_landmarker(model, people) as landmarker:
@@ -174,18 +131,7 @@ def _poses(result: Any, width: int, height: int) -> list[Pose]:
 
 
 def persons(poses: list[list[Pose]]) -> list[list[int]]:
-    """Which person each pose is: a pose goes to whoever was nearest in the picture before.
-
-    Parameters
-    ----------
-    poses : list of list of Pose
-        Of each picture.
-
-    Returns
-    -------
-    numbers : list of list of int
-        Of each pose, from 0 in the order in which they were first seen.
-    """
+    """Which person each pose is: a pose goes to whoever was nearest in the picture before."""
     from scipy.optimize import linear_sum_assignment
 
     places: list[FloatArray] = []
@@ -216,37 +162,17 @@ _VARIES = 0.3
 
 @dataclass
 class Video:
-    """A video that is open.
+    """A video that is open."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    width, height : int
-        Of the pictures as they are given, pixels: turned as the file states, and as the user says.
-    rate_hz : float, Hz
-        As the container states it.
-    count : int
-        Pictures, as the container states it; 0 where it does not.
-    stored_turn_deg : int
-        The rotation of its pictures as stated in the file; it is applied.
-    turn_deg : int
-        By how much they are turned besides, clockwise.
-    mirrored : bool
-        Pictures are exchanged left for right.
-    t_s : list of float, s
-        Times of the pictures that were given so far.
-    """
-
-    path: Path
-    width: int
-    height: int
-    rate_hz: float
-    count: int
-    stored_turn_deg: int = 0
-    turn_deg: int = 0
-    mirrored: bool = False
-    t_s: list[float] = field(default_factory=list)
+    path: Path  # The file
+    width: int  # Of the pictures as they are given, pixels: turned as the file states, and as the user says
+    height: int  # Of the pictures as they are given, pixels: turned as the file states, and as the user says
+    rate_hz: float  # As the container states it
+    count: int  # Pictures, as the container states it; 0 where it does not
+    stored_turn_deg: int = 0  # The rotation of its pictures as stated in the file; it is applied
+    turn_deg: int = 0  # By how much they are turned besides, clockwise
+    mirrored: bool = False  # Pictures are exchanged left for right
+    t_s: list[float] = field(default_factory=list)  # Times of the pictures that were given so far
     _capture: Any = None
 
     def pictures(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
@@ -270,10 +196,7 @@ class Video:
             yield self.t_s[-1], cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
 
     def times(self) -> tuple[FloatArray, str]:
-        """Times (F,) of all pictures that were given, and what is to be said of them.
-
-        Where the container has none that rise, pictures count at its rate.
-        """
+        """Times (F,) of all pictures that were given, and what is to be said of them."""
         t_s = _rising(np.array(self.t_s))
         if t_s is None:
             return np.arange(len(self.t_s)) / self.rate_hz, (
@@ -302,22 +225,7 @@ def _rising(t_s: FloatArray) -> FloatArray | None:
 
 @contextmanager
 def open_video(path: Path, turn_deg: int = 0, mirrored: bool = False) -> Iterator[Video]:
-    """Open a video file.
-
-    Parameters
-    ----------
-    path : Path
-        Anything that OpenCV reads (MP4, MOV, AVI, MKV).
-    turn_deg : int
-        0, 90, 180 or 270: turn pictures clockwise, besides what the file itself says.
-    mirrored : bool
-        Exchange left for right, as a front camera's mirrored pictures need it.
-
-    Raises
-    ------
-    RecordingError
-        It is not there, or is not a video.
-    """
+    """Open a video file."""
     import cv2
 
     if not path.is_file():

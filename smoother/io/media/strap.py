@@ -44,25 +44,13 @@ Transforms = dict[str, tuple[str, FloatArray, FloatArray]]
 
 @dataclass
 class StrapFound:
-    """What the images gave, for figures and the report.
+    """What the images gave, for figures and the report."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,), s
-        Times of the colour images looked at, after the first.
-    position, sigma_m : ndarray, shape (n, 3), m
-        Of the sensor in {K}; nan where rejected.
-    along : ndarray, shape (n,)
-        Part of the way from elbow to wrist.
-    reasons : list of str
-        "" where it was found.
-    """
-
-    t_s: FloatArray
-    position: FloatArray
-    sigma_m: FloatArray
-    along: FloatArray
-    reasons: list[str]
+    t_s: FloatArray  # (n,) s: times of the colour images looked at, after the first
+    position: FloatArray  # (n, 3) m: of the sensor in {K}; nan where rejected
+    sigma_m: FloatArray  # (n, 3) m: of the sensor in {K}; nan where rejected
+    along: FloatArray  # (n,): part of the way from elbow to wrist
+    reasons: list[str]  # "" where it was found
     topics: tuple[str, str] = ("", "")
     notes: list[str] = field(default_factory=list)
 
@@ -73,13 +61,7 @@ class StrapFound:
 
 
 def check_images(path: str | os.PathLike[str], colour: str | None = None, depth: str | None = None) -> None:
-    """Refuse a recording without colour or depth images before any work is done for it.
-
-    Raises
-    ------
-    RecordingError
-        One of them is missing.
-    """
+    """Refuse a recording without colour or depth images before any work is done for it."""
     cameras = Cameras(path, colour, depth, np.eye(3))
     for _ in cameras.images():
         if len(cameras.chosen) == 2:
@@ -185,13 +167,7 @@ def _transforms(path: str | os.PathLike[str]) -> Transforms:
 def transform_between(
     transforms: Transforms, source: str, target: str
 ) -> tuple[FloatArray, FloatArray] | None:
-    """R and t with p_target = R p_source + t; None where the two frames do not hang together.
-
-    Parameters
-    ----------
-    transforms : Transforms
-        Child -> (parent, R, t) with p_parent = R p_child + t.
-    """
+    """R and t with p_target = R p_source + t; None where the two frames do not hang together."""
 
     def to_root(frame: str) -> dict[str, tuple[FloatArray, FloatArray]]:
         poses, R, t = {frame: (np.eye(3), np.zeros(3))}, np.eye(3), np.zeros(3)
@@ -228,36 +204,13 @@ def write_strap_recording(
     path: str | os.PathLike[str],
     recording: Recording,
     images: Sequence[ImagePair],
-    times: FloatArray,
+    times: FloatArray,  # (n,) s
     cameras: tuple[PlacedCamera, PlacedCamera],
     depth_later_s: float,
     *,
     force: bool = False,
 ) -> None:
-    """Write the recording, its images, both lenses and the cameras' relative pose.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    recording : Recording
-        The arm and its IMU.
-    images : sequence of ImagePair, length n
-        Colour and depth.
-    times : ndarray, shape (n,), s
-        Of the colour images, on the camera's clock.
-    cameras : (PlacedCamera, PlacedCamera)
-        Colour and depth camera; the depth camera is where the skeleton's frame is.
-    depth_later_s : float, s
-        From a colour image to its depth image.
-    force : bool
-        Replace a file that exists.
-
-    Raises
-    ------
-    UnoccludeError
-        The file exists and `force` is not given, or it cannot be written.
-    """
+    """Write the recording, its images, both lenses and the cameras' relative pose."""
     stamp = nanoseconds(times, recording.origin_ns)
     later = stamp + round(1e9 * depth_later_s)
     colour, depth = cameras

@@ -37,27 +37,14 @@ LAYOUT_KEYS = {"separator", "skip_rows", "columns", "time_unit", "rate_hz"}
 
 
 class TableKeys(BaseModel):
-    """How a table is laid out; what is not given is looked for.
-
-    Attributes
-    ----------
-    separator : str, optional
-        ",", ";", a tab or a blank (any number of them).
-    skip_rows : int, optional
-        Lines above the header, or above the rows where there is none.
-    columns : dict, optional
-        Name in the file, or number from 1, by what it is.
-    time_unit : str
-        "s", "ms", "us", "ns", "ticks of 100 ns", "iso" (dates), "counter" (samples, with `rate_hz`).
-    rate_hz : float, Hz, optional
-        Of a table without times, or of a counter.
-    """
+    """How a table is laid out; what is not given is looked for."""
 
     model_config = ConfigDict(extra="forbid")
-    separator: str | None = None
-    skip_rows: int | None = Field(None, ge=0)
+    separator: str | None = None  # ",", ";", a tab or a blank (any number of them)
+    skip_rows: int | None = Field(None, ge=0)  # Lines above the header, or above the rows where there is none
+    # "s", "ms", "us", "ns", "ticks of 100 ns", "iso" (dates), "counter" (samples, with `rate_hz`)
     time_unit: Literal["s", "ms", "us", "ns", "ticks of 100 ns", "iso", "counter"] = "s"
-    rate_hz: float | None = Field(None, gt=0)
+    rate_hz: float | None = Field(None, gt=0)  # Of a table without times, or of a counter
 
 
 class ImuKeys(TableKeys):
@@ -117,25 +104,7 @@ _BELOW_HEADER = 3
 
 
 def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
-    """The tables of an IMU, one per file, in SI units.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the files are.
-    keys : ImuKeys
-        Their section of recording.toml.
-
-    Returns
-    -------
-    list of ImuTable
-        Times not yet repaired.
-
-    Raises
-    ------
-    RecordingError
-        A file or a column is missing, or is not numbers.
-    """
+    """The tables of an IMU, one per file, in SI units."""
     files = [keys.file] if isinstance(keys.file, str) else keys.file
     given = keys.columns if isinstance(keys.columns, list) else [keys.columns] * len(files)
     if len(given) != len(files):
@@ -314,20 +283,7 @@ _LONG_COLUMNS = ("t", "joint", "x", "y", "z", "state", "body")
 
 
 def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
-    """The bodies of a skeleton's table; errors as `read_imu_columns`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    keys : CameraKeys
-        Its section of recording.toml.
-
-    Returns
-    -------
-    list of SkeletonTable
-        Times not yet repaired.
-    """
+    """The bodies of a skeleton's table; errors as `read_imu_columns`."""
     columns = keys.columns or {name: name if name != "t" else "t_s" for name in _LONG_COLUMNS}
     sheet = described_sheet(path, keys, columns)
     rows = _long_rows(sheet, keys, columns) if "joint" in columns else _wide_rows(sheet, keys, columns)

@@ -98,27 +98,7 @@ def import_csv(
 def open_csv(
     folder: str | os.PathLike[str], *, outside: bool = False, templates: Sequence[TableTemplate] = ()
 ) -> RecordingFile:
-    """Read all streams of a folder of plain files, for `write_recording` or `select_recording`.
-
-    Parameters
-    ----------
-    folder : path-like
-        Holds `recording.toml` and the files that it names; or that file itself.
-    outside : bool
-        Also read files outside the folder: a recording from a stranger could name any file of yours.
-    templates : sequence of TableTemplate
-        How tables are read whose section does not describe their columns.
-
-    Returns
-    -------
-    RecordingFile
-        All IMUs, arms and the truth, in SI units, times as the files have them.
-
-    Raises
-    ------
-    RecordingError
-        A file, column or key is missing, unknown or not readable; the message names it.
-    """
+    """Read all streams of a folder of plain files, for `write_recording` or `select_recording`."""
     folder = Path(folder)
     if folder.name == "recording.toml" and folder.is_file():  # as shells complete it
         folder = folder.parent
@@ -497,34 +477,7 @@ _UTD_ROWS = {"shoulder": 8, "elbow": 9, "wrist": 10, "hand": 11}
 def import_broad(
     mat: str | os.PathLike[str], *, rate_hz: float = 30.0, noise_m: float = 0.008, seed: int = 0
 ) -> Recording:
-    """Make a recording of a trial of BROAD (Laidig et al., Data 6(7):72, 2021).
-
-    A rigid body with an IMU, moved by hand under optical motion capture. The optical position,
-    sampled at the camera's rate with white noise added, is used as the camera's `strap` joint.
-
-    Parameters
-    ----------
-    mat : path-like
-        Matlab file of the trial.
-    rate_hz : float, Hz
-        Frame rate of the camera.
-    noise_m : float, m
-        Standard deviation of the noise, per axis.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    Recording
-        A recording with `strap` alone, frame `zup` (east, north, up), and the truth: optical position,
-        orientation sensor to frame (qw, qx, qy, qz), scored while the body moves. Where the optical system
-        lost the body, the frame is not tracked and the truth nan.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read or is not a trial of BROAD.
-    """
+    """Make a recording of a trial of BROAD (Laidig et al., Data 6(7):72, 2021)."""
     fields = _load(
         mat, ("imu_gyr", "imu_acc", "imu_mag", "opt_quat", "opt_pos", "sampling_rate", "movement"), "BROAD"
     )
@@ -565,29 +518,7 @@ def import_broad(
 
 
 def import_utd_mhad(inertial_mat: str | os.PathLike[str], skeleton_mat: str | os.PathLike[str]) -> Recording:
-    """Make a recording of a trial of UTD-MHAD (Chen, Jafari, Kehtarnavaz, ICIP 2015), actions 1-21.
-
-    Kinect v1 skeleton and one IMU on the right wrist. The files have no times: the IMU runs at
-    50 Hz, and the frames are spread evenly over the IMU's interval, both at the centre of the
-    interval that they represent.
-
-    Parameters
-    ----------
-    inertial_mat : path-like
-        `aA_sS_tT_inertial.mat`.
-    skeleton_mat : path-like
-        `aA_sS_tT_skeleton.mat`.
-
-    Returns
-    -------
-    Recording
-        A recording of the right arm (shoulder, elbow, wrist, hand), frame `kinect`, no truth.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be read or is not of UTD-MHAD.
-    """
+    """Make a recording of a trial of UTD-MHAD (Chen, Jafari, Kehtarnavaz, ICIP 2015), actions 1-21."""
     inertial = _load(inertial_mat, ("d_iner",), "UTD-MHAD (inertial)")["d_iner"].astype(float)
     skeleton = _load(skeleton_mat, ("d_skel",), "UTD-MHAD (skeleton)")["d_skel"].astype(float)
     if inertial.ndim != 2 or inertial.shape[1] != 6 or skeleton.ndim != 3 or skeleton.shape[:2] != (20, 3):

@@ -28,36 +28,8 @@ def read_table(
     *,
     words: Sequence[str] = (),
     empty: Sequence[str] = (),
-) -> Columns:
-    """Read the named columns of a comma-separated file whose first line is a header.
-
-    Arrow reads what is plain; whatever it stumbles over is read cell by cell, some ten times slower,
-    which also finds the line that is wrong.
-
-    Parameters
-    ----------
-    path : path-like
-        The file; other columns are passed over. Windows line ends, a byte-order mark, blank lines and
-        spaces around values do no harm.
-    required, optional : sequence of str
-        Columns to read; an optional one may be absent.
-    words : sequence of str
-        Columns that are text.
-    empty : sequence of str
-        Number columns that may have empty cells, read as nan.
-
-    Returns
-    -------
-    numbers : dict of str to ndarray, shape (n,)
-        By column.
-    texts : dict of str to list of str
-        By column.
-
-    Raises
-    ------
-    RecordingError
-        The file or a column is missing, or a cell is not a number; the message names the line.
-    """
+) -> Columns:  # numbers dict of (n,), texts
+    """Read the named columns of a comma-separated file whose first line is a header."""
     path = Path(path)
     check_input(path, RecordingError)
     try:
@@ -195,25 +167,7 @@ _MAGNETOMETER = ("mx", "my", "mz")
 
 
 def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
-    """Read `t_s, ax, ay, az, gx, gy, gz [, mx, my, mz]`: s, m/s^2, rad/s, any unit for the field.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    name : str
-        What to call the IMU.
-
-    Returns
-    -------
-    ImuStream
-        Its samples; without a field where a cell of it is empty.
-
-    Raises
-    ------
-    RecordingError
-        The file or a column is missing, a cell is not a number, or the times do not increase.
-    """
+    """Read `t_s, ax, ay, az, gx, gy, gz [, mx, my, mz]`: s, m/s^2, rad/s, any unit for the field."""
     if not os.path.isfile(path):
         raise RecordingError(f"{path} does not exist; check the name.")
     t_s, acc, gyro, mag = imu_columns(path)
@@ -229,10 +183,7 @@ def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
 def imu_columns(
     path: str | os.PathLike[str],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
-    """Times (n,), specific force, angular velocity and magnetic field (n, 3), in the file's units.
-
-    The field is None where the file has no columns for it, nan where a cell is empty.
-    """
+    """Times (n,), specific force, angular velocity and magnetic field (n, 3), in the file's units."""
     columns, _ = read_table(
         path, ("t_s", "ax", "ay", "az", "gx", "gy", "gz"), _MAGNETOMETER, empty=_MAGNETOMETER
     )

@@ -46,29 +46,15 @@ class _Written(BaseModel):
 
 @dataclass(frozen=True)
 class TableTemplate:
-    """An importer of one layout, as a template describes it; see `DeviceFormat`.
+    """An importer of one layout, as a template describes it; see `DeviceFormat`."""
 
-    Attributes
-    ----------
-    path : Path
-        The template.
-    key, title, kind, recognised_by : str
-        As in `DeviceFormat`.
-    names : tuple of str
-        Columns of the tables that it is for; () where they have no header.
-    width : int
-        Their number.
-    keys : dict
-        Of recording.toml's section, without the file.
-    """
-
-    path: Path
-    key: str
-    title: str
-    kind: str
-    names: tuple[str, ...]
-    width: int
-    keys: dict[str, Any]
+    path: Path  # The template
+    key: str  # As in `DeviceFormat`
+    title: str  # As in `DeviceFormat`
+    kind: str  # As in `DeviceFormat`
+    names: tuple[str, ...]  # Columns of the tables that it is for; () where they have no header
+    width: int  # Their number
+    keys: dict[str, Any]  # Of recording.toml's section, without the file
 
     @property
     def recognised_by(self) -> str:
@@ -88,21 +74,7 @@ class TableTemplate:
 
 
 def read_templates(paths: Sequence[Path]) -> list[TableTemplate]:
-    """The templates of files.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-
-    Returns
-    -------
-    templates : list of TableTemplate
-
-    Raises
-    ------
-    RecordingError
-        A file is not a template; the message names the key to correct.
-    """
+    """The templates of files."""
     return [_read(path) for path in paths]
 
 
@@ -110,22 +82,7 @@ Keys = TypeVar("Keys", ImuKeys, CameraKeys, CameraKeys | None)
 
 
 def with_template(keys: Keys, folder: Path, templates: Sequence[TableTemplate]) -> Keys:
-    """A section of recording.toml without its table's columns, with a template for that table.
-
-    Parameters
-    ----------
-    keys : ImuKeys or CameraKeys, optional
-        The section; its own keys take precedence over the template.
-    folder : Path
-        Of its table.
-    templates : sequence of TableTemplate
-        Those that may be for it.
-
-    Returns
-    -------
-    keys : ImuKeys or CameraKeys, optional
-        As given where none is for it.
-    """
+    """A section of recording.toml without its table's columns, with a template for that table."""
     name = keys.file if isinstance(keys, ImuKeys) else keys.skeleton if keys is not None else None
     if not templates or keys is None or not isinstance(name, str) or not keys.is_plain:
         return keys
@@ -191,26 +148,7 @@ def _wrong(path: Path, error: ValidationError, section: str = "") -> RecordingEr
 def template_text(
     title: str, kind: str, names: Sequence[str], width: int, columns: dict[str, Any], keys: dict[str, Any]
 ) -> str:
-    """A template's file.
-
-    Parameters
-    ----------
-    title : str
-        As it is listed.
-    kind : str
-        "imu" or "skeleton".
-    names : sequence of str
-        Columns of the table; () where it has no header.
-    width : int
-        Number of its columns.
-    columns, keys : dict
-        As in recording.toml, and as `import describe` guesses them.
-
-    Returns
-    -------
-    text : str
-        TOML.
-    """
+    """A template's file."""
     import tomlkit
 
     section = "imu" if kind == "imu" else "camera"

@@ -47,28 +47,7 @@ def choose(
     prefer_side: str | None = None,
     store: Store | None = None,
 ) -> StreamChoice:
-    """Settle which IMU and arm are meant: by option, else by name, else by motion.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams.
-    imu, skeleton, side, prefer_side : str, optional
-    body : int, optional
-        As in `read_recording`.
-    store : Store, optional
-        Where joined arms are to lie; in memory if None.
-
-    Returns
-    -------
-    StreamChoice
-        With a sentence for each decision.
-
-    Raises
-    ------
-    RecordingError
-        Nothing fits, or more than one pair does; the message lists what the file has.
-    """
+    """Settle which IMU and arm are meant: by option, else by name, else by motion."""
     notes: list[str] = []
     file, others = of_first_camera(file, skeleton)
     if body is None:
@@ -224,18 +203,10 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class ArmChoices:
-    """The arms of a file that are to be recovered.
+    """The arms of a file that are to be recovered."""
 
-    Attributes
-    ----------
-    chosen : tuple of StreamChoice
-        One or more, in order of body and side.
-    left_out : tuple of str
-        A sentence for each arm that has an IMU and cannot be used.
-    """
-
-    chosen: tuple[StreamChoice, ...]
-    left_out: tuple[str, ...] = ()
+    chosen: tuple[StreamChoice, ...]  # One or more, in order of body and side
+    left_out: tuple[str, ...] = ()  # A sentence for each arm that has an IMU and cannot be used
 
 
 def choose_arms(
@@ -245,29 +216,7 @@ def choose_arms(
     store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> ArmChoices:
-    """Settle which IMUs and arms belong together: by option, else by name, else by motion.
-
-    Both arms of one person are told apart by the sides in the IMUs' names. Where names leave it open, or the
-    camera saw several people, one assignment of all IMUs to all limbs settles it (`matching`). A file with
-    one arm gives what `choose` gives.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams.
-    prefer_side, store, imu, skeleton, side, body
-        As in `choose`; `imu` or `side` restrict.
-
-    Returns
-    -------
-    ArmChoices
-        At least one arm.
-
-    Raises
-    ------
-    RecordingError
-        Nothing fits, or nothing shows what belongs together; the message lists what the file has.
-    """
+    """Settle which IMUs and arms belong together: by option, else by name, else by motion."""
 
     def one_arm() -> ArmChoices:
         return ArmChoices((choose(whole, prefer_side=prefer_side, store=store, **selection),))

@@ -38,27 +38,7 @@ class WornAgreement(Protocol):
 def join_bodies(
     arms: list[ArmFrames], store: Store | None = None, worn: WornAgreement | None = None
 ) -> tuple[list[ArmFrames], list[str]]:
-    """Join arms of one topic and side that are never seen together and take over where the other was lost.
-
-    Where IMUs distinguish people they decide: a body that wears what another wore is the same one, wherever
-    it comes back, and one that does not is another, even in the same place.
-
-    Parameters
-    ----------
-    arms : list of ArmFrames
-        As the file has them; they stay as they are.
-    store : Store, optional
-        Where the positions of joined arms are to lie; None = in memory.
-    worn : WornAgreement, optional
-        Which IMUs the bodies wear; None = not asked.
-
-    Returns
-    -------
-    arms : list of ArmFrames
-        Joined ones under the first body's number.
-    notes : list of str
-        A sentence for each joining, and for each that the IMUs forbid.
-    """
+    """Join arms of one topic and side that are never seen together and take over where the other was lost."""
     joined: list[ArmFrames] = []
     numbers: list[list[int]] = []  # that each of them had so far
     notes = []
@@ -144,25 +124,7 @@ _SHOULDER = JOINTS.index("shoulder")
 
 
 def unswap_bodies(arms: list[ArmFrames], store: Store | None = None) -> tuple[list[ArmFrames], list[str]]:
-    """Give bodies their numbers back where two of one topic exchanged them.
-
-    Two people who stand apart do not change places from one frame to the next: where both shoulders jump,
-    each to where the other's was, the numbers were exchanged.
-
-    Parameters
-    ----------
-    arms : list of ArmFrames
-        As the file has them; they stay as they are.
-    store : Store, optional
-        Where the positions of such arms are to lie; None = in memory.
-
-    Returns
-    -------
-    arms : list of ArmFrames
-        In the same order.
-    notes : list of str
-        A sentence for each pair of bodies.
-    """
+    """Give bodies their numbers back where two of one topic exchanged them."""
     arms, notes = list(arms), []
     bodies = sorted({(arm.topic, arm.body) for arm in arms})
     for (topic, first), (other_topic, second) in combinations(bodies, 2):
@@ -244,15 +206,7 @@ NOT_WORN_FROM = 0.95
 
 
 class WornImus:
-    """Which IMUs each body of a file wears, worked out when it is asked for.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams, bodies as the camera numbered them.
-    store : Store, optional
-        Where cleaned columns are to lie; None = in memory.
-    """
+    """Which IMUs each body of a file wears, worked out when it is asked for."""
 
     def __init__(self, file: RecordingFile, store: Store | None = None) -> None:
         self._file, self._store = file, store
@@ -263,23 +217,7 @@ class WornImus:
         self.can_tell = len(self._imus) > 1 and 1 < len(bodies) <= MOST_BODIES
 
     def agree(self, earlier: list[int], later: int, topic: str) -> bool | None:
-        """Whether a body wears what another wore.
-
-        Parameters
-        ----------
-        earlier : list of int
-            The numbers that the other had so far.
-        later : int
-            The body's number.
-        topic : str
-            Of their skeleton.
-
-        Returns
-        -------
-        bool or None
-            True where an IMU is surely on the same limb of both; False where it is surely on the limb of one
-            and not on that limb of the other; None where the motion settles neither.
-        """
+        """Whether a body wears what another wore."""
         if not self.can_tell:
             return None
         before = {name: match for body in earlier for name, match in self._sure(topic, body).items()}
@@ -325,21 +263,7 @@ def seen_frames(arms: list[ArmFrames]) -> list[ArmFrames]:
 
 
 def people(file: RecordingFile, store: Store | None = None) -> tuple[list[ArmFrames], list[str]]:
-    """The arms of every person, each under one number.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams; it stays as it is.
-    store : Store, optional
-        Where the positions of changed arms are to lie; None = in memory.
-
-    Returns
-    -------
-    arms : list of ArmFrames
-    notes : list of str
-        A sentence for each change.
-    """
+    """The arms of every person, each under one number."""
     arms, swapped = unswap_bodies(file.arms, store)
     arms, joined = join_bodies(arms, store, WornImus(replace(file, arms=arms), store))
     return arms, swapped + joined

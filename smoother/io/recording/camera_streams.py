@@ -23,16 +23,7 @@ CAMERA_TOPIC = "/skeleton/"
 
 
 def further_cameras(file: RecordingFile) -> dict[str, CameraStream]:
-    """A file's cameras beyond the first, by the topic of their skeleton.
-
-    Those that the file names; of other files skeletons of several topics that are in frames of several
-    names: the first camera is then the one that saw the forearm most often.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams.
-    """
+    """A file's cameras beyond the first, by the topic of their skeleton."""
     topics = sorted({arm.topic for arm in file.arms if arm.tracked})
     if file.cameras:
         return {topic: camera for topic, camera in file.cameras.items() if topic in topics}
@@ -47,21 +38,7 @@ def further_cameras(file: RecordingFile) -> dict[str, CameraStream]:
 
 
 def of_first_camera(file: RecordingFile, skeleton: str | None) -> tuple[RecordingFile, RecordingFile | None]:
-    """A file without the skeletons of its further cameras, and one with these alone.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams.
-    skeleton : str or None
-        Whose skeleton the user wants: then no other camera is used.
-
-    Returns
-    -------
-    first : RecordingFile
-    others : RecordingFile or None
-        None where there is one camera.
-    """
+    """A file without the skeletons of its further cameras, and one with these alone."""
     cameras = {} if skeleton is not None else further_cameras(file)
     if not cameras:
         return (file if skeleton is not None else _without_doubles(file)), None
@@ -83,24 +60,7 @@ def _without_doubles(file: RecordingFile) -> RecordingFile:
 def same_arm(
     others: RecordingFile | None, arm: ArmFrames, imu: ImuSamples, store: Store | None
 ) -> tuple[list[tuple[CameraStream, ArmFrames]], list[str]]:
-    """What each further camera saw of an arm: the skeleton of its side, of several people by the motion.
-
-    Parameters
-    ----------
-    others : RecordingFile or None
-        From `of_first_camera`.
-    arm : ArmFrames
-        As the first camera saw it.
-    imu : ImuSamples
-        On its forearm.
-    store : Store or None
-        Where joined bodies are to lie.
-
-    Returns
-    -------
-    cameras : list of (CameraStream, ArmFrames)
-    notes : list of str
-    """
+    """What each further camera saw of an arm: the skeleton of its side, of several people by the motion."""
     if others is None:
         return [], []
     found, notes = [], []

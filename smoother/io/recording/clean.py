@@ -37,20 +37,12 @@ _SPIKE_GYRO, _SPIKE_ACC = (5.0, 1.0), (100.0, 10.0)
 _SPIKE_RATE_HZ = 50.0
 
 
-def unusable_samples(stamp_ns: IntArray, acc: FloatArray, gyro: FloatArray) -> dict[str, BoolArray]:
-    """Which samples cannot have been measured, by why; each sample under one cause at most.
-
-    Parameters
-    ----------
-    stamp_ns : ndarray of int, shape (N,), ns
-    acc, gyro : ndarray, shape (N, 3), m/s^2 and rad/s
-        In any order of time; values that are not finite are left to others.
-
-    Returns
-    -------
-    causes : dict of str to ndarray of bool, shape (N,)
-        Only causes that occur.
-    """
+def unusable_samples(
+    stamp_ns: IntArray,  # int (N,) ns
+    acc: FloatArray,  # (N, 3) m/s^2 and rad/s
+    gyro: FloatArray,  # (N, 3) m/s^2 and rad/s
+) -> dict[str, BoolArray]:  # bool (N,)
+    """Which samples cannot have been measured, by why; each sample under one cause at most."""
     count = len(stamp_ns)
     zero, beyond, same, spike = (np.zeros(count, bool) for _ in range(4))
     step = np.diff(stamp_ns[: min(count, 100_000)])
@@ -153,31 +145,7 @@ _FOREARM_CM = 70.0
 
 
 def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tuple[ImuSamples, list[str]]:
-    """Drop what cannot be used of an IMU, and check its units.
-
-    Nothing is copied where nothing is dropped.
-
-    Parameters
-    ----------
-    stream : ImuSamples
-        Samples as recorded.
-    source : str
-        The file, for messages.
-    store : Store, optional
-        Where what is kept is to lie; None = in memory.
-
-    Returns
-    -------
-    stream : ImuSamples
-        With finite samples and increasing stamps.
-    notes : list of str
-        What was dropped, one sentence each.
-
-    Raises
-    ------
-    RecordingError
-        More than 5 % of the samples would be dropped, the clock was set back, or a unit cannot be.
-    """
+    """Drop what cannot be used of an IMU, and check its units."""
     store = store or Store()
     stream, packets = _out_of_packets(stream)
     _refuse_set_back(stream.stamp_ns, stream.acc, stream.topic, source, "samples")
@@ -217,10 +185,7 @@ def _out_of_packets(stream: ImuSamples) -> tuple[ImuSamples, list[str]]:
 
 
 def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[ArmFrames, list[str]]:
-    """Drop frames with repeated or backward stamps, and tracked joints without a position.
-
-    Parameters, returns, raises : as `clean_imu`.
-    """
+    """Drop frames with repeated or backward stamps, and tracked joints without a position."""
     store = store or Store()
     _refuse_set_back(arm.stamp_ns, arm.position[:, _WRIST], arm.label, source, "frames")
     keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), {}, arm.label, source, "frames")

@@ -28,33 +28,7 @@ def cut_file(
     store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> tuple[list[dict[str, object]], list[str]]:
-    """Write parts of a recording; every command reads them, and times are those of the whole.
-
-    Parameters
-    ----------
-    source : path-like
-        An MCAP file.
-    parts : sequence of Part
-        Times as `smooth` and `info` state them: seconds after the recording's zero, by the forearm IMU.
-    force : bool
-        Overwrite outputs that exist.
-    store : Store, optional
-        Where what grows with the recording's length lives.
-    imu, skeleton, side, body
-        Of a file with several; its time is that of the arm chosen.
-
-    Returns
-    -------
-    written : list of dict
-        As of `cut_container`.
-    notes : list of str
-        Parts that reach beyond the recording.
-
-    Raises
-    ------
-    RecordingError
-        It is a result, cannot be read, or a part lies outside it; in one sentence.
-    """
+    """Write parts of a recording; every command reads them, and times are those of the whole."""
     name = Path(source).name
     file = open_recording(source, truth=False, store=store)
     if any(topic.name.startswith(RESULT_PREFIX) for topic in file.topics):
@@ -92,44 +66,16 @@ _LONGEST_NAME = 100
 
 @dataclass(frozen=True)
 class Trial:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes
-    ----------
-    name : str
-        Of the trial, fit for a file's name; the same as another's is followed by a number.
-    start_s, end_s : float, s
-        On the recording's axis.
-    label : str
-        What it is one of; "" where the table does not say.
-    """
-
-    name: str
-    start_s: float
-    end_s: float
-    label: str = ""
+    name: str  # Of the trial, fit for a file's name; the same as another's is followed by a number
+    start_s: float  # On the recording's axis
+    end_s: float  # On the recording's axis
+    label: str = ""  # What it is one of; "" where the table does not say
 
 
 def read_trials(path: str | os.PathLike[str], labels: Sequence[str] = ()) -> list[Trial]:
-    """The trials of a CSV table with the columns name, start_s, end_s and, optionally, label.
-
-    Parameters
-    ----------
-    path : path-like
-        Parted by commas or semicolons, UTF-8.
-    labels : sequence of str
-        Only trials whose label or name is one of these; all where empty.
-
-    Returns
-    -------
-    trials : list of Trial
-        In the order of the table.
-
-    Raises
-    ------
-    RecordingError
-        The table cannot be read, or none of its trials is wanted; in one sentence, with the line.
-    """
+    """The trials of a CSV table with the columns name, start_s, end_s and, optionally, label."""
     path = Path(path)
     check_input(path)
     try:

@@ -23,18 +23,10 @@ from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples
 
 @dataclass
 class Decoder:
-    """Decodes the messages of one topic, a batch at a time.
+    """Decodes the messages of one topic, a batch at a time."""
 
-    Attributes
-    ----------
-    topic : Topic
-        The topic.
-    grouper : Grouper
-        Sorts its messages by layout.
-    """
-
-    topic: Topic
-    grouper: Grouper
+    topic: Topic  # The topic
+    grouper: Grouper  # Sorts its messages by layout
     is_cdr: bool = True
     store: Store = field(default_factory=Store)
     frame_id: str = ""
@@ -175,13 +167,7 @@ UNREPORTED = -128
 
 
 class JointRows:
-    """Arms in messages, gathered over a recording: a row is one arm in one message.
-
-    Parameters
-    ----------
-    store : Store, optional
-        Where the rows are stored; None = in memory.
-    """
+    """Arms in messages, gathered over a recording: a row is one arm in one message."""
 
     def __init__(self, store: Store | None = None):
         self._store = store or Store()
@@ -194,18 +180,7 @@ class JointRows:
     def add(
         self, message: IntArray, body: IntArray, side: IntArray, state: NDArray[np.int8], position: FloatArray
     ) -> None:
-        """Take rows.
-
-        Parameters
-        ----------
-        message : ndarray of int, shape (n,)
-            Number of the message that each is of.
-        body, side : ndarray of int, shape (n,)
-            The arm; sides as positions in `SIDES`.
-        state : ndarray of int8, shape (n, 5)
-            Of the joints; `UNREPORTED` where the message does not name one.
-        position : ndarray, shape (n, 5, 3), m
-        """
+        """Take rows."""
         position[(state == JointState.NOT_TRACKED) | (state == UNREPORTED)] = np.nan
         arm = body * len(SIDES) + side
         self._arms.update(np.unique(arm).tolist())
@@ -237,13 +212,7 @@ class JointRows:
     def arms(
         self, stamp_ns: IntArray, topic: str, frame_id: str, camera_frame: CameraFrame | None
     ) -> list[ArmFrames]:
-        """Every arm of every body; all frames belong to all of them, so that absence is seen.
-
-        Parameters
-        ----------
-        stamp_ns : ndarray of int, shape (messages,)
-            Stamps; messages of one stamp are one frame.
-        """
+        """Every arm of every body; all frames belong to all of them, so that absence is seen."""
         if not len(self._message):
             return []
         frames, number = frames_of(stamp_ns)
@@ -383,11 +352,7 @@ class SkeletonDecoder:
 
 @dataclass
 class MarkerDecoder:
-    """visualization_msgs/msg/MarkerArray as the Azure Kinect ROS driver publishes body tracking.
-
-    A marker's id is body * 100 + joint index; a body that was not found has no markers, and an
-    array without markers has no stamp: its time is the log time, less the delay of its neighbours.
-    """
+    """visualization_msgs/msg/MarkerArray as the Azure Kinect ROS driver publishes body tracking."""
 
     topic: Topic
     grouper: Grouper

@@ -27,10 +27,7 @@ _FEWEST = 100
 
 
 def settle_imus(file: RecordingFile, store: Store) -> None:
-    """Join the IMUs whose accelerometer and gyroscope are topics of their own, and settle all units.
-
-    A half that is left over goes to `file.halves`: its other sensor reads zero, which is no measurement.
-    """
+    """Join the IMUs whose accelerometer and gyroscope are topics of their own, and settle all units."""
     kinds = {id(imu): _only_sensor(imu) for imu in file.imus}
     halves = [imu for imu in file.imus if kinds[id(imu)]]
     if halves:
@@ -88,9 +85,8 @@ def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile, store: S
 
 
 def shown_units(t_s: FloatArray, acc: FloatArray, gyro: FloatArray) -> tuple[str, str]:
-    """Units in which an IMU reads gravity at rest and turns as gravity does; SI where nothing else is shown.
-
-    Message types state SI units, and some drivers fill in g or deg/s.
+    """Units in which an IMU reads gravity at rest and turns as gravity does; SI where nothing else is
+    shown.
     """
     some_acc, some_gyro = sampled(acc), sampled(gyro)
     finite = np.isfinite(some_acc).all(axis=1) & np.isfinite(some_gyro).all(axis=1)

@@ -55,15 +55,7 @@ def keypoint_decoder(topic: Topic, store: Store | None = None) -> KeypointDecode
 
 
 def with_lenses(file: RecordingFile, topics: set[str]) -> None:
-    """Give keypoints their lenses; those of a camera with an unknown lens are left out, with a note.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        As read, with its lenses.
-    topics : set of str
-        With keypoints.
-    """
+    """Give keypoints their lenses; those of a camera with an unknown lens are left out, with a note."""
     kept = []
     for arm in file.arms:
         if arm.topic in topics:

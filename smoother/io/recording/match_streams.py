@@ -26,23 +26,7 @@ _POINTS = ("wrist", "strap", "hand", "elbow")
 
 
 def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
-    """How well an IMU's turning agrees with what the camera sees of an arm.
-
-    The rotation over 0.3 s by the gyroscope is correlated with the turn of the elbow-to-wrist
-    direction over the same time (with the way of the point, where only one is tracked), at the
-    best of the time shifts within a second. Of a long recording the arm's first 20,000 frames are taken.
-
-    Parameters
-    ----------
-    imu : ImuSamples
-    arm : ArmFrames
-        As recorded.
-
-    Returns
-    -------
-    float
-        Correlation, -1 to 1; 0 where there is too little to compare.
-    """
+    """How well an IMU's turning agrees with what the camera sees of an arm."""
     at, moved = _arm_motion(arm)
     if len(at) < 20:
         return 0.0
@@ -85,10 +69,7 @@ def agreement_far_apart(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, 
 
 
 def _samples_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Stamps, rates and accelerations of finite samples in order, up to the first after a time.
-
-    All of them where stamps run back.
-    """
+    """Stamps, rates and accelerations of finite samples in order, up to the first after a time."""
     stamp, gyro, acc = imu.stamp_ns, imu.gyro, imu.acc
     if (stamp[1:] >= stamp[:-1]).all():
         stop = int(np.searchsorted(stamp, stamp_ns, "right")) + 1
@@ -141,37 +122,7 @@ def match_streams(
     store: Store | None = None,
     may_be: Callable[[int, Limb], bool] | None = None,
 ) -> tuple[list[ImuMatch], list[str]]:
-    """Match some IMUs of a file to some of its arms, by motion alone.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        For its name, and for its note on gravity.
-    imus : sequence of ImuSamples
-        The IMUs.
-    arms : sequence of ArmFrames
-        The arms that they may be on.
-    method : str
-        A name in `matching.METHODS`.
-    reach_s : float, s
-        Clocks may be this far apart.
-    store : Store, optional
-        Where cleaned columns are to lie; None = in memory.
-    may_be : callable of (int, Limb) to bool, optional
-        Whether an IMU, by its row, may be on a limb at all; None = any may be on any.
-
-    Returns
-    -------
-    matches : list of ImuMatch
-        One for each IMU.
-    notes : list of str
-        What was dropped or left open.
-
-    Raises
-    ------
-    RecordingError
-        There is too little to compare.
-    """
+    """Match some IMUs of a file to some of its arms, by motion alone."""
     store, source = store or Store(), str(file.path)
     notes: list[str] = []
     stamps = [*(imu.stamp_ns for imu in imus), *(arm.stamp_ns for arm in arms)]

@@ -129,31 +129,7 @@ def open_recording(
     store: Store | None = None,
     truth: bool = True,
 ) -> RecordingFile:
-    """Read all streams of an MCAP file that a recording can be made of.
-
-    Streams are found by schema. Images are passed over. A file that was cut off gives what it has.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    only : collection of str
-        Topics: read on only until they and an IMU were met, for what applies from the first message on.
-    store : Store, optional
-        Where the samples are to lie; None = in memory.
-    truth : bool
-        False passes over poses and joints of a reference.
-
-    Returns
-    -------
-    RecordingFile
-        All streams with their samples as recorded, and the list of topics.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, empty or not MCAP.
-    """
+    """Read all streams of an MCAP file that a recording can be made of."""
     store = store or Store()
     container = Container(path)
     decoders: dict[int, AnyDecoder | None] = {}
@@ -408,27 +384,7 @@ def _take_metadata(file: RecordingFile) -> None:
 
 
 def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuStream, list[str]]:
-    """Read one IMU from an MCAP file; a skeleton need not be there.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    imu : str, optional
-        Topic (or a part of it, or its frame_id) to take, where there are several.
-
-    Returns
-    -------
-    stream : ImuStream
-        Its samples.
-    notes : list of str
-        What was dropped or chosen, one sentence each.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, has no IMU or several, or its samples cannot be used.
-    """
+    """Read one IMU from an MCAP file; a skeleton need not be there."""
     file = open_recording(path)
     with file.damage_told():
         chosen = choose_imu(file, imu)
@@ -447,38 +403,7 @@ def read_arm(
     remedy: Remedy | None = None,
     **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
-    """Read a recording, corrected by a calibration file's values of its sensors.
-
-    Where the recording leaves the side open, a calibration of one arm settles it.
-
-    Parameters
-    ----------
-    path : path-like
-        The recording, MCAP.
-    calibration_file : path-like, optional
-        TOML; None where everything is to be found.
-    remedy : Remedy, optional
-        Mistakes of the set-up to undo as it is read.
-    store : Store, optional
-    truth, swap_sides : bool
-        See `read_recording`.
-    imu, skeleton, side : str, optional
-    body : int, optional
-        What to take where the recording has several: see there as well.
-
-    Returns
-    -------
-    recording : Recording
-        Corrected.
-    calibration : ArmCalibration or None
-        Of its arm: None without a file, or where it contains none; with the factors of sigma that the file
-        holds.
-
-    Raises
-    ------
-    RecordingError, CalibrationError
-        A file cannot be used, or the two do not fit.
-    """
+    """Read a recording, corrected by a calibration file's values of its sensors."""
     ((recording, calibration),) = _read(
         calibration_file,
         lambda prefer: [read_recording(path, prefer_side=prefer, **reading)],
@@ -495,19 +420,7 @@ def read_arms(
     remedy: Remedy | None = None,
     **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
-    """Read every arm of a recording that has an IMU, with its calibration; as `read_arm`.
-
-    Returns
-    -------
-    list of (Recording, ArmCalibration or None)
-        One per arm. A calibration file that contains only other arms gives none for this one, which a note
-        says.
-
-    Raises
-    ------
-    RecordingError, CalibrationError
-        See `read_arm`.
-    """
+    """Read every arm of a recording that has an IMU, with its calibration; as `read_arm`."""
     return _read(
         calibration_file,
         lambda prefer: read_recordings(path, prefer_side=prefer, **reading),

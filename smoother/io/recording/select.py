@@ -31,26 +31,7 @@ if TYPE_CHECKING:
 def trunk_of(
     file: RecordingFile, choice: StreamChoice, origin_ns: int, store: Store
 ) -> tuple[TrunkSensors | None, list[str]]:
-    """The trunk's IMU by its name, and sentences on it.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams.
-    choice : StreamChoice
-        The arm that was taken.
-    origin_ns : int, ns
-        What times count from.
-    store : Store
-        Where samples and frames are stored.
-
-    Returns
-    -------
-    trunk : TrunkSensors or None
-        None where no name shows it, or several do.
-    notes : list of str
-        How it was decided, and what was dropped.
-    """
+    """The trunk's IMU by its name, and sentences on it."""
     named = [imu for imu in file.imus if imu is not choice.imu and role(imu) == "trunk"]
     if not named:
         return None, []
@@ -276,33 +257,7 @@ def match_file(
     store: Store | None = None,
     skeleton: str | None = None,
 ) -> tuple[list[ImuMatch], list[str]]:
-    """Settle which IMU of a file is on which body and limb, by motion alone; names are not asked.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams.
-    method : str
-        A name in `matching.METHODS`.
-    reach_s : float, s, optional
-        Clocks may be this far apart.
-    store : Store, optional
-        Where joined and cleaned columns are to lie; None = in memory.
-    skeleton : str, optional
-        Topic (or a part of it, or its frame_id) of the arms; None for all.
-
-    Returns
-    -------
-    matches : list of ImuMatch
-        One for each IMU, by its topic.
-    notes : list of str
-        What was joined, dropped or left open.
-
-    Raises
-    ------
-    RecordingError
-        The file has no IMU, no arm that is tracked, or too little to compare.
-    """
+    """Settle which IMU of a file is on which body and limb, by motion alone; names are not asked."""
     if not file.imus:
         raise RecordingError(f"{file.path} has no IMU to match; record the IMUs as well.")
     arms = [arm for arm in file.arms if skeleton is None or is_named(skeleton, arm.topic, arm.frame_id)]

@@ -16,76 +16,36 @@ if TYPE_CHECKING:
 
 
 class Selection(TypedDict, total=False):
-    """What to take of a file that contains several: keywords that readers hand on to `choose`.
+    """What to take of a file that contains several: keywords that readers hand on to `choose`."""
 
-    Attributes
-    ----------
-    imu, skeleton : str, optional
-        Topic (or a part of it, or its frame_id).
-    side : str, optional
-        "left" or "right".
-    body : int, optional
-        The camera's number of the body.
-    """
-
-    imu: str | None
-    skeleton: str | None
-    side: str | None
-    body: int | None
+    imu: str | None  # Topic (or a part of it, or its frame_id)
+    skeleton: str | None  # Topic (or a part of it, or its frame_id)
+    side: str | None  # "left" or "right"
+    body: int | None  # The camera's number of the body
 
 
 class FileReading(Selection, total=False):
-    """How a file is read, and what of it: keywords that are handed on to `read_recording`.
+    """How a file is read, and what of it: keywords that are handed on to `read_recording`."""
 
-    Attributes
-    ----------
-    store : Store, optional
-        Where samples and frames are to lie.
-    truth : bool
-        False passes over the reference motion.
-    swap_sides : bool
-        The skeleton's left arm is the right one, and the other way round.
-    """
-
-    store: Store | None
-    truth: bool
-    swap_sides: bool
+    store: Store | None  # Where samples and frames are to lie
+    truth: bool  # False passes over the reference motion
+    swap_sides: bool  # The skeleton's left arm is the right one, and the other way round
 
 
 @dataclass
 class StreamChoice:
-    """What is to be used of a file.
+    """What is to be used of a file."""
 
-    Attributes
-    ----------
-    imu : ImuSamples
-        On the forearm.
-    arm : ArmFrames
-        The arm that it is on.
-    side : str
-        "left", "right" or "".
-    base : ImuSamples, optional
-        The IMU on the camera.
-    truth : PoseSamples, optional
-        The reference motion.
-    notes : list of str
-        How it was decided, one sentence each.
-    further : dict of str to ImuSamples
-        The IMUs on the same arm's further segments, by the segment's name.
-    body : int, optional
-        The camera's number of the person, where arms of several were chosen.
-    cameras : list of (CameraStream, ArmFrames)
-        Further cameras, and what each saw of the arm.
-    """
-
-    imu: ImuSamples
-    arm: ArmFrames
-    side: str
-    base: ImuSamples | None = None
-    truth: PoseSamples | None = None
-    notes: list[str] = field(default_factory=list)
+    imu: ImuSamples  # On the forearm
+    arm: ArmFrames  # The arm that it is on
+    side: str  # "left", "right" or ""
+    base: ImuSamples | None = None  # The IMU on the camera
+    truth: PoseSamples | None = None  # The reference motion
+    notes: list[str] = field(default_factory=list)  # How it was decided, one sentence each
+    # The IMUs on the same arm's further segments, by the segment's name
     further: dict[str, ImuSamples] = field(default_factory=dict)
-    body: int | None = None
+    body: int | None = None  # The camera's number of the person, where arms of several were chosen
+    # Further cameras, and what each saw of the arm
     cameras: list[tuple[CameraStream, ArmFrames]] = field(default_factory=list)
 
 
@@ -161,25 +121,7 @@ def topics_of(file: RecordingFile) -> str:
 
 
 def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
-    """The IMU of that name, of whatever limb, or the only one that there is.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams.
-    name : str, optional
-        Topic (or a part of it, or its frame_id).
-
-    Returns
-    -------
-    ImuSamples
-        As recorded.
-
-    Raises
-    ------
-    RecordingError
-        There is none, none of that name, or no name where there are several; the message lists them.
-    """
+    """The IMU of that name, of whatever limb, or the only one that there is."""
     if name is None and len(file.imus) > 1:
         listed = ", ".join(stream.topic for stream in file.imus)
         raise RecordingError(f"{file.path} has several IMUs ({listed}); choose one with --imu.")
@@ -189,13 +131,7 @@ def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
 
 
 def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
-    """The IMU of that name, or all that may be on a forearm by their names.
-
-    Raises
-    ------
-    RecordingError
-        There is none; the message lists what the file has.
-    """
+    """The IMU of that name, or all that may be on a forearm by their names."""
     if not file.imus and file.halves:
         alone = ", ".join(
             f"{half.name} ({'gyroscope' if half.acc is None else 'accelerometer'})" for half in file.halves
@@ -274,10 +210,7 @@ _ONLY_ONE_ARM = (
 def choose_further(
     file: RecordingFile, forearm: ImuSamples, side: str, segment: BodySegment
 ) -> tuple[ImuSamples | None, list[str]]:
-    """The IMU that names say is on a segment of the same arm, or None, and a sentence on it.
-
-    One without a side in its name is treated as on the arm of the only forearm IMU.
-    """
+    """The IMU that names say is on a segment of the same arm, or None, and a sentence on it."""
     named = [imu for imu in file.imus if imu is not forearm and role_among(imu, file.imus) == segment.name]
     sided = [imu for imu in named if side and named_side(imu.topic, imu.frame_id) == side]
     other_forearms = [i for i in file.imus if i is not forearm and role(i) in ("", "forearm")]
@@ -299,13 +232,7 @@ def choose_further(
 def wanted_arms(
     file: RecordingFile, skeleton: str | None, side: str | None, body: int | None
 ) -> list[ArmFrames]:
-    """The tracked arms that fit what was asked for.
-
-    Raises
-    ------
-    RecordingError
-        There is none; the message lists those that are there.
-    """
+    """The tracked arms that fit what was asked for."""
     if not file.arms and not file.frames_without_body:
         if any(name.partition("/")[0] == "unocclude.result" for name in file.metadata):
             raise RecordingError(f"{file.path} is a result; name the recording that it was made from.")

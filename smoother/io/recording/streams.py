@@ -27,86 +27,42 @@ from ..tables.protocol import ImuTable
 
 @dataclass
 class ImuSamples:
-    """One inertial sensor.
+    """One inertial sensor."""
 
-    Attributes
-    ----------
-    topic, frame_id : str
-        Where it came from.
-    stamp_ns : ndarray of int, shape (N,), ns
-        As recorded.
-    acc, gyro : ndarray, shape (N, 3), m/s^2 and rad/s
-    mag : ndarray, shape (N, 3), optional
-        In the sensor's unit, or None.
-    log_shift_ns : int, ns
-        Median of log time minus stamp.
-    made_of : tuple of str
-        Topics that contain a half of it each; () where one contains the whole.
-    units : str
-        As the file has them.
-    """
-
-    topic: str
-    frame_id: str
-    stamp_ns: IntArray
-    acc: FloatArray
-    gyro: FloatArray
-    mag: FloatArray | None = None
-    log_shift_ns: int = 0
-    made_of: tuple[str, ...] = ()
-    units: str = "m/s^2, rad/s"
+    topic: str  # Where it came from
+    frame_id: str  # Where it came from
+    stamp_ns: IntArray  # int (N,) ns: as recorded
+    acc: FloatArray  # (N, 3) m/s^2 and rad/s
+    gyro: FloatArray  # (N, 3) m/s^2 and rad/s
+    mag: FloatArray | None = None  # (N, 3): in the sensor's unit, or None
+    log_shift_ns: int = 0  # Median of log time minus stamp
+    made_of: tuple[str, ...] = ()  # Topics that contain a half of it each; () where one contains the whole
+    units: str = "m/s^2, rad/s"  # As the file has them
 
 
 @dataclass
 class FieldSamples:
-    """A magnetometer that publishes by itself.
+    """A magnetometer that publishes by itself."""
 
-    Attributes
-    ----------
-    topic, frame_id : str
-        Where it came from.
-    stamp_ns : ndarray of int, shape (N,), ns
-        As recorded.
-    mag : ndarray, shape (N, 3)
-        In its own unit.
-    """
-
-    topic: str
-    frame_id: str
-    stamp_ns: IntArray
-    mag: FloatArray
+    topic: str  # Where it came from
+    frame_id: str  # Where it came from
+    stamp_ns: IntArray  # int (N,) ns: as recorded
+    mag: FloatArray  # (N, 3): in its own unit
 
 
 @dataclass
 class ArmFrames:
-    """One arm of one body as a camera saw it.
-
-    Attributes
-    ----------
-    topic, frame_id, side : str
-    body : int
-        What it is; side is "left", "right" or "".
-    stamp_ns : ndarray of int, shape (F,), ns
-        As recorded.
-    position : ndarray, shape (F, 5, 3), m
-        Joints in the order of `JOINTS`; nan where there is none.
-    state : ndarray of int8, shape (F, 5)
-        `JointState` values.
-    camera_frame : CameraFrame, optional
-        Convention of the axes where the message type settles it.
-    lens : Intrinsics, optional
-        Of a camera without depth: `position` then holds u and v, pixels, and the score, 0 to 1.
-    """
+    """One arm of one body as a camera saw it."""
 
     topic: str
     frame_id: str
-    body: int
+    body: int  # What it is; side is "left", "right" or ""
     side: str
-    stamp_ns: IntArray
-    position: FloatArray
-    state: NDArray[np.int8]
-    camera_frame: CameraFrame | None = None
-    lens: Intrinsics | None = None
+    stamp_ns: IntArray  # int (F,) ns: as recorded
+    position: FloatArray  # (F, 5, 3) m: joints in the order of `JOINTS`; nan where there is none
+    state: NDArray[np.int8]  # int (F, 5): `JointState` values
+    camera_frame: CameraFrame | None = None  # Convention of the axes where the message type settles it
+    lens: Intrinsics | None = None  # Of a camera without depth
 
     @property
     def label(self) -> str:
@@ -121,61 +77,32 @@ class ArmFrames:
 
 @dataclass(frozen=True)
 class KnownLens:
-    """The lens of a camera without depth, and the camera's pose if that was measured.
-
-    Attributes
-    ----------
-    lens : Intrinsics
-    pose : CameraPose, optional
-        In the first camera's frame.
-    """
+    """The lens of a camera without depth, and the camera's pose if that was measured."""
 
     lens: Intrinsics
-    pose: CameraPose | None = None
+    pose: CameraPose | None = None  # In the first camera's frame
 
 
 @dataclass(frozen=True)
 class CameraStream:
-    """A camera beyond the first, whose skeleton is a topic of its own.
-
-    Attributes
-    ----------
-    name : str
-    camera_frame : CameraFrame, optional
-        Convention of its axes.
-    gravity_hint : ndarray, shape (3,), optional
-        Unit vector of down in its frame.
-    """
+    """A camera beyond the first, whose skeleton is a topic of its own."""
 
     name: str
-    camera_frame: CameraFrame | None = None
-    gravity_hint: FloatArray | None = None
+    camera_frame: CameraFrame | None = None  # Convention of its axes
+    gravity_hint: FloatArray | None = None  # (3,): unit vector of down in its frame
 
 
 @dataclass
 class PoseSamples:
-    """Poses of something in a frame: the truth, or a candidate for it.
+    """Poses of something in a frame: the truth, or a candidate for it."""
 
-    Attributes
-    ----------
-    topic, frame_id : str
-        Where it came from.
-    stamp_ns : ndarray of int, shape (M,), ns
-    position : ndarray, shape (M, 3), m
-    quaternion : ndarray, shape (M, 4)
-        qw, qx, qy, qz.
-    score : ndarray of bool, shape (M,), optional
-        Samples to score on, or None for all.
-    joints : dict of str to ndarray, shape (M, 3), m
-        Further reference positions by joint.
-    """
-
-    topic: str
-    frame_id: str
-    stamp_ns: IntArray
-    position: FloatArray
-    quaternion: FloatArray
-    score: BoolArray | None = None
+    topic: str  # Where it came from
+    frame_id: str  # Where it came from
+    stamp_ns: IntArray  # int (M,) ns
+    position: FloatArray  # (M, 3) m
+    quaternion: FloatArray  # (M, 4): qw, qx, qy, qz
+    score: BoolArray | None = None  # bool (M,): samples to score on, or None for all
+    # dict of (M, 3) m: Further reference positions by joint
     joints: dict[str, FloatArray] = field(default_factory=dict)
 
 
@@ -203,71 +130,35 @@ class TopicInfo:
 
 @dataclass
 class RecordingFile:
-    """All that a file (or a folder of plain files) holds, by kind.
+    """All that a file (or a folder of plain files) holds, by kind."""
 
-    Attributes
-    ----------
-    path : Path
-        The file or folder.
-    topics : list of TopicInfo
-        Every topic, those that are not used included.
-    imus : list of ImuSamples
-    arms : list of ArmFrames
-    poses : list of PoseSamples
-        Streams found, samples as recorded (not cleaned).
-    camera_frame : CameraFrame, optional
-        Convention of the camera's axes where the file states it.
-    gravity_hint : ndarray, shape (3,), optional
-        Unit vector of down in {K}, or None.
-    notes : list of str
-        What was wrong with the file, and what its metadata states.
-    metadata : dict of str to dict of str to str
-        Its metadata records, by name.
-    damage : list of str
-        Of the notes those on a damaged container.
-    frames_without_body : int
-        Skeleton messages were there, and none had a joint of an arm.
-    clocks_unrelated : bool
-        The IMUs' clock and the camera's have nothing in common.
-    cameras : dict of str to CameraStream
-        Cameras beyond the first that the file names, by the topic of their skeleton.
-    lenses : dict of str to KnownLens
-        Of cameras without depth, by the topic of their keypoints.
-    image_points : list of ArmFrames
-        To be written beside the skeleton that was made of them: `position` holds u, v and the score.
-    halves : list of ImuTable
-        Accelerometers and gyroscopes alone, which belong to no IMU.
-    image_sizes : dict of str to (int, int)
-        Width and height of the pictures that they are in, pixels, by topic.
-    """
-
-    path: Path
-    topics: list[TopicInfo] = field(default_factory=list)
+    path: Path  # The file or folder
+    topics: list[TopicInfo] = field(default_factory=list)  # Every topic, those that are not used included
     imus: list[ImuSamples] = field(default_factory=list)
     arms: list[ArmFrames] = field(default_factory=list)
-    poses: list[PoseSamples] = field(default_factory=list)
-    camera_frame: CameraFrame | None = None
-    gravity_hint: FloatArray | None = None
+    poses: list[PoseSamples] = field(default_factory=list)  # Streams found, samples as recorded (not cleaned)
+    camera_frame: CameraFrame | None = None  # Convention of the camera's axes where the file states it
+    gravity_hint: FloatArray | None = None  # (3,): unit vector of down in {K}, or None
+    # What was wrong with the file, and what its metadata states
     notes: list[str] = field(default_factory=list)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    frames_without_body: int = 0
-    damage: list[str] = field(default_factory=list)
-    clocks_unrelated: bool = False
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # Its metadata records, by name
+    frames_without_body: int = 0  # Skeleton messages were there, and none had a joint of an arm
+    damage: list[str] = field(default_factory=list)  # Of the notes those on a damaged container
+    clocks_unrelated: bool = False  # The IMUs' clock and the camera's have nothing in common
+    # Cameras beyond the first that the file names, by the topic of their skeleton
     cameras: dict[str, CameraStream] = field(default_factory=dict)
+    # Of cameras without depth, by the topic of their keypoints
     lenses: dict[str, KnownLens] = field(default_factory=dict)
+    # To be written beside the skeleton that was made of them: `position` holds u, v and the score
     image_points: list[ArmFrames] = field(default_factory=list)
+    # Width and height of the pictures that they are in, pixels, by topic
     image_sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    # Accelerometers and gyroscopes alone, which belong to no IMU
     halves: list[ImuTable] = field(default_factory=list)
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:
-        """Within this, an error's sentence is followed by what is damaged in the file.
-
-        Raises
-        ------
-        RecordingError
-            Where one is raised inside.
-        """
+        """Within this, an error's sentence is followed by what is damaged in the file."""
         try:
             yield
         except RecordingError as error:
@@ -294,17 +185,7 @@ ORDER, ARRIVAL = "order", "arrival"
 
 
 def sort_arrivals(file: RecordingFile, metadata: dict[str, str], store: Store) -> None:
-    """Put the samples and frames of a live recording in the order of their stamps.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        As read; left alone unless its metadata states that messages are stored as they arrived.
-    metadata : dict of str to str
-        Its own metadata record.
-    store : Store
-        Where sorted streams lie.
-    """
+    """Put the samples and frames of a live recording in the order of their stamps."""
     if metadata.get(ORDER) != ARRIVAL:
         return
     file.imus = [_sorted_imu(imu, store) for imu in file.imus]

@@ -197,23 +197,7 @@ def as_session(
     arms: Sequence[tuple[int, str, JointTracks]],
     camera_frame: CameraFrame | None = None,
 ) -> RecordingFile:
-    """Arms of several bodies before one camera, and IMUs that belong to no arm yet, as a file's streams.
-
-    Parameters
-    ----------
-    name : str
-        Of the recording.
-    imus : sequence of ImuStream
-        Their names become topics.
-    arms : sequence of (int, str, JointTracks)
-        Body, side, and what the camera saw.
-    camera_frame : CameraFrame, optional
-
-    Returns
-    -------
-    RecordingFile
-        Ready for `write_recording`.
-    """
+    """Arms of several bodies before one camera, and IMUs that belong to no arm yet, as a file's streams."""
     from pathlib import Path
 
     file = RecordingFile(Path(name), camera_frame=camera_frame)
@@ -277,21 +261,9 @@ def arm_messages(
     output: Output,
     arm: ArmFrames,
     present: list[int] | None = None,
-    strap_covariance: FloatArray | None = None,
+    strap_covariance: FloatArray | None = None,  # (F, 9) m^2
 ) -> OutputStream:
-    """Skeleton messages of an arm, on its topic; joints that are never there are left out.
-
-    Parameters
-    ----------
-    output : Output
-        The file.
-    arm : ArmFrames
-        What to write.
-    present : list of int, optional
-        Joints to write, by number, where `arm` is only some frames of a longer one.
-    strap_covariance : ndarray, shape (F, 9), m^2, optional
-        Of the strap's position, row by row; nan where there is none.
-    """
+    """Skeleton messages of an arm, on its topic; joints that are never there are left out."""
     suffix = f"_{arm.side}" if arm.side else ""
     if present is None:
         present = joints_there(arm.state)

@@ -38,19 +38,7 @@ _IDENTITY = wire.join(wire.message(1, wire.constants(0, 0, 0)), wire.message(2, 
 def drawings(
     position: FloatArray, shade: IntArray, colors: tuple[Color, ...], frame_id: str, entity: str
 ) -> Iterator[wire.AlikeRows]:
-    """Rows that are drawn alike, the message that draws them, and its columns.
-
-    Parameters
-    ----------
-    position : ndarray, shape (F, 5, 3), m
-        Joints in the order of `JOINTS`, in the camera frame; nan where there is none.
-    shade : ndarray of int, shape (F, 5)
-        Which of the colours a joint has.
-    colors : tuple of Color
-        By shade.
-    frame_id, entity : str
-        Of the scene entity; a frame without any joint deletes the entity.
-    """
+    """Rows that are drawn alike, the message that draws them, and its columns."""
     has = np.isfinite(position).all(axis=2)
     for pattern, rows in wire.alike(np.where(has, shade, -1)):
 
@@ -93,27 +81,12 @@ _FLOAT32, _UINT8 = 7, 1  # foxglove.PackedElementField.NumericType
 _STRIDE = 16
 
 
-def arm_point_clouds(position: FloatArray, kind: IntArray, frame_id: str) -> Iterator[wire.AlikeRows]:
-    """Rows that have the same joints, the foxglove.PointCloud that draws them, and its columns.
-
-    Parameters
-    ----------
-    position : ndarray, shape (F, 5, 3), m
-        Joints in the order of `JOINTS`, in the camera's frame; nan where there is none.
-    kind : ndarray of int, shape (F,)
-        Which of the colours `drawing.ANSWER`.
-    frame_id : str
-        Of the camera. A frame without any joint has a cloud without beads, which clears the one before.
-
-    Yields
-    ------
-    rows : ndarray of int, shape (m,)
-        Frames with the same joints.
-    template : Template
-        Their message.
-    columns : callable
-        The template's columns of some of the frames.
-    """
+def arm_point_clouds(
+    position: FloatArray,  # (F, 5, 3) m
+    kind: IntArray,  # int (F,)
+    frame_id: str,
+) -> Iterator[wire.AlikeRows]:  # rows int (m,), template, columns
+    """Rows that have the same joints, the foxglove.PointCloud that draws them, and its columns."""
     has = np.isfinite(position).all(axis=2)
     for pattern, rows in wire.alike(np.where(has, 0, -1)):
         present = tuple(i for i, shade in enumerate(pattern) if shade >= 0)
@@ -175,58 +148,25 @@ def _fixed32(number: int, value: int) -> wire.Template:
 WORLD = "world"
 
 
-def common_down(recoveries: Iterable[Recovery], level_down: FloatArray | None = None) -> FloatArray | None:
-    """Down in the camera's axes: the first arm's gravity; else of a level camera; else None.
-
-    Parameters
-    ----------
-    recoveries : iterable of Recovery
-        The arms that one camera saw.
-    level_down : ndarray, shape (3,), optional
-        Down in the camera's axes if it is level, where a file states their directions.
-
-    Returns
-    -------
-    down : ndarray, shape (3,), or None
-    """
+def common_down(
+    recoveries: Iterable[Recovery],
+    level_down: FloatArray | None = None,  # (3,)
+) -> FloatArray | None:  # (3,)
+    """Down in the camera's axes: the first arm's gravity; else of a level camera; else None."""
     for recovery in recoveries:
         if np.isfinite(recovery.gravity_direction).all():
             return recovery.gravity_direction
     return level_down
 
 
-def world_axes(down: FloatArray) -> FloatArray:
-    """`R_W_K` (3, 3): maps a vector from the camera's axes to the level frame's.
-
-    Parameters
-    ----------
-    down : ndarray, shape (3,)
-        Direction of gravity in {K}.
-
-    Returns
-    -------
-    R_W_K : ndarray, shape (3, 3)
-        x level, against the camera's view: forward for a person who faces it; z up; y = z cross x.
-    """
+def world_axes(down: FloatArray) -> FloatArray:  # down (3,) -> (3, 3)
+    """`R_W_K` (3, 3): maps a vector from the camera's axes to the level frame's."""
     ahead, up, right = torso_axes(down).T
     return np.stack([ahead, -right, up])
 
 
-def world_transform(down: FloatArray | None, frame_id: str) -> wire.Template:
-    """The transform from `world` to the camera, an element of FrameTransforms; empty without gravity.
-
-    Parameters
-    ----------
-    down : ndarray, shape (3,), optional
-        Direction of gravity in {K}.
-    frame_id : str
-        Of the camera.
-
-    Returns
-    -------
-    Template
-        With the column `stamp`.
-    """
+def world_transform(down: FloatArray | None, frame_id: str) -> wire.Template:  # down (3,)
+    """The transform from `world` to the camera, an element of FrameTransforms; empty without gravity."""
     if down is None or frame_id == WORLD:
         return wire.Template(b"")
     turn = Rotation.from_matrix(world_axes(down)).as_quat(canonical=True)

@@ -27,29 +27,12 @@ from ..wire.schemas import message_class
 
 def gap_messages(
     gaps: Sequence[Gap],
-    start_ns: IntArray,
-    end_ns: IntArray,
+    start_ns: IntArray,  # int (n,) ns
+    end_ns: IntArray,  # int (n,) ns
     side: str,
     verdicts: Sequence[GapVerdict] | None = None,
 ) -> tuple[list[bytes], list[bytes]]:
-    """Events (`foxglove.Event`) and lines (`foxglove.Log`), encoded.
-
-    Parameters
-    ----------
-    gaps : sequence of Gap
-        Of the forearm.
-    start_ns, end_ns : ndarray of int, shape (n,), ns
-        Stamps of their ends.
-    side : str
-        Of the arm; "" where it is not known.
-    verdicts : sequence of GapVerdict, optional
-        Whether each is to be trusted; None where not judged. An event then has no `trusted`.
-
-    Returns
-    -------
-    events, lines : list of bytes
-        One of each a gap.
-    """
+    """Events (`foxglove.Event`) and lines (`foxglove.Log`), encoded."""
     events, lines = [], []
     each_verdict: Sequence[GapVerdict | None] = [None] * len(gaps) if verdicts is None else verdicts
     for gap, verdict, start, end in zip(gaps, each_verdict, start_ns.tolist(), end_ns.tolist(), strict=True):
@@ -79,15 +62,7 @@ def gap_messages(
 
 
 class ResidualMessages:
-    """What the messages of a recovery's residuals are made of; the same joints in all of them.
-
-    Parameters
-    ----------
-    residuals : FrameResiduals
-        All of them.
-    frame_id : str
-        Of the camera.
-    """
+    """What the messages of a recovery's residuals are made of; the same joints in all of them."""
 
     def __init__(self, residuals: FrameResiduals, frame_id: str):
         self._frame_id = frame_id
@@ -95,22 +70,7 @@ class ResidualMessages:
         self._templates: dict[tuple[int, ...], wire.Template] = {}  # by reasons
 
     def of_batch(self, residuals: FrameResiduals) -> Iterator[wire.AlikeRows]:
-        """Frames that are written alike, the message that contains them, and its columns.
-
-        Parameters
-        ----------
-        residuals : FrameResiduals
-            Some of them.
-
-        Yields
-        ------
-        rows : ndarray of int
-            Frames of the batch.
-        template : wire.Template
-            What is the same in all of them.
-        columns : callable
-            From some of the rows to what is not.
-        """
+        """Frames that are written alike, the message that contains them, and its columns."""
 
         def columns(rows: IntArray) -> dict[str, NDArray]:
             flat = residuals.residual[rows].reshape(len(rows), -1)
@@ -170,24 +130,7 @@ def thorax_poses(r: Recovery) -> Recovery | None:
 
 
 def odometry(r: Recovery, frame_id: str, body: str) -> Iterator[wire.AlikeRows]:
-    """What the messages of the samples with a position are made of, one layout after the other.
-
-    Parameters
-    ----------
-    r : Recovery
-        Its poses are written, those of the forearm's IMU or what was put in their place.
-    frame_id, body : str
-        Names of the camera's frame and of the IMU's; an answer without orientation has the former for both.
-
-    Yields
-    ------
-    rows : ndarray of int
-        Samples of the layout.
-    template : wire.Template
-        What is the same in all of them.
-    columns : callable
-        From some of the rows to what is not.
-    """
+    """What the messages of the samples with a position are made of, one layout after the other."""
     has_position = np.isfinite(r.position).all(axis=1)
     has_turn = np.isfinite(r.quaternion).all(axis=1)
     has_velocity = np.isfinite(r.velocity).all(axis=1)
@@ -230,13 +173,7 @@ def odometry(r: Recovery, frame_id: str, body: str) -> Iterator[wire.AlikeRows]:
 
 
 class TopicTable:
-    """Columns of one topic, gathered batch by batch in the file's order.
-
-    Parameters
-    ----------
-    topic : Topic
-        With the schema that its messages are decoded by.
-    """
+    """Columns of one topic, gathered batch by batch in the file's order."""
 
     def __init__(self, topic: Topic):
         self.grouper: Grouper = proto_grouper(topic.schema)
@@ -376,23 +313,7 @@ def message_rows(draws: Draws) -> IntArray:
 
 
 def draw_messages(draws: Draws, first: IntArray, origin_ns: int, frame_id: str) -> Iterator[bytes]:
-    """Drawn motions, encoded.
-
-    Parameters
-    ----------
-    draws : Draws
-    first : ndarray of int
-        Some of `message_rows` that follow each other.
-    origin_ns : int, ns
-        Of the recording.
-    frame_id : str
-        Of the camera.
-
-    Yields
-    ------
-    message : bytes
-        One each.
-    """
+    """Drawn motions, encoded."""
     rows = slice(int(first[0]), int(first[-1]) + ROWS)
     stamp = nanoseconds(draws.t_s[rows], origin_ns)
     columns = {name: _whole_numbers(values[:, rows]) for name, values in draws.columns().items()}
@@ -408,10 +329,7 @@ def draw_messages(draws: Draws, first: IntArray, origin_ns: int, frame_id: str) 
 
 
 def _whole_numbers(values: NDArray) -> tuple[NDArray, list[float]]:
-    """Deviations (n, m, 3) by time as whole numbers (m, 3 n), and what they are to be multiplied by.
-
-    One scale for each message's times, by the largest of them.
-    """
+    """Deviations (n, m, 3) by time as whole numbers (m, 3 n), and what they are to be multiplied by."""
     part = np.moveaxis(values, 0, 1).copy().reshape(values.shape[1], -1)
     known = np.isfinite(part)
     part[~known] = 0.0
@@ -425,12 +343,7 @@ def _whole_numbers(values: NDArray) -> tuple[NDArray, list[float]]:
 
 
 class DrawsTable(TopicTable):
-    """Drawn motions, gathered batch by batch in the file's order.
-
-    Parameters
-    ----------
-    topic : Topic
-    """
+    """Drawn motions, gathered batch by batch in the file's order."""
 
     def __init__(self, topic: Topic):
         super().__init__(topic)
@@ -452,15 +365,7 @@ class DrawsTable(TopicTable):
                 self._parts.setdefault(drawn.name, []).append(values)
 
     def draws(self, seed: int, origin: int) -> Draws:
-        """All of them.
-
-        Parameters
-        ----------
-        seed : int
-            As the metadata has it.
-        origin : int, ns
-            Of the recording.
-        """
+        """All of them."""
         stamp = np.concatenate(self._stamps)
         columns = {name: np.moveaxis(np.concatenate(parts), 0, 1) for name, parts in self._parts.items()}
         if any(values.shape[1] != len(stamp) for values in columns.values()):

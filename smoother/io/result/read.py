@@ -89,19 +89,7 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
 
 
 def stated_estimates(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Estimates]:
-    """What each arm of a result states besides its motion.
-
-    Parameters
-    ----------
-    metadata : mapping of str to mapping of str to str
-        A result file's metadata records.
-
-    Returns
-    -------
-    estimates : dict of str to Estimates
-        By the arm's name among several (`result.arm_tags`), "" for the only one. Arms whose figures are
-        damaged, or of another version, are left out.
-    """
+    """What each arm of a result states besides its motion."""
     found = {}
     for name, values in metadata.items():
         if name.partition("/")[0] == RESULT:
@@ -114,18 +102,10 @@ def stated_estimates(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Est
 
 @dataclass(frozen=True)
 class ResultOrigin:
-    """What a result's file states of its making.
+    """What a result's file states of its making."""
 
-    Attributes
-    ----------
-    version : str
-        Of the program that wrote it; "" where it does not say.
-    title : str
-        What the recording inside calls itself; "" where it does not say.
-    """
-
-    version: str = ""
-    title: str = ""
+    version: str = ""  # Of the program that wrote it; "" where it does not say
+    title: str = ""  # What the recording inside calls itself; "" where it does not say
 
     @property
     def is_simulated(self) -> bool:
@@ -134,13 +114,7 @@ class ResultOrigin:
 
 
 def read_origin(path: str | os.PathLike[str]) -> ResultOrigin:
-    """What a result's file states of its making; empty where it states nothing.
-
-    Parameters
-    ----------
-    path : path-like
-        A file of `write_recovery`.
-    """
+    """What a result's file states of its making; empty where it states nothing."""
     container = Container(path)
     for _ in container.by_topic(lambda topic: False):
         pass  # metadata is met on the way

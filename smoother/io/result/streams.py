@@ -36,23 +36,7 @@ AXES = 5
 
 
 class RecoveryStreams:
-    """The messages of one recovery, batch by batch, encoded when they are written.
-
-    Parameters
-    ----------
-    output : Output
-        The file.
-    recovery : Recovery
-        What to write.
-    suffix : str
-        Behind every topic (an arm among several).
-    frame_id : str
-        Of the camera.
-    shift : int, ns
-        Log time less stamp.
-    down : ndarray, shape (3,), optional
-        Direction of gravity in {K}, for the transform from `world`; None writes none.
-    """
+    """The messages of one recovery, batch by batch, encoded when they are written."""
 
     def __init__(
         self,
@@ -272,10 +256,7 @@ class RecoveryStreams:
         yield OutputStream(channel, self._stamps(draws.t_s[first]) + self.shift, encode)
 
     def _at_frames(self, samples: slice, batch: Recovery) -> tuple[IntArray, BoolArray]:
-        """The IMU sample nearest to each frame that the IMU covers, and which of its frames those are.
-
-        Samples are numbered in the whole recovery: the nearest may lie just outside the batch.
-        """
+        """The IMU sample nearest to each frame that the IMU covers, and which of its frames those are."""
         first = max(samples.start - 1, 0)
         stamp, frame = self._stamps(self.recovery.t_s[first : samples.stop + 1]), self._stamps(batch.arm.t_s)
         if not len(stamp):

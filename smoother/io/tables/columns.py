@@ -80,18 +80,10 @@ _DAMAGED = 1e9
 
 @dataclass(frozen=True)
 class SensorChannels:
-    """Channels (from 0) of one sensor.
+    """Channels (from 0) of one sensor."""
 
-    Attributes
-    ----------
-    name : str
-        What the labels call it, "" where they do not.
-    axes : dict of str to tuple of int
-        Columns of x, y, z of `acc`, `gyro`, `mag`.
-    """
-
-    name: str
-    axes: dict[str, tuple[int, int, int]]
+    name: str  # What the labels call it, "" where they do not
+    axes: dict[str, tuple[int, int, int]]  # Columns of x, y, z of `acc`, `gyro`, `mag`
 
 
 def kind_of(words: Sequence[str]) -> str:
@@ -106,20 +98,7 @@ def kind_of(words: Sequence[str]) -> str:
 
 
 def find_sensors(labels: Sequence[str], types: Sequence[str], stream: str) -> list[SensorChannels]:
-    """Sensors among the channels of a stream.
-
-    Parameters
-    ----------
-    labels, types : sequence of str
-        Of the channels; "" where there is none.
-    stream : str
-        Name and type of the stream, which identify unnamed x, y, z.
-
-    Returns
-    -------
-    list of SensorChannels
-        Each with an accelerometer, a gyroscope, or both.
-    """
+    """Sensors among the channels of a stream."""
     groups: dict[str, dict[str, dict[int, int]]] = {}
     of_stream = kind_of(words_of(stream))
     for at, (label, channel_type) in enumerate(zip(labels, types, strict=True)):
@@ -147,20 +126,7 @@ def find_sensors(labels: Sequence[str], types: Sequence[str], stream: str) -> li
 
 
 def joint_label(marker: str, kind: str) -> str:
-    """A channel's label of a marker (or object) and the channel's type in the MoCap meta-data of XDF.
-
-    Parameters
-    ----------
-    marker : str
-        Name of a joint.
-    kind : str
-        `PositionX` and the like, or `Confidence`.
-
-    Returns
-    -------
-    str
-        "wrist_right_x", or "" where the two do not identify one.
-    """
+    """A channel's label of a marker (or object) and the channel's type in the MoCap meta-data of XDF."""
     kind = kind.lower()
     if marker and kind.startswith("position") and kind[-1:] in "xyz":
         return f"{marker}_{kind[-1]}"
@@ -210,34 +176,13 @@ def _of_letters(words: Sequence[str]) -> str:
 
 def imu_of(
     name: str,
-    t_s: FloatArray,
-    values: FloatArray,
+    t_s: FloatArray,  # (N,) s
+    values: FloatArray,  # (N, channels)
     sensor: SensorChannels,
     units: Sequence[str],
-    rate: float | None,
+    rate: float | None,  # Hz
 ) -> tuple[ImuTable | None, str]:
-    """A sensor's samples in SI units.
-
-    Parameters
-    ----------
-    name : str
-        Of the sensor.
-    t_s : ndarray, shape (N,), s
-        Stamps.
-    values : ndarray, shape (N, channels)
-        All channels.
-    sensor : SensorChannels
-        Which of them are the sensor's.
-    units : sequence of str
-        Of the channels as written; "" where they are not stated.
-    rate : float, Hz, optional
-        As the file states it.
-
-    Returns
-    -------
-    ImuTable or None, str
-        None where a unit is neither stated nor shown by the motion, and why.
-    """
+    """A sensor's samples in SI units."""
     values = np.where(np.abs(values) < _DAMAGED, values, np.nan)
     table = ImuTable(name, t_s, None, None, rate_hz=rate)
     said = []
@@ -300,18 +245,10 @@ _MOST = 3
 
 @dataclass(frozen=True)
 class MissingAxis:
-    """Two columns of a vector without the third.
+    """Two columns of a vector without the third."""
 
-    Attributes
-    ----------
-    missing : str
-        Name of the column that is not there, spelled as the others are.
-    present : tuple of str
-        Names of the two that are.
-    """
-
-    missing: str
-    present: tuple[str, str]
+    missing: str  # Name of the column that is not there, spelled as the others are
+    present: tuple[str, str]  # Names of the two that are
 
     @property
     def is_of_sensor(self) -> bool:
@@ -326,18 +263,7 @@ class MissingAxis:
 
 
 def missing_axes(names: Sequence[str]) -> list[MissingAxis]:
-    """Vectors among the columns of a table of which two axes are there and one is not.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of all columns, as written.
-
-    Returns
-    -------
-    list of MissingAxis
-        In the order of the columns.
-    """
+    """Vectors among the columns of a table of which two axes are there and one is not."""
     there = set(names)
     found: dict[str, MissingAxis] = {}
     for name in names:
@@ -373,15 +299,7 @@ _FEWEST = 8
 def time_among(
     columns: Mapping[str, FloatArray], rates_hz: tuple[float, float], source: Path, notes: list[str]
 ) -> tuple[str, str]:
-    """The column that is the time, and its unit, among those (n,) that nothing else is known of.
-
-    "" where none rises; a counter of rows is named in a note, and is none.
-
-    Raises
-    ------
-    RecordingError
-        One may be the time, and it is not certain.
-    """
+    """The column that is the time, and its unit, among those (n,) that nothing else is known of."""
     for name, values in columns.items():
         if {"x", "y", "z", "w"} & set(words_of(name)):
             continue

@@ -28,18 +28,7 @@ _CLEAR = 0.5
 
 
 def size_notes(table: ImuTable) -> list[str]:
-    """Sentences on values that do not fit the unit they are in; none where all is well.
-
-    Parameters
-    ----------
-    table : ImuTable
-        In SI units.
-
-    Returns
-    -------
-    list of str
-        What looks wrong, and what it would fit.
-    """
+    """Sentences on values that do not fit the unit they are in; none where all is well."""
     return [*(_gravity_notes(table.acc) if table.acc is not None else []), *turn_notes(table)]
 
 
@@ -63,18 +52,7 @@ def turn_notes(table: ImuTable) -> list[str]:
 
 
 def with_settled_unit(table: ImuTable) -> ImuTable:
-    """An IMU whose gyroscope's unit, where it was assumed, is the one in which gravity turns with it.
-
-    Parameters
-    ----------
-    table : ImuTable
-        With both sensors, in SI units as far as they are known.
-
-    Returns
-    -------
-    ImuTable
-        The same, or with the gyroscope scaled by 57.3 or its inverse; with a note.
-    """
+    """An IMU whose gyroscope's unit, where it was assumed, is the one in which gravity turns with it."""
     scale = turn_scale(table) if table.gyro_unit_assumed else None
     if scale is None or table.gyro is None or 1 / WRONG_SCALE < scale < WRONG_SCALE:
         return table
@@ -97,22 +75,7 @@ def holds_gravity(acc: FloatArray) -> bool:
 
 
 def turn_scale(table: ImuTable) -> float | None:
-    """How much faster gravity turns in the sensor's axes than its gyroscope says.
-
-    In slow motion da/dt = a x w (a specific force, w angular velocity, both in the sensor's axes); the
-    scale is the least squares factor of w, both averaged over 0.4 s. It is 1 for a sensor in the right
-    units, 57.3 for a gyroscope in rad/s that was read as deg/s.
-
-    Parameters
-    ----------
-    table : ImuTable
-        In SI units, with both sensors.
-
-    Returns
-    -------
-    float or None
-        None where the motion does not show it.
-    """
+    """How much faster gravity turns in the sensor's axes than its gyroscope says."""
     rate = _rate(table)
     if table.acc is None or table.gyro is None or rate is None:
         return None
@@ -169,26 +132,7 @@ def _means(values: FloatArray, width: int) -> FloatArray:
 
 
 def paired(tables: list[ImuTable], source: str) -> ImuTable:
-    """One IMU of tables that each contain a part of it, on the gyroscope's times.
-
-    Parameters
-    ----------
-    tables : list of ImuTable
-        With repaired times, on one clock.
-    source : str
-        The files, for messages.
-
-    Returns
-    -------
-    ImuTable
-        Accelerometer (and magnetometer) interpolated to the gyroscope's times; without the samples at which
-        the accelerometer paused.
-
-    Raises
-    ------
-    RecordingError
-        One of the two is missing or there twice, or they were not recorded at the same time.
-    """
+    """One IMU of tables that each contain a part of it, on the gyroscope's times."""
     if len(tables) == 1 and tables[0].acc is not None and tables[0].gyro is not None:
         return tables[0]
     acc, gyro = (_only(tables, part, name, source) for part, name in _PARTS)

@@ -22,104 +22,56 @@ Columns = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Increments:
-    """Columns of velocity and rotation over a sample, which some devices write instead of rates.
+    """Columns of velocity and rotation over a sample, which some devices write instead of rates."""
 
-    Attributes
-    ----------
-    names : str
-        Of the two, as a sentence begins.
-    velocity : str
-        Stem of the velocity's columns, m/s.
-    rotation : tuple of str
-        Forms of the quaternion's columns, of `axis` (w, x, y, z) and `at` (0 to 3).
-    units : str
-        For the line about the file.
-    lacks : callable
-        Of a table without these: what it contains, and what to do, behind the format's title.
-    no_rate : str
-        Behind the file's name, where neither times nor a rate are there to multiply by.
-    signs : tuple of str
-        Of the velocity's axes.
-    """
-
-    names: str
-    velocity: str
-    rotation: tuple[str, ...]
-    units: str
-    lacks: Callable[[TableLayout, ImuTable], str]
-    no_rate: str
-    signs: tuple[str, ...] = ("xyz",)
+    names: str  # Of the two, as a sentence begins
+    velocity: str  # Stem of the velocity's columns, m/s
+    rotation: tuple[str, ...]  # Forms of the quaternion's columns, of `axis` (w, x, y, z) and `at` (0 to 3)
+    units: str  # For the line about the file
+    lacks: Callable[[TableLayout, ImuTable], str]  # Of a table without these
+    no_rate: str  # Behind the file's name, where neither times nor a rate are there to multiply by
+    signs: tuple[str, ...] = ("xyz",)  # Of the velocity's axes
 
 
 @dataclass(frozen=True)
 class ImuFormat:
-    """An importer of a plain table of inertial sensors; see `DeviceFormat`.
+    """An importer of a plain table of inertial sensors; see `DeviceFormat`."""
 
-    Attributes
-    ----------
-    key, title, recognised_by, kind : str
-        As in `DeviceFormat`.
-    fits : callable
-        Whether a table's columns are of this device.
-    lacks : str, or callable of TableLayout
-        What a table without both sensors is, and what to do, behind the title.
-    acc, gyro, mag : tuple of str
-        Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first; `{}` is replaced by
-        what names the sensor.
-    axes : str
-        Text after the stem, `{}` for the axis, if it is not one of the usual ones.
-    acc_unit, gyro_unit : str
-        Count where the file states none; the first may be a function that finds it, and notes it.
-    time : tuple of str
-        Labels of the time's column, the preferred one first; `time_unit` counts where the file states none.
-    times : callable of (Sheet, str, float or None), optional
-        Finds the times (n,), s, by what names the sensor and the stated rate, where `time` does not do.
-    no_times : str
-        Behind the file's name, where there must be times or a rate.
-    name, rate : tuple of str
-        Lines of the preamble that state the sensor's name and rate.
-    counter : tuple of str
-        Labels of a packet counter, which starts anew at `counter_wraps`.
-    sensor : re.Pattern, optional
-        Of a table with several sensors: matches the labels of vectors, its first group names the sensor.
-    notes : callable of (Sheet, str), optional
-        Sentences on what was chosen.
-    increments : Increments, optional
-        What the device writes instead.
-    settles_unit : bool
-        The gyroscope's unit, where it is not stated, is the one in which gravity turns with it.
-    headless : callable of (FileHead, TableLayout), optional
-        Whether a file without header is of this device.
-    sensors : callable of (ImuFormat, Sheet), optional
-        Reads the tables in a way of its own.
-    """
-
-    key: str
-    title: str
-    recognised_by: str
-    fits: Callable[[TableLayout], bool]
+    key: str  # As in `DeviceFormat`
+    title: str  # As in `DeviceFormat`
+    recognised_by: str  # As in `DeviceFormat`
+    fits: Callable[[TableLayout], bool]  # Whether a table's columns are of this device
+    # What a table without both sensors is, and what to do, behind the title
     lacks: str | Callable[[TableLayout], str] = ""
+    # Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first
     acc: tuple[str, ...] = ("acc",)
+    # Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first
     gyro: tuple[str, ...] = ("gyr",)
+    # Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first
     mag: tuple[str, ...] = ("mag",)
-    axes: str = ""
+    axes: str = ""  # Text after the stem, `{}` for the axis, if it is not one of the usual ones
+    # Count where the file states none; the first may be a function that finds it, and notes it
     acc_unit: str | Callable[[ImuFormat, Sheet, Columns | None, list[str]], str] = "m/s^2"
-    gyro_unit: str = "rad/s"
-    time: tuple[str, ...] = ("time",)
+    gyro_unit: str = "rad/s"  # Count where the file states none
+    time: tuple[str, ...] = ("time",)  # Labels of the time's column, the preferred one first
     time_unit: str = "s"
+    # Finds the times (n,), s, by what names the sensor and the stated rate, where `time` does not do
     times: Callable[[Sheet, str, float | None], FloatArray | None] | None = None
-    no_times: str = ""
-    name: tuple[str, ...] = ()
-    rate: tuple[str, ...] = ()
-    counter: tuple[str, ...] = ()
+    no_times: str = ""  # Behind the file's name, where there must be times or a rate
+    name: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name and rate
+    rate: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name and rate
+    counter: tuple[str, ...] = ()  # Labels of a packet counter, which starts anew at `counter_wraps`
     counter_wraps: int = 0
-    sensor: re.Pattern[str] | None = None
-    notes: Callable[[TableLayout, str], list[str]] | None = None
-    increments: Increments | None = None
+    sensor: re.Pattern[str] | None = None  # Of a table with several sensors
+    notes: Callable[[TableLayout, str], list[str]] | None = None  # Sentences on what was chosen
+    increments: Increments | None = None  # What the device writes instead
+    # The gyroscope's unit, where it is not stated, is the one in which gravity turns with it
     settles_unit: bool = False
+    # Whether a file without header is of this device
     headless: Callable[[FileHead, TableLayout], bool] | None = None
+    # Reads the tables in a way of its own
     sensors: Callable[[ImuFormat, Sheet], list[ImuTable]] | None = None
-    kind: str = "imu"
+    kind: str = "imu"  # As in `DeviceFormat`
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the file is of this layout; never raises."""
@@ -236,24 +188,7 @@ def named_columns(layout: TableLayout, forms: tuple[str, ...]) -> Columns | None
 def specific_force(
     sheet: Sheet, columns: Sequence[int] | None, unit: str = "", sign: float = 1.0
 ) -> FloatArray | None:
-    """Accelerometer of three columns, (n, 3) in m/s^2; None for no columns.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        The table.
-    columns : sequence of int, optional
-        Of x, y and z.
-    unit : str
-        Counts where the file states none.
-    sign : float
-        -1 where the device writes gravity, which points down, instead of specific force.
-
-    Raises
-    ------
-    RecordingError
-        The file states a unit that is none of acceleration.
-    """
+    """Accelerometer of three columns, (n, 3) in m/s^2; None for no columns."""
     return None if columns is None else _in_si(sheet, columns, ACCELERATION, unit, sign, "acceleration")
 
 
@@ -287,17 +222,7 @@ def is_numeric(sheet: Sheet, column: int) -> bool:
 
 
 def seconds(sheet: Sheet, column: int | None, unit: str = "s") -> FloatArray | None:
-    """Times of a column, (n,) in s, dates since 1970; None for no column or one without times.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        The table.
-    column : int, optional
-        Its number.
-    unit : str
-        Of numbers, where the file states none.
-    """
+    """Times of a column, (n,) in s, dates since 1970; None for no column or one without times."""
     if column is None or not any(sheet.texts(column)[:2000]):
         return None
     times, dates = sheet.times(column)
@@ -339,21 +264,11 @@ def acceleration_of(velocity_increment: FloatArray, rate_hz: float) -> FloatArra
     return velocity_increment * rate_hz
 
 
-def angular_velocity_of(rotation_increment: FloatArray, rate_hz: float) -> FloatArray:
-    """Mean angular velocity over each sample.
-
-    Parameters
-    ----------
-    rotation_increment : ndarray, shape (n, 4)
-        Unit quaternions w, x, y, z that turn by one sample.
-    rate_hz : float, Hz
-        Samples per second.
-
-    Returns
-    -------
-    ndarray, shape (n, 3), rad/s
-        The rotation vector of the increment, times the rate.
-    """
+def angular_velocity_of(
+    rotation_increment: FloatArray,  # (n, 4)
+    rate_hz: float,
+) -> FloatArray:  # (n, 3) rad/s
+    """Mean angular velocity over each sample."""
     w, xyz = rotation_increment[:, :1], rotation_increment[:, 1:]
     xyz = np.where(w < 0, -xyz, xyz)
     sine = np.linalg.norm(xyz, axis=1, keepdims=True)

@@ -128,24 +128,13 @@ _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 @dataclass(frozen=True)
 class JointName:
-    """What the name of a marker or joint means.
+    """What the name of a marker or joint means."""
 
-    Attributes
-    ----------
-    part : str
-        `shoulder`, `elbow`, `wrist`, `hand`; or `top`, `hip`, `foot` of the rest of the body.
-    side : str
-        "left", "right" or "".
-    kind : str
-        "centre" (a joint's centre, said so), "joint" (a joint of a skeleton), "skin" (a marker on the skin).
-    pair : str
-        "a" or "b" where two skin markers are on both sides of the joint, else "".
-    """
-
-    part: str
-    side: str
+    part: str  # `shoulder`, `elbow`, `wrist`, `hand`; or `top`, `hip`, `foot` of the rest of the body
+    side: str  # "left", "right" or ""
+    # "centre" (a joint's centre, said so), "joint" (a joint of a skeleton), "skin" (a marker on the skin)
     kind: str = "joint"
-    pair: str = ""
+    pair: str = ""  # "a" or "b" where two skin markers are on both sides of the joint, else ""
 
     @property
     def joint(self) -> str:
@@ -168,19 +157,7 @@ def without_accents(text: str) -> str:
 
 @lru_cache(maxsize=4096)  # tables are recognised by the same names many times
 def joint_name(name: str) -> JointName | None:
-    """What a joint or marker is by its name.
-
-    Parameters
-    ----------
-    name : str
-        As a file has it: `WRIST_RIGHT`, `RWrist`, `r_wrist`, `WristRight`, `K4ABT_JOINT_WRIST_RIGHT`,
-        `right_wrist`, `RWJC`, `r_lwrist_study`, `Subject:RWRA`.
-
-    Returns
-    -------
-    JointName or None
-        None where it is nothing of an arm, and nothing that shows how the body stands.
-    """
+    """What a joint or marker is by its name."""
     words = [_TRANSLATED.get(word, word) for word in words_of(name)]
     return _meaning(tuple(word for word in words if word not in _NOISE))
 
@@ -281,40 +258,22 @@ _UNIT_WORDS = {
 
 @dataclass
 class JointColumns:
-    """Columns (from 0) of a table with one row per frame and body.
+    """Columns (from 0) of a table with one row per frame and body."""
 
-    Attributes
-    ----------
-    axes : dict of str to tuple of int
-        Columns of x, y, z by joint and side (`wrist_right`).
-    rest : list of (JointName, tuple of int)
-        Parts of the body that are not joints of an arm (hips, head).
-    confidence : dict of str to int
-        Column of the confidence or state by joint and side.
-    time, frame, body : int, optional
-        Columns of the time, of the frame's number, of the body's number.
-    time_scale : float, optional
-        Seconds in a unit of the time, where its name states it.
-    world : bool
-        Columns that are named "world" were taken, beside others that are not.
-    normalised : bool
-        Columns are named as normalised image coordinates.
-    numbered : bool
-        Joints are numbered, not named (33 landmarks).
-    incomplete : set of str
-        Columns of joints of an arm that have two axes and nowhere the third.
-    """
-
+    # Columns of x, y, z by joint and side (`wrist_right`)
     axes: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    # Parts of the body that are not joints of an arm (hips, head)
     rest: list[tuple[JointName, tuple[int, int, int]]] = field(default_factory=list)
+    # Column of the confidence or state by joint and side
     confidence: dict[str, int] = field(default_factory=dict)
-    time: int | None = None
-    frame: int | None = None
-    body: int | None = None
-    time_scale: float | None = None
-    world: bool = False
-    normalised: bool = False
-    numbered: bool = False
+    time: int | None = None  # Columns of the time, of the frame's number, of the body's number
+    frame: int | None = None  # Columns of the time, of the frame's number, of the body's number
+    body: int | None = None  # Columns of the time, of the frame's number, of the body's number
+    time_scale: float | None = None  # Seconds in a unit of the time, where its name states it
+    world: bool = False  # Columns that are named "world" were taken, beside others that are not
+    normalised: bool = False  # Columns are named as normalised image coordinates
+    numbered: bool = False  # Joints are numbered, not named (33 landmarks)
+    # Columns of joints of an arm that have two axes and nowhere the third
     incomplete: set[str] = field(default_factory=set)
 
     def has_arm(self) -> bool:
@@ -337,19 +296,7 @@ class _Column:
 
 
 def find_joint_columns(names: Sequence[str]) -> JointColumns:
-    """Find the columns of the arms' joints by their names.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of all columns: `WRIST_RIGHT (x)`, `wrist_right_x`, `WristRight_X`, `right_wrist.x`, `landmark_16_x`,
-        `x16`; with `(c)`, `_conf`, `_state`, `_visibility` beside them.
-
-    Returns
-    -------
-    JointColumns
-        Without joints where there are none.
-    """
+    """Find the columns of the arms' joints by their names."""
     result = JointColumns()
     parts = [part for at, name in enumerate(names) if (part := _taken_apart(at, name)) is not None]
     result.world = any(part.world for part in parts)

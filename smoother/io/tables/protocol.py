@@ -24,65 +24,31 @@ from .table_layout import is_workbook, workbook_text
 
 @dataclass
 class ImuTable:
-    """One inertial sensor as a file has it, in SI units, times not yet repaired.
+    """One inertial sensor as a file has it, in SI units, times not yet repaired."""
 
-    Attributes
-    ----------
-    name : str
-        What the file calls the sensor ("" where it does not say).
-    t_s : ndarray, shape (N,), s, optional
-        Stamps as written, on the device's clock; None where the file has none (an even `rate_hz` counts).
-    acc, gyro : ndarray, shape (N, 3), m/s^2 and rad/s, optional
-        None where the file contains only the other of the two.
-    mag : ndarray, shape (N, 3), optional
-        In the sensor's own unit.
-    rate_hz : float, Hz, optional
-        Rate that the file states, or that its counter counts.
-    counter : ndarray of int, shape (N,), optional
-        Packet counter, where there is one (a jump is lost samples; `counter_wraps` is where it starts anew).
-    counter_wraps : int
-        0 = it does not wrap.
-    units : str
-        As written in the file, for the line that is said of it ("m/s^2, deg/s").
-    notes : list of str
-        What was decided or dropped in reading, a sentence each.
-    gyro_unit_assumed : bool
-        The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may
-        settle it.
-    made_of : tuple of str
-        Streams of the file that contain a half each; () for a sensor that the file has whole.
-    """
-
-    name: str
-    t_s: FloatArray | None
-    acc: FloatArray | None
-    gyro: FloatArray | None
-    mag: FloatArray | None = None
-    rate_hz: float | None = None
+    name: str  # What the file calls the sensor ("" where it does not say)
+    t_s: FloatArray | None  # (N,) s: stamps as written, on the device's clock
+    acc: FloatArray | None  # (N, 3) m/s^2 and rad/s: none where the file contains only the other of the two
+    gyro: FloatArray | None  # (N, 3) m/s^2 and rad/s: none where the file contains only the other of the two
+    mag: FloatArray | None = None  # (N, 3): in the sensor's own unit
+    rate_hz: float | None = None  # Rate that the file states, or that its counter counts
+    # int (N,): Packet counter, where there is one
     counter: NDArray[np.int64] | None = None
-    counter_wraps: int = 0
-    units: str = ""
-    notes: list[str] = field(default_factory=list)
+    counter_wraps: int = 0  # 0 = it does not wrap
+    units: str = ""  # As written in the file, for the line that is said of it ("m/s^2, deg/s")
+    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
+    # The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may settle it
     gyro_unit_assumed: bool = False
-    made_of: tuple[str, ...] = ()
+    made_of: tuple[str, ...] = ()  # Streams of the file that contain a half each
 
 
 @dataclass
 class ImagePoints:
-    """One body's joints in the pictures of a camera.
+    """One body's joints in the pictures of a camera."""
 
-    Attributes
-    ----------
-    width, height : int
-        Of the pictures, pixels.
-    joints : dict of str to ndarray, shape (F, 3)
-        u and v, pixels to the right of and below the centre of the first pixel, and the score, 0 to 1; by
-        joint and side, nan where the body was not found.
-    """
-
-    width: int
-    height: int
-    joints: dict[str, FloatArray]
+    width: int  # Of the pictures, pixels
+    height: int  # Of the pictures, pixels
+    joints: dict[str, FloatArray]  # dict of (F, 3)
 
     def select(self, keep: BoolArray | IntArray) -> ImagePoints:
         """Some of the frames."""
@@ -91,71 +57,31 @@ class ImagePoints:
 
 @dataclass
 class SkeletonTable:
-    """One body's joints as a file has them, in metres, times not yet repaired.
+    """One body's joints as a file has them, in metres, times not yet repaired."""
 
-    Attributes
-    ----------
-    body : int
-        The file's number of the body.
-    t_s : ndarray, shape (F,), s, optional
-        Frame times as written, on the camera's clock; None where the file has none (`rate_hz` counts).
-    position : dict of str to ndarray, shape (F, 3), m
-        By joint and side (`wrist_left`, `shoulder_right`, ..); nan where there is none.
-    state : dict of str to ndarray of int8, shape (F,)
-        `JointState` values of the same joints.
-    frame : CameraFrame, optional
-        Where the format settles the axes.
-    gravity_hint : ndarray, shape (3,), optional
-        Direction of down in the axes of the positions, where they are a room's (y up, say) and no camera's.
-    rate_hz : float, Hz, optional
-        Rate that the file or its format states.
-    relative : bool
-        Positions are relative to the body (about the hips): the place in the room is not known.
-    units : str
-        As written in the file ("mm").
-    notes : list of str
-        What was decided or dropped in reading, a sentence each.
-    image : ImagePoints, optional
-        The same joints in the pictures, where the file has them.
-    """
-
-    body: int
-    t_s: FloatArray | None
+    body: int  # The file's number of the body
+    t_s: FloatArray | None  # (F,) s: frame times as written, on the camera's clock
+    # dict of (F, 3) m: By joint and side (`wrist_left`, `shoulder_right`, ..); nan where there is none
     position: dict[str, FloatArray]
-    state: dict[str, NDArray[np.int8]]
-    frame: CameraFrame | None = None
-    gravity_hint: FloatArray | None = None
-    rate_hz: float | None = None
-    relative: bool = False
-    units: str = ""
-    notes: list[str] = field(default_factory=list)
-    image: ImagePoints | None = None
+    state: dict[str, NDArray[np.int8]]  # int (F,): `JointState` values of the same joints
+    frame: CameraFrame | None = None  # Where the format settles the axes
+    gravity_hint: FloatArray | None = None  # (3,)
+    rate_hz: float | None = None  # Rate that the file or its format states
+    relative: bool = False  # Positions are relative to the body (about the hips)
+    units: str = ""  # As written in the file ("mm")
+    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
+    image: ImagePoints | None = None  # The same joints in the pictures, where the file has them
 
 
 @dataclass(frozen=True)
 class FileHead:
-    """What an importer sees of a file to recognise it.
+    """What an importer sees of a file to recognise it."""
 
-    Attributes
-    ----------
-    path : Path
-        The file; its name is for messages only and recognises nothing.
-    raw : bytes
-        Its first 64 kB.
-    text : str
-        The same decoded (UTF-8, UTF-16, a byte-order mark taken off), or a workbook's first rows; "" where
-        it is not text.
-    lines : tuple of str
-        The text's whole lines.
-    trouble : str
-        Why a workbook cannot be read; "" where it can.
-    """
-
-    path: Path
-    raw: bytes
-    text: str
-    lines: tuple[str, ...]
-    trouble: str = ""
+    path: Path  # The file; its name is for messages only and recognises nothing
+    raw: bytes  # Its first 64 kB
+    text: str  # The same decoded (UTF-8, UTF-16, a byte-order mark taken off), or a workbook's first rows
+    lines: tuple[str, ...]  # The text's whole lines
+    trouble: str = ""  # Why a workbook cannot be read; "" where it can
 
 
 #: What a file holds: sensors, skeletons, or both.
@@ -185,23 +111,7 @@ class DeviceFormat(Protocol):
         """Whether the file is of this layout; never raises."""
 
     def read(self, path: Path, /) -> Tables:
-        """Read the whole file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-
-        Returns
-        -------
-        list of ImuTable, of SkeletonTable, or of both
-            One for each sensor or skeleton, in the file's order.
-
-        Raises
-        ------
-        RecordingError
-            In one sentence: the file, what was expected, and what to export instead.
-        """
+        """Read the whole file."""
 
 
 @dataclass(frozen=True)
@@ -234,23 +144,7 @@ _DASH = re.compile(r"(?:(?<!\w)|(?<=\d[eE]))[\u2012\u2013](?=[.,]?\d)")
 
 
 def read_head(path: Path) -> FileHead:
-    """Read a file's beginning.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    FileHead
-        Its first 64 kB, decoded where they are text.
-
-    Raises
-    ------
-    RecordingError
-        The file does not exist, is a folder, is empty, or cannot be read.
-    """
+    """Read a file's beginning."""
     check_input(path, RecordingError)
     try:
         with path.open("rb") as stream:

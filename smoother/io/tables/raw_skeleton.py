@@ -40,19 +40,8 @@ def half_arm(position: Mapping[str, FloatArray]) -> float:
     return float(np.median(lengths)) if lengths else float("nan")
 
 
-def unit_by_arm(position: Mapping[str, FloatArray]) -> tuple[str, float] | None:
-    """Unit in which arms have an arm's length.
-
-    Parameters
-    ----------
-    position : dict of str to ndarray, shape (F, 3)
-        In the unit asked for, by joint and side.
-
-    Returns
-    -------
-    (str, float) or None
-        The unit and the metres in it; None where no unit fits, or no two joints are there to tell.
-    """
+def unit_by_arm(position: Mapping[str, FloatArray]) -> tuple[str, float] | None:  # position dict of (F, 3)
+    """Unit in which arms have an arm's length."""
     length = half_arm(position)
     for unit, metres in (("m", 1.0), ("cm", 0.01), ("mm", 0.001)):
         if ARM_M[0] <= length * metres <= ARM_M[1]:
@@ -60,19 +49,8 @@ def unit_by_arm(position: Mapping[str, FloatArray]) -> tuple[str, float] | None:
     return None
 
 
-def up_axis(points: list[tuple[JointName, FloatArray]]) -> tuple[int, int] | None:
-    """Axis along which the body stands or sits upright most of the time.
-
-    Parameters
-    ----------
-    points : list of (JointName, ndarray of shape (F, 3))
-        What parts of the body they are, and where.
-
-    Returns
-    -------
-    (int, int) or None
-        Axis (0, 1, 2) and sign of up; None where the trunk lies along none of them, or is not to be seen.
-    """
+def up_axis(points: list[tuple[JointName, FloatArray]]) -> tuple[int, int] | None:  # points (F, 3) )
+    """Axis along which the body stands or sits upright most of the time."""
     upper = [rows for name, rows in points if name.part in ("top", "shoulder")]
     lower = [rows for name, rows in points if name.part == "hip"]
     lower = lower or [rows for name, rows in points if name.part == "foot"]
@@ -127,43 +105,16 @@ _UNIT_OF = {seconds: unit for unit, seconds in SECONDS.items()}
 
 @dataclass
 class BodyRows:
-    """The bodies of a file, one row per frame and body.
+    """The bodies of a file, one row per frame and body."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (N,)
-        By which rows belong to one frame: the time in any unit, or the frame's number.
-    body : ndarray, shape (N,), optional
-        The body of each row; nan where the frame has none. None = one body.
-    position : dict of str to ndarray, shape (N, 3), m
-        By joint and side.
-    state : dict of str to ndarray of int8, shape (N,)
-        `JointState` values of the same joints.
-    notes : list of str
-        What was decided in reading.
-    """
-
-    time: FloatArray
-    body: FloatArray | None
-    position: dict[str, FloatArray]
-    state: dict[str, NDArray[np.int8]]
-    notes: list[str] = field(default_factory=list)
+    time: FloatArray  # (N,): by which rows belong to one frame: the time in any unit, or the frame's number
+    body: FloatArray | None  # (N,): the body of each row; nan where the frame has none. None = one body
+    position: dict[str, FloatArray]  # dict of (N, 3) m: by joint and side
+    state: dict[str, NDArray[np.int8]]  # int (N,): `JointState` values of the same joints
+    notes: list[str] = field(default_factory=list)  # What was decided in reading
 
     def skeletons(self, pattern: SkeletonTable, seconds: float | None) -> list[SkeletonTable]:
-        """One skeleton a body, on the times of all frames of the file.
-
-        Parameters
-        ----------
-        pattern : SkeletonTable
-            Frame, unit, rate and notes of all of them.
-        seconds : float, s, optional
-            In a unit of `time`; None where the file has no times.
-
-        Returns
-        -------
-        list of SkeletonTable
-            In order of the bodies' numbers.
-        """
+        """One skeleton a body, on the times of all frames of the file."""
         frame, times = frames_of_rows(self.time, self.body)
         t_s = None if seconds is None else times * seconds
         bodies = np.zeros(len(frame)) if self.body is None else self.body
@@ -198,11 +149,7 @@ class BodyRows:
 
 
 def frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray, FloatArray]:
-    """Number of the frame that each row is of, and the frames' times.
-
-    Rows of one body are frames as they stand, stamps that repeat or go back included. Where a file lists
-    one body after the other, frames are the different times in order.
-    """
+    """Number of the frame that each row is of, and the frames' times."""
     count = len(time)
     bodies = np.zeros(0) if body is None else np.unique(body[np.isfinite(body)])
     absent = body is not None and not np.isfinite(body).all()
@@ -218,21 +165,8 @@ def frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray,
     return np.cumsum(is_new) - 1, time[is_new]
 
 
-def camera_time_scale(time: FloatArray, stated: float | None) -> float | None:
-    """Seconds in a unit of frame times.
-
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-        As written.
-    stated : float, s, optional
-        What the column's name states.
-
-    Returns
-    -------
-    float or None
-        The stated unit where it makes a camera's rate, else the one that does; None where none does.
-    """
+def camera_time_scale(time: FloatArray, stated: float | None) -> float | None:  # time (N,)
+    """Seconds in a unit of frame times."""
     step = np.diff(time[np.isfinite(time)])
     step = step[step > 0]
     if not len(step):
@@ -258,83 +192,32 @@ USUAL_RATE_HZ = 30.0
 
 @dataclass(frozen=True)
 class Conventions:
-    """What a format settles.
+    """What a format settles."""
 
-    Attributes
-    ----------
-    unit : str
-        "m" or "mm", what the format is written in as a rule; "" where it has no rule.
-    frame : CameraFrame, optional
-        Axes of the camera that the format has; None = axes of a room, found by how the body stands.
-    relative : bool
-        Positions are about the hips.
-    rate_hz : float, Hz
-        Counts where the file has no times.
-    """
-
-    unit: str = ""
-    frame: CameraFrame | None = None
-    relative: bool = False
-    rate_hz: float = USUAL_RATE_HZ
+    unit: str = ""  # "m" or "mm", what the format is written in as a rule; "" where it has no rule
+    frame: CameraFrame | None = None  # Axes of the camera that the format has
+    relative: bool = False  # Positions are about the hips
+    rate_hz: float = USUAL_RATE_HZ  # Counts where the file has no times
 
 
 @dataclass
 class RawSkeleton:
-    """Numbers of a file as written, one row per frame and body.
+    """Numbers of a file as written, one row per frame and body."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    position : dict of str to ndarray, shape (N, 3)
-        By joint and side, in the file's unit.
-    state : dict of str to ndarray of int8, shape (N,)
-        `JointState` values where the file has them; other joints are tracked where they have a position.
-    time : ndarray, shape (N,), optional
-        As written.
-    time_scale : float, s, optional
-        In a unit of `time`, where the file states it.
-    frame : ndarray, shape (N,), optional
-        Numbers of the frames.
-    body : ndarray, shape (N,), optional
-        Numbers of the bodies, nan where a frame has none.
-    rest : list of (JointName, ndarray of shape (N, 3))
-        Hips, feet and head.
-    rate_hz : float, Hz, optional
-        As the file states it.
-    notes : list of str
-        What was decided in reading.
-    """
-
-    path: Path
-    position: dict[str, FloatArray]
+    path: Path  # The file
+    position: dict[str, FloatArray]  # dict of (N, 3): by joint and side, in the file's unit
+    # int (N,): `JointState` values where the file has them
     state: dict[str, NDArray[np.int8]] = field(default_factory=dict)
-    time: FloatArray | None = None
-    time_scale: float | None = None
-    frame: FloatArray | None = None
-    body: FloatArray | None = None
-    rest: list[tuple[JointName, FloatArray]] = field(default_factory=list)
-    rate_hz: float | None = None
-    notes: list[str] = field(default_factory=list)
+    time: FloatArray | None = None  # (N,): as written
+    time_scale: float | None = None  # s: in a unit of `time`, where the file states it
+    frame: FloatArray | None = None  # (N,): numbers of the frames
+    body: FloatArray | None = None  # (N,): numbers of the bodies, nan where a frame has none
+    rest: list[tuple[JointName, FloatArray]] = field(default_factory=list)  # (N, 3) ): hips, feet and head
+    rate_hz: float | None = None  # As the file states it
+    notes: list[str] = field(default_factory=list)  # What was decided in reading
 
     def skeletons(self, conventions: Conventions) -> list[SkeletonTable]:
-        """One skeleton a body.
-
-        Parameters
-        ----------
-        conventions : Conventions
-            What the format settles.
-
-        Returns
-        -------
-        list of SkeletonTable
-            In order of the bodies' numbers.
-
-        Raises
-        ------
-        RecordingError
-            No arm has an elbow and a wrist, or there is no frame with a position.
-        """
+        """One skeleton a body."""
         self._drop_empty()
         self._drop_row_numbers()
         require_arm(self.position, self.path, "joints", list(self.position))
@@ -456,13 +339,7 @@ class RawSkeleton:
 
 
 def require_arm(position: dict[str, FloatArray], path: Path, what: str, names: list[str]) -> None:
-    """Refuse a skeleton of which no side has an elbow and a wrist (or a hand).
-
-    Raises
-    ------
-    RecordingError
-        It is so; the message lists the joints that are needed and those of the file.
-    """
+    """Refuse a skeleton of which no side has an elbow and a wrist (or a hand)."""
     for side in ("left", "right"):
         if f"elbow_{side}" in position and ({f"wrist_{side}", f"hand_{side}"} & position.keys()):
             return

@@ -40,27 +40,7 @@ def header_of(head: FileHead) -> tuple[str, ...]:
 
 
 def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[RawSkeleton, JointColumns]:
-    """Read a table with one row per frame and body.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    states : callable, optional
-        Makes states of the numbers of a joint's confidence; None = confidences are passed over.
-    expected : str
-        What the file should be, for messages.
-
-    Returns
-    -------
-    RawSkeleton, JointColumns
-        The numbers as written, and the columns that they are from.
-
-    Raises
-    ------
-    RecordingError
-        The file is not a table.
-    """
+    """Read a table with one row per frame and body."""
     sheet = read_sheet(path, expected)
     sheet.refuse_nameless()
     columns = find_joint_columns(sheet.layout.names)
@@ -142,16 +122,11 @@ def kinect_states(confidence: FloatArray) -> NDArray[np.int8]:
     return azure_states(confidence)
 
 
-def states_of(confidence: dict[str, FloatArray], states: StateReader) -> dict[str, NDArray[np.int8]]:
-    """States of all joints; where no value of a Kinect v2's is above 1, they are shares of one.
-
-    Parameters
-    ----------
-    confidence : dict of str to ndarray, shape (N,)
-        As written, by joint.
-    states : callable
-        The format's reading of them.
-    """
+def states_of(
+    confidence: dict[str, FloatArray],  # dict of (N,)
+    states: StateReader,
+) -> dict[str, NDArray[np.int8]]:
+    """States of all joints; where no value of a Kinect v2's is above 1, they are shares of one."""
     largest = max((float(np.nanmax(c)) for c in confidence.values() if np.isfinite(c).any()), default=0.0)
     if states is not azure_states and largest <= 1.0:
         states = share_states
@@ -195,27 +170,7 @@ RELATIVE_NOTE = (
 
 
 def landmarks_in_metres(raw: RawSkeleton, world: bool, normalised: bool = False) -> list[SkeletonTable]:
-    """Skeletons of BlazePose's landmarks: about the hips in metres, or a room's (FreeMoCap).
-
-    Parameters
-    ----------
-    raw : RawSkeleton
-        As written.
-    world : bool
-        The file calls them world landmarks.
-    normalised : bool
-        The file calls them normalised.
-
-    Returns
-    -------
-    list of SkeletonTable
-        With `relative` where they are about the hips.
-
-    Raises
-    ------
-    RecordingError
-        They are normalised image coordinates.
-    """
+    """Skeletons of BlazePose's landmarks: about the hips in metres, or a room's (FreeMoCap)."""
     fits = unit_by_arm(raw.position)
     is_about_hips = about_hips(raw)
     if not world and fits is not None and fits[0] in ("mm", "cm") and not normalised:
@@ -264,34 +219,20 @@ def _in_image(raw: RawSkeleton) -> bool:
 
 @dataclass(frozen=True)
 class SkeletonFormat:
-    """An importer of a table with a header, one row per frame and body; see `DeviceFormat`.
+    """An importer of a table with a header, one row per frame and body; see `DeviceFormat`."""
 
-    Attributes
-    ----------
-    key, title, recognised_by, kind : str
-        As in `DeviceFormat`.
-    expected : str
-        What a file should be, for messages.
-    fits : callable
-        Whether a table that names an elbow and a wrist of one side is of this format, by its columns' names
-        and what they are.
-    states : callable
-        Makes states of the numbers of a joint's confidence.
-    conventions : Conventions, or callable of (RawSkeleton, JointColumns)
-        What the format settles; or makes the skeletons in a way of its own.
-    guesses : bool
-        Joints that are never tracked are treated as inferred.
-    """
-
-    key: str
-    title: str
-    recognised_by: str
-    expected: str
+    key: str  # As in `DeviceFormat`
+    title: str  # As in `DeviceFormat`
+    recognised_by: str  # As in `DeviceFormat`
+    expected: str  # What a file should be, for messages
+    # Whether a table that names an elbow and a wrist of one side is of this format, by its columns' names and
+    # what they are
     fits: Callable[[Sequence[str], JointColumns], bool]
-    states: StateReader
+    states: StateReader  # Makes states of the numbers of a joint's confidence
+    # What the format settles; or makes the skeletons in a way of its own
     conventions: Conventions | Callable[[RawSkeleton, JointColumns], list[SkeletonTable]]
-    guesses: bool = False
-    kind: str = "skeleton"
+    guesses: bool = False  # Joints that are never tracked are treated as inferred
+    kind: str = "skeleton"  # As in `DeviceFormat`
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the header names an elbow and a wrist of one side, as this format does."""
@@ -300,13 +241,7 @@ class SkeletonFormat:
         return columns.has_arm() and self.fits(names, columns)
 
     def read(self, path: Path) -> list[SkeletonTable]:
-        """Read all bodies.
-
-        Raises
-        ------
-        RecordingError
-            The file is not such a table, no arm is in it, or its positions are in no unit of length.
-        """
+        """Read all bodies."""
         raw, columns = read_wide(path, self.states, self.expected)
         if self.guesses:
             inferred_throughout(raw)

@@ -38,36 +38,16 @@ _SEP_LINE = re.compile(r'"?sep=.{0,3}', re.IGNORECASE)
 
 @dataclass(frozen=True)
 class TableLayout:
-    """Where in a text the table is.
+    """Where in a text the table is."""
 
-    Attributes
-    ----------
-    separator : str
-        One of `SEPARATORS`.
-    preamble : tuple of str
-        Lines above the header, without `sep=` and blank lines.
-    names : tuple of str
-        Column names as written, `width` of them ("" = none); () where the file has no header.
-    units : tuple of str
-        By column, from the line of units or from brackets behind the name; "" where there is none.
-    labels : tuple of str
-        Names for comparing: without bracketed units, lower case, single blanks.
-    header : int
-        Index of the header's line; -1 where there is none.
-    first_row : int
-        Index of the first line of data.
-    width : int
-        Number of columns.
-    """
-
-    separator: str
-    preamble: tuple[str, ...]
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    labels: tuple[str, ...]
-    header: int
-    first_row: int
-    width: int
+    separator: str  # One of `SEPARATORS`
+    preamble: tuple[str, ...]  # Lines above the header, without `sep=` and blank lines
+    names: tuple[str, ...]  # Column names as written, `width` of them ("" = none)
+    units: tuple[str, ...]  # By column, from the line of units or from brackets behind the name
+    labels: tuple[str, ...]  # Names for comparing: without bracketed units, lower case, single blanks
+    header: int  # Index of the header's line; -1 where there is none
+    first_row: int  # Index of the first line of data
+    width: int  # Number of columns
 
     def find(self, *labels: str) -> int | None:
         """Number of the first column (from 0) that has one of these labels; the first label first."""
@@ -77,20 +57,7 @@ class TableLayout:
         return None
 
     def axes(self, *stems: str, signs: Sequence[str] = ("xyz",)) -> tuple[int, int, int] | None:
-        """Numbers of the columns of a vector, labelled by one of these stems and the axes' signs.
-
-        Parameters
-        ----------
-        *stems : str
-            Text before the axis ("acc" for `Acc_X`, `acc x`, `accX`); the first that fits counts.
-        signs : sequence of str
-            Signs of the three axes, tried in turn ("xyz", "123").
-
-        Returns
-        -------
-        tuple of int or None
-            Columns of x, y and z, whatever their order in the file.
-        """
+        """Numbers of the columns of a vector, labelled by one of these stems and the axes' signs."""
         for stem in stems:
             for form in AXIS_FORMS:
                 for sign in signs:
@@ -134,18 +101,7 @@ def is_data(cell: str) -> bool:
 
 
 def layout_of(lines: Sequence[str]) -> TableLayout | None:
-    """Find the table in a text.
-
-    Parameters
-    ----------
-    lines : sequence of str
-        The text's first lines; the first `LAYOUT_LINES` of them count.
-
-    Returns
-    -------
-    TableLayout or None
-        None where the file contains no table of two columns or more with numbers in it.
-    """
+    """Find the table in a text."""
     return _layout_of(tuple(lines[:LAYOUT_LINES]))
 
 
@@ -235,10 +191,7 @@ def _is_sparse_row(cells: list[str], width: int) -> bool:
 
 
 def _header(lines: tuple[str, ...], first: int, separator: str, width: int) -> tuple[int, int]:
-    """Indices of the header and of the line of units; -1 where there is none.
-
-    Below the names there may be lines of units, dashes, or the same few words over and over (x, y, z).
-    """
+    """Indices of the header and of the line of units; -1 where there is none."""
     rows = ((at, split_line(lines[at], separator)) for at in range(first - 1, -1, -1))
     above = list(islice(((at, cells) for at, cells in rows if any(cells)), 1 + _BELOW_NAMES))
     headers = [at for at, cells in above if _is_header(cells, width) and not _is_units_line(cells)]
@@ -320,26 +273,7 @@ def is_workbook(raw: bytes) -> bool:
 
 
 def workbook_text(path: Path, rows: int | None = None) -> str:
-    """The rows of a workbook's table as lines of text.
-
-    Parameters
-    ----------
-    path : Path
-        The workbook.
-    rows : int, optional
-        This many rows at most; None for all.
-
-    Returns
-    -------
-    text : str
-        Cells parted by `SEPARATOR`, dates as in ISO 8601. Of several sheets the one whose first rows contain
-        the most numbers.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read, or openpyxl is not installed.
-    """
+    """The rows of a workbook's table as lines of text."""
     about = path.stat()
     return _text(path, rows, about.st_mtime_ns, about.st_size)
 

@@ -32,19 +32,8 @@ _TIME_OF_DAY = re.compile(r"(\d\d?):(\d\d):(\d\d)(?:[.,:_](\d+))?")
 _DAY_S = 86_400.0
 
 
-def seconds_of_dates(cells: Sequence[str]) -> FloatArray:
-    """Times of dates (`2026-01-31T10:11:12.5Z`, with or without a zone) or of times of day (`10:11:12.5`).
-
-    Parameters
-    ----------
-    cells : sequence of str
-        Dates without a zone are treated as UTC. `31.1.2026` is a day first, `1/31/2026` a month first.
-
-    Returns
-    -------
-    ndarray, shape (n,), s
-        Since 1970, or since midnight (going on past the next one); nan for a cell that is neither.
-    """
+def seconds_of_dates(cells: Sequence[str]) -> FloatArray:  # -> (n,) s
+    """Times of dates (`2026-01-31T10:11:12.5Z`, with or without a zone) or of times of day (`10:11:12.5`)."""
     fast = _by_arrow(cells)
     if fast is not None:
         return fast
@@ -102,24 +91,7 @@ _QUOTED = re.compile(r'"[^"]*"')
 
 
 def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequence[int], list[str]]:
-    """Rows with equally many cells.
-
-    Parameters
-    ----------
-    lines : list of str
-        All lines of the text; the last is "" where the text ends with a line's end.
-    layout : TableLayout
-        Where the table is.
-
-    Returns
-    -------
-    rows : list of str
-        Without blank lines, repeated headers and a last line that is cut off; short ones are filled up.
-    numbers : sequence of int
-        Index of each row's line.
-    notes : list of str
-        What was done, a sentence each.
-    """
+    """Rows with equally many cells."""
     whole_end = not lines[-1].strip()
     first, width = layout.first_row, layout.width
     end = len(lines)
@@ -188,10 +160,7 @@ def _end_notes(rows: list[str], counts: list[int], usual: int, mark: str, line: 
 
 
 def is_cut_number(cells: Sequence[str], fewest: int = 3) -> bool:
-    """Whether the last of a column's cells has fewer decimals than all before it, which have equally many.
-
-    `fewest`: cells before it that are needed to decide so; some programs leave out a last zero.
-    """
+    """Whether the last of a column's cells has fewer decimals than all before it, which have equally many."""
     *before, last = [cell.strip().strip('"').replace(",", ".").partition(".")[2] for cell in cells]
     decimals = {len(digits) for digits in before if digits.isdigit()}
     return len(before) >= fewest and len(decimals) == 1 and all(before) and len(last) < min(decimals)
@@ -211,17 +180,7 @@ _WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
 
 
 class Sheet:
-    """A table of text.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    layout : TableLayout
-        Its separator, preamble, names, units and width.
-    notes : list of str
-        What was dropped or is treated as missing, a sentence each; grows while columns are read.
-    """
+    """A table of text."""
 
     def __init__(
         self, path: Path, layout: TableLayout, table: Any, line_numbers: Sequence[int], notes: list[str]
@@ -253,24 +212,8 @@ class Sheet:
         """Cells of a column as text, without blanks around them."""
         return self._trimmed(column).to_pylist()
 
-    def numbers(self, column: int) -> FloatArray:
-        """A column of numbers.
-
-        Parameters
-        ----------
-        column : int
-            Its number, from 0.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            nan where the cell is empty, or no finite number (a note gives the number).
-
-        Raises
-        ------
-        RecordingError
-            More than 5 % of the cells that are not empty (and more than one) are not numbers.
-        """
+    def numbers(self, column: int) -> FloatArray:  # -> (n,)
+        """A column of numbers."""
         if column not in self._numbers:
             self._numbers[column] = self._read_numbers(column)
         return self._numbers[column]
@@ -279,26 +222,8 @@ class Sheet:
         """Columns of numbers side by side, shape (n, number of columns)."""
         return np.stack([self.numbers(column) for column in columns], axis=1)
 
-    def times(self, column: int) -> tuple[FloatArray, bool]:
-        """A column of numbers, or of dates.
-
-        Parameters
-        ----------
-        column : int
-            Its number, from 0.
-
-        Returns
-        -------
-        times : ndarray, shape (n,)
-            Numbers in the file's unit; of dates, seconds since 1970 (of times of day, since midnight).
-        dates : bool
-            Whether they were dates or times of day.
-
-        Raises
-        ------
-        RecordingError
-            More than 5 % of the cells that are not empty (and more than one) are neither.
-        """
+    def times(self, column: int) -> tuple[FloatArray, bool]:  # -> times (n,), dates
+        """A column of numbers, or of dates."""
         sample = [cell for cell in self.texts(column)[:50] if cell]
         if not any(re.search(r"\d[-/.:]\d+[-/.:]\d", cell) for cell in sample):
             return self.numbers(column), False
@@ -311,18 +236,7 @@ class Sheet:
         return seconds, True
 
     def refuse_nameless(self, most: int = 0) -> None:
-        """Refuse a header with fewer names than the rows have cells: whose are the names then?
-
-        Parameters
-        ----------
-        most : int
-            This many columns at the end may be without a name.
-
-        Raises
-        ------
-        RecordingError
-            There are more.
-        """
+        """Refuse a header with fewer names than the rows have cells: whose are the names then?"""
         names = self.layout.names
         named = max((at + 1 for at, name in enumerate(names) if name), default=0)
         nameless = range(named, self.layout.width) if names else range(0)
@@ -384,30 +298,7 @@ class Sheet:
 
 
 def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> Sheet:
-    """Read a delimited text file, or an Excel workbook.
-
-    A byte-order mark, UTF-16, a `sep=` line, a preamble, a line of units, quotes, trailing separators, a
-    header that is repeated, decimal commas and a last line that is cut off do no harm.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    expected : str
-        What it should be, for messages ("a table of an Xsens DOT").
-    quote : bool
-        Whether a message may show the first lines.
-
-    Returns
-    -------
-    Sheet
-        Its rows; columns become numbers when they are asked for.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, is not text, or has no table.
-    """
+    """Read a delimited text file, or an Excel workbook."""
     check_input(path, RecordingError)
     try:
         raw = path.read_bytes()
@@ -425,31 +316,7 @@ def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> She
 def sheet_of_text(
     path: Path, text: str, expected: str = "a table", layout: TableLayout | None = None, quote: bool = True
 ) -> Sheet:
-    """The table in a text (see `read_sheet`).
-
-    Parameters
-    ----------
-    path : Path
-        Where it is from, for messages.
-    text : str
-        The text, decoded.
-    expected : str
-        What it should be, for messages.
-    layout : TableLayout, optional
-        Where the table is, where that is known; else it is looked for.
-    quote : bool
-        Whether a message may show the first lines.
-
-    Returns
-    -------
-    Sheet
-        Its rows.
-
-    Raises
-    ------
-    RecordingError
-        It contains no table.
-    """
+    """The table in a text (see `read_sheet`)."""
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")

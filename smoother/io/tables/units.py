@@ -133,10 +133,7 @@ def time_unit(stated: str, times: FloatArray) -> str | None:
 
 
 def unit_of_step(step: float, rates_hz: tuple[float, float], stated: str, at: float) -> str | None:
-    """Unit in which a step of times makes a rate within bounds; None where none does, or it is not clear.
-
-    `at` is one of the times: no unit puts it behind 2100, and one in which it is a date comes before others.
-    """
+    """Unit in which a step of times makes a rate within bounds; None where none does, or it is not clear."""
     rates = {unit: 1 / (step * seconds) for unit, seconds in SECONDS.items()}
     fitting = [
         unit
@@ -172,28 +169,8 @@ def unit_of_rest(size: float) -> str:
     return next((unit for unit, (low, high) in _AT_REST.items() if low < size < high), "")
 
 
-def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str:
-    """Unit of an accelerometer (n, 3) that states none: m/s^2 as on Android, or g where gravity is 1.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, 3)
-        As written.
-    notes : list of str
-        The choice is added to it.
-    source : Path
-        The file, for messages.
-
-    Returns
-    -------
-    str
-        "m/s^2", "g" or "mg".
-
-    Raises
-    ------
-    RecordingError
-        The values contain gravity in none of them.
-    """
+def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str:  # values (n, 3)
+    """Unit of an accelerometer (n, 3) that states none: m/s^2 as on Android, or g where gravity is 1."""
     size = np.linalg.norm(values, axis=1)
     median = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
     if _IS_ONE_G[0] < median < _IS_ONE_G[1]:
@@ -219,26 +196,8 @@ def turning_unit(values: FloatArray, notes: list[str]) -> str:
     return unit
 
 
-def unit_by_size(values: FloatArray, source: Path) -> str:
-    """Unit, and with it the sensor, of a vector that states neither.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, 3)
-        As written, some of them finite.
-    source : Path
-        The file, for messages.
-
-    Returns
-    -------
-    str
-        "m/s^2" or "g" where its size is that of gravity, else "rad/s" or "deg/s".
-
-    Raises
-    ------
-    RecordingError
-        It is a magnetometer, or gravity as the system estimates it.
-    """
+def unit_by_size(values: FloatArray, source: Path) -> str:  # values (n, 3)
+    """Unit, and with it the sensor, of a vector that states neither."""
     size = np.linalg.norm(values, axis=1)
     low, median, high = np.percentile(size[np.isfinite(size)], (25, 50, 75))
     if _IS_GRAVITY[0] < median < _IS_GRAVITY[1]:

@@ -16,11 +16,7 @@ _PLAIN = {b"\0\0": (8, ">"), b"\0\1": (8, "<"), b"\0\6": (4, ">"), b"\0\7": (4, 
 
 
 class CdrReader:
-    """Reads a CDR or XCDR2 message value by value.
-
-    Alignment counts from behind the four bytes of the encapsulation header; XCDR2 aligns to four bytes at
-    most, and puts its size in bytes before a sequence of structures.
-    """
+    """Reads a CDR or XCDR2 message value by value."""
 
     def __init__(self, data: bytes):
         if len(data) < 4 or bytes(data[:2]) not in _PLAIN:
@@ -48,13 +44,7 @@ class CdrReader:
         return int(self.values(kind, 1)[0])
 
     def octets(self) -> bytes:
-        """A sequence of bytes.
-
-        Raises
-        ------
-        IndexError
-            It is cut off.
-        """
+        """A sequence of bytes."""
         size = self.number("I")
         if self.position + size > len(self.data):
             raise IndexError("message is cut off")
@@ -158,15 +148,7 @@ def pose_stamped(data: bytes) -> MessageLayout:
 
 
 def marker_array(data: bytes, textured: bool = True) -> MessageLayout:
-    """Layout of visualization_msgs/msg/MarkerArray: `sec`, `nsec`, `id`, `action`, `position` by marker.
-
-    Parameters
-    ----------
-    data : bytes
-        The message.
-    textured : bool
-        Markers carry a texture and an embedded mesh (ROS 2 Humble and later).
-    """
+    """Layout of visualization_msgs/msg/MarkerArray: `sec`, `nsec`, `id`, `action`, `position` by marker."""
     cursor = Cursor(data)
     count = cursor.structures()
     if count * 100 > len(data):

@@ -25,30 +25,15 @@ BROKEN = (struct.error, IndexError, ValueError, OverflowError)
 
 @dataclass
 class MessageLayout:
-    """Where the fields of a message are.
+    """Where the fields of a message are."""
 
-    Attributes
-    ----------
-    mask : ndarray of uint8, shape (size,)
-        Bits of each byte that must agree for the layout to hold.
-    want : ndarray of uint8, shape (size,)
-        Their values.
-    fields : dict of str to (list of int, np.dtype, int)
-        By name, the offsets of its occurrences, its dtype and the count of values in each.
-    varints : dict of str to (int, int)
-        By name, offset and width.
-    texts : dict of str to str
-        Constant strings, by name.
-    counts : dict of str to int
-        Lengths of sequences, by name.
-    """
-
-    mask: Block
-    want: Block
+    mask: Block  # (size,): bits of each byte that must agree for the layout to hold
+    want: Block  # (size,): their values
+    # By name, the offsets of its occurrences, its dtype and the count of values in each
     fields: dict[str, tuple[list[int], np.dtype, int]] = field(default_factory=dict)
-    varints: dict[str, tuple[int, int]] = field(default_factory=dict)
-    texts: dict[str, str] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
+    varints: dict[str, tuple[int, int]] = field(default_factory=dict)  # By name, offset and width
+    texts: dict[str, str] = field(default_factory=dict)  # Constant strings, by name
+    counts: dict[str, int] = field(default_factory=dict)  # Lengths of sequences, by name
 
     @classmethod
     def of(cls, data: bytes) -> MessageLayout:
@@ -103,18 +88,10 @@ class MessageLayout:
 
 @dataclass
 class Grouper:
-    """Sorts payloads by layout.
+    """Sorts payloads by layout."""
 
-    Attributes
-    ----------
-    walk : callable
-        Finds the layout of one message; raises one of `BROKEN` where it cannot.
-    broken : int
-        Messages that could not be walked.
-    """
-
-    walk: Callable[[bytes], MessageLayout]
-    broken: int = 0
+    walk: Callable[[bytes], MessageLayout]  # Finds the layout of one message
+    broken: int = 0  # Messages that could not be walked
     _known: dict[int, list[MessageLayout]] = field(default_factory=dict)
 
     def groups(self, payloads: Sequence[bytes]) -> Iterator[tuple[IntArray, Block, MessageLayout]]:

@@ -15,29 +15,14 @@ _LATEST_S = 9_000_000_000
 
 
 def walk(data: bytes, message: Any) -> MessageLayout:
-    """Layout of one message.
-
-    Fields are named by their path; a repeated field's elements carry their index
-    (`joints.0.position.x`), and `MessageLayout.counts` their number.
-
-    Parameters
-    ----------
-    data : bytes
-        The message's wire form.
-    message : Any
-        Its class.
-    """
+    """Layout of one message."""
     layout = MessageLayout.of(data)
     _walk(data, 0, len(data), message.DESCRIPTOR, "", layout)
     return layout
 
 
 def stamps(block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
-    """Stamps (rows,) of the field `timestamp`, ns; log times where it is zero.
-
-    A zero that is spelled out, as `write_recording` does, is meant; one left out is a stamp that
-    the recorder never set.
-    """
+    """Stamps (rows,) of the field `timestamp`, ns; log times where it is zero."""
     if not {"timestamp.seconds", "timestamp.nanos"} & layout.varints.keys():
         return log_ns
     seconds = layout.integer(block, "timestamp.seconds")

@@ -23,57 +23,24 @@ _WIDE, _MEDIUM, _BYTE = 10, 5, 1
 
 @dataclass(frozen=True)
 class Slot:
-    """Where a column's values go: `count` doubles from component `first`, or one varint.
-
-    Attributes
-    ----------
-    column : str
-        Its name.
-    offset : int, bytes
-        Where it is in the message.
-    width : int, bytes
-        Of a varint; 0 for doubles.
-    first, count : int
-        Components of the column.
-    """
+    """Where a column's values go: `count` doubles from component `first`, or one varint."""
 
     column: str
-    offset: int
-    width: int
-    first: int = 0
-    count: int = 1
+    offset: int  # bytes: Where it is in the message
+    width: int  # bytes: of a varint; 0 for doubles
+    first: int = 0  # Components of the column
+    count: int = 1  # Components of the column
 
 
 @dataclass(frozen=True)
 class Template:
-    """Fields of a message.
+    """Fields of a message."""
 
-    Attributes
-    ----------
-    data : bytes
-        Their wire form.
-    slots : tuple of Slot
-        What changes from message to message.
-    """
+    data: bytes  # Their wire form
+    slots: tuple[Slot, ...] = ()  # What changes from message to message
 
-    data: bytes
-    slots: tuple[Slot, ...] = ()
-
-    def encode(self, rows: int, columns: Mapping[str, NDArray]) -> NDArray[np.uint8]:
-        """Wire form of `rows` messages.
-
-        Parameters
-        ----------
-        rows : int
-            How many messages.
-        columns : mapping of str to ndarray
-            By the slots' names, (rows,) or (rows, k); stamps as int64 ns.
-
-        Returns
-        -------
-        ndarray of uint8, shape (rows, size)
-            Bytes, one row per message.
-        """
+    def encode(self, rows: int, columns: Mapping[str, NDArray]) -> NDArray[np.uint8]:  # -> (rows, size)
+        """Wire form of `rows` messages."""
         block = np.empty((rows, len(self.data)), np.uint8)
         block[:] = np.frombuffer(self.data, np.uint8)
         for slot in self.slots:

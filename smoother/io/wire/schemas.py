@@ -38,13 +38,7 @@ def message_class(name: str) -> Any:
 
 
 def parsed(name: str, data: bytes) -> Any:
-    """A message of its bytes.
-
-    Raises
-    ------
-    ValueError
-        They are not such messages.
-    """
+    """A message of its bytes."""
     from google.protobuf.message import DecodeError
 
     try:

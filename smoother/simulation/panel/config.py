@@ -10,11 +10,7 @@ Point = tuple[float, float]
 
 
 class PanelSimulation(BaseModel):
-    """A panel with retroreflective markers before a depth camera like a Kinect v2.
-
-    Panel frame {P}: origin at the first marker, x along the longer arm of the L, y along the shorter,
-    z = x cross y towards the camera. Camera {K}: optical, x right, y down, z forward.
-    """
+    """A panel with retroreflective markers before a depth camera like a Kinect v2."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

@@ -78,30 +78,12 @@ def panel_corners(config: PanelSimulation) -> FloatArray:
 
 
 def place_panel(
-    config: PanelSimulation, lens: RenderLens, R_W_K: FloatArray, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """A pose of the panel above the floor in which the camera sees all of it.
-
-    Parameters
-    ----------
-    config : PanelSimulation
-        The panel, and the ranges of its poses.
-    lens : RenderLens
-    R_W_K : ndarray, shape (3, 3)
-        The camera in the world, z up.
-    rng : Generator
-
-    Returns
-    -------
-    R_K_P : ndarray, shape (3, 3)
-    p_K_P : ndarray, shape (3,), m
-        The panel's origin in {K}.
-
-    Raises
-    ------
-    ValueError
-        The panel does not fit into the image anywhere in the configured ranges.
-    """
+    config: PanelSimulation,
+    lens: RenderLens,
+    R_W_K: FloatArray,
+    rng: np.random.Generator,  # R_W_K (3, 3)
+) -> tuple[FloatArray, FloatArray]:  # R_K_P (3, 3), p_K_P (3,) m
+    """A pose of the panel above the floor in which the camera sees all of it."""
     corners, rays = panel_corners(config), lens.all_rays()
     middle = corners.mean(axis=0)
     for _ in range(_TRIES):
@@ -126,10 +108,7 @@ def place_panel(
 
 
 def facing(ray: FloatArray, tilt: float, towards: float, roll: float) -> FloatArray:
-    """R_K_P of a panel on a ray (unit vector) whose z axis is `tilt` off the way back to the camera.
-
-    The tilt goes in the direction `towards`; `roll` turns the panel about its own normal. All in rad.
-    """
+    """R_K_P of a panel on a ray (unit vector) whose z axis is `tilt` off the way back to the camera."""
     right = unit(np.cross(ray, [0.0, -1.0, 0.0]))
     down = np.cross(ray, right)
     facing_back = np.column_stack([right, -down, -ray])  # z to the camera, x right, y up in the image

@@ -28,27 +28,13 @@ _HAND_FROM_MARKER_M = 0.09
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays met.
+    """What rays met."""
 
-    Attributes
-    ----------
-    z : ndarray, shape (N,), m
-        Depth along the optical axis; inf where there is nothing.
-    surface : ndarray, shape (N,)
-        Number of the mesh; -1 where there is nothing.
-    cosine : ndarray, shape (N,)
-        Between the surface's normal and the ray.
-    albedo : ndarray, shape (N,)
-        Diffuse reflectance.
-    marker : ndarray, shape (N,)
-        True on a retroreflector.
-    """
-
-    z: FloatArray
-    surface: NDArray[np.int64]
-    cosine: FloatArray
-    albedo: FloatArray
-    marker: BoolArray
+    z: FloatArray  # (N,) m: depth along the optical axis; inf where there is nothing
+    surface: NDArray[np.int64]  # (N,): number of the mesh; -1 where there is nothing
+    cosine: FloatArray  # (N,): between the surface's normal and the ray
+    albedo: FloatArray  # (N,): diffuse reflectance
+    marker: BoolArray  # (N,): True on a retroreflector
 
 
 @dataclass
@@ -225,27 +211,13 @@ _REFERENCE_M = 1.5
 
 @dataclass(frozen=True)
 class IdealImages:
-    """What a perfect sensor would measure; all of shape (height, width).
+    """What a perfect sensor would measure; all of shape (height, width)."""
 
-    Attributes
-    ----------
-    z : ndarray, m
-        Depth; inf where nothing reflects.
-    spread : ndarray, m
-        Standard deviation of the depths that meet in a pixel.
-    infrared : ndarray
-        In full scales of the sensor; beyond 1 where it saturates.
-    cosine : ndarray
-        Between normal and ray.
-    marker : ndarray
-        Share of the pixel that a marker fills.
-    """
-
-    z: FloatArray
-    spread: FloatArray
-    infrared: FloatArray
-    cosine: FloatArray
-    marker: FloatArray
+    z: FloatArray  # m: depth; inf where nothing reflects
+    spread: FloatArray  # m: standard deviation of the depths that meet in a pixel
+    infrared: FloatArray  # In full scales of the sensor; beyond 1 where it saturates
+    cosine: FloatArray  # Between normal and ray
+    marker: FloatArray  # Share of the pixel that a marker fills
 
 
 def render(scene: PanelScene, lens: RenderLens) -> IdealImages:
@@ -332,12 +304,7 @@ def infrared_image(
 def depth_image(
     ideal: IdealImages, config: PanelSimulation, rng: np.random.Generator
 ) -> NDArray[np.uint16] | FloatArray:
-    """The depth image, mm, 0 where there is none (float where the simulation does not quantise).
-
-    Noise grows with distance squared and with the angle to the surface. Markers have none, since their glare
-    saturates every phase image, and pull at the depths around them. Of the pixels on rims some show a depth
-    in between, the others are dropped.
-    """
+    """The depth image, mm, 0 where there is none (float where the simulation does not quantise)."""
     noise, luck = rng.normal(size=ideal.z.shape), rng.random(ideal.z.shape)
     seen = np.isfinite(ideal.z)
     z = np.where(seen, ideal.z, 0.0)

@@ -35,27 +35,14 @@ _SWAY_M_A_DEG = 0.005  # a hand that sways by a degree also moves by this
 
 @dataclass(frozen=True)
 class Held:
-    """A body that is held in one pose after the other, and sways a little.
+    """A body that is held in one pose after the other, and sways a little."""
 
-    Attributes
-    ----------
-    R_W : ndarray, shape (n, 3, 3)
-        Orientation in each pose, body to world.
-    p_W : ndarray, shape (n, 3), m
-    hold_s, move_s : float, s
-        Time in a pose, and from one to the next.
-    sway_deg : float, deg
-        Rms of the sway.
-    seed : int
-        Of the sway.
-    """
-
-    R_W: FloatArray
-    p_W: FloatArray
-    hold_s: float
-    move_s: float
-    sway_deg: float = 0.0
-    seed: int = 0
+    R_W: FloatArray  # (n, 3, 3): orientation in each pose, body to world
+    p_W: FloatArray  # (n, 3) m
+    hold_s: float  # Time in a pose, and from one to the next
+    move_s: float  # Time in a pose, and from one to the next
+    sway_deg: float = 0.0  # Rms of the sway
+    seed: int = 0  # Of the sway
 
     def middle_s(self) -> FloatArray:
         """Times (n,) in the middle of the holds."""
@@ -118,92 +105,40 @@ _DISTRACTOR_FROM_PANEL_PX = 15.0
 
 @dataclass(frozen=True)
 class PanelPose:
-    """What camera and mocap see of the panel in one pose, and where it truly is.
+    """What camera and mocap see of the panel in one pose, and where it truly is."""
 
-    Attributes
-    ----------
-    t_s : float, s
-        Time of the images, in the middle of the hold; the clock is the IMUs'.
-    depth : ndarray of uint16, shape (height, width), mm
-        Along the optical axis, 0 = none (float where not quantised).
-    infrared : ndarray of uint16, shape (height, width)
-    marker_names : tuple of str
-        Of the mocap markers, in the order they come in.
-    markers : ndarray, shape (n, 3), m
-        In {E}, with the mocap's noise, shuffled.
-    marker_order : ndarray, shape (n,)
-        Which marker of the panel's definition each of them is.
-    R_K_P, p_K_P : ndarray, shape (3, 3) and (3,), m
-        The panel in the camera.
-    marker_pixels : ndarray, shape (n, 2), pixels
-        Exact pixels of the markers' centres, in the order of the definition.
-    R_W_K : ndarray, shape (3, 3)
-        The camera in the world, z up.
-    """
-
-    t_s: float
+    t_s: float  # Time of the images, in the middle of the hold; the clock is the IMUs'
+    # (height, width) mm: Along the optical axis, 0 = none (float where not quantised)
     depth: NDArray[np.uint16] | FloatArray
-    infrared: NDArray[np.uint16]
-    marker_names: tuple[str, ...]
-    markers: FloatArray
-    marker_order: NDArray[np.int64]
-    R_K_P: FloatArray
-    p_K_P: FloatArray
+    infrared: NDArray[np.uint16]  # (height, width)
+    marker_names: tuple[str, ...]  # Of the mocap markers, in the order they come in
+    markers: FloatArray  # (n, 3) m: in {E}, with the mocap's noise, shuffled
+    marker_order: NDArray[np.int64]  # (n,): which marker of the panel's definition each of them is
+    R_K_P: FloatArray  # (3, 3) and (3,) m: the panel in the camera
+    p_K_P: FloatArray  # (3, 3) and (3,) m: the panel in the camera
+    # (n, 2) pixels: Exact pixels of the markers' centres, in the order of the definition
     marker_pixels: FloatArray
-    R_W_K: FloatArray
+    R_W_K: FloatArray  # (3, 3): the camera in the world, z up
 
 
 @dataclass(frozen=True)
 class SimulatedPanel:
-    """Poses of one panel before one camera, and the answer.
-
-    Attributes
-    ----------
-    config : PanelSimulation
-    seed : int
-    lens : RenderLens
-        The camera's intrinsics.
-    poses : tuple of PanelPose
-    imu_panel, imu_base : ImuStream
-        The IMU on the panel and the one on the camera, over the whole session.
-    R_K_E, t_K_E : ndarray, shape (3, 3) and (3,), m
-        The answer of `calibrate panel`, camera from mocap: p_K = R_K_E p_E + t_K_E. Where the camera is
-        tilted between the poses, it is that of the first.
-    R_K_B, R_P_I : ndarray, shape (3, 3)
-        The answer of `calibrate world`: camera from base IMU, panel from its IMU.
-    """
+    """Poses of one panel before one camera, and the answer."""
 
     config: PanelSimulation
     seed: int
-    lens: RenderLens
+    lens: RenderLens  # The camera's intrinsics
     poses: tuple[PanelPose, ...]
-    imu_panel: ImuStream
-    imu_base: ImuStream
-    R_K_E: FloatArray
-    t_K_E: FloatArray
-    R_K_B: FloatArray
-    R_P_I: FloatArray
+    imu_panel: ImuStream  # The IMU on the panel and the one on the camera, over the whole session
+    imu_base: ImuStream  # The IMU on the panel and the one on the camera, over the whole session
+    R_K_E: FloatArray  # (3, 3) and (3,) m: the answer of `calibrate panel`, camera from mocap
+    t_K_E: FloatArray  # (3, 3) and (3,) m: the answer of `calibrate panel`, camera from mocap
+    R_K_B: FloatArray  # (3, 3): the answer of `calibrate world`: camera from base IMU, panel from its IMU
+    R_P_I: FloatArray  # (3, 3): the answer of `calibrate world`: camera from base IMU, panel from its IMU
 
 
 def simulate_panel(config: PanelSimulation, seed: int = 0) -> SimulatedPanel:
-    """Hold a panel before a depth camera, in as many poses as the settings say.
-
-    The same settings and seed give the same values. Each pose draws from a stream of its own.
-
-    Parameters
-    ----------
-    config : PanelSimulation
-    seed : int
-
-    Returns
-    -------
-    simulated : SimulatedPanel
-
-    Raises
-    ------
-    ValueError
-        The panel does not fit into the image at the configured distances.
-    """
+    """Hold a panel before a depth camera, in as many poses as the settings say."""
     streams = np.random.SeedSequence(seed).spawn(config.poses + 2)
     rng = np.random.default_rng(streams[0])
     lens = make_lens(config)
