@@ -361,9 +361,7 @@ def camera_turned(drift: GyroscopeDrift, down: FloatArray) -> Iterator[str]:
         )
 
 
-def imu_lies_still(
-    recovery: Recovery, recording: Recording, gyroscope_bias: FloatArray
-) -> Iterator[Finding]:
+def imu_lies_still(recovery: Recovery, recording: Recording, gyroscope_bias: FloatArray) -> Iterator[Finding]:
     """Times at which the IMU does not turn at all while the camera sees the forearm turn.
 
     It was taken off, or the camera follows somebody else: a forearm cannot turn without its sensor.

@@ -8,7 +8,15 @@ from typing import Any
 
 from ..recording import JOINTS
 from .camera_estimate import CameraEstimate, cameras_from_plain
-from .verdict import EVER, Finding, Pairing, SelfCheck, UntrustedInterval, intervals_from_plain, intervals_plain
+from .verdict import (
+    EVER,
+    Finding,
+    Pairing,
+    SelfCheck,
+    UntrustedInterval,
+    intervals_from_plain,
+    intervals_plain,
+)
 
 
 @dataclass(frozen=True)
