@@ -39,24 +39,31 @@ def camera_faults(
             looks = _looks_like(run, own, recovery, recording)
             what = f"from {start_s:.1f} to {end_s:.1f} s {name}'s joints contradict the IMU and the rest"
             yield Finding(f"{what}: {looks}; they were left out")
-            both_sides = np.diff(frame_t[rows[excluded[rows]]], prepend=start_s).max() > HIDDEN_S
+            interrupted = np.diff(frame_t[rows[excluded[rows]]], prepend=start_s).max() > HIDDEN_S
+            from_s, to_s = _with_gaps(recovery.gaps, start_s, end_s)
+            both_sides = interrupted or (start_s - from_s > HIDDEN_S and to_s - end_s > HIDDEN_S)
             for gap in _beside(recovery.gaps, start_s, end_s):
                 if both_sides or gap.open_start or gap.open_end:
                     times = min(gap.start_s, start_s), max(gap.end_s, end_s)
                     where = "either" if both_sides else "that"
                     yield Finding(f"{what} ({looks}), and nothing on {where} side confirms the answer", times)
     for start_s, end_s, camera in sorted(contradicting):
-        gaps = _beside(recovery.gaps, start_s, end_s)
         yield Finding(
             f"from {start_s:.1f} to {end_s:.1f} s {names[camera]}'s joints and the IMU contradict each other,"
             " and nothing shows which is right",
-            (min([start_s, *(gap.start_s for gap in gaps)]), max([end_s, *(gap.end_s for gap in gaps)])),
+            _with_gaps(recovery.gaps, start_s, end_s),
         )
 
 
 def _beside(gaps: Sequence[Gap], start_s: float, end_s: float) -> list[Gap]:
     """The gaps that rest on what the camera saw between two times."""
     return [gap for gap in gaps if gap.start_s <= end_s + 0.2 and gap.end_s >= start_s - 0.2]
+
+
+def _with_gaps(gaps: Sequence[Gap], start_s: float, end_s: float) -> tuple[float, float]:
+    """Times widened to the gaps beside them."""
+    near = _beside(gaps, start_s, end_s)
+    return min([start_s, *(gap.start_s for gap in near)]), max([end_s, *(gap.end_s for gap in near)])
 
 
 def _joined(frames: BoolArray, recording: Recording, own: IntArray) -> list[slice]:
