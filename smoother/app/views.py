@@ -97,7 +97,8 @@ def recording(folder: AppFolder, name: str) -> dict[str, Any]:
         "report_at": (place / REPORT).stat().st_mtime_ns if (place / REPORT).is_file() else 0,
         "outdated": bool((place / RESULT).is_file() and _result_stamp(place) not in ("", mine)),
         "exports": [each for each, file in EXPORTS.items() if (place / "exports" / file).is_file()],
-        "unread": [Path(each["file"]).name for each in known if each["error"]],
+        "unread": [Path(each["file"]).name for each in known if each["error"]]
+        + [path.name for path in files if (place / STREAMS).is_file() and not path.stat().st_size],
         "downloads": [file for file in (recording_of(place), *DOWNLOADS) if (place / file).is_file()],
     }
 

@@ -294,7 +294,7 @@ def methods(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write the methods section of a paper in Markdown: text, table, references.
+    """Write a paper's methods section: text, table, references.
 
     It states only what the file contains: sensors and rates, method and version, calibration,
     clocks, gaps, uncertainty, self-check, settings that are not the defaults. What the ISB's recommendations

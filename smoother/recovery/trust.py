@@ -175,7 +175,7 @@ def with_verdict(
     """The recovery with a verdict among its estimates."""
     scale = force_scale(recording.imu, _gyroscope_bias(recovery))
     # what was found is a remark, or contradicts some times, or the whole recording
-    found = recovery.estimates.with_findings(
+    found = replace(recovery.estimates, reasons=()).with_findings(
         [
             *camera_pushed(recovery, recording),
             *lost_samples(recovery, recording),

@@ -242,14 +242,13 @@ def test_smooth_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     assert not modules & {"scipy", "plotly", "pandas", "h5py", "open3d", "cv2", "dask"}
     assert len(others("smooth")) > 15
     assert not modules & others("smooth")
-    # what only they need: the server of `view`, the graphs' live window, the importers of devices
+    # what only they need: the graphs' live window, simulations, the importers of devices
     beside = (
         "http.server",
         "smoother.live",
         "smoother.streams",
         "smoother.simulation",
         "smoother.io.devices",
-        "smoother.io.tables",
     )
     assert not {name for name in modules if name.startswith(beside)}
 
