@@ -178,7 +178,7 @@ def without_wrong_blocks(
         excluded, contradicting = wanted, suspects(best.evidence)
     recovery = excluded.noted(best.recovery, recording)
     faults = camera_faults(excluded.frames, contradicting, recovery, recording, names)
-    estimates = recovery.estimates.with_findings(faults)
+    estimates = recovery.estimates.with_signs(faults)
     return replace(best, recovery=replace(recovery, estimates=estimates), excluded=excluded)
 
 

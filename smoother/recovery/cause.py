@@ -226,10 +226,12 @@ def on_upper_arm(recording: Recording) -> Cause | None:
 
 def _on_upper_arm(recording: Recording, as_it_is: ClosedForm) -> Cause | None:
     fit = closed_form(ON_UPPER_ARM.corrected(recording))
-    if fit is None or not fit.fits or fit.misfit > CLEARLY * as_it_is.misfit:
+    if fit is None or not fit.fits or fit.misfit >= as_it_is.misfit:
         return None
     shoulder, elbow = (fit.calibration.lever_arms[joint].position_m for joint in ("elbow", "wrist"))
-    if elbow @ (elbow - shoulder) < 0.0:  # beyond the elbow: an arm that stays straight turns as one
+    if (
+        elbow @ (elbow - shoulder) < 0.0
+    ):  # beyond the elbow: an arm that stays straight fits both, and its lever arm tells
         return None
     return _named([(fit.misfit, ON_UPPER_ARM)], recording.applied_fixes)
 

@@ -20,7 +20,7 @@ from ..measurements.timestamps import PAUSE_SAMPLES
 from ..measurements.visibility import Rejection
 from ..recording import JOINTS, ImuStream, JointState, Recording
 from ..result import Recovery
-from ..result.verdict import EVER, Finding
+from ..result.verdict import EVER, Sign
 from ..rotation import Rotation, chained
 
 #: Length of the stretches and step between them, s.
@@ -238,7 +238,7 @@ def down_jumps(imu: ImuStream, gyroscope_bias: FloatArray) -> FloatArray:  # -> 
     return np.column_stack([at, smallest, lengths])[lengths > 0]
 
 
-def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[Finding]:
+def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[Sign]:
     """Down in the camera's frame is another one from some moment on."""
     if recording.base_imu is not None or len(recovery) != len(recording.imu):
         return
@@ -257,7 +257,7 @@ def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[Finding]
         best = max(best, (angle_deg / sigma_deg, angle_deg, 0.5 * (at_s[k - 1] + at_s[k])))
     sigmas, angle_deg, changed_s = best
     if angle_deg > PUSHED_DEG and sigmas > PUSHED_SIGMAS:
-        yield Finding(
+        yield Sign(
             f"from about {changed_s:.0f} s on, down points {angle_deg:.1f} degrees in another direction of"
             " the camera's frame: was the camera pushed, or the sensor turned on the arm?",
             EVER if angle_deg > TURNED_DEG else (changed_s - MEAN_S, changed_s + MEAN_S),
@@ -284,7 +284,7 @@ def imu_lies_still(
     recovery: Recovery,
     recording: Recording,
     gyroscope_bias: FloatArray,  # (3,) rad/s
-) -> Iterator[Finding]:
+) -> Iterator[Sign]:
     """Times at which the IMU does not turn at all while the camera sees the forearm turn."""
     residuals, imu = recovery.residuals, recording.imu
     if residuals is None or len(imu) < 3:
@@ -307,7 +307,7 @@ def imu_lies_still(
         direction = unit(position[seen, wrist] - position[seen, elbow])
         away = direction @ unit(np.median(direction, axis=0))
         if np.mean(away < np.cos(np.radians(STILL_TURN_DEG))) > STILL_SHARE:
-            yield Finding(
+            yield Sign(
                 f"from {start_s:.1f} to {end_s:.1f} s the IMU is still while the camera sees the"
                 " forearm turn: it was taken off, or the skeleton is another person's",
                 (start_s, end_s),

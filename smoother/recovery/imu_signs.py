@@ -26,7 +26,7 @@ from ..measurements.timestamps import PAUSE_SAMPLES, synthetic_stamps
 from ..measurements.visibility import Rejection
 from ..recording import JOINTS, ImuStream, Recording
 from ..result import Recovery
-from ..result.verdict import EVER, Finding
+from ..result.verdict import EVER, Sign
 from ..rotation import Rotation, chained
 from ..units import STANDARD_GRAVITY
 
@@ -279,7 +279,7 @@ class ClockStep:
         )
 
 
-def lost_samples(recovery: Recovery, recording: Recording) -> Iterator[Finding]:
+def lost_samples(recovery: Recovery, recording: Recording) -> Iterator[Sign]:
     """Samples or frames that were lost behind stamps that go on as if nothing were; as `clock_steps`."""
     least_s = STEP_SYNTHETIC_S if synthetic_stamps(np.asarray(recording.arm.t_s)) else STEP_S
     steps = [
@@ -289,10 +289,10 @@ def lost_samples(recovery: Recovery, recording: Recording) -> Iterator[Finding]:
     ]
     large = max(steps, key=lambda step: abs(step.step_s), default=None)
     if large is not None and abs(large.step_s) >= LARGE_STEP_S:
-        yield Finding(large.sentence, EVER)
+        yield Sign(large.sentence, EVER)
         return
     for step in steps:
-        yield Finding(step.sentence, (step.at_s - NEAR_S, step.at_s + NEAR_S))
+        yield Sign(step.sentence, (step.at_s - NEAR_S, step.at_s + NEAR_S))
 
 
 def clock_steps(recovery: Recovery, recording: Recording) -> list[ClockStep]:

@@ -13,7 +13,7 @@ from ..measurements.segment import Timeline
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, Recording
 from ..result import Estimates, Recovery
-from ..result.verdict import Finding
+from ..result.verdict import Sign
 from ..runtime.store import Store
 from ..selfcal.self_calibration import SelfCalibration
 from .blended_columns import ArmColumns, DrawColumns, FurtherColumns, merged_gaps
@@ -68,8 +68,8 @@ def merge(
         notes=notes_on(recording, timeline, model, clock, residuals, gaps, unexplained),
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}, exclude_none=True),
-        estimates=_estimates(model, np.mean(columns.bias, axis=0)).with_findings(
-            Finding(note, (gap.start_s, gap.end_s))
+        estimates=_estimates(model, np.mean(columns.bias, axis=0)).with_signs(
+            Sign(note, (gap.start_s, gap.end_s))
             for gap, note in zip(unexplained, unexplained_gaps(unexplained), strict=True)
         ),
         segments=further.motions(recording, model, coarse_clock),

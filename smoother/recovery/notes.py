@@ -140,6 +140,6 @@ def unexplained_gaps(gaps: Sequence[Gap]) -> list[str]:
     """A sentence for each of these gaps."""
     return [
         f"the gap from {gap.start_s:.1f} s to {gap.end_s:.1f} s: IMU, shoulder and upper arm do not fit"
-        " together there: trunk or camera may have moved; it is recovered without the upper arm's length"
+        " together there: the trunk or the camera may have moved; the upper arm's length was not used"
         for gap in gaps
     ]

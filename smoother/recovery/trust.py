@@ -21,7 +21,7 @@ from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.visibility import Rejection
 from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, JointTracks, Recording
 from ..result import Recovery, SelfCheck
-from ..result.verdict import EVER, Finding, gap_verdicts
+from ..result.verdict import EVER, Sign, gap_verdicts
 from ..selfcal.pairing import doubtful, unproved
 from .change_signs import camera_pushed, changes, imu_lies_still, skeleton_filled
 from .imu_signs import (
@@ -175,14 +175,14 @@ def with_verdict(
     """The recovery with a verdict among its estimates."""
     scale = force_scale(recording.imu, _gyroscope_bias(recovery))
     # what was found is a remark, or contradicts some times, or the whole recording
-    found = replace(recovery.estimates, reasons=()).with_findings(
+    found = replace(recovery.estimates, reasons=()).with_signs(
         [
             *camera_pushed(recovery, recording),
             *lost_samples(recovery, recording),
             *imu_lies_still(recovery, recording, _gyroscope_bias(recovery)),
-            *(Finding(each, EVER) for each in _anatomy(recovery.calibration, anatomy)),
+            *(Sign(each, EVER) for each in _anatomy(recovery.calibration, anatomy)),
             *map(
-                Finding,
+                Sign,
                 (
                     *doubtful(recovery.estimates.pairing),
                     *open_questions,

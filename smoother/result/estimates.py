@@ -10,9 +10,9 @@ from ..recording import JOINTS
 from .camera_estimate import CameraEstimate, cameras_from_plain
 from .verdict import (
     EVER,
-    Finding,
     Pairing,
     SelfCheck,
+    Sign,
     UntrustedInterval,
     intervals_from_plain,
     intervals_plain,
@@ -105,10 +105,10 @@ class Estimates:
             return f"Not to be trusted: {'; '.join(self.reasons)}."
         return f"Usable with care: {'; '.join(self.cautions)}." if self.cautions else "Usable."
 
-    def with_findings(self, findings: Iterable[Finding]) -> Estimates:
+    def with_signs(self, signs: Iterable[Sign]) -> Estimates:
         """A remark is a caution; what contradicts some times takes their trust, or that of the whole."""
         cautions, reasons, untrusted = list(self.cautions), list(self.reasons), list(self.untrusted)
-        for sentence, times in dict.fromkeys(findings):
+        for sentence, times in dict.fromkeys(signs):
             if times is None:
                 cautions.append(sentence)
             elif times == EVER:

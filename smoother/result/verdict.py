@@ -38,7 +38,7 @@ class UntrustedInterval:
 EVER = (-float("inf"), float("inf"))
 
 
-class Finding(NamedTuple):
+class Sign(NamedTuple):
     """What was found, and the times, s on the IMU's clock, whose answer it contradicts; None for a remark."""
 
     sentence: str

@@ -148,3 +148,4 @@ def test_what_is_not_explained_is_covered_and_named(hidden: SimulatedArm) -> Non
     (gap, *_) = [gap for gap in scene.recovery.gaps if gap.length_s >= LONG_S]
     (note, *_) = [note for note in scene.recovery.notes if "do not fit together" in note]
     assert f"from {gap.start_s:.1f} s to {gap.end_s:.1f} s" in note
+    assert any(note in each.reasons for each in scene.recovery.gap_verdicts if each.start_s == gap.start_s)

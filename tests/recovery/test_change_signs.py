@@ -100,10 +100,11 @@ def test_a_long_recording_in_batches_and_a_pause():
     assert float(sentence.split("about ")[1].split(" s")[0]) > 2 * length_s
 
 
-def test_a_camera_that_is_pushed_is_a_caution():
-    assert not any("pushed" in caution for caution in solved().estimates.cautions)
+def test_a_camera_that_is_pushed_is_not_trusted():
+    assert solved().estimates.trusted and not solved().estimates.untrusted
     recovery = smooth(pushed(made(), 6.0), config=ALONE)
-    assert any("was the camera pushed" in caution for caution in recovery.estimates.cautions)
+    assert recovery.estimates.trusted is False
+    assert any("was the camera pushed" in reason for reason in recovery.estimates.reasons)
 
 
 def test_a_filled_skeleton_counts_as_not_seen():
