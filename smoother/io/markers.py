@@ -18,7 +18,7 @@ from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..runtime.inputs import check_input, crashes_in_subprocess
 from .plain.table import read_table
-from .tables.protocol import plain_minus, shown
+from .tables.protocol import decode, plain_minus, shown
 from .tables.units import METRES
 
 
@@ -137,12 +137,11 @@ def read_trc(path: Path) -> Markers:
 
 def _lines(path: Path) -> list[str]:
     check_input(path, RecordingError)
-    raw = path.read_bytes()
-    if b"\0" in raw[:4096]:
+    text = decode(path.read_bytes())
+    if not text:
         raise RecordingError(
             f"{path}: not a TRC file: it has no text; is it a C3D file with a wrong extension?"
         )
-    text = raw.decode("utf-8-sig", errors="replace")
     return text.splitlines()
 
 

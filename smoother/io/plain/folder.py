@@ -360,7 +360,7 @@ def is_plain_text(path: Path) -> bool:
     except UnicodeDecodeError:
         return False
     below = lines[1].split(",") if len(lines) > 2 else []
-    return not any(below) or any(is_data(cell.strip()) for cell in below)
+    return len(below) < 2 or not any(below) or any(is_data(cell.strip()) for cell in below)
 
 
 def _imu(file: RecordingFile, path: Path, name: str, section: ImuKeys) -> ImuSamples:

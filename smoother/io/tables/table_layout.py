@@ -353,7 +353,7 @@ def check_lines(path: Path, lines: Sequence[str]) -> None:
         )
     for line in lines if longest > MOST_COLUMNS else ():
         columns = 1 + max(line.count(mark) for mark in SEPARATORS[:-1])
-        if line.count(" ") > MOST_COLUMNS:
+        if line.count(" ") >= MOST_COLUMNS:
             columns = max(columns, len(line.split()))
         if columns > MOST_COLUMNS:
             raise RecordingError(

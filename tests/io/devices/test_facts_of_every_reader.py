@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import zipfile
@@ -21,7 +22,7 @@ from library_files import ZERO
 
 from smoother.cli.run import run
 from smoother.errors import RecordingError
-from smoother.io import open_csv, read_recording
+from smoother.io import open_csv, open_recording, read_recording
 from smoother.io.devices.described import describe_file
 from smoother.io.devices.files import ImuFiles, import_files
 from smoother.io.devices.registry import FileReader, recognise, unknown_file
@@ -167,7 +168,7 @@ def values_of(path: Path, key: str) -> list[np.ndarray]:
 
 TABLES = [
     *("xsens-dot", "xsens-mt", "x-imu", "nilspod", "metamotion", "sensorlog", "phyphox", "android"),
-    *("imu-table", "azure-kinect", "kinect-v2", "mediapipe", "joint-rows", "joint-table"),
+    *("imu-table", "azure-kinect", "kinect-v2", "mediapipe", "joint-rows", "joint-table", "trc"),
 ]  # fmt: skip
 BELOW: dict[str, Callable[[int], list[str]]] = {
     "dashes": lambda n: ["-"] * n,
@@ -186,7 +187,7 @@ def test_encodings_and_lines_below_the_names(tmp_path: Path, key: str) -> None:
     layout = layout_of(lines)
     assert layout is not None
     changed = {encoding: text.encode(encoding) for encoding in ("utf-8-sig", "utf-16", "utf-16-be", "utf-32")}
-    for name, cells in BELOW.items():
+    for name, cells in BELOW.items() if key != "trc" else ():  # whose header has a place of its own
         row = layout.separator.join(cells(layout.width))
         after = layout.header + 1
         changed[name] = "\n".join([*lines[:after], row, *lines[after:]]).encode()
@@ -291,7 +292,7 @@ LIMITS: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda folder: text(folder / "a.csv", (",".join(["1"] * 500_000) + "\n") * 2), "row of 500,000 columns"
     ),
     "columns parted by blanks": (
-        lambda folder: text(folder / "a.txt", (" ".join(["1"] * (MOST_COLUMNS + 1)) + "\n") * 3), "unknown format"
+        lambda folder: text(folder / "a.txt", (" ".join(["1"] * (MOST_COLUMNS + 1)) + "\n") * 3), "10,001 columns"
     ),
     "a long line": (lambda folder: text(folder / "a.csv", "t,x\n" + "7" * (LONGEST_LINE + 1)), "has a line of"),
     "a wide workbook": (
@@ -315,11 +316,13 @@ def test_limits_have_a_sentence_and_little_memory(tmp_path: Path, limit: str) ->
     write, said = LIMITS[limit]
     path = write(tmp_path)
     code = (
-        "import resource, sys; from pathlib import Path; from smoother.io.devices.described import *\n"
+        "import sys; from pathlib import Path; from smoother.io.devices.described import *\n"
         "from smoother.io.devices.registry import FileReader; path = Path(sys.argv[1])\n"
         "print(describe_file(path, FileReader()).error)\n"
         "try: guessed_table(path, FileReader())\nexcept Exception as error: print(error)\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)"
+        # the kernel's peak of this program alone; ru_maxrss begins with that of the program that started it
+        "peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"
+        "print(int(peak.split()[1]) // 1024)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=120
@@ -369,3 +372,132 @@ def test_not_recognised_names_what(tmp_path: Path) -> None:
         RecordingError, match=r"no gyroscope that is recognised \(Not used: columns rota, rotb, rotc"
     ):
         imported(path)
+
+
+#: Columns of an IMU's table.
+IMU = "time_s,acc_x_{0},acc_y_{0},acc_z_{0},gyro_x_{1},gyro_y_{1},gyro_z_{1}".format("m/s^2", "rad/s")
+CSV = ["import", "csv", ".", "-o", "o.mcap", "--force"]
+
+
+def table(path: Path, header: str, *columns: np.ndarray) -> Path:
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.7g")
+    return path
+
+
+def files(imu: str) -> list[str]:
+    return ["import", "files", "--imu", imu, "-o", "o.mcap", "--force"]
+
+
+def two_sensors(folder: Path) -> list[str]:
+    ros2(folder / "a.mcap", {"/wrist/imu": (ACC, GYRO), "/arm/imu": (ACC, GYRO)})
+    return files("forearm_right=a.mcap")
+
+
+def three_halves(folder: Path) -> list[str]:
+    ros2(
+        folder / "a.mcap",
+        {"/arm/accel": (ACC, ZEROS), "/leg/accel": (ACC, ZEROS), "/k4a/gyro": (ZEROS, GYRO)},
+    )
+    return files("forearm_right=a.mcap")
+
+
+def sensors_in_a_section(folder: Path) -> list[str]:
+    two_sensors(folder)
+    text(folder / "recording.toml", '[imu.forearm_right]\nfile = "a.mcap"\n')
+    return CSV
+
+
+def half_a_table(folder: Path) -> list[str]:
+    table(folder / "acc.csv", IMU[: IMU.index(",gyro")], T, ACC)
+    table(folder / "gyro.csv", "time_s" + IMU[IMU.index(",gyro") :], T, GYRO)
+    return files("forearm_right=acc.csv")
+
+
+def plain_imu(acc: np.ndarray, gyro: np.ndarray) -> Callable[[Path], list[str]]:
+    def write(folder: Path) -> list[str]:
+        table(folder / "imu.csv", "t_s,ax,ay,az,gx,gy,gz", T, acc, gyro)
+        text(folder / "recording.toml", '[imu.forearm_right]\nfile = "imu.csv"\ntime_unit = "s"\n')
+        return CSV
+
+    return write
+
+
+def counted(folder: Path) -> list[str]:
+    columns = "n_samples,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z"
+    table(folder / "a.csv", columns, np.arange(len(T)), np.degrees(GYRO), ACC)
+    return files("forearm_right=a.csv")
+
+
+def other_columns(folder: Path) -> list[str]:
+    table(folder / "a.csv", IMU, T, ACC, GYRO)
+    text(folder / "recording.toml", '[imu.forearm_right]\nfile = "a.csv"\n')
+    return CSV
+
+
+def outside(folder: Path) -> list[str]:
+    (folder / "below").mkdir()
+    table(folder / "imu.csv", "t_s,ax,ay,az,gx,gy,gz", T, ACC, GYRO)
+    text(folder / "below/recording.toml", '[imu.forearm_right]\nfile = "../imu.csv"\n')
+    return ["import", "csv", "below", "-o", "o.mcap"]
+
+
+def by_option(said: str, first: list[str]) -> list[str]:
+    """The command with the option that the message names."""
+    if "--outside" in said:
+        return [*first, "--outside"]
+    named = re.search(r"--imu ([^`\s]*[^`\s.])", said)
+    assert named is not None, said
+    return files(named.group(1))
+
+
+def by_key(said: str, _: list[str]) -> list[str]:
+    """The import again, with the key that the message names."""
+    named = re.search(r'(accelerometer_unit|gyroscope_unit) = "[^"]+"', said)
+    assert named is not None, said
+    path = Path("recording.toml")
+    text(path, f"{path.read_text()}{named.group()}\n")
+    return CSV
+
+
+def by_describing(said: str, _: list[str]) -> list[str]:
+    """What `import describe` prints, as recording.toml."""
+    named = re.search(r"`unocclude import describe(?: (\S+))?`", said)
+    assert named is not None, said
+    command = [sys.executable, "-c", "from smoother.cli import main; main()"]
+    words = ["import", "describe", named.group(1) or "a.csv"]
+    done = subprocess.run([*command, *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    text(Path("recording.toml"), done.stdout)
+    return CSV
+
+
+REMEDIES: dict[str, tuple[Callable[[Path], list[str]], Callable[[str, list[str]], list[str]]]] = {
+    "two sensors": (two_sensors, by_option),
+    "three halves": (three_halves, by_option),
+    "sensors in a section": (sensors_in_a_section, by_option),
+    "half a table": (half_a_table, by_option),
+    "outside": (outside, by_option),
+    "in g": (plain_imu(ACC / STANDARD_GRAVITY, GYRO), by_key),
+    "in mg": (plain_imu(1000 * ACC / STANDARD_GRAVITY, GYRO), by_key),
+    "in mm/s^2": (plain_imu(1000 * ACC, GYRO), by_key),
+    "in deg/s": (plain_imu(ACC, np.degrees(GYRO)), by_key),
+    "counted samples": (counted, by_describing),
+    "other columns": (other_columns, by_describing),
+}
+
+
+@pytest.mark.parametrize("case", REMEDIES)
+def test_the_remedy_of_a_message_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    prepare, remedy = REMEDIES[case]
+    first = prepare(tmp_path)
+    capsys.readouterr()
+    code = run(first)
+    said = " ".join(capsys.readouterr().err.split())
+    assert code != 0
+    assert run(remedy(said, first)) == 0, (said, capsys.readouterr().err)
+    (imu,) = open_recording("o.mcap").imus
+    np.testing.assert_allclose(np.median(np.linalg.norm(imu.acc, axis=1)), 9.81, atol=0.05)
+    np.testing.assert_allclose(np.abs(imu.gyro).max(), np.abs(GYRO).max(), rtol=0.01)
