@@ -42,7 +42,7 @@ def with_cameras(recovery: Recovery, rig: CameraRig | None) -> Recovery:
     # the one that was moved may be the first, on which the answer rests
     signs += [
         Sign(
-            f"{row.name} {row.reason}",
+            f"{row.name}: {row.reason}",
             (row.moved_s[0] + recovery.clock_offset_s, row.moved_s[1] + recovery.clock_offset_s),
         )
         for row in rig.cameras
