@@ -19,7 +19,7 @@ CAMERA_RATES_HZ = np.array(
 RATE_TOLERANCE = 0.01
 
 #: Longest interval between IMU samples that is bridged, s (or this many sample periods).
-PAUSE_S = 0.1
+PAUSE_S = 0.08
 PAUSE_SAMPLES = 5.0
 #: Stamps that scatter by more than this part of a tick are dejittered; what departs from the tick more
 #: slowly than this stays, s.
@@ -91,8 +91,8 @@ WRAP_TICKS, WRAP_S = 50.0, 1.0
 SHORT_STEP, FEW = 0.25, 0.003
 #: Stamps of packets of two samples and more: at least this share of the steps is short.
 IN_PACKETS = 0.4
-#: A pause is looked at from this many ticks, and this long, s, on.
-PAUSE_TICKS, PAUSE_S = 4.0, 0.08
+#: A pause is looked at from this many ticks, and `PAUSE_S`, on.
+PAUSE_TICKS = 4.0
 #: Stamps that catch up do so within this time, s; the level before a pause is taken over the second.
 CATCH_UP_S, BEFORE_S = 6.0, 1.0
 #: Stamps' level is taken over this long, s; this many of them are compared with their neighbours.
