@@ -172,10 +172,6 @@ def main() -> None:
     summarise(run_jobs(jobs, options.processes))
 
 
-if __name__ == "__main__":
-    main()
-
-
 PRESETS = ("white", "realistic", "azure")
 #: What the presets' people do: the protocol, and how long.
 PROTOCOLS = ("behind", "random")
@@ -214,3 +210,7 @@ def preset_jobs(count: int, rng: np.random.Generator) -> list[tuple[str, str, in
         )
         for number in range(count)
     ]
+
+
+if __name__ == "__main__":
+    main()

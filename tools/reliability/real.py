@@ -3,7 +3,7 @@
 Elbow, wrist and hand are hidden for a while in a trial, and the answer is held against what the camera saw
 there. SmartFallMM's trials (Azure Kinect and a MetaMotion, cut apart by hand) are imported as a user imports
 files, so that the importer's information on their clocks goes with them; of UTD-MHAD's the arm's calibration
-comes from the subject's first trials. (`python tools/accuracy.py coverage utd` prints the regions of all
+comes from the subject's first trials. (`python -m tools.accuracy coverage utd` prints the regions of all
 trials, `.. coverage broad` those of BROAD, orientation too.) `--pairs` gives every skeleton somebody else's
 IMU: none may be trusted.
 """
