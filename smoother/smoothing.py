@@ -20,11 +20,11 @@ from .recovery.ambiguity import with_ambiguities
 from .recovery.camera_blocks import CameraEvidence, Solved, without_wrong_blocks
 from .recovery.cameras import names_of, with_cameras
 from .recovery.cause import diagnose_failures, with_cause
-from .recovery.first_pass import FirstPass, magnetic_field
+from .recovery.magnetometer import Magnetometer, judged, takes_part
 from .recovery.merge import merge
-from .recovery.second_pass import second_pass
 from .recovery.sections import Sections
 from .recovery.self_check import with_self_check, with_sigma_factors
+from .recovery.solve_section import clock_over, observed_field, solve_sections
 from .recovery.task import Task
 from .recovery.trunk import with_trunk
 from .recovery.trust import with_gap_verdicts, with_verdict
@@ -55,10 +55,8 @@ def smooth(
 ) -> Recovery:
     """Recover the arm's motion over a whole recording.
 
-    The recording is worked on in sections of about a minute, side by side in processes: each is solved once
-    alone for what all sections share (of long recordings a part of it), then again with what the others know
-    of that. The answer depends neither on the
-    number of processes nor on the threads that NumPy may use.
+    Excerpts give what the whole recording shares; then sections of about a minute are solved side by side in
+    processes. The answer depends neither on the number of processes nor on the threads that NumPy may use.
 
     Parameters
     ----------
@@ -118,16 +116,16 @@ def smooth(
         def solved(one: Recording) -> Solved:
             return _solved(one, given, config, workers, store, report, clock, coarse_clock, (draws, seed))
 
-        # 2. to 6. The motion; blocks of the camera's samples that the rest contradicts are left out of it.
+        # 2. to 5. The motion; blocks of the camera's samples that the rest contradicts are left out of it.
         with diagnose_failures(recording, given, clock):
             best = without_wrong_blocks(recording, solved, names_of(rig, recording.arm))
     #    The thorax by an IMU on the trunk, where there is one.
     recovery = with_cameras(with_trunk(best.recovery, as_recorded, store), rig)
-    # 7. Sigma as hidden gaps of this camera asked for: the calibration's, or the self-check's.
+    # 6. Sigma as hidden gaps of this camera asked for: the calibration's, or the self-check's.
     recovery = with_sigma_factors(recovery, given.sigma_factors)
     recovery = with_self_check(recovery, best.evidence.stretches)
     report(1.0, "done")
-    # 8. A verdict with its likeliest cause, also by the gaps that the visible motion leaves ambiguous.
+    # 7. A verdict with its likeliest cause, also by the gaps that the visible motion leaves ambiguous.
     pairing = best.paired(pairing, recording, clock)
     clock_given_s = None if clock is None else (clock.mean_s, clock.sigma_s)
     found = replace(recovery.estimates, pairing=pairing, clock_given_s=clock_given_s)
@@ -167,7 +165,7 @@ def _solved(
     coarse_clock: Clock | None,
     drawing: tuple[int, int],
 ) -> Solved:
-    """Steps 2 to 6: calibrate, solve every section twice, and join the answers."""
+    """Steps 2 to 5: calibrate, solve every section, and join the answers."""
     timeline = Timeline.of(recording)
     # 2. Self-calibration on the excerpts that are most informative: lever arms, clock, camera noise.
     excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
@@ -181,23 +179,19 @@ def _solved(
     model = self_calibrate(own, given, config, workers, clock_sigma_s)
     model, further, used = joined(model, further, store)
     recording = replace(recording, notes=(*recording.notes, *left_out, *used))
-    # 3. First pass: every section alone; its windows answer with a Gaussian on what all share.
+    # 3. The clock over a long recording, the magnetic field, and the motions that are drawn.
     sections = Sections(recording, timeline, model.clock, further)
     task = Task.of(recording, sections, model, config, timeline.usual_gap_s(recording.arm.t_s))
-    first = FirstPass.over(
-        sections, task, workers, store, lambda share: report(0.2 + 0.35 * share, "first pass")
-    )
-    # 4. Pooled over all windows: the arm, the clock, the magnetic field.
-    task = task.refined(first.messages, first.clock_scores, timeline.synthetic_stamps)
-    magnetometer = magnetic_field(first, task, workers)
-    # 5. Second pass: every section again, with priors from all others; motions drawn where asked for, and
-    #    visible stretches hidden, recovered and compared.
-    task = task.drawing(*drawing, recording, first.messages)
-    jobs = first.jobs(first.priors(task.prior), magnetometer.by_window)
+    task = clock_over(sections, task, workers, timeline.synthetic_stamps).drawing(*drawing, recording)
+    magnetometer = Magnetometer()
+    if takes_part(recording.imu):
+        magnetometer = judged(observed_field(sections, task, workers))
+        task = replace(task, field=magnetometer.field)
+    # 4. Every section solved as one window; visible stretches hidden, recovered and compared.
     evidence = CameraEvidence()
-    answers = evidence.collecting(second_pass(jobs, task, workers))
-    # 6. One trajectory at the IMU's own stamps.
-    answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
+    answers = evidence.collecting(solve_sections(sections, task, workers))
+    # 5. One trajectory at the IMU's own stamps.
+    answers = _reported(answers, len(sections), lambda share: report(0.25 + 0.7 * share, "recovering"))
     recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
     misfits = (*misfits, *model.misfits)
     return Solved(recovery, evidence, excerpts, misfits, model.open_questions)

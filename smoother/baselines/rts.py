@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from .. import units
 from ..array_types import BoolArray, FloatArray
+from ..body import FOREARM
 from ..config import ArmPrior, CameraNoise, ImuNoise
 from ..linalg import interpolate, robust_sigma, skew
 from ..measurements.alignment import lever_of
@@ -30,7 +31,8 @@ from ..recording import FOREARM_JOINTS, JOINTS
 from ..window.nodes import decimate, insert_nodes
 from ..window.prepare import states_from_camera
 from ..window.problem import States
-from ..window.trajectory import SegmentTrajectory, at_times
+from ..window.solution import SegmentSolution
+from ..window.trajectory import at_times
 from .kalman import Chain, FilterEstimates, rts_smoother
 from .scene import Path, Scene, no_answer
 
@@ -187,11 +189,8 @@ def process_noise(
 
 def at_samples(states: InertialTrajectory, signal: InertialSignal, t: FloatArray) -> States:
     """Pose and velocity at times (k,) s between the nodes, by the IMU (`window.trajectory.at_times`)."""
-    no_covariance = np.zeros((len(states.t), 3, 3))
-    states_at_nodes = States(states.R, states.p, states.v)
-    motion = SegmentTrajectory(
-        states.t, states_at_nodes, no_covariance, no_covariance, states.bias, states.gravity
-    )
+    at_nodes = States(states.R, states.p, states.v)
+    motion = SegmentSolution(FOREARM.name, states.t, at_nodes, states.bias, states.gravity)
     return at_times(motion, signal, t)
 
 

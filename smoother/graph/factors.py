@@ -15,6 +15,7 @@ from gtsam import Pose3, Rot3, noiseModel
 from gtsam.symbol_shorthand import G, S, U, V, X
 
 from ..array_types import FloatArray, IntArray
+from ..units import GRAVITY
 from ..window.problem import ImuIncrements, NoiseModel, SegmentRun, Window
 from .variables import SegmentKeys, keys_of
 
@@ -33,7 +34,7 @@ def imu_factors(
     biases: IntArray,  # int (n - 1,)
 ) -> Iterator[gtsam.ImuFactorWithGravityDirection]:
     """An IMU between neighbouring nodes of a window."""
-    keys, increments, gravity = keys_of(run.segment), run.increments, window.gravity_magnitude
+    keys, increments, gravity = keys_of(run.segment), run.increments, GRAVITY
     levels = noise_levels(increments, np.diff(window.t[run.nodes]), window.noise, gravity)
     params = {level: preintegration_parameters(window.noise, gravity, *level) for level in set(levels)}
     own_biases = biases[run.first : run.nodes.stop - 1].tolist()

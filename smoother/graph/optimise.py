@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
-from ..linalg import runs, scaled_inverse
+from ..linalg import runs
 from ..window.problem import Window
 from .build import FactorGroup, bias_of_intervals, node_of_variables, upper_arm_factors
 from .shared_prior import gravity_axes, have_turned, turned_with_axes
@@ -82,23 +82,6 @@ def elimination_order(window: Window, values: gtsam.Values) -> gtsam.Ordering:
     for key in sorted(values.keys(), key=lambda key: (turns.get(key, border), key)):
         order.push_back(key)
     return order
-
-
-def marginal_covariance(optimum: Optimum, window: Window, keys: Sequence[int]) -> FloatArray:
-    """Joint covariance of variables, in the order of the keys: everything else is eliminated."""
-    order, kept = gtsam.Ordering(), gtsam.Ordering()
-    for key in keys:
-        kept.push_back(key)
-    eliminated = elimination_order(window, optimum.values)
-    for key in (eliminated.at(k) for k in range(eliminated.size())):
-        if key not in keys:
-            order.push_back(key)
-    linear = optimum.graph.linearize(optimum.values)
-    try:
-        _, left = linear.eliminatePartialMultifrontal(order)
-    except RuntimeError as error:
-        raise np.linalg.LinAlgError(str(error)) from None
-    return scaled_inverse(left.hessian(kept)[0])
 
 
 def _in_axes_of_gravity(

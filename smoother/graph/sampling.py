@@ -17,6 +17,7 @@ from gtsam.symbol_shorthand import G, S, V, X
 
 from ..array_types import FloatArray, IntArray
 from ..body import SEGMENTS
+from ..linalg import interpolate
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.problem import Window
 from ..window.shared import STRAP_PLACE
@@ -70,7 +71,9 @@ def sample_window(
     rotation += (plan.once("attitude", 3) @ root_of(lost))[:, None]
     shoulder = None
     if window.shoulder is not None:
-        shoulder = of([S(k) for k in range(len(window.shoulder.node))])
+        knots = of([S(k) for k in range(len(window.shoulder.node))])
+        at_nodes = interpolate(window.t[window.shoulder.node], np.moveaxis(knots, 1, 0), window.t)
+        shoulder = np.moveaxis(at_nodes, 0, 1)
     place = body[:, :, 3:]
     if considered is not None and any(is_place(each.joint, window) for each in window.joint_measurements):
         place = place + considered[:, None, STRAP_PLACE]  # the answer is to be at the tracked point

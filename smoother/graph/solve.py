@@ -11,14 +11,15 @@ import numpy as np
 from gtsam.symbol_shorthand import G, S, U
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..body import FOREARM
+from ..body import FOREARM, SEGMENTS
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..measurements.rays import AT_M, NEAREST_M
+from ..units import GRAVITY
 from ..window.draw_plan import DrawPlan
 from ..window.problem import JointMeasurements, States, Window, joints_at_start
-from ..window.shared import STRAP_PLACE, Gaussian
-from ..window.solution import BlockShift, Message, SegmentSolution, Solution
+from ..window.shared import STRAP_PLACE, SharedLayout
+from ..window.solution import BlockShift, SegmentSolution, Solution
 from .block_shifts import CameraBlocks
 from .build import FactorGroup, bias_of_intervals, build, node_of_variables
 from .error_columns import (
@@ -30,7 +31,7 @@ from .error_columns import (
     stamp_columns,
 )
 from .linear_system import ExtraColumns, LinearSystem
-from .optimise import Optimum, marginal_covariance, optimise
+from .optimise import Optimum, optimise
 from .sampling import sample_window
 from .scale import coordinates_by_pixels, with_scale_term
 from .shared_prior import bias_keys, shared_jacobian, shared_keys
@@ -73,21 +74,19 @@ def solve(
     window: Window,
     with_covariance: bool,
     with_offset: bool = False,
-    with_message: bool = True,
     with_evidence: bool = False,
     tolerance: float = RELATIVE_TOLERANCE,
     plan: DrawPlan | None = None,
 ) -> Solution:
     """Optimise a window and read its answer: `optimise_window` and `solution_of`, with their parameters."""
     optimised = optimise_window(window, tolerance)
-    return solution_of(optimised, with_covariance, with_offset, with_message, with_evidence, plan)
+    return solution_of(optimised, with_covariance, with_offset, with_evidence, plan)
 
 
 def solution_of(
     optimised: WindowOptimum,
     with_covariance: bool,
     with_offset: bool = False,
-    with_message: bool = True,
     with_evidence: bool = False,
     plan: DrawPlan | None = None,
     with_blocks: bool = False,
@@ -95,9 +94,7 @@ def solution_of(
     """Read the answer of a window that is at its optimum."""
     while True:
         try:
-            return _read(
-                optimised, with_covariance, with_offset, with_message, with_evidence, plan, with_blocks
-            )
+            return _read(optimised, with_covariance, with_offset, with_evidence, plan, with_blocks)
         except np.linalg.LinAlgError:
             optimised = _optimised(optimised.given, optimised.tolerance, optimised.tighten + 1)
 
@@ -168,7 +165,6 @@ def _read(
     optimised: WindowOptimum,
     with_covariance: bool,
     with_offset: bool,
-    with_message: bool,
     with_evidence: bool,
     plan: DrawPlan | None,
     with_blocks: bool = False,
@@ -211,28 +207,20 @@ def _read(
         if plan is not None:
             draws = sample_window(following.system, values, window, biases, plan, following.shared, lost)
     shoulder, shoulder_covariance = _shoulder(values, following if with_covariance else None, window)
-    of_shared = None
-    if with_message:
-        keys = shared_keys(window, biases)
-        of_shared = (
-            marginal_covariance(optimum, window, keys)
-            if following is None
-            else following.system.shared_covariance(keys)
-        )
-    message = _message(values, of_shared, window, biases)
+    shared = _shared(values, window, biases)
     return Solution(
-        index=window.index,
         bodies=tuple(bodies),
         shoulder=shoulder,
         shoulder_covariance=shoulder_covariance,
-        message=message,
+        shared=shared,
+        levers=_levers(shared, window.priors.layout),
         residuals=_residuals(values, window, states),
         iterations=optimum.iterations,
         error=optimum.error,
         offset_information=offset,
         accepted=optimum.accepted,
         evidence=(
-            evidence(following.system, values, message.shared.mean, optimised.given, biases)
+            evidence(following.system, values, shared, optimised.given, biases)
             if following is not None and with_evidence
             else None
         ),
@@ -259,6 +247,7 @@ def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) ->
 def _bodies(values: gtsam.Values, window: Window, biases: IntArray) -> list[SegmentSolution]:
     """The solution of each IMU, read from the variables, without covariances."""
     poses, bodies, n = gtsam.utilities.extractPose3(values), [], len(window.t)
+    gravity = window.priors.layout.down(_shared(values, window, biases)) * GRAVITY
     for name in window.priors.layout.segments:
         keys = keys_of(name)
         known = np.zeros(n, dtype=bool)
@@ -271,7 +260,7 @@ def _bodies(values: gtsam.Values, window: Window, biases: IntArray) -> list[Segm
             v[known] = gtsam.utilities.extractVectors(values, chr(gtsam.Symbol(keys.velocity).chr()))
         bias = np.array([values.atConstantBias(keys.bias + k).vector() for k in range(int(biases[-1]) + 1)])
         states = States(R, p, v)
-        bodies.append(SegmentSolution(name, known, states, None, None, bias[np.append(biases, biases[-1])]))
+        bodies.append(SegmentSolution(name, window.t, states, bias[np.append(biases, biases[-1])], gravity))
     return bodies
 
 
@@ -384,34 +373,39 @@ def _shoulder(
     if window.shoulder is None:
         return None, None
     t = window.t[window.shoulder.node]
-    position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
+    position = interpolate(t, np.array([values.atPoint3(S(k)) for k in range(len(t))]), window.t)
     if following is None:
         return position, None
     apart_s = CHAIN_COVARIANCE_S if window.reaches_shoulder else SHOULDER_COVARIANCE_S
     knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), apart_s)
     covariance = following.of_variables([S(k) for k in knots])
-    return position, interpolate(t[knots], covariance, t)
+    return position, interpolate(t[knots], covariance, window.t)
 
 
-def _message(values: gtsam.Values, of_shared: FloatArray | None, window: Window, biases: IntArray) -> Message:
-    """The shared variables in the shared vector's coordinates, their joint covariance nan where None."""
+def _shared(values: gtsam.Values, window: Window, biases: IntArray) -> FloatArray:
+    """The shared quantities as one vector (s,)."""
     layout = window.priors.layout
-    keys = shared_keys(window, biases)
-    down = values.atUnit3(G(0))
     mean = np.empty(layout.size)
-    mean[layout.gravity] = layout.gravity_axes @ down.point3()
+    mean[layout.gravity] = layout.gravity_axes @ values.atUnit3(G(0)).point3()
     if layout.has_upper_arm:
         # the factor's error is range + U - length: the true length is shorter by U
         mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] - values.atDouble(U(0))
-    for segment, bias in zip(layout.segments, bias_keys(layout, keys), strict=True):
+    for segment, bias in zip(layout.segments, bias_keys(layout, shared_keys(window, biases)), strict=True):
         mean[layout.bias_of(segment)] = values.atConstantBias(bias).vector()
         for joint, rows in layout.levers(segment).items():
             mean[rows] = values.atPoint3(keys_of(segment).lever_of(joint))
-    covariance = np.full((layout.size, layout.size), np.nan)
-    if of_shared is not None:
-        jacobian = shared_jacobian(layout, down)
-        covariance = jacobian @ of_shared @ jacobian.T
-    return Message(t_s=float(0.5 * (window.t[0] + window.t[-1])), shared=Gaussian(mean, covariance))
+    return mean
+
+
+def _levers(shared: FloatArray, layout: SharedLayout) -> dict[str, FloatArray]:
+    """Lever arms (3,) m by joint, each in the axes of the IMU that the joint is tied to."""
+    levers = {joint: shared[layout.lever(joint)] for joint in layout.joints}
+    for name in layout.further:
+        rows_of = layout.levers(name)
+        levers |= {
+            joint: shared[rows_of[joint]] for joint in SEGMENTS[name].camera_joints if joint in rows_of
+        }
+    return levers
 
 
 def _residuals(values: gtsam.Values, window: Window, states: Mapping[str, States]) -> dict[str, FloatArray]:

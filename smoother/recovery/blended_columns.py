@@ -16,7 +16,6 @@ from ..rotation import Rotation
 from ..runtime.store import Store
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.draw_plan import DrawPlan
-from ..window.solution import Message
 from ..window.trajectory import mix, share_after, turn_to
 from .drawn_samples import SectionDraws
 from .samples import ElbowAxis, FurtherAnswer, SectionAnswer, bone_axes
@@ -161,8 +160,8 @@ class ArmColumns:
         self.bias: list[FloatArray] = []
         self._end = 0  # first sample without an answer yet
 
-    def add(self, answer: SectionAnswer, messages: list[Message]) -> FloatArray:
-        """The next section, blended with the one before over their border; its windows' messages."""
+    def add(self, answer: SectionAnswer) -> FloatArray:
+        """The next section, blended with the one before over their border."""
         rows = answer.samples
         t = self._recording.imu.t_s[rows]
         share = share_after(t, answer.border_s)
@@ -181,7 +180,7 @@ class ArmColumns:
         self._used[answer.frames], self._reason[answer.frames] = answer.used, answer.reason
         self.gaps = merged_gaps(self.gaps, answer.gaps)
         self._gravity.append(answer.gravity)
-        self.bias += [message.shared.mean[:6] for message in messages]
+        self.bias.append(answer.bias)
         self._end = rows.stop
         return share
 

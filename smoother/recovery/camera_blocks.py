@@ -27,8 +27,8 @@ from ..result import Pairing, Recovery
 from ..selfcal.pairing import find_pairing
 from ..window.solution import BlockShift
 from .camera_faults import camera_faults
-from .second_pass import SecondAnswer
 from .self_check import HiddenStretch
+from .solve_section import SolvedSection
 
 #: A block is suspicious from this score on: the largest of sound simulated recordings were 0.05 to 1.1.
 SUSPICIOUS = 3.0
@@ -77,11 +77,11 @@ class CameraEvidence:
     shifts: list[BlockShift] = field(default_factory=list)
     stretches: list[HiddenStretch] = field(default_factory=list)
 
-    def collecting(self, answers: Iterable[SecondAnswer]) -> Iterator[SecondAnswer]:
+    def collecting(self, answers: Iterable[SolvedSection]) -> Iterator[SolvedSection]:
         """The answers as they come; their evidence on the camera is kept."""
         for answer in answers:
-            self.shifts += answer.check.shifts
-            self.stretches += answer.check.stretches
+            self.shifts += answer.shifts
+            self.stretches += answer.stretches
             yield answer
 
 

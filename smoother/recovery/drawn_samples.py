@@ -16,8 +16,7 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..splines import cubic_spline
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.shared import SharedLayout
-from ..window.solution import WindowDraws
-from ..window.trajectory import SegmentTrajectory, Trajectory
+from ..window.solution import SegmentSolution, Solution, WindowDraws
 from .samples import (
     IMU_DELAY_S,
     LINEAR_RAD,
@@ -42,7 +41,7 @@ def sample_draws(
     answer: SectionAnswer,
     imu_t: FloatArray,  # (n,) s
     drawn: WindowDraws,
-    trajectory: Trajectory,
+    solution: Solution,
     model: SelfCalibration,
     layout: SharedLayout,
     plan: DrawPlan,
@@ -50,7 +49,7 @@ def sample_draws(
     """A section's drawn motions at its samples."""
     first = -answer.samples.start % plan.every
     samples = np.arange(first, len(imu_t), plan.every)
-    t, nodes = imu_t[samples], trajectory.t
+    t, nodes = imu_t[samples], solution.t
     R_at_samples = Rotation.from_quat(answer.quaternion, scalar_first=True).as_matrix()
     R = R_at_samples[samples]
     v = answer.velocity[samples]
@@ -59,7 +58,7 @@ def sample_draws(
     p = _hermite(nodes, _nodes_first(drawn.position), _nodes_first(drawn.velocity), t)
     r = _curve(nodes, _nodes_first(drawn.rotation), t)
     # 2. Angles that are hardly known, widened as the covariance is, and positions by what depends on them.
-    p, r = _widened(p, r, interpolate(nodes, trajectory.forearm.pose_covariance, t))
+    p, r = _widened(p, r, solution.forearm.pose_covariance_at(t))
     # 3. A clock that is off by a moment moves the whole path along itself; an IMU that is late shows the pose
     #    of a moment ago.
     delay = IMU_DELAY_S * plan.once("delay", 1)
@@ -71,18 +70,18 @@ def sample_draws(
     turns = {
         name: _turns(_nodes_first(drawn.turns[name]), motion, t)
         for name in drawn.turns
-        if (motion := trajectory.of(name)) is not None
+        if (motion := solution.of(name)) is not None
     }
     for joint in answer.joints:
         if joint == "shoulder":
             if drawn.shoulder is not None:
                 columns[JOINT + joint] = interpolate(nodes, _nodes_first(drawn.shoulder), t)
         elif lever_of(model.estimate, joint) is not None:
-            arm = np.einsum("nij,nj->ni", R, trajectory.lever_at(joint, t))
+            arm = R @ solution.lever(joint)
             columns[JOINT + joint] = p + _crossed(r, arm)
             if joint in levers:
                 columns[JOINT + joint] += _turned(R, levers[joint])
-            spread_m = moves_by(joint, [body.segment for body in trajectory.bodies], model)
+            spread_m = moves_by(joint, [body.segment for body in solution.bodies], model)
             if spread_m:
                 columns[JOINT + joint] += spread_m * plan.once(f"moves {joint}", 3)
     #    What a further segment carries hangs on the joint that it shares, and turns with its IMU.
@@ -141,10 +140,10 @@ def _turned(R: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors @ np.swapaxes(R, 1, 2))
 
 
-def _turns(rotation: FloatArray, motion: SegmentTrajectory, t: FloatArray) -> FloatArray:
+def _turns(rotation: FloatArray, motion: SegmentSolution, t: FloatArray) -> FloatArray:
     """Turns (m, k, 3) of a further IMU at times (m,); nan where it has no samples."""
     at_samples = interpolate(motion.t, rotation, t)
-    covariance = interpolate(motion.t, motion.pose_covariance, t)
+    covariance = motion.pose_covariance_at(t)
     known = np.isfinite(covariance).all(axis=(1, 2))
     at_samples[~known] = np.nan
     if known.any():

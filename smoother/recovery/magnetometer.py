@@ -1,8 +1,8 @@
-"""A calibrated magnetometer in the second pass, where it agrees with the rest.
+"""A calibrated magnetometer, where it agrees with the rest.
 
 The direction of the local field in {K} is not known. A first solution without the magnetometer turns
 its samples into {K}; their middle over the whole recording is that direction, known far better than
-the attitude in any one window. Iron and magnets show in the field's strength, which no attitude
+the attitude at any one time. Iron and magnets show in the field's strength, which no attitude
 changes: where it is off, and where the direction is farther off than everywhere else, the samples are
 left out. How much the strength varies in what remains is how much the direction varies too, as a
 disturbance has no preferred side: this is the sigma of the factors (`AttitudeFactorPose3`, one
@@ -11,16 +11,16 @@ for each mean over some seconds).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
-from ..linalg import skew
+from ..linalg import skew, unit
 from ..recording import ImuStream
 from ..result import Recovery
-from ..window.problem import FieldMeasurements, Window
+from ..window.problem import FieldMeasurements
 from ..window.shared import axes_across
 from ..window.solution import Solution
 
@@ -46,6 +46,8 @@ LEAST_SIGMA_RAD = np.radians(0.7)
 #: No factor is trusted more than this, rad: in gaps of some seconds, what the field is off in tilt costs
 #: more than the heading gains (at 0.7 degrees 3 % of the position in a trial of BROAD, at 2 nothing).
 FACTOR_SIGMA_RAD = np.radians(2.0)
+#: The error of the attitude is another one after this time, s.
+ATTITUDE_S = 12.0
 #: How often the direction is solved anew without the means that contradict it.
 ROUNDS = 4
 #: A sample farther than this from a node is not used for it, s.
@@ -54,28 +56,47 @@ NEAR_S = 0.05
 
 @dataclass(frozen=True)
 class FieldMean:
-    """The mean field over some seconds of a window."""
+    """The mean field over some seconds."""
 
-    window: int
-    node: int
     t_s: float
-    in_K: FloatArray
-    in_A: FloatArray
-    share: float
-    attitude_covariance: FloatArray
+    in_K: FloatArray  # (3,)
+    in_A: FloatArray  # (3,)
+    share: float  # Of its samples with the field's usual strength
+    attitude_covariance: FloatArray  # (3, 3) rad^2
+
+
+@dataclass(frozen=True)
+class Field:
+    """Directions of the field that are used."""
+
+    t_s: FloatArray  # (k,)
+    in_A: FloatArray  # (k, 3): unit vectors in {A}
+    in_K: FloatArray  # (3,): unit vector of the field in {K}
+    sigma_rad: float  # Of each
+    common_rad: float  # Of the field's direction in {K}
+
+    def at_nodes(self, t: FloatArray) -> FieldMeasurements | None:
+        """A window's directions; together they know the field's no better than the recording does."""
+        own = np.flatnonzero((self.t_s >= t[0]) & (self.t_s <= t[-1]))
+        if not len(own):
+            return None
+        node = np.abs(t - self.t_s[own, None]).argmin(axis=1)
+        sigma_rad = float(np.hypot(self.sigma_rad, np.sqrt(len(own)) * self.common_rad))
+        return FieldMeasurements(node, self.in_A[own], self.in_K, sigma_rad)
 
 
 @dataclass(frozen=True)
 class Magnetometer:
     """What became of the magnetometer."""
 
-    direction: FloatArray  # (3,): of the field in {K}; nan where it is not known
-    sigma_rad: float = float("nan")  # Of a mean's direction
-    means: int = 0  # How many means of the field there are, and how many are used
-    used: int = 0  # How many means of the field there are, and how many are used
     note: str = ""  # A sentence for the reader, "" where there is no calibrated magnetometer
-    # What it adds to a window of the second pass, by the window's number in the recording
-    by_window: dict[int, FieldMeasurements] = field(default_factory=dict)
+    field: Field | None = None  # What is used of it
+    means: int = 0  # How many means of the field there are
+
+    @property
+    def used(self) -> int:
+        """How many of them are used."""
+        return 0 if self.field is None else len(self.field.t_s)
 
     def noted(self, recovery: Recovery) -> Recovery:
         """The recovery with a word on the magnetometer."""
@@ -84,27 +105,23 @@ class Magnetometer:
         estimates = replace(
             recovery.estimates, magnetometer_blocks=self.means, magnetometer_blocks_used=self.used
         )
-        if self.used:
+        if self.field is not None:
             estimates = replace(
                 estimates,
-                magnetometer_sigma_deg=float(np.degrees(max(self.sigma_rad, FACTOR_SIGMA_RAD))),
-                magnetic_field_direction=tuple(self.direction.tolist()),
+                magnetometer_sigma_deg=float(np.degrees(self.field.sigma_rad)),
+                magnetic_field_direction=tuple(self.field.in_K.tolist()),
             )
         return replace(recovery, notes=(*recovery.notes, self.note), estimates=estimates)
 
 
-#: A recording without one.
-NO_MAGNETOMETER = Magnetometer(np.full(3, np.nan))
-
-
 @dataclass(frozen=True)
 class FieldObservation:
-    """What the magnetometer read in a window of the first pass."""
+    """What the magnetometer read at the nodes of a section."""
 
-    t_s: FloatArray
-    in_K: FloatArray
-    R_K_A: FloatArray
-    attitude_covariance: FloatArray
+    t_s: FloatArray  # (n,)
+    in_K: FloatArray  # (n, 3); nan where it has no sample
+    R_K_A: FloatArray  # (n, 3, 3)
+    attitude_covariance: FloatArray  # (n, 3, 3) rad^2
 
     @property
     def strength(self) -> FloatArray:
@@ -117,32 +134,29 @@ def takes_part(imu: ImuStream) -> bool:
     return imu.mag is not None and imu.mag_calibrated
 
 
-def observe(imu: ImuStream, window: Window, solution: Solution) -> FieldObservation:
-    """What a window's solution, with covariance, makes of the magnetometer's samples."""
+def observe(imu: ImuStream, solution: Solution, start_s: float, end_s: float) -> FieldObservation:
+    """What a solution with covariance makes of the magnetometer's samples between two times."""
     assert imu.mag is not None and solution.forearm.pose_covariance is not None
+    nodes = np.flatnonzero((solution.t >= start_s) & (solution.t <= end_s))
+    t, R = solution.t[nodes], solution.forearm.states.R[nodes]
     have = imu.select(np.asarray(np.isfinite(imu.mag).all(axis=1)))
-    in_K = np.full((len(window.t), 3), np.nan) if len(have) < 2 else _in_camera(have, window, solution)
-    return FieldObservation(
-        window.t, in_K, solution.forearm.states.R, solution.forearm.pose_covariance[:, 3:, 3:]
-    )
+    in_K = np.full((len(t), 3), np.nan) if len(have) < 2 else _in_camera(have, t, R)
+    return FieldObservation(t, in_K, R, solution.forearm.pose_covariance[nodes, 3:, 3:])
 
 
-def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer]:
-    """The field's strength over all windows; nan, and why, where it cannot be used."""
-    known = np.concatenate([each[np.isfinite(each)] for each in strengths])
+def judged(observations: Iterable[FieldObservation]) -> Magnetometer:
+    """Find the field's direction in {K}, and which means of it agree: they are used."""
+    seen = list(observations)
+    known = np.concatenate([np.zeros(0), *(each.strength[np.isfinite(each.strength)] for each in seen)])
     if not len(known):
-        return float("nan"), _without("it has no samples while the arm was solved")
+        return _without("it has no samples while the arm was solved")
     strength = float(np.median(known))
     if not abs(strength - 1.0) < STRENGTH_ELSEWHERE:
-        return float("nan"), _without(
+        return _without(
             f"the field is {strength:.2f} times as strong as where it was calibrated; a magnet is near, or"
             " the calibration is not of this sensor"
         )
-    return strength, NO_MAGNETOMETER
-
-
-def judge(means: Sequence[FieldMean]) -> Magnetometer:
-    """Find the field's direction in {K}, and which means of it agree: they are used in the second pass."""
+    means = [mean for each in seen for mean in field_means(each, strength)]
     calm = [mean for mean in means if mean.share >= SHARE_NEEDED]
     if len(means) < MEANS_NEEDED:
         return _without(
@@ -151,26 +165,24 @@ def judge(means: Sequence[FieldMean]) -> Magnetometer:
     if len(calm) < max(MEANS_SHARE * len(means), MEANS_NEEDED):
         return _without(_off(len(means) - len(calm), len(means), "strength"))
     direction, covariance, sigma, good = _agree(means, calm)
-    if good.sum() < max(MEANS_SHARE * len(means), MEANS_NEEDED):
-        return _without(_off(len(means) - int(good.sum()), len(means), "direction"))
-    common = float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
-    by_window: dict[int, list[FieldMean]] = {}
-    for mean, is_good in zip(calm, good, strict=True):
-        if is_good:
-            by_window.setdefault(mean.window, []).append(mean)
     used = int(good.sum())
-    sigma_deg = np.degrees(max(sigma, FACTOR_SIGMA_RAD))
-    note = f"the magnetometer is used, with a sigma of {sigma_deg:.1f} degrees for the field's direction"
+    if used < max(MEANS_SHARE * len(means), MEANS_NEEDED):
+        return _without(_off(len(means) - used, len(means), "direction"))
+    sigma_rad = max(sigma, FACTOR_SIGMA_RAD)
+    note = (
+        f"the magnetometer is used, with a sigma of {np.degrees(sigma_rad):.1f} degrees for the field's"
+        " direction"
+    )
     if used < len(means):
         note += f"; it was left out in {len(means) - used} of {len(means)} places, as it disagrees there"
-    measurements = {
-        window: _field_measurements(own, direction, sigma, common) for window, own in by_window.items()
-    }
-    return Magnetometer(direction, sigma, len(means), used, note, measurements)
+    in_A = unit(np.array([mean.in_A for mean in calm])[good])
+    t_s = np.array([mean.t_s for mean in calm])[good]
+    common_rad = float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
+    return Magnetometer(note, Field(t_s, in_A, direction, sigma_rad, common_rad), len(means))
 
 
 def _without(reason: str) -> Magnetometer:
-    return Magnetometer(np.full(3, np.nan), note=reason and f"the magnetometer was left out: {reason}")
+    return Magnetometer(f"the magnetometer was left out: {reason}")
 
 
 def _agree(
@@ -179,8 +191,8 @@ def _agree(
     """The field's direction that most means agree on, and which do."""
     in_K = np.array([mean.in_K for mean in calm])
     strength = np.linalg.norm(in_K, axis=1)
-    unit = in_K / strength[:, None]
-    window = np.array([mean.window for mean in calm])
+    pointing = in_K / strength[:, None]
+    part = np.array([mean.t_s // ATTITUDE_S for mean in calm])
     attitude = np.array([mean.attitude_covariance for mean in calm])
     usual = float(np.median(strength))
     varies = 1.4826 * float(np.median(np.abs(strength - usual)))
@@ -191,19 +203,19 @@ def _agree(
             break
         sigma = max(float(np.std(strength[good])) / usual, LEAST_SIGMA_RAD)
         across = axes_across(direction)
-        residual = unit @ across.T
+        residual = pointing @ across.T
         tilt = across @ skew(direction[None])[0]  # a small turn moves the direction by turn x direction
         own = tilt @ attitude @ tilt.T
         information, sum_ = np.zeros((2, 2)), np.zeros(2)
-        for k in np.unique(window[good]):
-            rows = good & (window == k)
+        for k in np.unique(part[good]):
+            rows = good & (part == k)
             weight = np.linalg.inv(own[rows].mean(axis=0) + np.eye(2) * sigma**2 / rows.sum())
             information += weight
             sum_ += weight @ residual[rows].mean(axis=0)
         covariance = np.asarray(np.linalg.inv(information), np.float64)
         direction = direction + (covariance @ sum_) @ across
         direction = direction / np.linalg.norm(direction)
-        left = unit @ axes_across(direction).T
+        left = pointing @ axes_across(direction).T
         expected = own + covariance + np.eye(2) * sigma**2
         far = np.einsum("ni,nij,nj->n", left, np.linalg.inv(expected), left)
         good = calm_enough & (far < FAR**2)
@@ -225,27 +237,23 @@ def _off(bad: int, means: int, what: str) -> str:
     return f"in {bad} of {means} places the field's {what} is off; magnets or iron are near"
 
 
-def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray:
-    """The field at the window's nodes (n, 3) in {K}; nan where there is no sample."""
+def _in_camera(imu: ImuStream, t: FloatArray, R_K_A: FloatArray) -> FloatArray:
+    """The field at nodes (n, 3) in {K}; nan where there is no sample."""
     assert imu.mag is not None
-    t = imu.t_s
-    after = np.clip(np.searchsorted(t, window.t), 1, len(t) - 1)
-    apart = np.minimum(np.abs(window.t - t[after - 1]), np.abs(window.t - t[after]))
-    sample = np.stack([np.interp(window.t, t, axis) for axis in imu.mag.T], axis=1)
+    after = np.clip(np.searchsorted(imu.t_s, t), 1, len(imu.t_s) - 1)
+    apart = np.minimum(np.abs(t - imu.t_s[after - 1]), np.abs(t - imu.t_s[after]))
+    sample = np.stack([np.interp(t, imu.t_s, axis) for axis in imu.mag.T], axis=1)
     sample[apart > NEAR_S] = np.nan
-    return np.asarray(np.einsum("nij,nj->ni", solution.forearm.states.R, sample))
+    return np.asarray(np.einsum("nij,nj->ni", R_K_A, sample))
 
 
-def field_means(
-    number: int, seen: FieldObservation, strength: float, later_t: FloatArray, later_R: FloatArray
-) -> Iterator[FieldMean]:
-    """Means over means of a window, of the samples with the field's usual strength."""
+def field_means(seen: FieldObservation, strength: float) -> Iterator[FieldMean]:
+    """Means over some seconds each, of the samples with the field's usual strength."""
     t, known = seen.t_s, np.isfinite(seen.in_K).all(axis=1)
     with np.errstate(invalid="ignore"):
         good = np.abs(seen.strength / strength - 1.0) < STRENGTH_OFF
     count = max(round(float(t[-1] - t[0]) / MEAN_S), 1)
-    edges = np.linspace(t[0], t[-1], count + 1)
-    of = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, count - 1)
+    of = np.clip(np.searchsorted(np.linspace(t[0], t[-1], count + 1), t, side="right") - 1, 0, count - 1)
     for k in range(count):
         nodes = of == k
         rows = np.flatnonzero(nodes & known)
@@ -253,36 +261,16 @@ def field_means(
             continue
         share = float(good[rows].mean())
         mean = seen.in_K[rows[good[rows]]].mean(axis=0) if share > 0 else np.full(3, np.nan)
-        middle = rows[len(rows) // 2]
-        node = int(np.argmin(np.abs(later_t - t[middle])))
-        yield FieldMean(
-            number,
-            node,
-            float(later_t[node]),
-            mean,
-            later_R[node].T @ mean,
-            share,
-            seen.attitude_covariance[middle],
-        )
+        node = rows[len(rows) // 2]
+        in_A = seen.R_K_A[node].T @ mean
+        yield FieldMean(float(t[node]), mean, in_A, share, seen.attitude_covariance[node])
 
 
 def middle_direction(vectors: FloatArray) -> FloatArray:
     """Unit vector (3,) in the middle of directions (N, 3), far ones pulling less (spatial median)."""
-    unit = vectors / np.linalg.norm(vectors, axis=1)[:, None]
-    middle = np.median(unit, axis=0)
+    pointing = unit(vectors)
+    middle = np.median(pointing, axis=0)
     for _ in range(30):  # Weiszfeld's iteration
-        weight = 1.0 / np.maximum(np.linalg.norm(unit - middle, axis=1), 1e-3)
-        middle = weight @ unit / weight.sum()
+        weight = 1.0 / np.maximum(np.linalg.norm(pointing - middle, axis=1), 1e-3)
+        middle = weight @ pointing / weight.sum()
     return np.asarray(middle / np.linalg.norm(middle))
-
-
-def _field_measurements(
-    own: list[FieldMean], direction: FloatArray, sigma: float, common: float
-) -> FieldMeasurements:
-    """A window's means; together they know the direction no better than the recording does."""
-    return FieldMeasurements(
-        node=np.array([mean.node for mean in own]),
-        in_A=np.array([mean.in_A / np.linalg.norm(mean.in_A) for mean in own]),
-        in_K=direction,
-        sigma_rad=float(np.sqrt(max(sigma, FACTOR_SIGMA_RAD) ** 2 + len(own) * common**2)),
-    )

@@ -19,12 +19,12 @@ from ..selfcal.self_calibration import SelfCalibration
 from .blended_columns import ArmColumns, DrawColumns, FurtherColumns, merged_gaps
 from .magnetometer import Magnetometer
 from .notes import notes_on, unexplained_gaps
-from .second_pass import SecondAnswer
+from .solve_section import SolvedSection
 from .task import Task
 
 
 def merge(
-    answers: Iterable[SecondAnswer],
+    answers: Iterable[SolvedSection],
     recording: Recording,
     timeline: Timeline,
     task: Task,
@@ -38,7 +38,7 @@ def merge(
     drawn = DrawColumns(recording.imu.t_s, task.plan, store)
     unexplained: list[Gap] = []
     for answer in answers:
-        share, rows = columns.add(answer.answer, answer.messages), answer.answer.samples
+        share, rows = columns.add(answer.answer), answer.answer.samples
         for each in answer.answer.further:
             further.add(each, rows, share)
         drawn.add(answer.draws, rows, share)

@@ -1,4 +1,4 @@
-"""The answer at the samples of a section, from the joined motion of its windows."""
+"""The answer at the samples of a section, from its solution at the nodes."""
 
 from __future__ import annotations
 
@@ -23,14 +23,8 @@ from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.prepare import PreparedSegment
 from ..window.problem import States
-from ..window.trajectory import (
-    BLEND_HALF_S,
-    SegmentTrajectory,
-    Trajectory,
-    at_times,
-    joint_from_pose,
-    segment_at,
-)
+from ..window.solution import SegmentSolution, Solution
+from ..window.trajectory import BLEND_HALF_S, at_times, joint_from_pose, segment_at
 
 #: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
 UNKNOWN_LEVER_M = 0.08
@@ -63,6 +57,7 @@ class SectionAnswer:
     used: BoolArray
     reason: NDArray[np.uint8]
     gravity: FloatArray
+    bias: FloatArray  # (6,) m/s^2 and rad/s
     further: tuple[FurtherAnswer, ...] = ()
 
 
@@ -71,24 +66,25 @@ def sample_section(
     first_sample: int,
     segment: Segment,
     prepared: PreparedSegment,
-    trajectory: Trajectory,
+    solution: Solution,
     model: SelfCalibration,
     names: Sequence[str],
 ) -> SectionAnswer:
-    """The answer of a section at its samples, from its trajectory."""
+    """The answer of a section at its samples, from its solution."""
     clock, calibration = model.clock, model.estimate
-    start_s = max(trajectory.t[0], prepared.start_s - BLEND_HALF_S)
-    end_s = min(trajectory.t[-1], prepared.end_s + BLEND_HALF_S)
+    start_s = max(solution.t[0], prepared.start_s - BLEND_HALF_S)
+    end_s = min(solution.t[-1], prepared.end_s + BLEND_HALF_S)
     first, last = np.searchsorted(imu_t, start_s), np.searchsorted(imu_t, end_s, side="right")
     t = imu_t[first:last]
-    states, pose = poses_at(trajectory, prepared.forearm.signal, clock, t)
-    velocity = interpolate(trajectory.t, trajectory.forearm.velocity_covariance, t)
+    states, pose = poses_at(solution, prepared.forearm.signal, clock, t)
+    assert solution.forearm.velocity_covariance is not None
+    velocity = interpolate(solution.t, solution.forearm.velocity_covariance, t)
     if len(t) > 1:
         acceleration = IMU_DELAY_S * np.gradient(states.v, t, axis=0)
         velocity += acceleration[:, :, None] * acceleration[:, None, :]
-    further = {body.segment: further_poses(body, prepared, clock, t) for body in trajectory.bodies[1:]}
+    further = {body.segment: further_poses(body, prepared, clock, t) for body in solution.bodies[1:]}
     poses = {FOREARM.name: (states, pose)} | further
-    joints = {joint: _joint(joint, *poses[segment_of(joint, poses)], model, trajectory, t) for joint in names}
+    joints = {joint: _joint(joint, *poses[segment_of(joint, poses)], model, solution, t) for joint in names}
     place_m, turn_rad = unknown_mounting(model)  # joints that are seen are known all the same
     pose += np.diag([place_m**2] * 3 + [turn_rad**2] * 3)
     frame_t = segment.frame_t_imu(clock)
@@ -110,13 +106,14 @@ def sample_section(
         ),
         frames=slice(segment.frames.start + own.start, segment.frames.start + own.stop),
         residual=across(
-            frame_residuals(position, frame_t[own], prepared, trajectory, calibration),
+            frame_residuals(position, frame_t[own], prepared, solution, calibration),
             position,
             None if (origin := segment.frame_origins) is None else origin[own],
         ),
         used=segment.accepted[own] & located(calibration),
         reason=segment.reason[own],
-        gravity=trajectory.forearm.gravity.mean(axis=0),
+        gravity=solution.forearm.gravity,
+        bias=solution.shared[:6],
         further=tuple(
             FurtherAnswer.of(name, *own, {joint: place for joint, (place, _) in joints.items()}, t)
             for name, own in further.items()
@@ -125,7 +122,7 @@ def sample_section(
 
 
 def further_poses(
-    motion: SegmentTrajectory, prepared: PreparedSegment, clock: Clock, t: FloatArray
+    motion: SegmentSolution, prepared: PreparedSegment, clock: Clock, t: FloatArray
 ) -> tuple[States, FloatArray]:
     """States of a further IMU at times (n,) on the forearm IMU's clock, and pose covariances (n, 6, 6)."""
     states = segment_at(motion, prepared, t)
@@ -133,17 +130,17 @@ def further_poses(
     pose = np.full((len(t), 6, 6), np.nan)
     if known.any():
         v = states.v[known]
-        pose[known] = widen_turns(interpolate(motion.t, motion.pose_covariance, t)[known])
+        pose[known] = widen_turns(motion.pose_covariance_at(t)[known])
         pose[known, :3, :3] += clock.local_sigma_s**2 * v[:, :, None] * v[:, None, :]
     return states, pose
 
 
 def poses_at(
-    trajectory: Trajectory, signal: InertialSignal, clock: Clock, t: FloatArray
+    solution: Solution, signal: InertialSignal, clock: Clock, t: FloatArray
 ) -> tuple[States, FloatArray]:
     """States at times (n,) on the IMU's clock, and the pose's covariance (n, 6, 6) there."""
-    states = at_times(trajectory.forearm, signal, t)
-    pose = widen_turns(interpolate(trajectory.t, trajectory.forearm.pose_covariance, t))
+    states = at_times(solution.forearm, signal, t)
+    pose = widen_turns(solution.forearm.pose_covariance_at(t))
     # a clock that is off by a moment moves the whole path along itself
     pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
     # an IMU that is late shows the pose of a moment ago
@@ -208,7 +205,7 @@ def _joint(
     states: States,
     pose_covariance: FloatArray,
     model: SelfCalibration,
-    motion: Trajectory,
+    motion: Solution,
     t: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """A joint's position and covariance at the samples: a lever arm on the pose, or the shoulder."""
@@ -222,7 +219,7 @@ def _joint(
         return nothing
     spread_m = moves_by(joint, [body.segment for body in motion.bodies], model)
     lever_covariance = None if lever is None else np.diag(lever.sigma_m**2 + spread_m**2)
-    return joint_from_pose(states.R, states.p, pose_covariance, motion.lever_at(joint, t), lever_covariance)
+    return joint_from_pose(states.R, states.p, pose_covariance, motion.lever(joint), lever_covariance)
 
 
 def moves_by(joint: str, segments: Iterable[str], model: SelfCalibration) -> float:
@@ -235,7 +232,7 @@ def moves_by(joint: str, segments: Iterable[str], model: SelfCalibration) -> flo
     return float(np.sqrt(max(own**2 - shared**2, 0.0)))
 
 
-def lever_on(joint: str, calibration: ArmCalibration, motion: Trajectory) -> LeverArm | None:
+def lever_on(joint: str, calibration: ArmCalibration, motion: Solution) -> LeverArm | None:
     """A joint's lever arm in the axes of the IMU that its camera samples are tied to; None where unknown."""
     segment = segment_of(joint, [body.segment for body in motion.bodies])
     if segment == FOREARM.name:
@@ -247,7 +244,7 @@ def frame_residuals(
     position: FloatArray,
     frame_t: FloatArray,
     prepared: PreparedSegment,
-    motion: Trajectory,
+    motion: Solution,
     calibration: ArmCalibration,
 ) -> FloatArray:
     """Camera minus answer (f, 5, 3) m at frames (IMU clock), used or rejected; nan where there is none."""
@@ -267,8 +264,7 @@ def frame_residuals(
             continue
         if joint == "strap" or lever_on(joint, calibration, motion) is not None:
             own = states[segment_of(joint, states)]
-            arm = np.einsum("nij,nj->ni", own.R, motion.lever_at(joint, frame_t[rows]))
-            residual[rows, column] = position[rows, column] - own.p - arm
+            residual[rows, column] = position[rows, column] - own.p - own.R @ motion.lever(joint)
     return residual
 
 

@@ -15,7 +15,6 @@ from ..measurements.segment import FEWEST_SAMPLES, Segment, SegmentTraits, Timel
 from ..measurements.visibility import MISSING_S
 from ..recording import ImuStream, JointTracks, Recording
 from ..selfcal.further_imu import FurtherImu
-from ..window.cut import KEEP_S
 from ..window.prepare import REACH_S
 
 #: Length aimed at, s.
@@ -24,6 +23,10 @@ SECTION_S = 60.0
 CONTEXT_S = 12.0
 #: Of an IMU on another segment this much more, s: it has to cover the last node.
 FURTHER_MORE_S = 0.5
+#: Borders keep this far from gaps where the visible time between two gaps is long enough, s.
+KEEP_S = 2.0
+#: In longer gaps they also lie where the camera sees one joint, s: a section takes memory by its length.
+PARTLY_S = 60.0
 #: A border may be this far from its even place, as a share of the sections' length; there is none otherwise.
 FARTHEST = 0.45
 #: Visible time that a border lacks around it is treated as this many times as much distance from its place.
@@ -76,7 +79,7 @@ class Sections:
     ) -> None:
         self._recording, self._timeline, self._further = recording, timeline, further
         frame_t_imu = clock.to_imu(recording.arm.t_s)
-        visible_times = _visible_times(frame_t_imu[timeline.visible])
+        visible_times = _visible_times(frame_t_imu[timeline.visible], frame_t_imu[timeline.seen])
         self.all: list[Section] = []
         for segment in timeline.segments:
             for stretch in _stretches(recording.imu.t_s, segment, frame_t_imu[timeline.seen]):
@@ -118,8 +121,21 @@ def _here(values: FloatArray) -> FloatArray:
     return np.array(values, dtype=np.float64, subok=False)
 
 
-def _visible_times(frame_t: FloatArray) -> FloatArray:
-    """Start and end of each time without a gap, (r, 2) s, from the times of the visible frames."""
+def _visible_times(visible_t: FloatArray, seen_t: FloatArray) -> FloatArray:
+    """Start and end of each time without a gap, (r, 2) s; in long gaps, of each time that saw one joint."""
+    whole = _runs(visible_t)
+    ends = np.concatenate([[-np.inf], whole.ravel(), [np.inf]]).reshape(-1, 2)
+    partly = [
+        _runs(seen_t[(seen_t > start_s) & (seen_t < end_s)])
+        for start_s, end_s in ends
+        if end_s - start_s > PARTLY_S
+    ]
+    times = np.concatenate([whole, *(runs[runs[:, 1] - runs[:, 0] > 2.0 * KEEP_S] for runs in partly)])
+    return times[np.argsort(times[:, 0])]
+
+
+def _runs(frame_t: FloatArray) -> FloatArray:
+    """Start and end of each run of frames without a gap, (r, 2) s."""
     if not len(frame_t):
         return np.zeros((0, 2))
     breaks = np.flatnonzero(np.diff(frame_t) > MISSING_S)

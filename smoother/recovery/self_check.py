@@ -24,10 +24,9 @@ from ..recording import FOREARM_JOINTS, JOINTS
 from ..result import Draws, Recovery, SelfCheck
 from ..runtime.store import batches
 from ..units import GRAVITY
-from ..window.cut import cut
+from ..window.cut import window_between
 from ..window.prepare import PreparedSegment
-from ..window.problem import Priors, Window
-from ..window.trajectory import joint_from_pose, merge_windows, share_after
+from ..window.trajectory import joint_from_pose, share_after
 from .samples import poses_at
 from .task import Task
 
@@ -74,21 +73,10 @@ class HiddenStretch:
         return self.nees > FAILED_NEES and self.rms_m > FAILED_M
 
 
-def hide_and_recover(
-    prepared: PreparedSegment,
-    windows: Sequence[Window],
-    priors: Sequence[Priors],
-    task: Task,
-) -> list[HiddenStretch]:
+def hide_and_recover(prepared: PreparedSegment, task: Task) -> list[HiddenStretch]:
     """Hide some stretches of a section, recover each, and compare."""
-    found = []
-    for gap in choose_stretches(prepared, task.stretches, task.usual_gap_s):
-        middle = 0.5 * (gap.start_s + gap.end_s)
-        number = int(
-            np.clip(np.searchsorted([window.core_end_s for window in windows], middle), 0, len(windows) - 1)
-        )
-        found.append(_recovered(prepared, gap, windows[number], priors[number], task))
-    return found
+    stretches = choose_stretches(prepared, task.stretches, task.usual_gap_s)
+    return [_recovered(prepared, gap, task) for gap in stretches]
 
 
 def choose_stretches(prepared: PreparedSegment, count: int, usual_gap_s: float) -> list[Gap]:
@@ -171,15 +159,13 @@ class _Motion:
         return np.log(np.array(rms) + np.array([0.05, 0.05]))
 
 
-def _recovered(
-    prepared: PreparedSegment, gap: Gap, window: Window, priors: Priors, task: Task
-) -> HiddenStretch:
+def _recovered(prepared: PreparedSegment, gap: Gap, task: Task) -> HiddenStretch:
     """One stretch, hidden and recovered."""
     t = prepared.frame_t_imu
     hidden: BoolArray = (t >= gap.start_s) & (t <= gap.end_s)
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     accepted = prepared.accepted.copy()
-    layout = priors.layout
+    layout = task.prior.layout
     on_forearm = [joint for joint in REFERENCES if layout.segment_of(joint) == FOREARM.name]
     reference = next(
         (joint for joint in on_forearm if (accepted[hidden, JOINTS.index(joint)]).sum() > 2), None
@@ -192,25 +178,22 @@ def _recovered(
     copy = replace(
         prepared, accepted=accepted, gaps=tuple(sorted((*prepared.gaps, gap), key=lambda each: each.start_s))
     )
-    start_s, end_s = max(gap.start_s, prepared.t[0]), min(gap.end_s, prepared.t[-1])
-    borders = [float(prepared.t[0]), start_s, end_s, float(prepared.t[-1])]
-    noise = task.noise
-    (own,) = cut(copy, [priors] * 3, noise, borders, MARGIN_S, GRAVITY, task.sharing, {1})
+    own = window_between(
+        copy, task.prior, task.noise, task.sharing, gap.start_s - MARGIN_S, gap.end_s + MARGIN_S
+    )
     own = replace(own, considered=task.model.errors.considered)
     try:
-        solution = solve(own, with_covariance=True, with_message=False, tolerance=1e-2)
+        solution = solve(own, with_covariance=True, tolerance=1e-2)
     except SolveError:
         return HiddenStretch(gap.start_s, gap.end_s)
-    nodes = prepared.t[(prepared.t >= own.t[0]) & (prepared.t <= own.t[-1])]
-    trajectory = merge_windows(nodes, [replace(own, core_start_s=-np.inf, core_end_s=np.inf)], [solution])
     model = task.model
-    states, pose = poses_at(trajectory, prepared.forearm.signal, model.clock, t[rows])
+    states, pose = poses_at(solution, prepared.forearm.signal, model.clock, t[rows])
     lever = model.estimate.lever_arms.get(reference)
     place, covariance = joint_from_pose(
         states.R,
         states.p,
         pose,
-        trajectory.lever_at(reference, t[rows]),
+        solution.lever(reference),
         None if lever is None else np.diag(lever.sigma_m**2),
     )
     cameras = np.zeros(len(rows), int) if prepared.camera is None else prepared.camera[rows].astype(int)

@@ -8,19 +8,19 @@ series models, 1989), and their smoothed mean is the clock.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..measurements.clock import LARGEST_OFFSET_S, OFFSET_SIGMA_S, Clock
 from ..measurements.rays import AT_M
 from ..window.problem import Window
 from ..window.solution import Solution
 
-#: Offsets of synthetic stamps are estimated this far apart, s; others a window at a time.
-SYNTHETIC_SPACING_S = 0.5
+#: Offsets are estimated this far apart, s; those of synthetic stamps, which hide dropped frames, closer.
+SPACING_S, SYNTHETIC_SPACING_S = 12.0, 0.5
 #: How fast the offset may wander, s/sqrt(s): the likeliest is taken, if clearly likelier than a constant
 #: (log-likelihood). Stamps of a camera drift slowly; synthetic stamps hide dropped frames.
 WALKS = (0.0, 0.0003, 0.001)
@@ -43,8 +43,8 @@ def refined_clock(clock: Clock, score: ClockScore, synthetic_stamps: bool) -> Cl
     if not score.information.sum() > 0:
         return clock
     t = score.t - clock.mean_s  # back to the camera's clock, near enough to place knots
-    group = np.floor(t / SYNTHETIC_SPACING_S).astype(int) if synthetic_stamps else score.window
-    _, group = np.unique(group, return_inverse=True)
+    spacing_s = SYNTHETIC_SPACING_S if synthetic_stamps else SPACING_S
+    _, group = np.unique(np.floor((t - t.min()) / spacing_s), return_inverse=True)
     information = np.bincount(group, weights=score.information)
     informed = information > 1e-6 * information.max()
     information = information[informed]
@@ -75,22 +75,6 @@ def refined_clock(clock: Clock, score: ClockScore, synthetic_stamps: bool) -> Cl
     )
 
 
-def refined_clocks(
-    clocks: Sequence[Clock],
-    synthetic_stamps: Sequence[bool],
-    windows: Sequence[Window],
-    solutions: Sequence[Solution],
-    recording_of_window: IntArray,  # int (len(windows) )
-) -> tuple[Clock, ...]:
-    """Every recording's clock moved by the residuals of its own windows."""
-    refined = list(clocks)
-    for number in np.unique(recording_of_window).tolist():
-        own = np.flatnonzero(recording_of_window == number).tolist()
-        score = clock_score([windows[k] for k in own], [solutions[k] for k in own])
-        refined[number] = refined_clock(refined[number], score, synthetic_stamps[number])
-    return tuple(refined)
-
-
 @dataclass(frozen=True)
 class ClockScore:
     """Evidence of camera samples on the clock offset: their likelihood's score, and its Fisher
@@ -100,24 +84,22 @@ class ClockScore:
     t: FloatArray  # (n,) s: on the IMU's clock
     slope: FloatArray  # (n,) 1/s: fall of the loss for a later offset
     information: FloatArray  # (n,) 1/s^2: of the offset
-    window: IntArray  # int (n,): number of the window that the sample is of
 
     def condensed(self) -> ClockScore:
-        """The score of one window summed up over half a second at a time."""
+        """The same summed up over half a second at a time."""
         _, group = np.unique(np.floor(self.t / SYNTHETIC_SPACING_S), return_inverse=True)
         count = np.bincount(group)
         return ClockScore(
             np.bincount(group, weights=self.t) / count,
             np.bincount(group, weights=self.slope).astype(float),
             np.bincount(group, weights=self.information).astype(float),
-            np.full(len(count), self.window[0] if len(self.window) else 0),
         )
 
 
-def clock_score(windows: Sequence[Window], solutions: Sequence[Solution]) -> ClockScore:
+def clock_score(windows: Iterable[tuple[Window, Solution]]) -> ClockScore:
     """The score of the samples in the windows' own time."""
-    columns: list[tuple[FloatArray, FloatArray, FloatArray, IntArray]] = []
-    for number, (window, solution) in enumerate(zip(windows, solutions, strict=True)):
+    scores = []
+    for window, solution in windows:
         if not window.joint_measurements:
             continue
         t, slope, bound = (
@@ -125,16 +107,22 @@ def clock_score(windows: Sequence[Window], solutions: Sequence[Solution]) -> Clo
         )
         core = (t >= window.core_start_s) & (t <= window.core_end_s)
         share = np.clip(solution.offset_information / max(bound.sum(), 1e-12), SMALLEST_SHARE, 1.0)
-        columns.append((t[core], slope[core], share * bound[core], np.full(int(core.sum()), number)))
-    if not columns:
-        return ClockScore(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, int))
-    return ClockScore(*(np.concatenate(each) for each in zip(*columns, strict=True)))
+        scores.append(ClockScore(t[core], slope[core], share * bound[core]))
+    return joined_scores(scores)
+
+
+def joined_scores(scores: Sequence[ClockScore]) -> ClockScore:
+    """Several scores as one."""
+    columns = [[getattr(score, name) for score in scores] for name in ("t", "slope", "information")]
+    return ClockScore(*(np.concatenate([np.zeros(0), *each]) for each in columns))
 
 
 def _joint_scores(window: Window, solution: Solution) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """Times, slopes, and information where the states would not follow, joint by joint."""
     for measured in window.joint_measurements:
-        velocity = solution.of(measured.segment).states.v[measured.node] + measured.velocity
+        body = solution.of(measured.segment)
+        assert body is not None
+        velocity = body.states.v[measured.node] + measured.velocity
         residual, rays = solution.residuals[measured.key], measured.rays
         if rays is not None and (distance_m := measured.distance_m) is not None:
             velocity = velocity - np.sum(velocity * rays, axis=1, keepdims=True) * rays
@@ -143,13 +131,6 @@ def _joint_scores(window: Window, solution: Solution) -> Iterator[tuple[FloatArr
         weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / measured.sigma_m**2
         slope = weight * np.einsum("ni,ni->n", residual, velocity)
         yield measured.t_s, slope, weight * np.einsum("ni,ni->n", velocity, velocity)
-
-
-def pooled_score(scores: Sequence[ClockScore]) -> ClockScore:
-    """The scores of windows apart as one, the windows numbered anew."""
-    number = [np.full(len(score.t), k) for k, score in enumerate(scores)]
-    columns = [[getattr(score, name) for score in scores] for name in ("t", "slope", "information")]
-    return ClockScore(*(np.concatenate(each) for each in (*columns, number)))
 
 
 def _likeliest(

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
+from ..linalg import scaled_inverse
 from ..measurements.inertial import InertialSignal
 from ..measurements.segment import Segment
 from ..recording import JOINTS
@@ -26,6 +27,7 @@ from ..window.shared import (
     STRAP_ERRORS,
     STRAP_PLACE,
     Considered,
+    Gaussian,
 )
 from ..window.solution import Solution
 
@@ -46,7 +48,7 @@ class PooledEvidence:
         solutions: Sequence[Solution],
         prior: Priors,
         recording_of_window: IntArray,  # int (k,)
-        before: FloatArray,  # (SIZE,)
+        taken_off: ConstantErrors,
     ) -> PooledEvidence:
         """Add the windows up, and the prior on what they share once."""
         recordings = int(recording_of_window.max(initial=0)) + 1
@@ -67,7 +69,16 @@ class PooledEvidence:
             vector[gravity] += own[:2, :2] @ mean[prior.layout.gravity]
         information[np.ix_(constants, constants)] += own[2:, 2:]
         vector[constants] += own[2:, 2:] @ mean[prior.layout.constants]
+        before = np.concatenate([taken_off.imu.ravel(), taken_off.joints.error_m.ravel(), np.zeros(9)])
         return cls(information, vector, before, recordings)
+
+    @property
+    def constants(self) -> Gaussian:
+        """The arm's constants (upper arm, lever arms), the errors as they were taken off."""
+        others = slice(0, len(self.vector) - SIZE)
+        covariance = scaled_inverse(self.information[others, others])
+        rows = slice(2 * self.recordings, None)
+        return Gaussian((covariance @ self.vector[others])[rows], covariance[rows, rows])
 
     def posterior(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (SIZE,) and covariance (SIZE, SIZE) of the errors, of a prior about zero with a covariance."""
@@ -145,21 +156,20 @@ class ConstantErrors:
             known[key] = segment.signal.scaled(*(np.eye(3) - self.imu))
         return replace(segment, signal=known[key], position=segment.position - self.joints.error_m)
 
-    def updated(
-        self,
-        windows: Sequence[Window],
-        solutions: Sequence[Solution],
-        prior: Priors,
-        recording_of_window: IntArray,  # int (k,)
+    @classmethod
+    def estimated(
+        cls,
+        pooled: PooledEvidence,
+        joints: tuple[str, ...],
+        place: bool,
         imu_sigma: float,
         stamp_sigma_s: float = 0.0,
         focal_share: float = 0.0,
     ) -> ConstantErrors:
-        """The errors as estimated by another round."""
-        place = "strap" not in prior.layout.joints  # a tracked strap then represents the IMU
-        joints = _told(windows, place)
-        before = np.concatenate([self.imu.ravel(), self.joints.error_m.ravel(), np.zeros(9)])
-        pooled = PooledEvidence.of(windows, solutions, prior, recording_of_window, before)
+        """The errors as another round estimates them, of joints with enough samples.
+
+        `place`: a tracked strap represents the IMU.
+        """
         sizes = _Sizes(
             imu_sigma,
             imu_sigma,
@@ -192,7 +202,7 @@ class ConstantErrors:
             error_m -= error_m[[JOINTS.index(joint) for joint in joints]].mean(axis=0)
             if place:
                 error_m[JOINTS.index("strap")] = 0.0
-        return ConstantErrors(
+        return cls(
             mean[IMU_ERRORS].reshape(2, 3, 3),
             JointBias(error_m, joints, sizes.joint_m),
             Considered(covariance, pooled.shared_sensitivity(), stamp_sigma_s),
@@ -253,7 +263,7 @@ class _Sizes:
         )
 
 
-def _told(windows: Sequence[Window], place: bool = True) -> tuple[str, ...]:
+def well_seen_joints(windows: Sequence[Window], place: bool) -> tuple[str, ...]:
     """Joints of the forearm with enough samples; none where there are not two."""
     counts: dict[str, int] = {}
     for window in windows:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.segment import Segment, Timeline, make_segment, split_into_segments
 from ..measurements.visibility import enough_joints
@@ -19,6 +19,8 @@ from ..recording import Recording
 EXCERPT_S = 20.0
 EXCERPTS_S = 80.0
 WANTED = int(EXCERPTS_S / EXCERPT_S)
+#: A recording that is read whole is read in parts of this length, s.
+WHOLE_S = 60.0
 #: The inertial filter runs over this much more on both sides of an excerpt, s.
 CONTEXT_S = 12.0
 #: Turning is judged over this long, s.
@@ -97,37 +99,27 @@ def informative_recording(recording: Recording, timeline: Timeline) -> Recording
     return replace(recording, imu=recording.imu.select(samples), arm=recording.arm.select(frames), truth=None)
 
 
-def most_telling(
-    segment: Segment,
-    borders: Sequence[float],
-    count: int,
-) -> IntArray:  # int (min(count, len(borders) - 1),)
-    """Some windows of a segment, spread over it: of each part the most informative one."""
-    visible_t = _visible_t(segment)
-
-    def information(window: int) -> float:
-        start_s, end_s = borders[window], borders[window + 1]
-        visible = visible_t[slice(*np.searchsorted(visible_t, [start_s, end_s]).tolist())]
-        return _information(visible, _turning_of(segment, start_s, end_s))
-
-    return np.array(_best(range(len(borders) - 1), information, count))
-
-
 def choose_excerpts(segments: list[Segment]) -> list[Segment]:
     """Excerpts of segments in which the forearm is visible and turns most; all where they are short."""
-    if sum(segment.end_s - segment.start_s for segment in segments) <= 1.5 * EXCERPTS_S:
-        return segments
+    is_short = sum(segment.end_s - segment.start_s for segment in segments) <= 1.5 * EXCERPTS_S
     candidates = [
         segment.between(start_s, end_s)
         for segment in segments
-        for start_s, end_s in _even(segment.start_s, segment.end_s)
+        for start_s, end_s in _even(segment.start_s, segment.end_s, WHOLE_S if is_short else EXCERPT_S)
     ]
-    return _best(candidates, _information_of, WANTED)
+    return candidates if is_short else _best(candidates, _information_of, WANTED)
 
 
-def _even(start_s: float, end_s: float) -> Iterator[tuple[float, float]]:
-    """Intervals of equal length, about an excerpt's, from start to end."""
-    return pairwise(np.linspace(start_s, end_s, max(round((end_s - start_s) / EXCERPT_S), 1) + 1).tolist())
+def most_telling(segment: Segment, length_s: float) -> tuple[float, float]:
+    """From when to when a part of this length of a segment is the most informative, s on the IMU's clock."""
+    start_s, end_s = max(segment.start_s, segment.core_start_s), min(segment.end_s, segment.core_end_s)
+    candidates = list(_even(start_s, end_s, length_s))
+    return max(candidates, key=lambda part: _information_of(segment.between(*part)))
+
+
+def _even(start_s: float, end_s: float, length_s: float = EXCERPT_S) -> Iterator[tuple[float, float]]:
+    """Intervals of equal length, about the one given, from start to end."""
+    return pairwise(np.linspace(start_s, end_s, max(round((end_s - start_s) / length_s), 1) + 1).tolist())
 
 
 def _best(

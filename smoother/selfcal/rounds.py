@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration, LeverArm
 from ..config import Config
 from ..errors import CalibrationError
@@ -27,9 +27,7 @@ from ..measurements.outliers import reject_by_direction
 from ..measurements.segment import Segment
 from ..recording import JOINTS
 from ..runtime.pool import Pool
-from ..units import GRAVITY
-from ..window.cut import cut, cut_times
-from ..window.pooling import pooled
+from ..window.cut import window_between
 from ..window.prepare import PreparedSegment, prepare
 from ..window.priors import (
     InitialValues,
@@ -40,37 +38,15 @@ from ..window.priors import (
     upper_arm_length_sigma,
     upper_arm_seen,
 )
-from ..window.problem import Priors, Window
+from ..window.problem import Window
 from ..window.solution import Solution
-from ..window.trajectory import Trajectory, at_times, merge_windows
+from ..window.trajectory import started_from
 from .camera_noise import joint_noise, sigma_by_camera, sigma_by_joint
-from .clock_fit import SYNTHETIC_SIGMA_S, refined_clocks
-from .error_estimate import ConstantErrors, JointBias
+from .clock_fit import SYNTHETIC_SIGMA_S, clock_score, refined_clock
+from .error_estimate import ConstantErrors, JointBias, PooledEvidence, well_seen_joints
 from .excerpts import choose_excerpts
 from .mounting import Mounting, find_mounting
 from .self_calibration import SHORT_S, SelfCalibration
-
-
-@dataclass(frozen=True)
-class SolvedRound:
-    """The windows of a round, segment after segment, and their answers."""
-
-    prepared: dict[int, PreparedSegment]
-    borders: list[list[float]]
-    windows: list[Window]
-    solutions: list[Solution]
-    recording_of_window: IntArray
-    initial: InitialValues
-    prior: Priors
-
-    def trajectories(self) -> dict[int, Trajectory]:
-        """The joined trajectory of each segment, by its number."""
-        merged, first = {}, 0
-        for (number, prepared), border in zip(self.prepared.items(), self.borders, strict=True):
-            last = first + len(border) - 1
-            merged[number] = merge_windows(prepared.t, self.windows[first:last], self.solutions[first:last])
-            first = last
-        return merged
 
 
 def solve_round(
@@ -79,49 +55,35 @@ def solve_round(
     clocks: Sequence[Clock],
     joint_sigma_m: FloatArray,
     upper_arm_sigma_m: float,
-    trajectories: dict[int, Trajectory],
+    earlier: dict[int, Solution],
     config: Config,
     workers: Pool,
-) -> SolvedRound:
-    """Prepare, cut and solve all segments, from the last round's trajectories where there are any."""
+) -> tuple[dict[int, Window], dict[int, Solution], InitialValues]:
+    """Solve each segment as one window, from the last round's answers where there are any."""
     margin_s = config.windows.margin_s
-    ready = [
-        (number, segment, *answer)
-        for number, segment in segments.items()
-        if (answer := prepare(segment, calibration, clocks[segment.recording], joint_sigma_m, margin_s))
-    ]
-    if not ready:
+    prepared: dict[int, PreparedSegment] = {}
+    alignments = []
+    for number, segment in segments.items():
+        ready = prepare(segment, calibration, clocks[segment.recording], joint_sigma_m, margin_s)
+        if ready is not None:
+            before = earlier.get(number)
+            prepared[number] = ready[0] if before is None else started_from(ready[0], before, ready[0])
+            alignments.append(ready[1])
+    if not prepared:
         raise CalibrationError("the IMU and a visible forearm never overlap")
-    prepared = {number: with_initial_values(each, trajectories.get(number)) for number, _, each, _ in ready}
-    initial = initial_values(
-        list(prepared.values()),
-        [alignment for *_, alignment in ready],
-        [segment for _, segment, *_ in ready],
-    )
+    initial = initial_values(list(prepared.values()), alignments, [segments[number] for number in prepared])
     prior = first_priors(initial, calibration, config)
     noise = noise_of(config, upper_arm_sigma_m)
-    borders = [cut_times(each, config.windows.length_s) for each in prepared.values()]
-    counts = [len(border) - 1 for border in borders]
-    windows: list[Window] = []
+    windows: dict[int, Window] = {}
 
     def cut_one_by_one() -> Iterator[Window]:
-        for each, border, count in zip(prepared.values(), borders, counts, strict=True):
-            for window in cut(each, [prior] * count, noise, border, margin_s, GRAVITY, sum(counts)):
-                windows.append(window)
-                yield window
+        for number, each in prepared.items():
+            windows[number] = window_between(each, prior, noise, len(prepared))
+            yield windows[number]
 
     # the first ones are solved while the next ones are cut
-    solutions = list(workers.map(SOLVE_ONCE, cut_one_by_one()))
-    recording = np.repeat([segment.recording for _, segment, *_ in ready], counts)
-    return SolvedRound(prepared, borders, windows, solutions, recording, initial, prior)
-
-
-def with_initial_values(prepared: PreparedSegment, trajectory: Trajectory | None) -> PreparedSegment:
-    """The segment with an earlier solution's trajectory as start values; as it is without one."""
-    if trajectory is None:
-        return prepared
-    inside = np.clip(prepared.t, trajectory.t[0], trajectory.t[-1])
-    return prepared.with_start(at_times(trajectory.forearm, prepared.forearm.signal, inside))
+    solutions = workers.map(SOLVE_ONCE, cut_one_by_one())
+    return windows, dict(zip(prepared, solutions, strict=True)), initial
 
 
 ROUNDS = 4
@@ -162,7 +124,7 @@ def self_calibrate(
     cameras = max(1 if each.camera is None else int(each.camera.max(initial=0)) + 1 for each in excerpts)
     with_depth = any((origin := each.frame_origins) is None or np.isnan(origin).any() for each in excerpts)
     errors = ConstantErrors()
-    trajectories: dict[int, Trajectory] = {}
+    earlier: dict[int, Solution] = {}
     everything = list(range(len(excerpts)))
     # the first round, which starts farthest off, reads half
     numbers = _every_second(excerpts) if rounds > 1 else everything
@@ -170,18 +132,22 @@ def self_calibrate(
         signals: dict[int, InertialSignal] = {}
         corrected = {number: errors.corrected(excerpts[number], signals) for number in numbers}
         try:
-            current = solve_round(
-                corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config, workers
+            windows, solutions, initial = solve_round(
+                corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, earlier, config, workers
             )
         except CalibrationError:
             if numbers == everything:
                 raise
             numbers = everything  # what can be used is in the other half
             continue
-        windows, solutions, trajectories = current.windows, current.solutions, current.trajectories()
-        shared = pooled([solution.message for solution in solutions], current.prior)
-        estimate = calibration_from(shared, current.prior.layout, start, errors.joints.sigma_m)
-        noise = joint_noise(windows, solutions)
+        earlier |= solutions
+        in_order, answers = list(windows.values()), list(solutions.values())
+        used = in_order[0].priors
+        place = "strap" not in used.layout.joints  # a tracked strap then represents the IMU
+        recordings = np.array([excerpts[number].recording for number in windows])
+        pooled = PooledEvidence.of(in_order, answers, used, recordings, errors)
+        estimate = calibration_from(pooled.constants, used.layout, start, errors.joints.sigma_m)
+        noise = joint_noise(in_order, answers)
         largest_m = max((each.sample_m for each in noise.values()), default=0.0)
         upper_arm_sigma_m = upper_arm_length_sigma(list(corrected.values()), config, largest_m)
         joint_sigma_m = (
@@ -190,16 +156,22 @@ def self_calibrate(
             else sigma_by_camera(noise, config.camera.joint_sigma_m, cameras)
         )
         before = prior, errors.joints, clocks
-        errors = errors.updated(
-            windows,
-            solutions,
-            current.prior,
-            current.recording_of_window,
+        errors = ConstantErrors.estimated(
+            pooled,
+            well_seen_joints(in_order, place),
+            place,
             config.imu.scale_sigma,
             SYNTHETIC_SIGMA_S if any(synthetic) else 0.0,
-            excerpts[0].focal_share if any(with_lens(window) for window in windows) else 0.0,
+            excerpts[0].focal_share if any(with_lens(window) for window in in_order) else 0.0,
         )
-        clocks = refined_clocks(clocks, synthetic, windows, solutions, current.recording_of_window)
+        clocks = tuple(
+            refined_clock(
+                clock,
+                clock_score((windows[k], solutions[k]) for k in windows if excerpts[k].recording == number),
+                synthetic[number],
+            )
+            for number, clock in enumerate(clocks)
+        )
         prior = _recentred(estimate, start, given, with_depth)
         if numbers == everything and _settled(before, (estimate, errors.joints, clocks)):
             break
@@ -208,7 +180,7 @@ def self_calibrate(
     return SelfCalibration(
         estimate,
         prior,
-        current.initial,
+        initial,
         clocks,
         noise,
         joint_sigma_m,

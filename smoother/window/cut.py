@@ -1,9 +1,9 @@
-"""A segment cut into windows: nodes, initial values, camera samples by node."""
+"""A window of a prepared segment: nodes, initial values, camera samples by node."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Sequence
-from itertools import pairwise, product
+from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from ..array_types import FloatArray, IntArray
 from ..linalg import interpolate
 from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
 from ..measurements.rays import LONE_SHOULDER_ALONG_M, SHOULDER_ALONG_M, is_alone, origins_of
-from ..measurements.visibility import MISSING_S, Gap, enough_joints, occluded_at
+from ..measurements.visibility import occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
+from ..units import GRAVITY
 from .nodes import propagate
 from .prepare import PreparedRun, PreparedSegment
 from .problem import (
@@ -34,89 +35,30 @@ STILL_ACCELERATION = 0.1
 CHANGE_TIME_S = 0.2
 #: An orientation about which nothing is known, rad: wider, and a window at rest is singular to the solver.
 FREE_RAD = 1.0
-#: Borders of windows keep this far from gaps where the visible time between two gaps is long enough, s.
-KEEP_S = 2.0
-#: In longer gaps borders also lie where the camera sees one joint, s: a window takes memory by its length.
-PARTLY_S = 60.0
 
 
-def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
-    """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows."""
-    t0, t1 = max(float(prepared.t[0]), prepared.start_s), min(float(prepared.t[-1]), prepared.end_s)
-    visible = []
-    last = t0
-    for gap in (gap for gap in prepared.gaps if gap.end_s > t0 and gap.start_s < t1):
-        visible.append((last, gap.start_s))
-        visible += _partly_visible(prepared, gap) if gap.length_s > PARTLY_S else []
-        last = gap.end_s
-    if last < t1:  # else a gap reaches the end, and no border lies behind it
-        visible.append((last, t1))
-    borders = [t0]
-    for a, b in visible:
-        keep = min(KEEP_S, 0.5 * (b - a))
-        while t1 - borders[-1] > 1.5 * length_s:
-            target = borders[-1] + length_s
-            border = min(max(target, a + keep), b - keep)
-            if border < target - 0.5 * length_s:
-                break
-            borders.append(border)
-    return [*borders, t1]
-
-
-def _partly_visible(prepared: PreparedSegment, gap: Gap) -> list[tuple[float, float]]:
-    """From when to when the camera sees one joint at least within a gap, s; short times are left out."""
-    t = prepared.frame_t_imu[enough_joints(prepared.accepted, 1)]
-    t = t[(t > gap.start_s) & (t < gap.end_s)]
-    seen = np.split(t, np.flatnonzero(np.diff(t) > MISSING_S) + 1)
-    return [(float(run[0]), float(run[-1])) for run in seen if len(run) and run[-1] - run[0] > 2.0 * KEEP_S]
-
-
-def cut(
+def window_between(
     prepared: PreparedSegment,
-    priors: Sequence[Priors],
+    priors: Priors,
     noise: NoiseModel,
-    borders: list[float],  # s
-    margin_s: float,
-    gravity_magnitude: float,  # m/s^2
     sharing: int,
-    only: Container[int] | None = None,
-) -> Iterator[Window]:
-    """The windows between the borders, each with its margins, one after the other."""
-    for index, (a, b) in enumerate(pairwise(borders)):
-        if only is not None and index not in only:
-            continue
-        rows = window_nodes(prepared.t, borders, index, margin_s)
-        lo, hi, prior = rows.start, rows.stop, priors[index]
-        t = prepared.t[rows]
-        yield Window(
-            index=index,
-            t=t,
-            core_start_s=a,
-            core_end_s=b,
-            bodies=tuple(_segment_runs(prepared, lo, hi, prior, sharing)),
-            joint_measurements=_joint_measurements(prepared, lo, hi, prior, gravity_magnitude),
-            shoulder=_shoulder(prepared, lo, hi),
-            velocity_change=_velocity_change(prepared, lo, hi),
-            priors=prior,
-            noise=noise,
-            gravity_magnitude=gravity_magnitude,
-            alone=is_alone(prepared.ray_origin_m),
-        )
-
-
-def window_nodes(t: FloatArray, borders: list[float], index: int, margin_s: float) -> slice:
-    """Nodes of the `index`-th window with its margins; the first window and the last reach to the ends."""
-    lo, hi = (
-        np.searchsorted(t, borders[index] - margin_s),
-        np.searchsorted(t, borders[index + 1] + margin_s, "right"),
+    start_s: float = -np.inf,
+    end_s: float = np.inf,
+) -> Window:
+    """The window of a segment's nodes from one time to another, or of all of them."""
+    lo, hi = np.searchsorted(prepared.t, [start_s, end_s + 1e-9]).tolist()
+    return Window(
+        t=prepared.t[lo:hi],
+        core_start_s=max(prepared.start_s, float(prepared.t[lo])),
+        core_end_s=min(prepared.end_s, float(prepared.t[hi - 1])),
+        bodies=tuple(_segment_runs(prepared, lo, hi, priors, sharing)),
+        joint_measurements=_joint_measurements(prepared, lo, hi, priors),
+        shoulder=_shoulder(prepared, lo, hi),
+        velocity_change=_velocity_change(prepared, lo, hi),
+        priors=priors,
+        noise=noise,
+        alone=is_alone(prepared.ray_origin_m),
     )
-    return slice(0 if index == 0 else int(lo), len(t) if index == len(borders) - 2 else int(hi))
-
-
-def window_middles(t: FloatArray, borders: list[float], margin_s: float) -> FloatArray:
-    """Middles (k,) s of the windows between the borders, margins included."""
-    ends = [window_nodes(t, borders, index, margin_s) for index in range(len(borders) - 1)]
-    return np.array([0.5 * (t[rows.start] + t[rows.stop - 1]) for rows in ends])
 
 
 def _velocity_change(prepared: PreparedSegment, lo: int, hi: int) -> FloatArray:
@@ -166,14 +108,10 @@ def _segment_runs(
 
 
 def _joint_measurements(
-    prepared: PreparedSegment, lo: int, hi: int, prior: Priors, gravity_magnitude: float
+    prepared: PreparedSegment, lo: int, hi: int, prior: Priors
 ) -> tuple[JointMeasurements, ...]:
     layout = prior.layout
-    parts = [
-        measured
-        for run in prepared.bodies
-        for measured in _of_run(prepared, run, lo, hi, prior, gravity_magnitude)
-    ]
+    parts = [measured for run in prepared.bodies for measured in _of_run(prepared, run, lo, hi, prior)]
     joint_measurements = []
     for joint, camera in product(FOREARM_JOINTS, sorted({part.camera for part in parts})):
         own = [
@@ -188,7 +126,7 @@ def _joint_measurements(
 
 
 def _of_run(
-    prepared: PreparedSegment, run: PreparedRun, lo: int, hi: int, prior: Priors, gravity_magnitude: float
+    prepared: PreparedSegment, run: PreparedRun, lo: int, hi: int, prior: Priors
 ) -> Iterator[JointMeasurements]:
     """The camera's samples of the joints that are tied to one run of an IMU, in nodes lo to hi - 1."""
     layout, mean = prior.layout, prior.shared.mean
@@ -204,7 +142,7 @@ def _of_run(
         run.start,
         np.clip(frame_t_imu, run.signal.start_s, run.signal.end_s),
         node - run.first,
-        layout.down(mean) * gravity_magnitude,
+        layout.down(mean) * GRAVITY,
         mean[layout.bias_of(run.segment)],
     )
     cameras = np.zeros(1, int) if prepared.camera is None else np.unique(prepared.camera)

@@ -212,10 +212,9 @@ class SegmentRun:
 class Window:
     """What one graph is built from."""
 
-    index: int  # Number of the window in its segment
     t: FloatArray  # (n,) s: nodes on the IMU's clock, margins included
-    core_start_s: float  # The window's borders; the margins lie beyond them
-    core_end_s: float  # The window's borders; the margins lie beyond them
+    core_start_s: float  # What it is to answer for; the margins lie beyond
+    core_end_s: float  # What it is to answer for; the margins lie beyond
     # The forearm's IMU at all nodes, then IMUs on other segments, each between its pauses
     bodies: tuple[SegmentRun, ...]
     # Of the joints that the camera saw, the shoulder's apart
@@ -224,7 +223,6 @@ class Window:
     velocity_change: FloatArray  # (n - 1,) m/s: how much the velocity may change in an interval
     priors: Priors  # On the shared quantities
     noise: NoiseModel  # The same for all windows
-    gravity_magnitude: float  # m/s^2
     field: FieldMeasurements | None = None  # A magnetometer's directions where there is a calibrated one
     considered: Considered | None = None  # Constant errors that widen the covariance
     alone: bool = False  # There is one camera, and it has no depth

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import FloatArray
 from ..linalg import interpolate
 from .problem import States
-from .shared import ErrorEvidence, Gaussian
+from .shared import ErrorEvidence
 
 
 @dataclass(frozen=True)
@@ -25,42 +25,14 @@ class BlockShift:
 
 @dataclass(frozen=True)
 class WindowDraws:
-    """Deviations of drawn motions from a window's answer, or a section's."""
+    """Deviations of drawn motions from a window's answer at its nodes."""
 
-    position: FloatArray  # (k, n, 3) m: of the IMU at the nodes, in {K}
+    position: FloatArray  # (k, n, 3) m: of the IMU, in {K}
     rotation: FloatArray  # (k, n, 3) rad: in {K}
     velocity: FloatArray  # (k, n, 3) m/s: in {K}
-    shoulder: FloatArray | None  # (k, s, 3) m: at the knots of a window, at the nodes of a section
+    shoulder: FloatArray | None  # (k, n, 3) m
     # dict of (k, n, 3) rad: Rotation of each further IMU in {K} by its segment, nan where it has no samples
     turns: dict[str, FloatArray] = field(default_factory=dict)
-
-    def at_nodes(self, knots: FloatArray, t: FloatArray) -> WindowDraws:
-        """With the shoulder at all nodes (n,), by linear interpolation between its knots' times (s,)."""
-        if self.shoulder is None:
-            return self
-        shoulder = np.moveaxis(interpolate(knots, np.moveaxis(self.shoulder, 1, 0), t), 0, 1)
-        return replace(self, shoulder=shoulder)
-
-    def columns(self) -> dict[str, FloatArray]:
-        """What there is, by name; `turn_` before a segment's."""
-        named = {"position": self.position, "rotation": self.rotation, "velocity": self.velocity}
-        named |= {} if self.shoulder is None else {"shoulder": self.shoulder}
-        return named | {f"turn_{segment}": values for segment, values in self.turns.items()}
-
-    @classmethod
-    def from_columns(cls, columns: dict[str, FloatArray]) -> WindowDraws:
-        """What `columns` gives."""
-        turns = {name.removeprefix("turn_"): v for name, v in columns.items() if name.startswith("turn_")}
-        shoulder = columns.get("shoulder")
-        return cls(columns["position"], columns["rotation"], columns["velocity"], shoulder, turns)
-
-
-@dataclass(frozen=True)
-class Message:
-    """A window's answer on the shared quantities."""
-
-    t_s: float  # The window's middle, where the bias holds
-    shared: Gaussian  # Posterior of the shared vector; the window's prior is still inside
 
 
 @dataclass(frozen=True)
@@ -68,22 +40,35 @@ class SegmentSolution:
     """A window's answer on the IMU of a segment, at all of the window's nodes."""
 
     segment: str  # Name of the segment
-    known: BoolArray  # bool (n,): nodes at which that IMU has samples
-    states: States  # Orientation to {K}, position and velocity of the IMU
-    pose_covariance: FloatArray | None  # (n, 6, 6) m^2, m rad, rad^2: of (position, rotation vector) in {K}
-    velocity_covariance: FloatArray | None  # (n, 3, 3) m^2/s^2: in {K}, of the forearm
+    t: FloatArray  # (n,) s: the nodes on the forearm IMU's clock
+    states: States  # Orientation to {K}, position and velocity of the IMU; position nan without samples
     bias: FloatArray  # (n, 6) m/s^2 and rad/s
+    gravity: FloatArray  # (3,) or (n, 3) m/s^2: in {K}
+    # (n, 6, 6) m^2, m rad, rad^2: of (position, rotation vector) in {K}; None where not asked for
+    pose_covariance: FloatArray | None = None
+    velocity_covariance: FloatArray | None = None  # (n, 3, 3) m^2/s^2: in {K}, of the forearm
+
+    def of_nodes(self, nodes: slice) -> SegmentSolution:
+        """States at some of the nodes."""
+        own = States(self.states.R[nodes], self.states.p[nodes], self.states.v[nodes])
+        gravity = self.gravity if self.gravity.ndim == 1 else self.gravity[nodes]
+        return SegmentSolution(self.segment, self.t[nodes], own, self.bias[nodes], gravity)
+
+    def pose_covariance_at(self, t: FloatArray) -> FloatArray:
+        """The pose's covariance (k, 6, 6) between the nodes; nan where the IMU has no samples."""
+        assert self.pose_covariance is not None
+        return interpolate(self.t, self.pose_covariance, t)
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A window's answer."""
+    """A window's answer: the arm at its nodes."""
 
-    index: int  # Of the window
     bodies: tuple[SegmentSolution, ...]  # Of each segment with an IMU, the forearm first
-    shoulder: FloatArray | None  # (k, 3) m: at the knots, in {K}
-    shoulder_covariance: FloatArray | None  # (k, 3, 3) m^2: at the knots; None where not asked for
-    message: Message  # The shared quantities
+    shoulder: FloatArray | None  # (n, 3) m: in {K}; None where the camera saw no shoulder
+    shoulder_covariance: FloatArray | None  # (n, 3, 3) m^2; None where not asked for
+    shared: FloatArray  # (s,): the shared quantities (`SharedLayout`), the bias at the window's middle
+    levers: dict[str, FloatArray]  # (3,) m by joint, in the axes of the IMU that it is tied to
     # dict of (k, 3) m: By joint, camera minus answer in the order of `JointMeasurements`
     residuals: dict[str, FloatArray]
     iterations: int  # Of the optimiser
@@ -95,13 +80,22 @@ class Solution:
     shifts: tuple[BlockShift, ...] = ()  # Blocks of the camera's samples against the rest
 
     @property
+    def t(self) -> FloatArray:
+        """The nodes (n,) s on the forearm IMU's clock."""
+        return self.forearm.t
+
+    @property
     def forearm(self) -> SegmentSolution:
         """The forearm's."""
         return self.bodies[0]
 
-    def of(self, segment: str) -> SegmentSolution:
-        """A segment's, which has an IMU."""
-        return next(body for body in self.bodies if body.segment == segment)
+    def of(self, segment: str) -> SegmentSolution | None:
+        """A segment's; None where it has no IMU."""
+        return next((body for body in self.bodies if body.segment == segment), None)
+
+    def lever(self, joint: str) -> FloatArray:
+        """A joint's lever arm (3,) m; 0 for the IMU itself."""
+        return self.levers.get(joint, np.zeros(3))
 
 
 @dataclass(frozen=True)
