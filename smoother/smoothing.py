@@ -31,7 +31,7 @@ from .recovery.trust import with_gap_verdicts, with_verdict
 from .result import Recovery
 from .runtime.pool import Pool, Progress, one_blas_thread
 from .runtime.store import Store
-from .selfcal.excerpts import informative_excerpts
+from .selfcal.excerpts import informative_excerpts, is_read_whole
 from .selfcal.further_imu import calibrate_further_imus, joined, without_joints_of
 from .selfcal.mounting import contradictions
 from .selfcal.pairing import pair
@@ -181,7 +181,8 @@ def _solved(
     recording = replace(recording, notes=(*recording.notes, *left_out, *used))
     # 3. The clock over a long recording, the magnetic field, and the motions that are drawn.
     sections = Sections(recording, timeline, model.clock, further)
-    task = Task.of(recording, sections, model, config, timeline.usual_gap_s(recording.arm.t_s))
+    usual_gap_s = timeline.usual_gap_s(recording.arm.t_s)
+    task = Task.of(recording, sections, model, config, usual_gap_s, is_read_whole(timeline))
     task = clock_over(sections, task, workers, timeline.synthetic_stamps).drawing(*drawing, recording)
     magnetometer = Magnetometer()
     if takes_part(recording.imu):

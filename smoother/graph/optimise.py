@@ -130,9 +130,11 @@ def _in_stages(
     last_tolerance = min(tolerance, LAST_TOLERANCE)
     all_loose = with_sigma(np.full(len(gap.knots), LOOSE_M))
     loose = _descend(all_loose, values, LAST_ITERATIONS, last_tolerance, order)
+    if window.loose_gaps:
+        return loose
     tries, iterations = [], loose.iterations
-    for stages in gap.strategies(window.noise.upper_arm_sigma_m):
-        values = loose.values
+    for number, stages in enumerate(gap.strategies(window.noise.upper_arm_sigma_m, window.is_started)):
+        values = values if window.is_started and not number else loose.values
         for sigma_m in stages:
             stage = _descend(with_sigma(sigma_m), values, STAGE_ITERATIONS, STAGE_TOLERANCE, order)
             values, iterations = stage.values, iterations + stage.iterations
@@ -214,8 +216,10 @@ class _LongGap:
     since_s: FloatArray
     until_s: FloatArray
 
-    def strategies(self, sigma_m: float) -> Iterator[Sequence[FloatArray]]:
+    def strategies(self, sigma_m: float, is_started: bool) -> Iterator[Sequence[FloatArray]]:
         """Sigmas of the upper arm at the knots, stage by stage, of one strategy after the other."""
+        if is_started:
+            yield []
         nearest = np.minimum(self.since_s, self.until_s)
 
         def inwards(depth: FloatArray, step_s: float) -> list[FloatArray]:

@@ -128,7 +128,7 @@ def _clock_score(data: SectionData, task: Task) -> ClockScore | None:
     ready = _made_ready(segment, task, alignment)
     if ready is None:
         return None
-    window = window_between(ready[0], task.prior, task.noise, task.sharing)
+    window = replace(window_between(ready[0], task.prior, task.noise, task.sharing), loose_gaps=True)
     try:
         solution = solve(window, with_covariance=False, with_offset=True, tolerance=CLOCK_TOLERANCE)
     except SolveError:

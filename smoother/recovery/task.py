@@ -40,13 +40,14 @@ class Task:
         model: SelfCalibration,
         config: Config,
         usual_gap_s: float = 1.0,
+        is_read_whole: bool = False,
     ) -> Task:
-        """The task of a recording whose sections are cut."""
+        """The task of a recording whose sections are cut; what was read whole is no prior on itself."""
         present = recording.arm.present
         return cls(
             model=model,
             config=config,
-            prior=first_priors(model.initial, model.estimate, config),
+            prior=first_priors(model.initial, model.prior if is_read_whole else model.estimate, config),
             noise=noise_of(config, model.upper_arm_sigma_m, model.prior),
             sharing=len(sections),
             joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),

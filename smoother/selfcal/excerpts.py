@@ -72,9 +72,14 @@ def spread_excerpts(
     return excerpts
 
 
+def is_read_whole(timeline: Timeline) -> bool:
+    """Whether a recording is so short that self-calibration reads all of it."""
+    return timeline.length_s() <= 1.5 * EXCERPTS_S
+
+
 def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segment]:
     """The excerpts of a recording as segments; all of it where it is short."""
-    if timeline.length_s() <= 1.5 * EXCERPTS_S:
+    if is_read_whole(timeline):
         return split_into_segments(recording, LARGEST_OFFSET_S)
     segments = []
     for excerpt in spread_excerpts(recording, timeline, WANTED, CONTEXT_S):
@@ -91,7 +96,7 @@ def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segme
 
 def informative_recording(recording: Recording, timeline: Timeline) -> Recording:
     """A recording of nothing but its most informative excerpts and what lies around them."""
-    if timeline.length_s() <= 1.5 * EXCERPTS_S:
+    if is_read_whole(timeline):
         return recording
     samples, frames = np.zeros(len(recording.imu), bool), np.zeros(len(recording.arm), bool)
     for excerpt in spread_excerpts(recording, timeline, WANTED, CONTEXT_S):

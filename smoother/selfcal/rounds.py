@@ -78,7 +78,8 @@ def solve_round(
 
     def cut_one_by_one() -> Iterator[Window]:
         for number, each in prepared.items():
-            windows[number] = window_between(each, prior, noise, len(prepared))
+            window = window_between(each, prior, noise, len(prepared))
+            windows[number] = replace(window, loose_gaps=True)
             yield windows[number]
 
     # the first ones are solved while the next ones are cut

@@ -58,6 +58,7 @@ def window_between(
         priors=priors,
         noise=noise,
         alone=is_alone(prepared.ray_origin_m),
+        is_started=prepared.is_started,
     )
 
 

@@ -77,6 +77,7 @@ class PreparedSegment:
     end_s: float  # What the answer is wanted for; nodes beyond only support it
     camera: CameraNumbers | None = None  # int (f,): which camera each frame is of; None where all are of one
     ray_origin_m: FloatArray | None = None  # (c, 3) m: Where the rays of each camera without depth begin
+    is_started: bool = False  # The start values are an earlier solution's
 
     @property
     def forearm(self) -> PreparedRun:

@@ -226,6 +226,8 @@ class Window:
     field: FieldMeasurements | None = None  # A magnetometer's directions where there is a calibrated one
     considered: Considered | None = None  # Constant errors that widen the covariance
     alone: bool = False  # There is one camera, and it has no depth
+    loose_gaps: bool = False  # The upper arm says next to nothing in long gaps: their motion is not asked for
+    is_started: bool = False  # The start values are an earlier solution's
 
     @property
     def forearm(self) -> SegmentRun:

@@ -138,4 +138,4 @@ def started_from(prepared: PreparedSegment, solution: Solution, before: Prepared
                 np.where(good[:, None], states.v, start.v),
             )
         bodies.append(replace(run, start=start))
-    return replace(prepared, bodies=tuple(bodies))
+    return replace(prepared, bodies=tuple(bodies), is_started=True)
