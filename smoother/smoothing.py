@@ -130,8 +130,9 @@ def smooth(
     clock_given_s = None if clock is None else (clock.mean_s, clock.sigma_s)
     found = replace(recovery.estimates, pairing=pairing, clock_given_s=clock_given_s)
     recovery = replace(recovery, estimates=found)
+    steps, anatomy = (best.steps_before, best.evidence.steps), config.arm.anatomy
     recovery = with_verdict(
-        recovery, recording, config.arm.anatomy, best.misfits, best.open_questions, clock, coarse_clock
+        recovery, recording, anatomy, best.misfits, best.open_questions, steps, clock, coarse_clock
     )
     recovery = with_cause(recovery, recording, given, clock)
     recovery = with_gap_verdicts(with_ambiguities(recovery, recording, best.excerpts, given))

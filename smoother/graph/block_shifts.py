@@ -20,11 +20,10 @@ from ..array_types import FloatArray, IntArray
 from ..linalg import inverse
 from ..measurements.visibility import MISSING_S
 from ..window.problem import Window
-from ..window.shared import SIZE
 from ..window.solution import BlockShift
 from .build import FactorGroup
 from .error_columns import camera_rows
-from .linear_system import Jacobian, LinearSystem
+from .linear_system import Jacobian, LinearSystem, reduced_to_extras
 
 #: Blocks are built of cells of about this length, s, and are this many cells long.
 CELL_S = 1.0
@@ -139,7 +138,7 @@ class CameraBlocks:
 
     def shifts(self, system: LinearSystem) -> tuple[BlockShift, ...]:
         """The shift of every block."""
-        information, vector = self._reduced(system)
+        information, vector = reduced_to_extras(system, self.window.considered, self.count)
         cells, shifts = self.cells, []
         for rows in _blocks(cells):
             own, count = slice(3 * rows.start, 3 * rows.stop), rows.stop - rows.start
@@ -150,25 +149,6 @@ class CameraBlocks:
             start_s, end_s = float(cells.start_s[rows.start]), float(cells.end_s[rows.stop - 1])
             shifts.append(BlockShift(start_s, end_s, shift, score, int(cells.camera[rows.start])))
         return tuple(shifts)
-
-    def _reduced(self, system: LinearSystem) -> tuple[FloatArray, FloatArray]:
-        """Information (count, count) and vector on the blocks' quantities, everything else eliminated."""
-        information, extras = np.array(system.information), system.extras
-        first = extras.stop - self.count
-        own = np.arange(first, extras.stop)
-        others = np.arange(extras.start)
-        if self.window.considered is not None:
-            errors = slice(extras.start, extras.start + SIZE)
-            covariance = self.window.considered.covariance
-            information[errors, errors] += np.linalg.inv(covariance + 1e-12 * np.eye(SIZE))
-            others = np.arange(errors.stop)
-        known = information[np.ix_(others, others)]
-        known = known + np.diag(1e-9 * np.maximum(np.diag(known), 1.0))
-        across = np.linalg.solve(
-            known, np.column_stack([information[np.ix_(others, own)], system.vector[others]])
-        )
-        reduced = information[np.ix_(own, own)] - information[np.ix_(own, others)] @ across[:, :-1]
-        return reduced, system.vector[own] - information[np.ix_(own, others)] @ across[:, -1]
 
 
 def _blocks(cells: Cells) -> list[slice]:

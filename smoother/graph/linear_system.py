@@ -18,6 +18,7 @@ import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..linalg import scaled_inverse
+from ..window.shared import SIZE, Considered
 from .variables import sizes_of
 
 
@@ -285,3 +286,25 @@ def _cholesky(matrices: Sequence[FloatArray]) -> list[FloatArray]:
         for number, factor in zip(alike, np.linalg.cholesky([matrices[g] for g in alike]), strict=True):
             factors[number] = factor
     return factors
+
+
+def reduced_to_extras(
+    system: LinearSystem, considered: Considered | None, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Information (count, count) and vector on the last extra columns, everything else eliminated.
+
+    Of the extra columns before them the first may be errors that are considered; others are held.
+    """
+    information, extras = np.array(system.information), system.extras
+    own, others = np.arange(extras.stop - count, extras.stop), np.arange(extras.start)
+    if considered is not None:
+        errors = slice(extras.start, extras.start + SIZE)
+        information[errors, errors] += np.linalg.inv(considered.covariance + 1e-12 * np.eye(SIZE))
+        others = np.arange(errors.stop)
+    known = information[np.ix_(others, others)]
+    known = known + np.diag(1e-9 * np.maximum(np.diag(known), 1.0))
+    across = np.linalg.solve(
+        known, np.column_stack([information[np.ix_(others, own)], system.vector[others]])
+    )
+    reduced = information[np.ix_(own, own)] - information[np.ix_(own, others)] @ across[:, :-1]
+    return reduced, system.vector[own] - information[np.ix_(own, others)] @ across[:, -1]

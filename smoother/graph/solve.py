@@ -19,7 +19,7 @@ from ..units import GRAVITY
 from ..window.draw_plan import DrawPlan
 from ..window.problem import JointMeasurements, States, Window, joints_at_start
 from ..window.shared import STRAP_PLACE, SharedLayout
-from ..window.solution import BlockShift, SegmentSolution, Solution
+from ..window.solution import BlockShift, SegmentSolution, Solution, Step
 from .block_shifts import CameraBlocks
 from .build import FactorGroup, bias_of_intervals, build, node_of_variables
 from .error_columns import (
@@ -35,6 +35,7 @@ from .optimise import Optimum, optimise
 from .sampling import sample_window
 from .scale import coordinates_by_pixels, with_scale_term
 from .shared_prior import bias_keys, shared_jacobian, shared_keys
+from .steps import StepColumns, moments
 from .variables import keys_of
 
 #: Where `solve` stops by default.
@@ -420,3 +421,24 @@ def _residuals(values: gtsam.Values, window: Window, states: Mapping[str, States
             residual *= AT_M / np.maximum(distance, NEAREST_M)[:, None]
         residuals[measured.key] = residual
     return residuals
+
+
+def steps_of(optimised: WindowOptimum) -> tuple[Step, ...]:
+    """What may have changed for good within a window that is at its optimum."""
+    window, values, groups = optimised.window, optimised.optimum.values, optimised.groups
+    at_s = moments(window)
+    if not len(at_s):
+        return ()
+    biases = bias_of_intervals(window)
+    states = {body.segment: body.states for body in _bodies(values, window, biases)}
+    levers = _levers(_shared(values, window, biases), window.priors.layout)
+    columns = StepColumns(window, groups, states, levers, _shoulder(values, None, window)[0], at_s)
+    errors = partial(
+        constant_error_columns, window=window, groups=groups, biases=biases, R=states[FOREARM.name].R
+    )
+    extra: list[ExtraColumns] = [columns] if window.considered is None else [errors, columns]
+    try:
+        system = LinearSystem(optimised.optimum.graph, values, node_of_variables(window), extra)
+    except np.linalg.LinAlgError:
+        return ()
+    return tuple(columns.steps(system))

@@ -25,7 +25,7 @@ from ..measurements.visibility import MISSING_S, Rejection
 from ..recording import JOINTS, JointState, Recording
 from ..result import Pairing, Recovery
 from ..selfcal.pairing import find_pairing
-from ..window.solution import BlockShift
+from ..window.solution import BlockShift, Step
 from .camera_faults import camera_faults
 from .self_check import HiddenStretch
 from .solve_section import SolvedSection
@@ -76,12 +76,14 @@ class CameraEvidence:
 
     shifts: list[BlockShift] = field(default_factory=list)
     stretches: list[HiddenStretch] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
 
     def collecting(self, answers: Iterable[SolvedSection]) -> Iterator[SolvedSection]:
         """The answers as they come; their evidence on the camera is kept."""
         for answer in answers:
             self.shifts += answer.shifts
             self.stretches += answer.stretches
+            self.steps += answer.steps
             yield answer
 
 
@@ -95,6 +97,7 @@ class Solved:
     misfits: tuple[str, ...] = ()  # What of a given calibration the recording contradicts
     open_questions: tuple[str, ...] = ()  # What self-calibration took with little margin
     excluded: Excluded | None = None  # Samples that it was made without; None before anything was left out
+    steps_before: Sequence[Step] = ()  # What may have changed for good, before anything was left out
 
     def paired(self, pairing: Pairing | None, recording: Recording, given: Clock | None) -> Pairing | None:
         """The pairing by what is used: without what the camera alone shows to be wrong, and a few blocks."""
@@ -179,7 +182,8 @@ def without_wrong_blocks(
     recovery = excluded.noted(best.recovery, recording)
     faults = camera_faults(excluded.frames, contradicting, recovery, recording, names)
     estimates = recovery.estimates.with_signs(faults)
-    return replace(best, recovery=replace(recovery, estimates=estimates), excluded=excluded)
+    recovery = replace(recovery, estimates=estimates)
+    return replace(best, recovery=recovery, excluded=excluded, steps_before=first.evidence.steps)
 
 
 def suspects(evidence: CameraEvidence) -> list[Suspect]:

@@ -8,7 +8,7 @@ from functools import partial
 
 from ..errors import SolveError
 from ..graph.optimise import LONG_S
-from ..graph.solve import optimise_window, solution_of, solve
+from ..graph.solve import optimise_window, solution_of, solve, steps_of
 from ..measurements.alignment import Alignment
 from ..measurements.outliers import reject_by_camera, reject_by_direction, reject_by_residual
 from ..measurements.segment import Segment
@@ -19,7 +19,7 @@ from ..selfcal.excerpts import most_telling
 from ..window.cut import window_between
 from ..window.prepare import PreparedSegment, prepare
 from ..window.problem import Window
-from ..window.solution import BlockShift
+from ..window.solution import BlockShift, Step
 from ..window.trajectory import started_from
 from .drawn_samples import SectionDraws, sample_draws
 from .magnetometer import FieldObservation, observe
@@ -42,6 +42,7 @@ class SolvedSection:
     unexplained: tuple[Gap, ...]  # Long gaps whose motion the model does not explain
     shifts: tuple[BlockShift, ...]  # Blocks of the camera's samples against the rest
     stretches: tuple[HiddenStretch, ...]  # Hidden, recovered and compared
+    steps: tuple[Step, ...]  # What may have changed for good
     draws: SectionDraws | None  # Motions drawn from the posterior; None where not asked for
 
 
@@ -60,7 +61,7 @@ def solve_section(data: SectionData, task: Task) -> SolvedSection | None:
     model = task.model
     # 1. Solved once; camera samples that the motion contradicts are left out, and it is solved again.
     optimised = optimise_window(_window(prepared, task), TOLERANCE)
-    first = solution_of(optimised, with_covariance=False)
+    first, steps = solution_of(optimised, with_covariance=False), steps_of(optimised)
     residual = frame_residuals(
         segment.position, segment.frame_t_imu(model.clock), prepared, first, model.estimate
     )
@@ -80,7 +81,7 @@ def solve_section(data: SectionData, task: Task) -> SolvedSection | None:
     unexplained = () if solution.accepted else tuple(gap for gap in answer.gaps if gap.length_s >= LONG_S)
     # 3. Visible stretches hidden, recovered from the rest, and compared.
     stretches = hide_and_recover(prepared.with_start(solution.forearm.states), task)
-    return SolvedSection(answer, unexplained, solution.shifts, tuple(stretches), draws)
+    return SolvedSection(answer, unexplained, solution.shifts, tuple(stretches), steps, draws)
 
 
 def _prepared(data: SectionData, task: Task) -> tuple[Segment, PreparedSegment, Alignment] | None:

@@ -7,7 +7,7 @@ far from what sound recordings show; an answer that shows one is not to be trust
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,7 +23,8 @@ from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, JointTracks, Record
 from ..result import Recovery, SelfCheck
 from ..result.verdict import EVER, Sign, gap_verdicts
 from ..selfcal.pairing import doubtful, unproved
-from .change_signs import camera_pushed, changes, imu_lies_still, skeleton_filled
+from ..window.solution import Step
+from .change_signs import changed_for_good, imu_lies_still, skeleton_filled
 from .imu_signs import (
     PLATEAU_SHARE,
     SLOW_HZ,
@@ -169,6 +170,7 @@ def with_verdict(
     anatomy: Anatomy,
     misfits: tuple[str, ...] = (),
     open_questions: tuple[str, ...] = (),
+    steps: tuple[Sequence[Step], Sequence[Step]] = ((), ()),
     measured: Clock | None = None,
     moved: Clock | None = None,
 ) -> Recovery:
@@ -177,7 +179,7 @@ def with_verdict(
     # what was found is a remark, or contradicts some times, or the whole recording
     found = replace(recovery.estimates, reasons=()).with_signs(
         [
-            *camera_pushed(recovery, recording),
+            *changed_for_good(*steps),
             *lost_samples(recovery, recording),
             *imu_lies_still(recovery, recording, _gyroscope_bias(recovery)),
             *(Sign(each, EVER) for each in _anatomy(recovery.calibration, anatomy)),
@@ -206,7 +208,6 @@ def with_verdict(
         *clipped(recording.imu, PLATEAU_SHARE),
         *wrong_scale(scale),
         *_mirror_image(recording),
-        *changes(recovery, recording, _gyroscope_bias(recovery)),
         *(swapped.sentence for swapped in swapped_joints(recording.arm)),
         *unproved(recovery.estimates.pairing),
         *misfits,

@@ -24,6 +24,16 @@ class BlockShift:
 
 
 @dataclass(frozen=True)
+class Step:
+    """Something that may have changed for good at some moment."""
+
+    kind: str  # `camera` (turned, rad, and moved, m), `mounting` (the same of the IMU), `clock` (s)
+    at_s: float  # On the IMU's clock
+    size: FloatArray  # By how much
+    squared: float  # In sigmas, squared, with what is allowed
+
+
+@dataclass(frozen=True)
 class WindowDraws:
     """Deviations of drawn motions from a window's answer at its nodes."""
 
