@@ -44,8 +44,8 @@ class ImuNoise(_Section):
     scale_sigma: float = Field(
         default=0.005, gt=0, description="errors of scale and axes, 0.005 = 0.5 % or 0.3 degrees"
     )
-    accelerometer_bias_sigma: float = Field(default=0.3, gt=0, description="m/s^2, before the first pass")
-    gyroscope_bias_sigma: float = Field(default=0.05, gt=0, description="rad/s, before the first pass")
+    accelerometer_bias_sigma: float = Field(default=0.3, gt=0, description="m/s^2, before the recording speaks")
+    gyroscope_bias_sigma: float = Field(default=0.05, gt=0, description="rad/s, before the recording speaks")
     accelerometer_bias_walk: float = Field(default=0.01, gt=0, description="m/s^2/sqrt(s) inside a window")
     gyroscope_bias_walk: float = Field(default=0.001, gt=0, description="rad/s/sqrt(s) inside a window")
 
@@ -67,10 +67,9 @@ class ArmPrior(_Section):
 
 
 class Windows(_Section):
-    """How a recording is cut into windows that are solved side by side."""
+    """How a recording is cut into sections that are solved side by side."""
 
-    margin_s: float = Field(default=2.5, gt=0, description="visible time on both sides of a gap, s")
-    length_s: float = Field(default=12.0, gt=0, description="length aimed at where no gap decides, s")
+    margin_s: float = Field(default=2.5, gt=0, description="time on both sides of a section, s")
     processes: int = Field(default=0, ge=0, description="worker processes; 0 = one per core")
 
 
