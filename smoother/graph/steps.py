@@ -27,7 +27,7 @@ from .linear_system import Jacobian, LinearSystem, reduced_to_extras
 
 #: Moments that are looked at: the middle of every gap, and so far apart elsewhere, s; so much of the window
 #: lies before the first and after the last, s: in trials of 4 s a Kinect v1's slow errors look like a step.
-APART_S, ENDS_S = 5.0, 3.0
+APART_S, ENDS_S = 10.0, 3.0
 #: Columns of a cell, in their order.
 CAMERA, MOUNTING, CLOCK = slice(0, 6), slice(6, 12), slice(12, 13)
 KINDS = {"camera": CAMERA, "mounting": MOUNTING, "clock": CLOCK}

@@ -74,7 +74,7 @@ def initial_values(
 
 
 def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Config) -> Priors:
-    """The same priors for every window of a first pass."""
+    """The prior on what the windows of a recording share."""
     layout = SharedLayout(
         joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
         has_upper_arm=initial.has_shoulder and "elbow" in calibration.lever_arms,
