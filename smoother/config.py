@@ -44,7 +44,9 @@ class ImuNoise(_Section):
     scale_sigma: float = Field(
         default=0.005, gt=0, description="errors of scale and axes, 0.005 = 0.5 % or 0.3 degrees"
     )
-    accelerometer_bias_sigma: float = Field(default=0.3, gt=0, description="m/s^2, before the recording speaks")
+    accelerometer_bias_sigma: float = Field(
+        default=0.3, gt=0, description="m/s^2, before the recording speaks"
+    )
     gyroscope_bias_sigma: float = Field(default=0.05, gt=0, description="rad/s, before the recording speaks")
     accelerometer_bias_walk: float = Field(default=0.01, gt=0, description="m/s^2/sqrt(s) inside a window")
     gyroscope_bias_walk: float = Field(default=0.001, gt=0, description="rad/s/sqrt(s) inside a window")

@@ -23,7 +23,7 @@ from gtsam.symbol_shorthand import S
 
 from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
-from ..linalg import unit
+from ..linalg import runs, unit
 from ..measurements.rays import squashed
 from ..window.problem import JointMeasurements, NoiseModel, SegmentRun, Window
 from .factors import (
@@ -43,6 +43,8 @@ from .variables import keys_of
 
 #: A shared joint on the parent's side, m: the strap sits firmer at the wrist, its lever arm is a variable.
 PARENT_TIE_M = 0.005
+#: How fast an arm moves whose sensor lies still, m/s per axis.
+REST_SPEED = 0.01
 #: How long a movement of the tissue lasts, s.
 TISSUE_S = 1.0
 #: A bias variable for about this long, s: one for a recording is too stiff to follow scale errors.
@@ -119,6 +121,7 @@ def build(window: Window) -> WindowGraph:
     if window.shoulder is not None:
         _add_shoulder(built, window)
     _add_constant_velocity(built, window)
+    _add_rest(built, window)
     _add_attitude(built, forearm)
     _add_field(built, window)
     for group in shared_factors(built.values, window, biases):
@@ -224,8 +227,23 @@ def _add_shoulder(built: WindowGraph, window: Window) -> None:
         held = gtsam.PriorFactorPoint3(S(0), shoulder.start[0], isotropic(3, 1.0))
         built.add("held knot", "shoulder", [held], POINT_ROWS, nodes[:1])
     if window.priors.layout.has_upper_arm:
-        lengths = upper_arm_factors(window, np.full(len(nodes), noise.upper_arm_sigma_m))
+        lengths = upper_arm_factors(window, upper_arm_sigmas(window))
         built.add("length", "upper_arm", lengths, 1, nodes)
+
+
+def upper_arm_sigmas(window: Window) -> FloatArray:
+    """How far from constant the upper arm's length is at the shoulder's knots (k,), m.
+
+    In a posture that is held it is off by the same all the time: its knots count as one.
+    """
+    assert window.shoulder is not None
+    at_rest = np.zeros(len(window.t), dtype=bool)
+    at_rest[window.still] = True
+    nodes = np.asarray(window.shoulder.node)
+    sigma = np.full(len(nodes), window.noise.upper_arm_sigma_m)
+    for held in runs(at_rest[nodes]):
+        sigma[held] *= np.sqrt(held.stop - held.start)
+    return sigma
 
 
 def upper_arm_factors(
@@ -248,6 +266,13 @@ def _add_constant_velocity(built: WindowGraph, window: Window) -> None:
     nodes = np.flatnonzero(np.isfinite(window.velocity_change))
     factors = (constant_velocity(i, float(window.velocity_change[i])) for i in nodes.tolist())
     built.add("constant velocity", FOREARM.name, factors, 3, nodes)
+
+
+def _add_rest(built: WindowGraph, window: Window) -> None:
+    """`PriorFactorVector`: no velocity in gaps where the sensor lies still, robust as a chair may roll."""
+    velocity, model = keys_of(FOREARM.name).velocity, robust(REST_SPEED, window.noise.cauchy)
+    rests = (gtsam.PriorFactorVector(velocity + i, np.zeros(3), model) for i in window.still.tolist())
+    built.add("rest", FOREARM.name, rests, 3, window.still)
 
 
 def _add_attitude(built: WindowGraph, run: SegmentRun) -> None:

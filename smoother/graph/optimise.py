@@ -19,7 +19,13 @@ import numpy as np
 from ..array_types import FloatArray, IntArray
 from ..linalg import runs
 from ..window.problem import Window
-from .build import FactorGroup, bias_of_intervals, node_of_variables, upper_arm_factors
+from .build import (
+    FactorGroup,
+    bias_of_intervals,
+    node_of_variables,
+    upper_arm_factors,
+    upper_arm_sigmas,
+)
 from .shared_prior import gravity_axes, have_turned, turned_with_axes
 from .variables import keys_of
 
@@ -133,7 +139,7 @@ def _in_stages(
     if window.loose_gaps:
         return loose
     tries, iterations = [], loose.iterations
-    for number, stages in enumerate(gap.strategies(window.noise.upper_arm_sigma_m, window.is_started)):
+    for number, stages in enumerate(gap.strategies(upper_arm_sigmas(window)[gap.knots], window.is_started)):
         values = values if window.is_started and not number else loose.values
         for sigma_m in stages:
             stage = _descend(with_sigma(sigma_m), values, STAGE_ITERATIONS, STAGE_TOLERANCE, order)
@@ -216,7 +222,7 @@ class _LongGap:
     since_s: FloatArray
     until_s: FloatArray
 
-    def strategies(self, sigma_m: float, is_started: bool) -> Iterator[Sequence[FloatArray]]:
+    def strategies(self, sigma_m: FloatArray, is_started: bool) -> Iterator[Sequence[FloatArray]]:
         """Sigmas of the upper arm at the knots, stage by stage, of one strategy after the other."""
         if is_started:
             yield []
@@ -227,7 +233,7 @@ class _LongGap:
             return [np.where(depth <= reach_s, sigma_m, LOOSE_M) for reach_s in _reaches(step_s, deepest)]
 
         yield inwards(nearest, STEP_S)
-        yield [np.full(len(self.knots), tighter) for tighter in TIGHTER_M]
+        yield [np.maximum(tighter, sigma_m) for tighter in TIGHTER_M]
         yield inwards(self.since_s, STEP_S)
         yield inwards(self.until_s, STEP_S)
         yield inwards(nearest, FINE_STEP_S)

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..recording import ImuStream
 from ..rotation import Rotation, Slerp, chained
 from ..splines import cubic_spline
@@ -254,6 +254,32 @@ def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitud
     quaternion = answer["quat6D"][:, [1, 2, 3, 0]]
     # the filter's result is valid at the end of each sample's interval
     return InertialAttitude(edges[1:], Rotation.from_quat(quaternion), np.median(answer["bias"], axis=0))
+
+
+#: A sensor is still where over this long on both sides of a moment, s, its specific force varies by less than
+#: the first, m/s^2, and it turns by less than the second, rad/s, on average: a person's arm that moves at all
+#: turns, and trembles more.
+STILL_HALF_S, STILL_FORCE, STILL_RATE = 0.5, 0.1, 0.03
+
+
+def is_still(
+    signal: InertialSignal, attitude: InertialAttitude, t: FloatArray
+) -> BoolArray:  # t (n,) s -> bool (n,)
+    """Whether the sensor lies still about each time."""
+    step = 0.05
+    edges = np.arange(max(signal.start_s, t[0] - 1.0), min(signal.end_s, t[-1] + 1.0), step)
+    if len(edges) < 2:
+        return np.zeros(len(t), dtype=bool)
+    mean = signal.means(edges) - np.concatenate([np.zeros(3), attitude.gyroscope_bias])
+    lo, hi = np.searchsorted(edges[:-1], [t - STILL_HALF_S, t + STILL_HALF_S])
+    hi = np.maximum(hi, lo + 1)
+    sums = np.vstack([np.zeros(6), np.cumsum(mean, axis=0)])
+    squares = np.concatenate([[0.0], np.cumsum(np.sum(mean[:, :3] ** 2, axis=1))])
+    count = (hi - lo).astype(float)
+    middle = (sums[hi] - sums[lo]) / count[:, None]
+    variance = (squares[hi] - squares[lo]) / count - np.sum(middle[:, :3] ** 2, axis=1)
+    turning = np.linalg.norm(middle[:, 3:], axis=1)
+    return np.asarray((variance < 3.0 * STILL_FORCE**2) & (turning < STILL_RATE))
 
 
 def acceleration_std(

@@ -55,6 +55,7 @@ def window_between(
         joint_measurements=_joint_measurements(prepared, lo, hi, priors),
         shoulder=_shoulder(prepared, lo, hi),
         velocity_change=_velocity_change(prepared, lo, hi),
+        still=np.flatnonzero(prepared.still[lo:hi] & occluded_at(prepared.t[lo:hi], prepared.gaps)),
         priors=priors,
         noise=noise,
         alone=is_alone(prepared.ray_origin_m),

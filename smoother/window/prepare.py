@@ -22,7 +22,7 @@ from ..measurements.alignment import (
     pairs,
 )
 from ..measurements.clock import Clock
-from ..measurements.inertial import ImuRun, InertialSignal, acceleration_std
+from ..measurements.inertial import ImuRun, InertialSignal, acceleration_std, is_still
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps, occluded_at, seen_by_any
 from ..recording import FOREARM_JOINTS, JOINTS
@@ -73,6 +73,7 @@ class PreparedSegment:
     sigma_m: FloatArray  # (f, 5) m: their standard deviation per axis
     gaps: tuple[Gap, ...]  # Inside, in order of time
     acceleration_std: FloatArray  # (n,) m/s^2: how much the sensor's acceleration varies
+    still: BoolArray  # bool (n,): where the forearm's sensor lies still
     start_s: float  # What the answer is wanted for; nodes beyond only support it
     end_s: float  # What the answer is wanted for; nodes beyond only support it
     camera: CameraNumbers | None = None  # int (f,): which camera each frame is of; None where all are of one
@@ -151,6 +152,7 @@ def prepare(
         sigma_m=sigma_of_frames(sigma_m, segment.camera, rows),
         gaps=gaps,
         acceleration_std=acceleration_std(segment.signal, segment.attitude, t),
+        still=is_still(segment.signal, segment.attitude, t),
         start_s=core_start_s,
         end_s=core_end_s,
         camera=None if segment.camera is None else segment.camera[rows],

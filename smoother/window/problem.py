@@ -221,6 +221,7 @@ class Window:
     joint_measurements: tuple[JointMeasurements, ...]
     shoulder: ShoulderMeasurements | None  # None where the camera saw no shoulder in the segment
     velocity_change: FloatArray  # (n - 1,) m/s: how much the velocity may change in an interval
+    still: IntArray  # int (k,): nodes in gaps at which the sensor lies still
     priors: Priors  # On the shared quantities
     noise: NoiseModel  # The same for all windows
     field: FieldMeasurements | None = None  # A magnetometer's directions where there is a calibrated one
