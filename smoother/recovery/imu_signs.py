@@ -32,6 +32,9 @@ from ..units import STANDARD_GRAVITY
 
 #: An IMU slower than this, Hz, says too little; one slower than the second is used with care.
 TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
+#: Samples that are looked at for being interpolated, and how many have to turn faster than this, rad/s. A
+#: gyroscope's second differences are 0.3 to 0.5 of their largest in the median; those of a line nothing.
+MOST_LOOKED_AT, LEAST_LOOKED_AT, MOVING_RATE, STRAIGHT = 20_000, 200, 0.3, 0.02
 #: A range's end is a plateau: this many samples of one axis at its largest value, this many of them in a row.
 PLATEAU_SAMPLES, PLATEAU_IN_A_ROW = 12, 3
 #: Where a larger share of the samples is at a range's end, the IMU missed too much.
@@ -69,9 +72,30 @@ def input_faults(recording: Recording) -> Iterator[str]:
 
 
 def rate(imu: ImuStream, least_hz: float) -> Iterator[str]:
-    """Fewer samples per second than needed."""
+    """Fewer samples per second than needed, or fewer that were measured."""
     if imu.rate_hz < least_hz:
         yield f"the IMU has {imu.rate_hz:.2g} samples per second, where 40 are needed and 80 are better"
+    elif (measured_hz := measured_rate_hz(imu)) < least_hz:
+        yield (
+            f"the IMU's {imu.rate_hz:.2g} samples per second were interpolated from about {measured_hz:.2g},"
+            " where 40 are needed and 80 are better: export them as they were measured"
+        )
+
+
+def measured_rate_hz(imu: ImuStream) -> float:
+    """Samples per second that were measured: others lie on straight lines between them, or repeat them."""
+    first = max((len(imu) - MOST_LOOKED_AT) // 2, 0)
+    rate = np.asarray(imu.gyro[first : first + MOST_LOOKED_AT])
+    bend = np.abs(np.diff(rate, 2, axis=0)).sum(axis=1)
+    moves = np.linalg.norm(rate[1:-1], axis=1) > MOVING_RATE
+    if moves.sum() < LEAST_LOOKED_AT:
+        return imu.rate_hz
+    usual, large = np.quantile(bend[moves], [0.5, 0.95])
+    if usual > STRAIGHT * large:
+        return imu.rate_hz
+    bent = bend > 0.5 * STRAIGHT * large
+    starts = bent & ~np.concatenate([[False], bent[:-1]])
+    return float(imu.rate_hz * starts[moves].sum() / moves.sum())
 
 
 def zeros(imu: ImuStream) -> Iterator[str]:
