@@ -15,6 +15,7 @@ from .errors import SolveError, UnoccludeError
 from .measurements.clock import OFFSET_SIGMA_S, Clock
 from .measurements.outliers import reject_by_camera
 from .measurements.segment import Timeline
+from .measurements.timestamps import even_times, in_packets
 from .recording import FOREARM_JOINTS, JointState, Recording
 from .recovery.ambiguity import with_ambiguities
 from .recovery.camera_blocks import CameraEvidence, Solved, without_wrong_blocks
@@ -102,6 +103,7 @@ def smooth(
         raise SolveError(f"{recording.name}: the camera never tracked the forearm")
     _check_unit(recording)
 
+    recording = _out_of_packets(recording)
     # 0. Several cameras: where each stands, its clock, and all frames as one stream in the first one's frame.
     recording, rig = join_cameras(recording, store, float(limb_lengths(config.arm).mean[0]))
     # 1. Clocks: whether the streams are a pair, and the camera's stamps where the fine search finds the rest.
@@ -137,6 +139,16 @@ def smooth(
     recovery = with_cause(recovery, recording, given, clock)
     recovery = with_gap_verdicts(with_ambiguities(recovery, recording, best.excerpts, given))
     return with_cause(recovery, recording, given, clock)
+
+
+def _out_of_packets(recording: Recording) -> Recording:
+    """IMU samples that were stamped as their packets arrived, on the even times that those show."""
+    imu = recording.imu
+    even = even_times(np.asarray(imu.t_s)) if in_packets(np.asarray(imu.t_s)) else None
+    if even is None:
+        return recording
+    note = f"the IMU's stamps are those of packets: its samples were counted at {1.0 / even.tick_s:.2f} Hz"
+    return replace(recording, imu=replace(imu, t_s=even.t_s), notes=(*recording.notes, note))
 
 
 #: No depth camera sees a person beyond this, m.
