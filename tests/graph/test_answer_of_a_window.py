@@ -36,6 +36,7 @@ from smoother.graph.linear_system import LinearSystem
 from smoother.graph.shared_prior import shared_jacobian, shared_keys
 from smoother.graph.solve import TIGHTEN, solve
 from smoother.recording import JOINTS
+from smoother.units import GRAVITY
 from smoother.window.problem import States, Window
 from smoother.window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, STRAP_PLACE
 from smoother.window.solution import Solution
@@ -129,7 +130,9 @@ def in_camera(R: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def test_states_and_their_covariance(pair: tuple[Optimum, Solution]) -> None:
     best, found = pair
-    assert found.index == 7 and found.accepted
+    assert found.accepted and found.t is best.window.t
+    down = best.values.atUnit3(G(0)).point3()
+    np.testing.assert_allclose(found.forearm.gravity, GRAVITY * down, atol=1e-3)
     pose = np.array([in_camera(best.R[i], best.of(X(i))) for i in range(NODES)])
     velocity = np.array([best.of(V(i)) for i in range(NODES)])
     like(found.forearm.pose_covariance, pose)
@@ -146,15 +149,17 @@ def test_states_and_their_covariance(pair: tuple[Optimum, Solution]) -> None:
     close(found.forearm.bias, np.array([bias[k] for k in rows]), np.array([best.of(B(k)) for k in rows]))
     knots = np.array([best.values.atPoint3(S(k)) for k in range(6)])
     of_knots = np.array([best.of(S(k)) for k in range(6)])
-    close(found.shoulder, knots, of_knots)
-    like(found.shoulder_covariance, of_knots)
+    at = best.window.shoulder.node  # in between it is interpolated
+    close(found.shoulder[at], knots, of_knots)
+    like(found.shoulder_covariance[at], of_knots)
+    assert found.shoulder.shape == (NODES, 3)
     assert found.error == pytest.approx(best.graph.error(best.values), rel=1e-6)
 
 
 def test_the_upper_arm_s_imu(pair: tuple[Optimum, Solution]) -> None:
     best, found = pair
     upper, rows = found.bodies[1], np.arange(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
-    assert np.flatnonzero(upper.known).tolist() == rows.tolist() and upper.known.dtype == bool
+    assert np.flatnonzero(np.isfinite(upper.states.p[:, 0])).tolist() == rows.tolist()
     poses = [best.values.atPose3(Y(i)) for i in rows]
     R = np.array([pose.rotation().matrix() for pose in poses])
     pose = np.array([in_camera(R[k], best.of(Y(i))) for k, i in enumerate(rows)])
@@ -201,12 +206,23 @@ def shared_of(best: Optimum) -> tuple[FloatArray, FloatArray]:
     return vector(best.values), J @ best.of(*keys) @ J.T
 
 
-def test_the_message(pair: tuple[Optimum, Solution]) -> None:
+def test_what_is_shared_and_the_lever_arms(pair: tuple[Optimum, Solution]) -> None:
+    """A lever arm of each joint in the axes of the IMU that it is tied to: the hand's, where it has one."""
     best, found = pair
     mean, covariance = shared_of(best)
-    close(found.message.shared.mean, mean, covariance)
-    like(found.message.shared.covariance, covariance)
-    assert found.message.t_s == pytest.approx(0.5 * (best.window.t[0] + best.window.t[-1]), abs=1e-12)
+    close(found.shared, mean, covariance)
+    layout = best.window.priors.layout
+    assert list(found.levers) == ["elbow", "wrist"]
+    for joint, lever in found.levers.items():
+        np.testing.assert_array_equal(lever, found.shared[layout.lever(joint)])
+    np.testing.assert_array_equal(found.lever("strap"), np.zeros(3))
+    three = replace(layout, joints=("elbow", "wrist", "hand"), further=("upper_arm", "hand"))
+    levers = smoother.graph.solve._levers(np.arange(three.size), three)
+    assert {joint: int(lever[0]) for joint, lever in levers.items()} == {
+        "elbow": three.lever("elbow").start,
+        "wrist": three.lever("wrist").start,
+        "hand": three.lever("hand", "hand").start,
+    }
 
 
 def test_residuals(pair: tuple[Optimum, Solution]) -> None:
@@ -216,7 +232,7 @@ def test_residuals(pair: tuple[Optimum, Solution]) -> None:
         layout = best.window.priors.layout
         lever = np.zeros(3)
         if measured.joint != "strap":
-            lever = found.message.shared.mean[layout.lever(measured.joint)]
+            lever = found.shared[layout.lever(measured.joint)]
         for k, node in enumerate(measured.node):
             at = found.forearm.states.p[node] + found.forearm.states.R[node] @ lever + measured.shift[k]
             np.testing.assert_allclose(
@@ -226,7 +242,7 @@ def test_residuals(pair: tuple[Optimum, Solution]) -> None:
 
 def test_only_what_is_asked_for() -> None:
     window = small_window(upper=False)[0]
-    found = solve(window, with_covariance=False, with_message=False)
+    found = solve(window, with_covariance=False)
     assert (
         found.forearm.pose_covariance
         is found.forearm.velocity_covariance
@@ -234,10 +250,9 @@ def test_only_what_is_asked_for() -> None:
         is None
     )
     assert found.evidence is None and len(found.bodies) == 1 and found.offset_information == 0.0
-    assert np.isnan(found.message.shared.covariance).all() and np.isfinite(found.message.shared.mean).all()
+    assert np.isfinite(found.shared).all()
     found = solve(replace(window, shoulder=None), with_covariance=True)
     assert found.shoulder is found.shoulder_covariance is None and found.forearm.pose_covariance is not None
-    assert np.isfinite(found.message.shared.covariance).all()
     _, upper = solve(small_window()[0], with_covariance=False).bodies
     assert upper.pose_covariance is None
 
@@ -422,7 +437,8 @@ def test_considered_errors_widen_the_covariance(rows: int) -> None:
         like(found.forearm.pose_covariance[i], in_camera(best.R[i], total), 5e-3)
         assert np.trace(total) > 1.01 * np.trace(best.of(X(i)))
     own = follows[best.columns[S(2)]]
-    like(found.shoulder_covariance[2], best.of(S(2)) + own @ window.considered.covariance @ own.T, 5e-3)
+    total = best.of(S(2)) + own @ window.considered.covariance @ own.T
+    like(found.shoulder_covariance[window.shoulder.node[2]], total, 5e-3)
 
 
 def _one_a_node(measured):

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import V, X
-from scenes import arm, last_pass, plain, point
+from scenes import arm, first_window, plain, point
 
 import smoother.window.nodes
 from smoother.array_types import FloatArray
@@ -35,8 +35,7 @@ def window_of(made: SimulatedArm, grouped: bool) -> Window:
     with patch.object(
         smoother.window.nodes, "GROUPED_S", smoother.window.nodes.GROUPED_S if grouped else 0.0
     ):
-        (job,) = last_pass(made.recording, made.calibration)
-    return plain(job.window)
+        return plain(first_window(made.recording, made.calibration))
 
 
 def optimum(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, States]:

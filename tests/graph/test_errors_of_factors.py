@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import B, C, E, G, L, M, S, U, V, W, X, Y
 from scipy.spatial.transform import Rotation
-from small_window import BIAS_LENGTH_S, GRAVITY_M_S2, LEVERS, UPPER_FIRST, UPPER_NODES, small_window
+from small_window import BIAS_LENGTH_S, LEVERS, UPPER_FIRST, UPPER_NODES, small_window
 
 import smoother.graph.build
 from smoother.array_types import FloatArray
@@ -29,6 +29,7 @@ from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.shared_prior import shared_factors
 from smoother.recording import JOINTS
+from smoother.units import GRAVITY
 from smoother.window.problem import ImuIncrements, JointMeasurements, NoiseModel, Window
 
 ELBOW, SHOULDER = JOINTS.index("elbow"), JOINTS.index("shoulder")
@@ -131,7 +132,7 @@ def levels(increments: ImuIncrements, dt: FloatArray, noise: NoiseModel) -> Iter
     """Densities of accelerometer and gyroscope, interval by interval, in whole steps above the still ones."""
     for i, (a, b) in enumerate(zip(increments.first[:-1], increments.first[1:], strict=True)):
         rows = range(a, b)
-        force = [abs(np.linalg.norm(increments.acc[row].mean(axis=0)) - GRAVITY_M_S2) for row in rows]
+        force = [abs(np.linalg.norm(increments.acc[row].mean(axis=0)) - GRAVITY) for row in rows]
         rate = [np.linalg.norm(increments.gyro[row]) for row in rows]
         impact = increments.velocity_error[i] / np.sqrt(dt[i])
         still = noise.accelerometer_density
@@ -151,7 +152,7 @@ def inertial(
 ) -> list[float]:
     """Error of each interval: what the samples predict of the next state, against that state."""
     errors = []
-    g = GRAVITY_M_S2 * down
+    g = GRAVITY * down
     for i, (acc_level, gyro_level) in enumerate(levels(increments, np.diff(t), window.noise)):
         (R, p, v), (Rj, pj, vj) = state(i), state(i + 1)
         covariance, turn = np.zeros((9, 9)), np.eye(3)

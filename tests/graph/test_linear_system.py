@@ -8,10 +8,8 @@ import pytest
 from gtsam.symbol_shorthand import B, C, D, E, F, G, L, M, N, Q, S, U, V, W, X, Y, Z
 from scenes import arm, first_window
 
-from smoother.graph.build import bias_of_intervals, build, node_of_variables
+from smoother.graph.build import build, node_of_variables
 from smoother.graph.linear_system import LinearSystem
-from smoother.graph.optimise import Optimum, marginal_covariance
-from smoother.graph.shared_prior import shared_keys
 from smoother.graph.variables import DIMENSION, sizes_of, values_of
 from smoother.recording import JOINTS
 from smoother.window.problem import Window
@@ -47,19 +45,6 @@ def test_covariances_are_those_of_gtsam(
     joint = reference.jointMarginalCovariance(keys)
     expected = np.block([[joint.at(a, b) for b in keys] for a in keys])
     np.testing.assert_allclose(system.shared_covariance(keys), expected, atol=1e-9 * np.abs(expected).max())
-
-
-def test_a_messages_covariance_is_that_of_gtsam(
-    window: Window, solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
-) -> None:
-    """All shared variables at once, the bias of the window's middle among them."""
-    graph, values = solved
-    keys = shared_keys(window, bias_of_intervals(window))
-    found = marginal_covariance(Optimum(graph, values, 0, 0.0), window, keys)
-    joint = gtsam.Marginals(graph, values).jointMarginalCovariance(keys)
-    expected = np.block([[joint.at(a, b) for b in keys] for a in keys])
-    scale = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-9)
 
 
 def test_a_free_direction_is_refused(window: Window, solved: tuple) -> None:

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import S, V, X, Y
-from scenes import arm, first_window, last_pass
+from scenes import arm, first_window, section_windows
 from small_window import UPPER_FIRST, UPPER_NODES, small_window
 
 import smoother.graph.build
@@ -85,7 +85,7 @@ def test_covariances_and_those_between_times_are_those_of_gtsam(window: Window) 
             [
                 *(body(draws, node, of_node) for node, of_node in zip((i, j), R, strict=True)),
                 draws.velocity[:, i],
-                draws.shoulder[:, knot],
+                draws.shoulder[:, window.shoulder.node[knot]],
             ],
             axis=1,
         )
@@ -144,8 +144,8 @@ def test_they_have_the_covariance_that_the_window_states(window: Window) -> None
         pose = np.concatenate([draws.position[:, node], draws.rotation[:, node]], axis=1)
         same(covariance(pose), solution.forearm.pose_covariance[node])
         same(covariance(draws.velocity[:, node]), solution.forearm.velocity_covariance[node])
-    for knot in range(0, draws.shoulder.shape[1], 5):
-        same(covariance(draws.shoulder[:, knot]), solution.shoulder_covariance[knot])
+    for node in window.shoulder.node[::5]:
+        same(covariance(draws.shoulder[:, node]), solution.shoulder_covariance[node])
 
 
 def same(drawn: FloatArray, stated: FloatArray) -> None:
@@ -153,10 +153,11 @@ def same(drawn: FloatArray, stated: FloatArray) -> None:
     np.testing.assert_allclose(drawn / scale / scale[:, None], stated / scale / scale[:, None], atol=1e-5)
 
 
-def test_neighbouring_windows_draw_the_same_motion() -> None:
+def test_neighbouring_sections_draw_the_same_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that their blend keeps its variance: positions nearly, turns for the most part."""
+    monkeypatch.setattr("smoother.recovery.sections.SECTION_S", 10.0)
     made = arm(3, protocol="random", duration_s=20.0, occlusion_lengths_s=(2.0,), occlusion_every_s=6.0)
-    one, two = (job.window for job in last_pass(made.recording, made.calibration)[:2])
+    one, two = (job.window for job in section_windows(made.recording, made.calibration))
     plan = DrawPlan(100, 5, "right", 4, one.priors.shared.covariance, one.considered)
     first, second = (solve(each, with_covariance=True, plan=plan).draws for each in (one, two))
     there = np.abs(two.t - two.core_start_s) < 0.5

@@ -8,7 +8,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from curve import angle_rad
-from scenes import arm, last_pass, plain, point
+from scenes import arm, first_window, plain, point
 from slow_window import Answer, SlowWindow
 
 import smoother.graph.solve
@@ -47,8 +47,7 @@ def one_window(noise_m: float = 0.008) -> Window:
 def every_frame(made: SimulatedArm) -> Window:
     """The only window of a recording, each camera frame a node."""
     with patch.object(smoother.window.nodes, "GROUPED_S", 0.0):
-        (job,) = last_pass(made.recording, made.calibration)
-    return job.window
+        return first_window(made.recording, made.calibration)
 
 
 @pytest.fixture(scope="module", params=[0.008, 0.001], ids=["white", "precise"])
@@ -81,7 +80,6 @@ def test_covariances_agree(pair: Pair) -> None:
     for fast, slow in (
         (pair.fast.forearm.pose_covariance, pair.slow.pose_covariance),
         (pair.fast.forearm.velocity_covariance, pair.slow.velocity_covariance),
-        (pair.fast.message.shared.covariance[None], pair.slow.shared_covariance[None]),
     ):
         sigma = np.sqrt(np.einsum("nii->ni", slow))
         np.testing.assert_allclose(np.sqrt(np.einsum("nii->ni", fast)), sigma, rtol=0.01)
@@ -106,7 +104,7 @@ def test_covariances_between_the_computed_ones(pair: Pair) -> None:
 def test_biases_gravity_and_lever_arms_agree(pair: Pair) -> None:
     layout = pair.window.priors.layout
     sigma = np.sqrt(np.diag(pair.slow.shared_covariance))
-    apart = np.abs(pair.fast.message.shared.mean - pair.slow.shared) / sigma
+    apart = np.abs(pair.fast.shared - pair.slow.shared) / sigma
     assert apart[layout.bias].max() < 2 * SIGMAS  # the softest directions of the problem
     assert apart[layout.gravity].max() < 2 * SIGMAS
     for joint in ("elbow", "wrist", "hand"):
@@ -124,7 +122,7 @@ def test_a_wrong_upper_arm_is_corrected_towards_the_truth() -> None:
     covariance[layout.upper_arm] = covariance[:, layout.upper_arm] = 0.0
     covariance[layout.upper_arm, layout.upper_arm] = 0.05**2
     prior = replace(window.priors, shared=replace(shared, mean=mean, covariance=covariance))
-    found = solve(plain(replace(window, priors=prior)), with_covariance=False).message.shared.mean
+    found = solve(plain(replace(window, priors=prior)), with_covariance=False).shared
     # the camera sees elbow and shoulder to within millimetres
     assert abs(found[layout.upper_arm] - true)[0] < 0.01
 

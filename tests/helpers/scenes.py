@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,11 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 from small_window import with_forearm
 
-import smoother.graph.solve
 from smoother import Config, Recovery
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import Validation, validate
-from smoother.graph.solve import WindowOptimum
+from smoother.graph.solve import WindowOptimum, solution_of
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
 from smoother.smoothing import smooth
@@ -100,57 +98,42 @@ def with_field(recording: Recording, extra_A: FloatArray | float = 0.0, noise: f
 
 @dataclass(frozen=True)
 class Job:
-    """One window that was solved on the way, with its answer."""
+    """The window of a section, with its answer."""
 
     window: Window
-    with_covariance: bool
     solution: Solution
 
 
+def first_window(recording: Recording, calibration: ArmCalibration | None) -> Window:
+    """The first section's window as it is solved first, from the camera's start values."""
+    given: list[Window] = []
+
+    def listen(window: Window, tolerance: float) -> WindowOptimum:
+        given.append(window)
+        raise Found
+
+    with suppress(Found), patch("smoother.recovery.solve_section.optimise_window", listen):
+        smooth(replace(recording, truth=None), calibration, ALONE)
+    return given[0]
+
+
 class Found(Exception):
-    """What was waited for has been solved: the rest is of no interest."""
+    """What was waited for is there: the rest is of no interest."""
 
 
-def jobs(
-    recording: Recording,
-    calibration: ArmCalibration | None,
-    config: Config = ALONE,
-    until: Callable[[Job], bool] = lambda job: False,
-) -> list[Job]:
-    """Every window that `smooth` solves, pass by pass, by listening at the solver; up to one of a kind."""
+def section_windows(recording: Recording, calibration: ArmCalibration | None) -> list[Job]:
+    """The windows that give the answer, one a section, in the order of time."""
     solved: list[Job] = []
-    solve, solution_of = smoother.graph.solve.solve, smoother.graph.solve.solution_of
 
-    def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
-        solution = solve(window, with_covariance, **more)
-        solved.append(Job(window, with_covariance, solution))
-        if until(solved[-1]):
-            raise Found
+    def listen(optimised: WindowOptimum, with_covariance: bool, **more: Any) -> Solution:
+        solution = solution_of(optimised, with_covariance, **more)
+        if with_covariance:
+            solved.append(Job(optimised.window, solution))
         return solution
 
-    def listen_again(settled: WindowOptimum, with_covariance: bool, **more: Any) -> Solution:
-        solution = solution_of(settled, with_covariance, **more)
-        solved.append(Job(settled.window, with_covariance, solution))
-        if until(solved[-1]):
-            raise Found
-        return solution
-
-    with suppress(Found), ExitStack() as patches:
-        for place in ("recovery.first_pass", "selfcal.rounds"):
-            patches.enter_context(patch(f"smoother.{place}.solve", listen))
-        patches.enter_context(patch("smoother.recovery.second_pass.solution_of", listen_again))
-        smooth(replace(recording, truth=None), calibration, config)
+    with patch("smoother.recovery.solve_section.solution_of", listen):
+        smooth(replace(recording, truth=None), calibration, ALONE)
     return solved
-
-
-def first_window(recording: Recording, calibration: ArmCalibration) -> Window:
-    """The first window of the pass that gives the answer."""
-    return jobs(recording, calibration, until=lambda job: job.with_covariance)[-1].window
-
-
-def last_pass(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
-    """The windows of the pass that gives the answer, in the order of time."""
-    return [job for job in jobs(recording, calibration, config) if job.with_covariance]
 
 
 def plain(window: Window, cauchy: float = 1e6) -> Window:

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
+from smoother.units import GRAVITY
 from smoother.window.problem import States, Window
 
 #: Position's own integration noise, m^2/s (the one number that the graph does not get from a window).
@@ -149,7 +150,7 @@ class SlowWindow:
 
     def residuals(self, x: Unknowns) -> FloatArray:
         w, layout = self.window, self.window.priors.layout
-        g = layout.down(x.shared) * w.gravity_magnitude
+        g = layout.down(x.shared) * GRAVITY
         R, p, v = self._increments(x.shared[layout.bias] - w.forearm.increments.bias)
         back, dt = np.swapaxes(x.R[:-1], 1, 2), self.dt[:, None]
         error = np.hstack(

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
 from smoother.body import FOREARM, UPPER_ARM
+from smoother.units import GRAVITY
 from smoother.window.problem import (
     FieldMeasurements,
     ImuIncrements,
@@ -28,7 +29,6 @@ from smoother.window.problem import (
 from smoother.window.shared import SIZE, Considered, Gaussian, SharedLayout, axes_across
 
 NODES, STEP_S, SUBSTEPS = 10, 0.06, 3
-GRAVITY_M_S2 = 9.81
 DOWN = np.array([0.1, -0.95, 0.2]) / np.linalg.norm([0.1, -0.95, 0.2])
 #: The nodes of the upper-arm IMU.
 UPPER_FIRST, UPPER_NODES = 2, 6
@@ -78,8 +78,8 @@ def moving(rng: np.random.Generator, t: FloatArray, origin: FloatArray) -> tuple
     for k in range(m):
         gyro[k] = 0.25 * size[k] * rng.normal(size=3)
         for half in range(2):
-            acc[k, half] = R.T @ (-GRAVITY_M_S2 * DOWN + size[k] * rng.normal(size=3))
-            a = R @ acc[k, half] + GRAVITY_M_S2 * DOWN
+            acc[k, half] = R.T @ (-GRAVITY * DOWN + size[k] * rng.normal(size=3))
+            a = R @ acc[k, half] + GRAVITY * DOWN
             p, v = p + v * h[k] + 0.5 * a * h[k] ** 2, v + a * h[k]
             R = R @ Rotation.from_rotvec(gyro[k] * h[k]).as_matrix()
         if k % SUBSTEPS == SUBSTEPS - 1:
@@ -148,7 +148,6 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
         attitude_covariance=covariance(rng, np.array([0.05, 0.06, 0.04])),
     )
     window = Window(
-        index=7,
         t=t,
         core_start_s=float(t[1]),
         core_end_s=float(t[-2]),
@@ -158,7 +157,6 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
         velocity_change=change,
         priors=Priors(layout, prior, np.repeat([0.02, 0.001], 3) * np.linspace(1.0, 2.0, 6)),
         noise=NOISE,
-        gravity_magnitude=GRAVITY_M_S2,
         field=field,
         considered=_considered(rng, layout.size),
     )

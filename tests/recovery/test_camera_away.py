@@ -13,11 +13,9 @@ from smoother.array_types import BoolArray
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.segment import Timeline
 from smoother.recording import JointTracks, Recording
-from smoother.recovery.sections import CONTEXT_S, Sections
+from smoother.recovery.sections import CONTEXT_S, SECTION_S, Sections
 from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
-from smoother.window.cut import cut_times
-from smoother.window.prepare import PreparedSegment
 
 #: The answer reaches so far in these tests, and the camera is away from and until here, s.
 REACH_S, AWAY_S = 6.0, (60.0, 130.0)
@@ -80,24 +78,15 @@ def test_nothing_is_left_out_where_something_is_seen(three_minutes: SimulatedArm
     assert len([section for section in sections if section.start_s == -np.inf]) == 1
 
 
-def test_windows_stay_short_where_one_joint_is_seen(
-    three_minutes: SimulatedArm, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A wrist under the table for more than a minute: the elbow holds the answer, in windows as ever."""
-    cut: list[float] = []
-
-    def listen(prepared: PreparedSegment, length_s: float) -> list[float]:
-        borders = cut_times(prepared, length_s)
-        cut.append(float(np.diff(borders).max()))
-        return borders
-
-    monkeypatch.setattr("smoother.recovery.first_pass.cut_times", listen)
+def test_sections_stay_short_where_one_joint_is_seen(three_minutes: SimulatedArm) -> None:
+    """A wrist under the table for more than a minute: the elbow holds the answer, in sections as ever."""
     recording = three_minutes.recording
     t = recording.arm.t_s
     away = (t > AWAY_S[0]) & (t < AWAY_S[1])
     some = replace(recording, arm=recording.arm.hide(away, ("wrist", "hand")), truth=None)
     recovery = smooth(some, three_minutes.calibration, ALONE)
-    assert max(cut) < 2.5 * ALONE.windows.length_s
+    sections = Sections(some, Timeline.of(some), constant_clock(0.0)).all
+    assert len(sections) == 3 and max(section.length_s for section in sections) < 1.5 * SECTION_S
     assert max(gap.length_s for gap in recovery.gaps) > 69.0
     inside = (recovery.t_s > AWAY_S[0] + 1.0) & (recovery.t_s < AWAY_S[1] - 1.0)
     # the elbow alone: 0.4 cm instead of 0.3

@@ -1,4 +1,4 @@
-"""The magnetometer in the second pass: the field's direction, what is left out, and what it brings."""
+"""The magnetometer: the field's direction, what is left out, and what it brings."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FIELD_K, Scene, last_pass, point, recovered, with_field
+from scenes import FIELD_K, Scene, point, recovered, section_windows, with_field
 
 from smoother.graph.build import build
-from smoother.recovery.magnetometer import middle_direction
+from smoother.recovery.magnetometer import Field, middle_direction
 
 SEED = 3
 
@@ -105,7 +105,7 @@ def test_the_middle_of_directions_is_not_pulled_by_a_few():
 
 def test_the_factors_are_the_angle_under_cauchys_loss(made):
     """The graph's error with and without the field, against the formula."""
-    windows = [job.window for job in last_pass(with_field(made.recording), made.calibration)]
+    windows = [job.window for job in section_windows(with_field(made.recording), made.calibration)]
     with_measurements = [window for window in windows if window.field is not None]
     assert with_measurements
     for window in with_measurements:
@@ -117,3 +117,16 @@ def test_the_factors_are_the_angle_under_cauchys_loss(made):
         loss = 0.5 * k**2 * np.log1p((off / k) ** 2)
         # sigma is rounded to 1e-5 rad
         assert graph.error(values) - less.error(values) == pytest.approx(loss.sum(), rel=2e-3, abs=1e-6)
+
+
+def test_a_window_has_the_directions_of_its_time():
+    """At the nearest node; their mean is known no better than the field's direction in the room."""
+    directions = np.eye(3)[[0, 1, 2, 0]]
+    field = Field(np.array([1.0, 3.0, 5.0, 9.0]), directions, FIELD_K, 0.04, 0.01)
+    t = np.array([2.0, 2.5, 3.1, 4.0, 4.8, 8.9])
+    found = field.at_nodes(t)
+    assert found.node.tolist() == [2, 4]
+    np.testing.assert_array_equal(found.in_A, directions[1:3])
+    np.testing.assert_array_equal(found.in_K, FIELD_K)
+    assert found.sigma_rad == pytest.approx(np.sqrt(0.04**2 + 2 * 0.01**2))
+    assert field.at_nodes(t + 10.0) is None

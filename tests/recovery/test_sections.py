@@ -9,9 +9,9 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from scenes import ALONE, FIELD_K, last_pass, with_field
+from scenes import ALONE, FIELD_K, section_windows, with_field
 
-import smoother.recovery.first_pass
+import smoother.recovery.solve_section
 from smoother import Recovery
 from smoother.array_types import FloatArray
 from smoother.measurements.clock import constant_clock
@@ -19,9 +19,16 @@ from smoother.measurements.segment import Timeline
 from smoother.measurements.visibility import Gap
 from smoother.recording import FOREARM_JOINTS, JOINTS, Recording
 from smoother.recovery.blended_columns import between_quaternions, blend
-from smoother.recovery.first_pass import FirstAnswer
 from smoother.recovery.merge import merged_gaps
-from smoother.recovery.sections import SECTION_S, Section, SectionData, Sections, section_borders
+from smoother.recovery.sections import (
+    SECTION_S,
+    Section,
+    SectionData,
+    Sections,
+    _visible_times,
+    section_borders,
+)
+from smoother.recovery.solve_section import SolvedSection
 from smoother.recovery.task import Task
 from smoother.rotation import Rotation
 from smoother.selfcal.excerpts import informative_excerpts
@@ -120,6 +127,18 @@ def test_gaps_of_two_sections_are_one() -> None:
     assert merged_gaps([], (Gap(0.0, 1.0, open_start=True),)) == [Gap(0.0, 1.0, open_start=True)]
 
 
+def test_visible_time_by_its_gaps() -> None:
+    """In a gap of more than a minute also where one joint is seen, for long enough to hold a border."""
+    seen = np.concatenate(
+        [np.arange(a, b, 0.1) for a, b in ((0, 20), (30, 60), (80, 83), (90, 110), (170, 190))]
+    )
+    visible = seen[(seen < 60) | (seen > 165)]
+    times = _visible_times(visible, seen)
+    np.testing.assert_allclose(times, [[0, 19.9], [30, 59.9], [90, 109.9], [170, 189.9]])
+    assert _visible_times(np.zeros(0), np.zeros(0)).shape == (0, 2)
+    np.testing.assert_allclose(_visible_times(np.zeros(0), seen[seen > 85]), [[90, 109.9], [170, 189.9]])
+
+
 SHARE = np.array([0.0, 0.2, 0.5, 0.8, 1.0, 1.0])
 
 
@@ -198,19 +217,19 @@ class Dropped:
 def smoothed(
     recording: Recording, made: SimulatedArm, excerpts_of: Recording | None = None
 ) -> tuple[Recovery, list[bool]]:
-    """The recovery, and which sections the first pass answered; self-calibrated on another's excerpts."""
-    solve_alone: Callable[[SectionData, Task], FirstAnswer | None]
-    solve_alone, answered = smoother.recovery.first_pass.solve_alone, []
+    """The recovery, and which sections were answered; self-calibrated on another's excerpts."""
+    solve_section: Callable[[SectionData, Task], SolvedSection | None]
+    solve_section, answered = smoother.recovery.solve_section.solve_section, []
 
-    def listen(data: SectionData, task: Task) -> FirstAnswer | None:
-        answer = solve_alone(data, task)
+    def listen(data: SectionData, task: Task) -> SolvedSection | None:
+        answer = solve_section(data, task)
         answered.append(answer is not None)
         return answer
 
     chosen = recording if excerpts_of is None else excerpts_of
     excerpts = informative_excerpts(chosen, Timeline.of(chosen))
     with (
-        patch("smoother.recovery.first_pass.solve_alone", listen),
+        patch("smoother.recovery.solve_section.solve_section", listen),
         patch("smoother.smoothing.informative_excerpts", lambda recording, timeline: excerpts),
     ):
         return smooth(recording, made.calibration, ALONE), answered
@@ -272,7 +291,7 @@ def test_each_window_gets_its_own_field(three_minutes: SimulatedArm) -> None:
     start_s, end_s = MIDDLE
     recording = paused(with_field(three_minutes.recording), start_s, end_s)
     recording = without_camera(recording, start_s - AWAY_S, end_s + AWAY_S)
-    jobs = last_pass(recording, three_minutes.calibration)
+    jobs = section_windows(recording, three_minutes.calibration)
     windows = [job.window for job in jobs if job.window.field is not None]
     assert windows[0].t[-1] < start_s and windows[-1].t[0] > end_s
     for window in windows:

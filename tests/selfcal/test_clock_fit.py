@@ -227,7 +227,7 @@ def test_a_measured_clock_is_a_prior() -> None:
 def test_prior_and_motion_weigh_as_their_information() -> None:
     """One window says 20 ms with 5 ms; the prior says zero with its own sigma."""
     information = np.full(1, 1.0 / 0.005**2)
-    score = ClockScore(np.ones(1), 0.02 * information, information, np.zeros(1, int))
+    score = ClockScore(np.ones(1), 0.02 * information, information)
     for prior_s in (0.005, 0.15):
         clock = refined_clock(constant_clock(0.0, prior_s), score, False)
         share = prior_s**2 / (prior_s**2 + 0.005**2)

@@ -19,15 +19,14 @@ from smoother.selfcal.clock_fit import (
     _line,
     _local_level,
     clock_score,
-    pooled_score,
+    joined_scores,
     refined_clock,
-    refined_clocks,
 )
 from smoother.window.problem import States, Window
-from smoother.window.shared import Gaussian
-from smoother.window.solution import Message, SegmentSolution, Solution
+from smoother.window.solution import SegmentSolution, Solution
 
 PRIOR_S = 0.07
+NOTHING = ClockScore(np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 def observations(
@@ -126,10 +125,8 @@ def solution(window: Window, seed: int, information: float) -> Solution:
         each.joint: each.sigma_m[:, None] * 2.0 * rng.normal(size=each.position.shape)
         for each in window.joint_measurements
     }
-    message = Message(0.0, Gaussian(np.zeros(1), np.eye(1)))
-    known, bias = np.ones(NODES, dtype=bool), np.zeros((NODES, 6))
-    forearm = SegmentSolution(FOREARM.name, known, states, None, None, bias)
-    return Solution(0, (forearm,), None, None, message, residuals, 1, 0.0, information)
+    forearm = SegmentSolution(FOREARM.name, window.t, states, np.zeros((NODES, 6)), np.zeros(3))
+    return Solution((forearm,), None, None, np.zeros(0), {}, residuals, 1, 0.0, information)
 
 
 def by_hand(window: Window, answer: Solution) -> tuple[list[tuple[float, float, float]], float]:
@@ -165,18 +162,16 @@ def test_the_score_of_samples_in_the_core(share: float, used: float) -> None:
     for number in (0, 2):
         rows, total = by_hand(windows[number], answers[number])
         answers[number] = replace(answers[number], offset_information=share * total)
-        expected += [(t, slope, used * bound, number) for t, slope, bound in rows]
-    score = clock_score(windows, answers)
-    found = np.column_stack([score.t, score.slope, score.information, score.window])
+        expected += [(t, slope, used * bound) for t, slope, bound in rows]
+    score = clock_score(zip(windows, answers, strict=True))
+    found = np.column_stack([score.t, score.slope, score.information])
     np.testing.assert_allclose(found, expected, rtol=1e-10)
-    assert score.window.dtype.kind == "i"
 
 
 def test_no_samples_no_score() -> None:
     window, _ = small_window(upper=False)
-    score = clock_score([replace(window, joint_measurements=())], [solution(window, 0, 1.0)])
-    assert len(score.t) == len(score.slope) == len(score.information) == len(score.window) == 0
-    assert score.window.dtype.kind == "i"
+    for score in (clock_score([(replace(window, joint_measurements=()), solution(window, 0, 1.0))]), NOTHING):
+        assert len(score.t) == len(score.slope) == len(score.information) == 0
     still = replace(
         window,
         joint_measurements=tuple(
@@ -186,55 +181,59 @@ def test_no_samples_no_score() -> None:
     answer = solution(still, 0, 1.0)
     resting = replace(answer.forearm.states, v=0 * answer.forearm.states.v)
     answer = replace(answer, bodies=(replace(answer.forearm, states=resting),))
-    assert (clock_score([still], [answer]).information == 0).all()  # and no division by zero
+    assert (clock_score([(still, answer)]).information == 0).all()  # and no division by zero
 
 
 def test_a_score_half_a_second_at_a_time() -> None:
     t = np.array([10.1, 10.4, 10.49, 10.5, 11.2, 11.4, 9.9])
-    score = ClockScore(t, np.arange(7.0), 10.0 + np.arange(7.0), np.full(7, 4))
+    score = ClockScore(t, np.arange(7.0), 10.0 + np.arange(7.0))
     short = score.condensed()
     np.testing.assert_allclose(short.t, [9.9, (10.1 + 10.4 + 10.49) / 3, 10.5, 11.3])
     np.testing.assert_allclose(short.slope, [6, 0 + 1 + 2, 3, 4 + 5])
     np.testing.assert_allclose(short.information, [16, 33, 13, 29])
-    assert short.window.tolist() == [4] * 4
-    nothing = ClockScore(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, int)).condensed()
-    assert len(nothing.t) == len(nothing.window) == 0 and nothing.slope.dtype == float
+    nothing = NOTHING.condensed()
+    assert len(nothing.t) == 0 and nothing.slope.dtype == float
 
 
 def test_scores_apart_are_one() -> None:
-    one = ClockScore(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]), np.array([7, 7]))
-    two = ClockScore(np.array([8.0]), np.array([9.0]), np.array([10.0]), np.array([7]))
-    both = pooled_score([one, two])
+    one = ClockScore(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]))
+    two = ClockScore(np.array([8.0]), np.array([9.0]), np.array([10.0]))
+    both = joined_scores([one, NOTHING, two])
     assert both.t.tolist() == [1.0, 2.0, 8.0] and both.slope.tolist() == [3.0, 4.0, 9.0]
-    assert both.information.tolist() == [5.0, 6.0, 10.0] and both.window.tolist() == [0, 0, 1]
+    assert both.information.tolist() == [5.0, 6.0, 10.0]
 
 
 # -- the clock ----------------------------------------------------------------------------------------------
 
 
-def made_score(
-    offset: FloatArray, clock: Clock, middle: FloatArray, information: FloatArray, per_window: int = 4
-) -> ClockScore:
-    """A score that says these offsets at these camera times, four samples a window."""
-    t_camera = (middle[:, None] + np.linspace(-0.15, 0.15, per_window)).ravel()
-    share = np.tile(np.arange(1.0, per_window + 1) / np.arange(1.0, per_window + 1).sum(), len(middle))
-    own = np.repeat(information, per_window) * share
-    slope = np.repeat((offset - clock.at(middle)) * information, per_window) * share
-    return ClockScore(t_camera + clock.mean_s, slope, own, np.repeat(np.arange(len(middle)), per_window) * 3)
+def made_score(offset: FloatArray, clock: Clock, middle: FloatArray, information: FloatArray) -> ClockScore:
+    """A score that says these offsets at these camera times, four samples each."""
+    t_camera = (middle[:, None] + np.linspace(-0.15, 0.15, 4)).ravel()
+    share = np.tile(np.arange(1.0, 5.0) / 10.0, len(middle))
+    own = np.repeat(information, 4) * share
+    slope = np.repeat((offset - clock.at(middle)) * information, 4) * share
+    return ClockScore(t_camera + clock.mean_s, slope, own)
+
+
+@pytest.fixture
+def near(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measured stamps taken half a second at a time too."""
+    monkeypatch.setattr(clock_fit, "SPACING_S", clock_fit.SYNTHETIC_SPACING_S)
 
 
 START = Clock(np.array([0.0, 100.0]), np.array([0.01, 0.03]), 0.02, prior_sigma_s=PRIOR_S)
 
 
+@pytest.mark.usefixtures("near")
 def test_a_clock_moves_to_what_the_residuals_say() -> None:
     t, x, variance = observations(3)
-    t = np.round(t) + 0.25  # far from the borders of half seconds
+    t = np.round(t)  # far from the borders of half seconds, which begin at the first sample
+    t[0] -= 0.1
     for synthetic in (False, True):
         found = refined_clock(START, made_score(x, START, t, 1 / variance), synthetic)
         (_, level, sigma, local), walk = _likeliest(t, x, variance, synthetic, PRIOR_S)
-        assert (
-            _line(t, x, 1 / variance, PRIOR_S)[0] < _likeliest(t, x, variance, synthetic, PRIOR_S)[0][0] + 3.0
-        )  # type: ignore[index]
+        line = _line(t, x, 1 / variance, PRIOR_S)
+        assert line[0] < _likeliest(t, x, variance, synthetic, PRIOR_S)[0][0] + 3.0
         np.testing.assert_allclose(found.t, t, atol=1e-9)
         np.testing.assert_allclose(found.offset, level, atol=1e-9)
         assert found.walk == walk and found.skew == 0.0 and found.prior_sigma_s == PRIOR_S
@@ -244,15 +243,16 @@ def test_a_clock_moves_to_what_the_residuals_say() -> None:
 
 
 def test_synthetic_stamps_are_taken_half_a_second_at_a_time() -> None:
-    """Within a window too; stamps that were measured, a window at a time."""
-    t = 20.25 + 0.5 * np.arange(12)
-    score = made_score(np.full(12, 0.02), START, t, np.full(12, 1e4))
-    score = replace(score, window=np.repeat([0, 1], 24))
-    assert len(refined_clock(START, score, True).t) == 12
+    """Stamps that were measured, 12 s at a time."""
+    t = 20.25 + 0.5 * np.arange(48)
+    t[0] -= 0.1
+    score = made_score(np.full(48, 0.02), START, t, np.full(48, 1e4))
+    assert len(refined_clock(START, score, True).t) == 48
     (one, two) = refined_clock(START, score, False).t
-    assert (one, two) == (pytest.approx(t[:6].mean()), pytest.approx(t[6:].mean()))
+    assert (one, two) == (pytest.approx(t[:24].mean()), pytest.approx(t[24:].mean()))
 
 
+@pytest.mark.usefixtures("near")
 @pytest.mark.parametrize(
     ("synthetic", "skew", "count", "walk", "is_line"),
     [
@@ -268,6 +268,7 @@ def test_a_clock_that_drifts(synthetic: bool, skew: float, count: int, walk: flo
     rng = np.random.default_rng(0)
     step_s, noise_s = (2.0, 0.001) if count == 150 else (4.0, 0.003)
     t = 5.25 + step_s * np.arange(count)
+    t[0] -= 0.1
     variance = np.full(count, noise_s**2)
     x = skew * (t - t.mean()) + np.cumsum(0.0003 * np.sqrt(step_s) * rng.normal(size=count))
     line = _line(t, x, 1 / variance, PRIOR_S)
@@ -278,8 +279,8 @@ def test_a_clock_that_drifts(synthetic: bool, skew: float, count: int, walk: flo
         (_, level, _, wandering), own = _likeliest(t, x - line[1], variance, synthetic, PRIOR_S)
         expected, local = (line[1] + level, wandering) if own > 0.0 else (line[1], line[3])
     assert own == walk
-    near = Clock(t[[0, -1]], skew * (t[[0, -1]] - t.mean()), 0.02, prior_sigma_s=PRIOR_S)
-    found = refined_clock(near, made_score(x, near, t, 1 / variance), synthetic)
+    close = Clock(t[[0, -1]], skew * (t[[0, -1]] - t.mean()), 0.02, prior_sigma_s=PRIOR_S)
+    found = refined_clock(close, made_score(x, close, t, 1 / variance), synthetic)
     assert found.skew == (pytest.approx(line[2]) if is_line else 0.0) and found.walk == walk
     np.testing.assert_allclose(found.offset, expected, atol=1e-9)
     assert found.sigma_s == pytest.approx(sigma)
@@ -287,20 +288,22 @@ def test_a_clock_that_drifts(synthetic: bool, skew: float, count: int, walk: flo
     assert found.local_sigma_s == pytest.approx(np.sqrt(sigma**2 + local**2 + extra**2))
 
 
+@pytest.mark.usefixtures("near")
 def test_steps_and_offsets_are_limited() -> None:
     """No more than 60 ms at a time, no farther than a clock is looked for."""
-    t = np.array([10.25, 12.25, 14.25])
-    near = Clock(np.zeros(1), np.zeros(1), 0.02, prior_sigma_s=10.0)
+    t = np.array([10.15, 12.25, 14.25])
+    close = Clock(np.zeros(1), np.zeros(1), 0.02, prior_sigma_s=10.0)
     for sign in (1.0, -1.0):
-        found = refined_clock(near, made_score(np.full(3, sign * 0.2), near, t, np.full(3, 1e8)), False)
+        found = refined_clock(close, made_score(np.full(3, sign * 0.2), close, t, np.full(3, 1e8)), False)
         np.testing.assert_allclose(found.offset, sign * 0.06, atol=1e-6)
-        far = replace(near, offset=np.full(1, sign * 0.39))
+        far = replace(close, offset=np.full(1, sign * 0.39))
         found = refined_clock(far, made_score(np.full(3, sign * 0.5), far, t, np.full(3, 1e8)), False)
         np.testing.assert_allclose(found.offset, sign * LARGEST_OFFSET_S)
 
 
+@pytest.mark.usefixtures("near")
 def test_what_says_nothing_makes_no_knot() -> None:
-    t, information = np.array([10.25, 12.25, 14.25]), np.array([1e4, 0.9e-2, 1e4])
+    t, information = np.array([10.15, 12.25, 14.25]), np.array([1e4, 0.9e-2, 1e4])
     score = made_score(np.full(3, 0.02), START, t, information)
     np.testing.assert_allclose(refined_clock(START, score, False).t, t[[0, 2]])
     score = made_score(np.full(3, 0.02), START, t, np.array([1e4, 1.1e-2, 1e4]))
@@ -309,17 +312,3 @@ def test_what_says_nothing_makes_no_knot() -> None:
     assert refined_clock(START, nothing, False) is START
     weak = replace(score, information=score.information * 1e-5, slope=score.slope * 1e-5)
     assert refined_clock(START, weak, False) is not START
-
-
-def test_each_recording_has_its_own_windows() -> None:
-    windows = [small_window(k, upper=False)[0] for k in range(3)]
-    answers = [solution(window, k, 1e5) for k, window in enumerate(windows)]
-    clocks = (START, replace(START, offset=START.offset + 0.1), replace(START, offset=START.offset - 0.1))
-    found = refined_clocks(clocks, (False, True, False), windows, answers, np.array([1, 0, 1]))
-    assert found[2] is clocks[2] and isinstance(found, tuple)  # none of its windows was solved
-    for number, own, synthetic in ((0, [1], False), (1, [0, 2], True)):
-        score = clock_score([windows[k] for k in own], [answers[k] for k in own])
-        expected = refined_clock(clocks[number], score, synthetic)
-        np.testing.assert_array_equal(found[number].offset, expected.offset)
-        np.testing.assert_array_equal(found[number].t, expected.t)
-        assert found[number].local_sigma_s == expected.local_sigma_s

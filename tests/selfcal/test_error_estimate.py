@@ -21,12 +21,27 @@ from smoother.measurements.segment import Timeline
 from smoother.recording import JOINTS
 from smoother.runtime.pool import Pool
 from smoother.selfcal.camera_noise import SMALLEST_SIGMA_M, joint_noise, sigma_by_joint
-from smoother.selfcal.error_estimate import FEWEST_SAMPLES, JOINT_M, ConstantErrors, JointBias, _told
+from smoother.selfcal.error_estimate import (
+    FEWEST_SAMPLES,
+    JOINT_M,
+    ConstantErrors,
+    JointBias,
+    PooledEvidence,
+    well_seen_joints,
+)
 from smoother.selfcal.excerpts import informative_excerpts
 from smoother.selfcal.rounds import self_calibrate
 from smoother.simulation import SimulatedArm
-from smoother.window.problem import JointMeasurements, Window
-from smoother.window.shared import IMU_ERRORS, JOINT_ERRORS
+from smoother.window.problem import JointMeasurements, Priors, Window
+from smoother.window.shared import (
+    IMU_ERRORS,
+    JOINT_ERRORS,
+    SIZE,
+    ErrorEvidence,
+    Gaussian,
+    SharedLayout,
+    axes_across,
+)
 from smoother.window.solution import Solution
 
 SEEDS = range(3)
@@ -179,12 +194,13 @@ def test_a_joint_alone_has_no_error() -> None:
         return cast("Window", SimpleNamespace(joint_measurements=measured))
 
     few = FEWEST_SAMPLES - 1
-    assert _told([window(wrist=50)]) == ()
-    assert _told([window(wrist=50, hand=few)]) == ()
-    assert _told([window(wrist=50, hand=few), window(elbow=few, hand=1)]) == ("wrist", "hand")
+    assert well_seen_joints([window(wrist=50)], True) == ()
+    assert well_seen_joints([window(wrist=50, hand=few)], True) == ()
+    some = [window(wrist=50, hand=few), window(elbow=few, hand=1)]
+    assert well_seen_joints(some, True) == ("wrist", "hand")
     # a strap that stands for the IMU has no error of the camera to tell from others'
-    assert _told([window(wrist=50, strap=50)]) == ()
-    assert _told([window(wrist=50, strap=50)], place=False) == ("wrist", "strap")
+    assert well_seen_joints([window(wrist=50, strap=50)], True) == ()
+    assert well_seen_joints([window(wrist=50, strap=50)], False) == ("wrist", "strap")
 
 
 def test_a_camera_that_sees_the_wrist_alone() -> None:
@@ -208,6 +224,94 @@ def test_a_turned_sensor_is_no_error() -> None:
     # twice what is usual (0.005 rad), so drawn to zero: 0.53 of it is left
     assert left < 0.7 * np.linalg.norm(accelerometer)
     assert np.abs(errors.imu[1]).max() < 0.0015
+
+
+LAYOUT = SharedLayout(("elbow", "wrist"), True, axes_across(np.array([0.0, -1.0, 0.1])))
+#: Which recording each window is of, and the share of it that no neighbour has seen.
+RECORDINGS, SHARES = np.array([0, 1, 1, 0]), np.array([1.0, 0.5, 0.8, 1.0])
+OTHERS = 2 * 2 + LAYOUT.size - LAYOUT.constants.start
+
+
+class Observed:
+    """Rows of observations on two directions of gravity, the arm's constants and the errors, by window."""
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(7)
+        size = LAYOUT.size
+        root = rng.normal(size=(size, size))
+        covariance = np.asarray(root @ root.T / size + 0.1 * np.eye(size))
+        covariance[6:8, 8:] = covariance[8:, 6:8] = 0.0  # gravity is each recording's, the rest the arm's
+        covariance[:6, 6:] = covariance[6:, :6] = 0.0
+        self.prior = Priors(LAYOUT, Gaussian(0.3 * rng.normal(size=size), covariance), np.ones(6))
+        self.taken_off = ConstantErrors(
+            0.01 * rng.normal(size=(2, 3, 3)), JointBias(0.01 * rng.normal(size=(5, 3)))
+        )
+        of_gravity = np.linalg.cholesky(np.linalg.inv(covariance[6:8, 6:8])).T
+        of_constants = np.linalg.cholesky(np.linalg.inv(covariance[8:, 8:])).T
+        mean = self.prior.shared.mean
+        rows, values = [], []
+        for columns, root, about in (
+            (slice(0, 2), of_gravity, mean[6:8]),
+            (slice(2, 4), of_gravity, mean[6:8]),
+            (slice(4, OTHERS), of_constants, mean[8:]),
+        ):
+            own = np.zeros((len(root), OTHERS + SIZE))
+            own[:, columns] = root
+            rows.append(own)
+            values.append(root @ about)
+        windows, solutions = [], []
+        for recording, share in zip(RECORDINGS, SHARES, strict=True):
+            J, y = rng.normal(size=(60, size - 6 + SIZE)), rng.normal(size=60)
+            own = np.zeros((60, OTHERS + SIZE))
+            own[:, 2 * recording : 2 * recording + 2], own[:, 4:] = J[:, :2], J[:, 2:]
+            rows.append(np.sqrt(share) * own)
+            values.append(np.sqrt(share) * y)
+            windows.append(
+                SimpleNamespace(core_start_s=3.0, core_end_s=3.0 + 10 * share, t=np.array([2, 12]))
+            )
+            solutions.append(SimpleNamespace(evidence=ErrorEvidence(J.T @ J, J.T @ y)))
+        self.rows, self.values = np.concatenate(rows), np.concatenate(values)
+        self.pooled = PooledEvidence.of(
+            cast("list[Window]", windows),
+            cast("list[Solution]", solutions),
+            self.prior,
+            RECORDINGS,
+            self.taken_off,
+        )
+
+
+def test_the_arms_constants_are_those_of_a_dense_solve() -> None:
+    """The errors as they were taken off; each recording with a gravity of its own."""
+    seen = Observed()
+    rows = seen.rows[:, :OTHERS]
+    inverse = np.linalg.pinv(rows)
+    found = seen.pooled.constants
+    np.testing.assert_allclose(found.mean, (inverse @ seen.values)[4:], rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(found.covariance, (inverse @ inverse.T)[4:, 4:], rtol=1e-8, atol=1e-12)
+
+
+def test_the_errors_are_those_of_a_dense_solve() -> None:
+    """With a prior about zero on all of an error, of which a part was taken off the data."""
+    seen = Observed()
+    root = np.random.default_rng(8).normal(size=(SIZE, SIZE)) / np.sqrt(SIZE) + np.eye(SIZE)
+    before = np.concatenate([seen.taken_off.imu.ravel(), seen.taken_off.joints.error_m.ravel(), np.zeros(9)])
+    whiten = np.linalg.inv(root)
+    rows = np.vstack([seen.rows, np.hstack([np.zeros((SIZE, OTHERS)), whiten])])
+    inverse = np.linalg.pinv(rows)
+    mean, covariance = seen.pooled.posterior(root @ root.T)
+    change = inverse @ np.concatenate([seen.values, -whiten @ before])
+    np.testing.assert_allclose(mean, before + change[OTHERS:], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(covariance, (inverse @ inverse.T)[OTHERS:, OTHERS:], rtol=1e-7, atol=1e-9)
+
+
+def test_what_all_share_follows_the_errors() -> None:
+    """A known error moves the answer as if the data had been without it."""
+    seen = Observed()
+    error = np.random.default_rng(9).normal(size=SIZE)
+    moved = -np.linalg.pinv(seen.rows[:, :OTHERS]) @ seen.rows[:, OTHERS:] @ error
+    follows = seen.pooled.shared_sensitivity() @ error
+    np.testing.assert_allclose(follows[:6], 0.0)
+    np.testing.assert_allclose(follows[6:], np.concatenate([moved[:2], moved[4:]]), rtol=1e-8, atol=1e-10)
 
 
 STEP_S = 1 / 30
