@@ -29,13 +29,14 @@ from .linear_system import Jacobian, LinearSystem, reduced_to_extras
 #: lies before the first and after the last, s: in trials of 4 s a Kinect v1's slow errors look like a step.
 APART_S, ENDS_S = 10.0, 3.0
 #: Columns of a cell, in their order.
-CAMERA, MOUNTING, CLOCK = slice(0, 6), slice(6, 12), slice(12, 13)
-KINDS = {"camera": CAMERA, "mounting": MOUNTING, "clock": CLOCK}
+CAMERA, PLACE, MOUNTING, CLOCK = slice(0, 6), slice(3, 6), slice(6, 12), slice(12, 13)
+KINDS = {"camera": CAMERA, "place": PLACE, "mounting": MOUNTING, "clock": CLOCK}
 WIDTH = 13
 #: What may change without anything being wrong, one sigma: a camera's slow errors turn with the posture, rad,
 #: and move, m; a strap turns and slides a little; stamps of a frame's time, s.
 ALLOWED = {
     "camera": np.repeat([0.02, 0.015], 3),
+    "place": np.full(3, 0.015),
     "mounting": np.repeat([0.03, 0.01], 3),
     "clock": np.array([0.012]),
 }

@@ -25,8 +25,8 @@ from ..window.solution import Step
 FALSE_ALARM = 0.01
 #: .. and where, without blocks that the rest contradicts, one within this time, s, is still this rare.
 LEFT_CHANCE, LEFT_WITHIN_S = 0.05, 4.0
-#: A kind is named alone where it explains this many times as much as the other.
-CLEARLY = 2.0
+#: .. else this long on both sides, s, is not to be trusted, and the gap it is in.
+BESIDE_S = 0.1
 #: The IMU is looked at in batches of this length, s, each reaching so far into the next.
 BATCH_S, OVERLAP_S = 60.0, 10.0
 #: Fewer filled samples are not worth a word.
@@ -43,35 +43,32 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Si
 
     `left` are those without the camera's blocks that the rest contradicts: another body for a while is no
     step, and what is left of a step after a part of one side was taken for such a block still shows it.
+    Where it does not, the gap there is not to be trusted.
     """
-    usual = [step.at_s for step in left if _chance(step) < LEFT_CHANCE]
-    significant = [
-        step
-        for step in steps
-        if _chance(step) * len(steps) < FALSE_ALARM
-        and any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in usual)
-    ]
+    significant = [step for step in steps if _chance(step) * len(steps) < FALSE_ALARM]
     if not significant:
         return
     step = max(significant, key=lambda each: each.squared)
-    there = {each.kind: each for each in steps if each.at_s == step.at_s}
     if step.kind == "clock":
         what = f"the clocks of camera and IMU jump by {1e3 * abs(float(step.size[0])):.0f} ms"
-        remedy = "samples were lost, or a clock was set"
+        cause = "samples were lost, or a clock was set"
     else:
-        turned_deg, moved_cm = np.degrees(np.linalg.norm(step.size[:3])), 100 * np.linalg.norm(step.size[3:])
-        camera, mounting = there["camera"].squared, there["mounting"].squared
-        of = "the sensor on the arm" if step.kind == "mounting" else "all that the camera sees"
-        what = (
-            f"{of} turns by {turned_deg:.0f} degrees and moves by {moved_cm:.0f} cm, and the IMU felt neither"
+        turned_deg, moved_cm = (
+            np.degrees(np.linalg.norm(step.size[:-3])),
+            100 * np.linalg.norm(step.size[-3:]),
         )
-        remedy = "the camera was moved"
-        if mounting > camera * CLEARLY:
-            remedy = "the strap slipped, or the sensor was taken off"
-        elif camera < mounting * CLEARLY:
-            remedy = "the camera was moved, or the strap slipped"
+        of = "the sensor on the arm" if step.kind == "mounting" else "all that the camera sees"
+        what = f"{of} turns by {turned_deg:.0f} degrees and moves by {moved_cm:.0f} cm, unfelt by the IMU"
+        cause = "the camera was moved, or the strap slipped"
+    shows_still = [each.at_s for each in left if _chance(each) < LEFT_CHANCE]
+    if not any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still):
+        yield Sign(
+            f"at about {step.at_s:.0f} s {what}: {cause}, or another body was seen beside it",
+            (step.at_s - BESIDE_S, step.at_s + BESIDE_S),
+        )
+        return
     yield Sign(
-        f"at about {step.at_s:.0f} s {what}: {remedy}; positions before and after are not in one frame:"
+        f"at about {step.at_s:.0f} s {what}: {cause}; positions before and after are not in one frame:"
         " cut the recording there (`unocclude cut`) and smooth both parts",
         EVER,
     )

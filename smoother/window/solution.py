@@ -27,7 +27,7 @@ class BlockShift:
 class Step:
     """Something that may have changed for good at some moment."""
 
-    kind: str  # `camera` (turned, rad, and moved, m), `mounting` (the same of the IMU), `clock` (s)
+    kind: str  # `camera` (turns, rad, and moves, m), `place` (moves), `mounting` (as the camera), `clock` (s)
     at_s: float  # On the IMU's clock
     size: FloatArray  # By how much
     squared: float  # In sigmas, squared, with what is allowed
