@@ -75,8 +75,10 @@ def judged(recording: Recording) -> Recovery:
     return smooth(hidden(recording), config=ALONE)
 
 
-@pytest.mark.parametrize("kind", STEPS)
-@pytest.mark.parametrize(("preset", "seed"), [("realistic", 31), ("azure", 32)])
+@pytest.mark.parametrize(
+    ("preset", "seed", "kind"),
+    [("realistic", 31, kind) for kind in STEPS] + [("azure", 32, kind) for kind in ("pitch", "yaw", "strap")],
+)
 def test_a_step_in_a_gap_distrusts_the_recording(kind: str, preset: str, seed: int) -> None:
     change, words = STEPS[kind]
     estimates = judged(change(made(preset, seed).recording)).estimates
