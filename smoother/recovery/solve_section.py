@@ -31,7 +31,7 @@ from .task import Task
 #: An iteration that lowers the error by less than this share of it is the last.
 TOLERANCE = 1e-3
 #: With this many sections the clock is found anew from a part of each, s: it wanders over a long recording.
-CLOCK_SECTIONS, CLOCK_PART_S, CLOCK_TOLERANCE = 5, 12.0, 1e-2
+CLOCK_SECTIONS, CLOCK_PART_S, CLOCK_TOLERANCE = 5, 20.0, 1e-2
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..array_types import FloatArray
+from ..array_types import FloatArray, IntArray
 from ..measurements.clock import LARGEST_OFFSET_S, OFFSET_SIGMA_S, Clock
 from ..measurements.rays import AT_M
 from ..window.problem import Window
 from ..window.solution import Solution
 
 #: Offsets are estimated this far apart, s; those of synthetic stamps, which hide dropped frames, closer.
-SPACING_S, SYNTHETIC_SPACING_S = 12.0, 0.5
+SPACING_S, SYNTHETIC_SPACING_S = 15.0, 0.5
 #: How fast the offset may wander, s/sqrt(s): the likeliest is taken, if clearly likelier than a constant
 #: (log-likelihood). Stamps of a camera drift slowly; synthetic stamps hide dropped frames.
 WALKS = (0.0, 0.0003, 0.001)
@@ -44,7 +44,7 @@ def refined_clock(clock: Clock, score: ClockScore, synthetic_stamps: bool) -> Cl
         return clock
     t = score.t - clock.mean_s  # back to the camera's clock, near enough to place knots
     spacing_s = SYNTHETIC_SPACING_S if synthetic_stamps else SPACING_S
-    _, group = np.unique(np.floor((t - t.min()) / spacing_s), return_inverse=True)
+    group = _spaced(t, spacing_s)
     information = np.bincount(group, weights=score.information)
     informed = information > 1e-6 * information.max()
     information = information[informed]
@@ -73,6 +73,15 @@ def refined_clock(clock: Clock, score: ClockScore, synthetic_stamps: bool) -> Cl
         skew,
         prior_s,
     )
+
+
+def _spaced(t: FloatArray, spacing_s: float) -> IntArray:
+    """Groups (n,) of times, each shorter than the spacing; one begins with what the one before leaves."""
+    starts = [-np.inf]
+    for each in np.unique(t).tolist():
+        if each - starts[-1] >= spacing_s:
+            starts.append(each)
+    return np.searchsorted(starts, t, side="right") - 2
 
 
 @dataclass(frozen=True)
