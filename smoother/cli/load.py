@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
-#: Words by which the reader of a file reports that it was cut off or is damaged.
-DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
-
-
 @dataclass(frozen=True)
 class Solving:
     """How a calibration solves a recording of an arm, as a group of its options."""
@@ -112,7 +108,9 @@ def load_recoveries(path: Path, side: str | None = None, body: int | None = None
 
 def damage(notes: Iterable[str]) -> list[str]:
     """Of some notes those on a file that was cut off or is damaged."""
-    return [note for note in notes if any(words in note for words in DAMAGED)]
+    from ..io.mcap.messages import damage as of_files
+
+    return of_files(notes)
 
 
 def camera_frame_of(path: Path) -> CameraFrame | None:

@@ -25,8 +25,9 @@ from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
 from smoother.io.export.storage import MotTable, write_mot
 from smoother.io.markers import read_c3d, read_trc
-from smoother.io.mcap.merge import Output, OutputStream, repair_container
+from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.mcap.messages import nanoseconds
+from smoother.io.mcap.repair import repair_container
 from smoother.io.media.images import raw_image, read_images
 from smoother.io.recording.read import open_recording
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile

@@ -22,8 +22,8 @@ from ...recording import JOINTS, CameraFrame, ImportNote, ImuStream, Recording
 from ...runtime.printable import printable
 from ...runtime.store import Store, batches
 from ..mcap.container import Container
-from ..mcap.merge import repair_notes
-from ..mcap.messages import SECOND_NS, Topic, plain_name, seconds
+from ..mcap.messages import SECOND_NS, Topic, damage_note, plain_name, seconds
+from ..mcap.repair import repair_notes
 from .camera_streams import cameras_from_plain
 from .clean import clean_imu
 from .decode import (
@@ -329,7 +329,9 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> No
     for decoder in decoders:
         if decoder.grouper.broken:
             file.notes.append(
-                f"{decoder.topic.label}: {decoder.grouper.broken} messages are damaged and were dropped."
+                damage_note(
+                    file.name, f"{decoder.grouper.broken} messages of {decoder.topic.label} were dropped."
+                )
             )
         if isinstance(decoder, SKELETONS):
             arms = decoder.arms()

@@ -22,6 +22,7 @@ from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, JointState
 from ...runtime.store import Store, batches
+from ..mcap.messages import told_behind
 from ..tables.protocol import ImuTable
 
 
@@ -164,7 +165,7 @@ class RecordingFile:
         except RecordingError as error:
             if not self.damage or self.damage[0] in str(error):
                 raise
-            raise RecordingError(f"{error} The file is damaged: {' '.join(self.damage[:4])}") from error
+            raise RecordingError(f"{error}{told_behind(self.damage)}") from error
 
     @property
     def name(self) -> str:
