@@ -18,7 +18,7 @@ from .output import say
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
-    from ..io.recording.selection import FileReading
+    from ..io.recording.choose import FileReading
     from ..measurements.clock import Clock
     from ..measurements.remedy import Remedy
     from ..recording import CameraFrame, Recording

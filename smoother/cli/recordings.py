@@ -172,7 +172,7 @@ def match(
     upper arm, to none of the limbs in view, or left unknown if the motion does not decide.
     """
     from ..io import open_recording
-    from ..io.recording.select import match_file
+    from ..io.recording.match import match_file
     from ..matching import METHODS
 
     names = list(METHODS) if method == "all" else [method]

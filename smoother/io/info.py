@@ -16,9 +16,10 @@ from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Camera, Recording
 from ..result.verdict import intervals_plain
+from .recording.choose import Selection
+from .recording.names import named_side, role
 from .recording.read import METADATA, open_recording
 from .recording.select import select_recordings
-from .recording.selection import Selection, named_side, role
 from .recording.streams import RecordingFile, TopicInfo
 from .result.read import stated_estimates
 from .result.write import RESULT

@@ -12,7 +12,7 @@ from ..array_types import IntArray
 from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.messages import SECOND_NS, Topic, seconds
-from ..io.recording.assign import choose
+from ..io.recording.choose import choose
 from ..io.recording.decode import ImuDecoder, SkeletonDecoder, plain_decoder, skeleton_decoder
 from ..io.recording.read import open_recording
 from ..io.recording.write import joints_there

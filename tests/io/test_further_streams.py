@@ -25,7 +25,8 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.assign import choose, role
+from smoother.io.recording.choose import choose
+from smoother.io.recording.names import role
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.measurements.remedy import Remedy
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors

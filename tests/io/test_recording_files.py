@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import describe, open_csv, open_recording, read_recording, select_recording, write_recording
 from smoother.io.recording.bodies import join_bodies
-from smoother.io.recording.match_streams import motion_agreement
+from smoother.io.recording.match import agreement
 from smoother.io.recording.streams import ArmFrames
 from smoother.io.recording.write import as_file
 from smoother.io.wire.schemas import message_class
@@ -112,11 +112,11 @@ def test_motion_tells_whose_an_unnamed_imu_is() -> None:
         select_recording(file)
 
 
-def test_motion_agreement_finds_a_shifted_clock() -> None:
+def test_agreement_finds_a_shifted_clock() -> None:
     file = as_file(make(20))
-    assert motion_agreement(file.imus[0], file.arms[0]) > 0.95
+    assert agreement(file.imus[0], file.arms[0])[0] > 0.95
     late = replace(file.imus[0], stamp_ns=file.imus[0].stamp_ns + 400_000_000)
-    assert motion_agreement(late, file.arms[0]) > 0.95
+    assert agreement(late, file.arms[0])[0] > 0.95
 
 
 def test_a_body_that_is_numbered_anew() -> None:

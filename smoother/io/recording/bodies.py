@@ -13,7 +13,7 @@ from ...errors import RecordingError
 from ...linalg import runs
 from ...recording import FOREARM_JOINTS, JOINTS, JointState
 from ...runtime.store import Store, batches
-from .selection import role
+from .names import role
 from .streams import ArmFrames, RecordingFile
 
 if TYPE_CHECKING:
@@ -239,7 +239,7 @@ class WornImus:
 
     def _of(self, topic: str, body: int) -> dict[str, ImuMatch]:
         """What every IMU is on if this body is the only one; nothing where too little was seen of it."""
-        from .match_streams import match_streams
+        from .match import match_streams
 
         if (topic, body) not in self._matches:
             arms = [arm for arm in self._file.arms if (arm.topic, arm.body) == (topic, body)]

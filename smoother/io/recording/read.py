@@ -25,6 +25,7 @@ from ..mcap.container import Container
 from ..mcap.messages import SECOND_NS, Topic, damage_note, plain_name, seconds
 from ..mcap.repair import repair_notes
 from .camera_streams import cameras_from_plain
+from .choose import FileReading, Selection, choose_imu
 from .clean import clean_imu
 from .decode import (
     FieldDecoder,
@@ -37,8 +38,8 @@ from .decode import (
 )
 from .inertial import settle_imus
 from .keypoints import KeypointDecoder, keypoint_decoder, lenses_from_plain, with_lenses
+from .names import OTHER_SIDE
 from .select import select_recording, select_recordings
-from .selection import OTHER_SIDE, FileReading, Selection, choose_imu
 from .streams import (
     FieldSamples,
     ImuSamples,

@@ -16,16 +16,16 @@ from ...errors import RecordingError
 from ...recording import ImuStream, JointTracks, Recording, TrunkSensors, Truth, arm_words
 from ...runtime.store import Store
 from ..mcap.messages import SECOND_NS, seconds
-from .assign import choose, choose_arms, left_out_words
-from .bodies import join_bodies, people
+from .bodies import join_bodies
 from .camera_streams import camera_of
+from .choose import Selection, StreamChoice, choose, choose_arms, left_out_words
 from .clean import clean_arm, clean_imu, clean_poses
 from .keypoints import tracks_of
-from .selection import Selection, StreamChoice, is_named, named_side, role, role_among
+from .names import role
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 if TYPE_CHECKING:
-    from ...matching import ImuMatch
+    pass
 
 
 def trunk_of(
@@ -98,11 +98,10 @@ def select_recordings(
     """Make a recording of every arm with an IMU from all that a file contains; as `read_recordings`."""
     store = store or Store()
     with file.damage_told():
-        choices = choose_arms(file, prefer_side=prefer_side, store=store, **selection)
+        choices, left_out = choose_arms(file, prefer_side=prefer_side, store=store, **selection)
     arms: list[_CleanArm] = []
-    left_out = list(choices.left_out)
     errors: list[RecordingError] = []
-    for choice in choices.chosen:
+    for choice in choices:
         try:
             arms.append(_CleanArm.of(choice, file, store))
         except RecordingError as error:
@@ -248,48 +247,3 @@ def _truth(poses: PoseSamples, origin: int, store: Store) -> Truth:
     score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
     t_s = seconds(poses.stamp_ns, origin, store)
     return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))
-
-
-def match_file(
-    file: RecordingFile,
-    method: str = "motion",
-    reach_s: float | None = None,
-    store: Store | None = None,
-    skeleton: str | None = None,
-) -> tuple[list[ImuMatch], list[str]]:
-    """Settle which IMU of a file is on which body and limb, by motion alone; names are not asked."""
-    if not file.imus:
-        raise RecordingError(f"{file.path} has no IMU to match; record the IMUs as well.")
-    arms = [arm for arm in file.arms if skeleton is None or is_named(skeleton, arm.topic, arm.frame_id)]
-    if file.arms and not arms:
-        topics = ", ".join(dict.fromkeys(arm.topic for arm in file.arms))
-        raise RecordingError(f"{file.path}: no skeleton fits --skeleton {skeleton}; it has {topics}.")
-    if not any(arm.tracked for arm in arms):
-        raise RecordingError(
-            f"{file.path} shows no arm to match IMUs to (no forearm joint is tracked); "
-            "record again with the arms in view of the camera for some seconds."
-        )
-    arms, notes = people(replace(file, arms=arms), store)
-    from .match_streams import REACH_S, match_streams  # SciPy: where it is used
-
-    reach_s = REACH_S if reach_s is None else reach_s
-    matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s, store=store)
-    return matches, notes + more + _contradicted(file.imus, matches)
-
-
-def _contradicted(imus: Sequence[ImuSamples], matches: Sequence[ImuMatch]) -> list[str]:
-    """Sensors whose names say something else than their motion, where the motion is sure."""
-    notes = []
-    for imu, match in zip(imus, matches, strict=True):
-        named, side = role_among(imu, imus), named_side(imu.topic, imu.frame_id)
-        if match.limb is None or not match.is_sure:
-            continue
-        segment = "forearm" if match.limb.segment == "wrist" else match.limb.segment
-        if named == "hand" and segment == "forearm":
-            continue  # no limb of its own to be matched to: the forearm's is the nearest
-        if (named and named != segment) or (side and match.limb.side and side != match.limb.side):
-            notes.append(
-                f"{imu.topic} moves as {match.limb.label}, which its name contradicts; if it was mixed up, "
-                f"name it in the recording or give --imu {imu.topic} with --side and --body."
-            )
-    return notes

@@ -21,8 +21,8 @@ from ..mcap.messages import nanoseconds
 from ..wire import protobuf_encode as wire
 from .camera_streams import CAMERA_TOPIC, cameras_plain
 from .keypoints import NAMED_TOPIC, TOPIC, keypoint_messages, lenses_plain, pixels_of
+from .names import OTHER_SIDE
 from .read import CLOCKS_UNRELATED, METADATA
-from .selection import OTHER_SIDE
 from .streams import ArmFrames, CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile
 
 CAMERA = "camera"
