@@ -16,8 +16,8 @@ from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTrack
 from ...runtime.store import Store, batches
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.messages import Topic
-from ..wire import protobuf_encode as wire
 from ..wire.layout import Block, MessageLayout
+from ..wire.protobuf_encode import encoded
 from .decode import SkeletonDecoder, proto_grouper
 from .streams import ArmFrames, KnownLens, RecordingFile
 
@@ -123,24 +123,16 @@ def keypoint_messages(output: Output, arm: ArmFrames) -> OutputStream:
     """Messages of a camera without depth, on its topic; joints that are never there are left out."""
     suffix = f"_{arm.side}" if arm.side else ""
     present = np.flatnonzero((arm.state != JointState.NOT_TRACKED).any(axis=0)).tolist()
-    parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
-    parts += [
-        wire.message(
-            4,
-            wire.text(1, JOINTS[i] + suffix),
-            *(wire.double(2 + k, "values", 3 * i + k) for k in range(3)),
-        )
-        for i in present
-    ]
-    template = wire.join(*parts)
+    names = [{"name": JOINTS[i] + suffix} for i in present]
 
     def encode(part: slice) -> Encoded:
         values = np.nan_to_num(np.asarray(arm.position[part]))
         values[np.asarray(arm.state[part]) == JointState.NOT_TRACKED] = 0.0
-        stamp = arm.stamp_ns[part]
-        return template.encode(
-            len(stamp), {"values": values.reshape(-1, 3 * len(JOINTS))} | wire.stamps("stamp", stamp)
-        )
+        columns: dict[str, NDArray] = {"timestamp": arm.stamp_ns[part]}
+        for k, i in enumerate(present):
+            own = zip(("u", "v", "score"), values[:, i].T, strict=True)
+            columns |= {f"keypoints.{k}.{name}": column for name, column in own}
+        return encoded(SCHEMA, {"frame_id": arm.frame_id, "body": arm.body, "keypoints": names}, columns)
 
     return OutputStream(output.channel(arm.topic, SCHEMA), arm.stamp_ns, encode)
 

@@ -18,7 +18,7 @@ from ...recording import JOINTS, CameraFrame, CameraPose, ImuStream, JointState,
 from ...runtime.outputs import writing
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.messages import nanoseconds
-from ..wire import protobuf_encode as wire
+from ..wire.protobuf_encode import encoded
 from .camera_streams import CAMERA_TOPIC, cameras_plain
 from .keypoints import NAMED_TOPIC, TOPIC, keypoint_messages, lenses_plain, pixels_of
 from .names import OTHER_SIDE
@@ -237,22 +237,12 @@ def _free(topic: str, topics: set[str]) -> str:
 
 def imu_messages(output: Output, imu: ImuSamples) -> OutputStream:
     """Messages of an IMU, on its topic."""
-    parts = [
-        wire.timestamp(1, "stamp"),
-        wire.text(2, imu.frame_id),
-        wire.vector(3, "acc"),
-        wire.vector(4, "gyro"),
-    ]
-    if imu.mag is not None:
-        parts.append(wire.vector(5, "mag"))
-    template = wire.join(*parts)
 
     def encode(part: slice) -> Encoded:
-        columns: dict[str, NDArray] = {"acc": imu.acc[part], "gyro": imu.gyro[part]}
-        if imu.mag is not None:
-            columns["mag"] = imu.mag[part]
-        stamp = imu.stamp_ns[part]
-        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+        columns = {"linear_acceleration": imu.acc[part], "angular_velocity": imu.gyro[part]}
+        columns |= {} if imu.mag is None else {"magnetic_field": imu.mag[part]}
+        stamp = {"timestamp": imu.stamp_ns[part]}
+        return encoded("unocclude.Imu", {"frame_id": imu.frame_id}, stamp | columns)
 
     return OutputStream(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
 
@@ -267,27 +257,19 @@ def arm_messages(
     suffix = f"_{arm.side}" if arm.side else ""
     if present is None:
         present = joints_there(arm.state)
-    parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
-    for i in present:
-        fields = [
-            wire.text(1, JOINTS[i] + suffix),
-            wire.vector(2, "position", (3 * i, 3 * i + 1, 3 * i + 2)),
-            wire.flag(3, "state", i),
-        ]
-        if strap_covariance is not None and JOINTS[i] == "strap":
-            fields.append(wire.packed(5, "covariance", 9))
-        parts.append(wire.message(4, *fields))
-    template = wire.join(*parts)
+    names = [{"name": JOINTS[i] + suffix} for i in present]
 
     def encode(part: slice) -> Encoded:
-        stamp = arm.stamp_ns[part]
-        columns: dict[str, NDArray] = {
-            "position": arm.position[part].reshape(-1, 3 * len(JOINTS)),
-            "state": arm.state[part],
-        }
-        if strap_covariance is not None:
-            columns["covariance"] = np.nan_to_num(strap_covariance[part])
-        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+        columns: dict[str, NDArray] = {"timestamp": arm.stamp_ns[part]}
+        for k, i in enumerate(present):
+            columns |= {
+                f"joints.{k}.position": arm.position[part, i],
+                f"joints.{k}.state": arm.state[part, i],
+            }
+            if strap_covariance is not None and JOINTS[i] == "strap":
+                columns[f"joints.{k}.position_covariance"] = np.nan_to_num(strap_covariance[part])
+        constants = {"frame_id": arm.frame_id, "body": arm.body, "joints": names}
+        return encoded("unocclude.Skeleton", constants, columns)
 
     return OutputStream(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)
 
@@ -298,13 +280,13 @@ def joints_there(state: NDArray[np.int8]) -> list[int]:
 
 
 def _poses(output: Output, poses: PoseSamples) -> list[OutputStream]:
-    pose = wire.message(3, wire.vector(1, "position"), wire.vector(2, "quaternion", (1, 2, 3, 0)))
-    template = wire.join(wire.timestamp(1, "stamp"), wire.text(2, poses.frame_id), pose)
-
     def encode(part: slice) -> Encoded:
-        stamp = poses.stamp_ns[part]
-        columns = {"position": poses.position[part], "quaternion": poses.quaternion[part]}
-        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+        columns: dict[str, NDArray] = {
+            "timestamp": poses.stamp_ns[part],
+            "pose.position": poses.position[part],
+            "pose.orientation": poses.quaternion[part][:, [1, 2, 3, 0]],
+        }
+        return encoded("foxglove.PoseInFrame", {"frame_id": poses.frame_id}, columns)
 
     outgoing = [OutputStream(output.channel(poses.topic, "foxglove.PoseInFrame"), poses.stamp_ns, encode)]
     if poses.joints:
