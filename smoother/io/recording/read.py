@@ -133,23 +133,22 @@ def open_recording(
     """Read all streams of an MCAP file that a recording can be made of."""
     store = store or Store()
     container = Container(path)
-    decoders: dict[int, AnyDecoder | None] = {}
-    by_topic: dict[int, AnyDecoder | None] = {}
+    decoders: dict[int, AnyDecoder | None] = {}  # by topic, in the order in which they are met
 
     def wanted(topic: Topic) -> bool:
-        if id(topic) not in by_topic:
-            by_topic[id(topic)] = _decoder(topic, store, truth)
-        return by_topic[id(topic)] is not None
+        if id(topic) not in decoders:
+            decoders[id(topic)] = _decoder(topic, store, truth)
+        return decoders[id(topic)] is not None
 
     for batch in container.by_topic(wanted):
         for position, messages in batch.items():
-            if position not in decoders:
-                decoders[position] = by_topic[id(container.topics[position])]
-            decoder = decoders[position]
-            if decoder is not None:
-                decoder.feed(messages)
-        if only and _met(only, [container.topics[position] for position in decoders], by_topic):
+            decoder = decoders[id(container.topics[position])]
+            assert decoder is not None
+            decoder.feed(messages)
+        is_imu = any(isinstance(decoder, ImuDecoder) for decoder in decoders.values())
+        if only and is_imu and set(only) <= {topic.name for topic in container.topics if topic.count}:
             break
+    found = [decoder for decoder in decoders.values() if decoder is not None]
 
     file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
     file.damage = list(container.notes)
@@ -157,7 +156,7 @@ def open_recording(
         TopicInfo(t.label, plain_name(t.schema), plain_name(t.encoding), t.count, t.first_ns, t.last_ns)
         for t in container.topics
     ]
-    _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
+    _gather(file, found, store)
     _refuse_json(file, container.topics)
     sort_arrivals(file, file.metadata.get(METADATA, {}), store)
     drop_timestamp_outliers(file, store)
@@ -167,7 +166,7 @@ def open_recording(
             f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not joint positions; ignored."
         )
     _take_metadata(file)
-    with_lenses(file, {each.topic.label for each in decoders.values() if isinstance(each, KeypointDecoder)})
+    with_lenses(file, {each.topic.label for each in found if isinstance(each, KeypointDecoder)})
     return file
 
 
@@ -221,13 +220,6 @@ def _json_kind(topic: Topic) -> str:
     return name if name in _JSON_MOTION else next(by_fields, "")
 
 
-def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecoder | None]) -> bool:
-    """Whether these and an IMU are among the topics that had messages."""
-    decoders = [decoder[id(topic)] for topic in topics]
-    is_imu = any(isinstance(d, ImuDecoder) for d in decoders)
-    return is_imu and set(only) <= {topic.name for topic in topics}
-
-
 def read_recording(
     path: str | os.PathLike[str],
     *,
@@ -268,15 +260,8 @@ def read_recording(
     RecordingError
         The file cannot be read or used as it is, or leaves open what is meant.
     """
-    file = open_recording(path, store=store, truth=truth)
-    if swap_sides:
-        _swap_sides(file)
-    recording = select_recording(file, prefer_side=prefer_side, store=store, **selection)
-    return (
-        replace(recording, applied_fixes=(*recording.applied_fixes, SWAPPED_SIDES))
-        if swap_sides
-        else recording
-    )
+    file = _opened(path, store, truth, swap_sides)
+    return select_recording(file, prefer_side=prefer_side, store=store, **selection)
 
 
 def read_recordings(
@@ -309,20 +294,20 @@ def read_recordings(
     RecordingError
         As `read_recording`; no arm can be used.
     """
+    file = _opened(path, store, truth, swap_sides)
+    return select_recordings(file, prefer_side=prefer_side, store=store, **selection)
+
+
+def _opened(
+    path: str | os.PathLike[str], store: Store | None, truth: bool, swap_sides: bool
+) -> RecordingFile:
     file = open_recording(path, store=store, truth=truth)
     if swap_sides:
-        _swap_sides(file)
-    recordings = select_recordings(file, prefer_side=prefer_side, store=store, **selection)
-    return [
-        replace(one, applied_fixes=(*one.applied_fixes, SWAPPED_SIDES)) if swap_sides else one
-        for one in recordings
-    ]
-
-
-def _swap_sides(file: RecordingFile) -> None:
-    for arm in file.arms:
-        arm.side = OTHER_SIDE.get(arm.side, arm.side)
-    file.notes.append(f"left and right of the skeleton were swapped ({SWAPPED_SIDES})")
+        for arm in file.arms:
+            arm.side = OTHER_SIDE.get(arm.side, arm.side)
+        file.notes.append(f"left and right of the skeleton were swapped ({SWAPPED_SIDES})")
+        file.applied_fixes = (SWAPPED_SIDES,)
+    return file
 
 
 def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> None:

@@ -175,6 +175,7 @@ class _CleanArm:
             body=self.choice.body,
             trunk=trunk,
             clocks_unrelated=file.clocks_unrelated,
+            applied_fixes=file.applied_fixes,
             opposite=opposite_arm(file, self.choice, origin, store),
             cameras=tuple(camera for camera, _ in found if camera is not None),
         )

@@ -146,6 +146,7 @@ class RecordingFile:
     frames_without_body: int = 0  # Skeleton messages were there, and none had a joint of an arm
     damage: list[str] = field(default_factory=list)  # Of the notes those on a damaged container
     clocks_unrelated: bool = False  # The IMUs' clock and the camera's have nothing in common
+    applied_fixes: tuple[str, ...] = ()  # Options by which it is read otherwise than it says
     # Cameras beyond the first that the file names, by the topic of their skeleton
     cameras: dict[str, CameraStream] = field(default_factory=dict)
     # Of cameras without depth, by the topic of their keypoints
