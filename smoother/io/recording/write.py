@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,8 +95,6 @@ def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]
 
 def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     """The streams of recordings under the topics that they are written to."""
-    from pathlib import Path
-
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     first = recordings[0]
     file = RecordingFile(Path(first.name), camera_frame=first.camera_frame, gravity_hint=first.gravity_hint)
@@ -105,26 +104,14 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     others: dict[tuple[int, str], tuple[JointTracks, int]] = {}
     for one in recordings:
         file.notes += [note for note in one.notes if note not in file.notes]
-        topic = _free(imu_topic(one.imu.name, one.side), topics)
-        file.imus.append(
-            ImuSamples(
-                topic,
-                topic.rpartition("/")[2],
-                nanoseconds(one.imu.t_s, one.origin_ns),
-                one.imu.acc,
-                one.imu.gyro,
-                one.imu.mag,
-            )
-        )
-        if one.base_imu is not None and "/imu/base" not in topics:
-            topics.add("/imu/base")
-            base = one.base_imu
-            stamp = nanoseconds(base.t_s, one.origin_ns)
-            file.imus.append(ImuSamples("/imu/base", "base", stamp, base.acc, base.gyro, base.mag))
-        for segment, imu in one.further_imus.items():
-            topic = _free(imu_topic(imu.name, one.side, segment), topics)
-            stamp = nanoseconds(imu.t_s, one.origin_ns)
-            file.imus.append(ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag))
+        worn = {imu_topic(one.imu.name, one.side): one.imu}
+        worn |= {imu_topic(imu.name, one.side, segment): imu for segment, imu in one.further_imus.items()}
+        shared = {"/imu/base": one.base_imu, "/imu/trunk": None if one.trunk is None else one.trunk.imu}
+        for topic, imu in (
+            worn | {topic: imu for topic, imu in shared.items() if topic not in topics}
+        ).items():
+            if imu is not None:
+                file.imus.append(_samples(_free(topic, topics), imu, one.origin_ns))
         body = one.body or 0
         while (body, one.side) in sides:
             body += 1
@@ -139,14 +126,9 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             )
             file.cameras[frames.topic] = CameraStream(camera.name, camera.camera_frame, camera.gravity_hint)
             file.arms.append(frames)
-        if one.trunk is not None and "/imu/trunk" not in topics:
-            topics.add("/imu/trunk")
-            trunk = one.trunk.imu
-            stamp = nanoseconds(trunk.t_s, one.origin_ns)
-            file.imus.append(ImuSamples("/imu/trunk", "trunk", stamp, trunk.acc, trunk.gyro))
-            other_side = OTHER_SIDE.get(one.side, "")
-            if one.trunk.other_arm is not None and other_side:
-                others[body, other_side] = (one.trunk.other_arm, one.origin_ns)
+        other_side = OTHER_SIDE.get(one.side, "")
+        if one.trunk is not None and one.trunk.other_arm is not None and other_side:
+            others.setdefault((body, other_side), (one.trunk.other_arm, one.origin_ns))
         if one.truth is not None:
             suffix = f"/{one.side or len(sides)}" if len(recordings) > 1 else ""
             suffix = suffix if one.body is None else f"/body_{one.body}{suffix}"
@@ -162,6 +144,11 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             stamp = nanoseconds(arm.t_s, origin_ns)
             file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
     return file
+
+
+def _samples(topic: str, imu: ImuStream, origin_ns: int) -> ImuSamples:
+    stamp = nanoseconds(imu.t_s, origin_ns)
+    return ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag)
 
 
 def _frames(
@@ -198,8 +185,6 @@ def as_session(
     camera_frame: CameraFrame | None = None,
 ) -> RecordingFile:
     """Arms of several bodies before one camera, and IMUs that belong to no arm yet, as a file's streams."""
-    from pathlib import Path
-
     file = RecordingFile(Path(name), camera_frame=camera_frame)
     topics: set[str] = set()
     # stamps are not negative: a clock that is behind starts later
@@ -207,9 +192,7 @@ def as_session(
     early = min((float(t[0]) for t in times if len(t)), default=0.0)
     origin_ns = int(np.ceil(max(-early, 0.0))) * 1_000_000_000
     for imu in imus:
-        topic = _free(imu_topic(imu.name), topics)
-        stamp = nanoseconds(imu.t_s, origin_ns)
-        file.imus.append(ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag))
+        file.imus.append(_samples(_free(imu_topic(imu.name), topics), imu, origin_ns))
     for body, side, arm in arms:
         stamp = nanoseconds(arm.t_s, origin_ns)
         file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
