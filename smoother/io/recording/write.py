@@ -104,18 +104,18 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     others: dict[tuple[int, str], tuple[JointTracks, int]] = {}
     for one in recordings:
         file.notes += [note for note in one.notes if note not in file.notes]
-        worn = {imu_topic(one.imu.name, one.side): one.imu}
-        worn |= {imu_topic(imu.name, one.side, segment): imu for segment, imu in one.further_imus.items()}
+        has_trunk = "/imu/trunk" in topics
+        worn = [(imu_topic(one.imu.name, one.side), one.imu)]
+        worn += [(imu_topic(imu.name, one.side, segment), imu) for segment, imu in one.further_imus.items()]
         shared = {"/imu/base": one.base_imu, "/imu/trunk": None if one.trunk is None else one.trunk.imu}
-        for topic, imu in (
-            worn | {topic: imu for topic, imu in shared.items() if topic not in topics}
-        ).items():
-            if imu is not None:
-                file.imus.append(_samples(_free(topic, topics), imu, one.origin_ns))
+        worn += [(topic, imu) for topic, imu in shared.items() if imu is not None and topic not in topics]
+        file.imus += [_samples(_free(topic, topics), imu, one.origin_ns) for topic, imu in worn]
         body = one.body or 0
         while (body, one.side) in sides:
             body += 1
         sides.add((body, one.side))
+        if one.trunk is not None and one.trunk.other_arm is not None and one.side and not has_trunk:
+            others[body, OTHER_SIDE[one.side]] = (one.trunk.other_arm, one.origin_ns)
         stamp = nanoseconds(one.arm.t_s, one.origin_ns)
         file.arms.append(_frames(file, "/skeleton", TOPIC, CAMERA, body, one.side, stamp, one.arm))
         for camera in one.cameras:
@@ -126,9 +126,6 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             )
             file.cameras[frames.topic] = CameraStream(camera.name, camera.camera_frame, camera.gravity_hint)
             file.arms.append(frames)
-        other_side = OTHER_SIDE.get(one.side, "")
-        if one.trunk is not None and one.trunk.other_arm is not None and other_side:
-            others.setdefault((body, other_side), (one.trunk.other_arm, one.origin_ns))
         if one.truth is not None:
             suffix = f"/{one.side or len(sides)}" if len(recordings) > 1 else ""
             suffix = suffix if one.body is None else f"/body_{one.body}{suffix}"
