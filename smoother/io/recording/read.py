@@ -27,17 +27,9 @@ from ..mcap.repair import repair_notes
 from .camera_streams import cameras_from_plain
 from .choose import FileReading, Selection, choose_imu
 from .clean import clean_imu
-from .decode import (
-    FieldDecoder,
-    ImuDecoder,
-    MarkerDecoder,
-    PoseDecoder,
-    SkeletonDecoder,
-    plain_decoder,
-    skeleton_decoder,
-)
+from .decode import Decoder, MarkerDecoder, PlainDecoder, SkeletonDecoder, decoder_of
 from .inertial import settle_imus
-from .keypoints import KeypointDecoder, keypoint_decoder, lenses_from_plain, with_lenses
+from .keypoints import lenses_from_plain, with_lenses
 from .names import OTHER_SIDE
 from .select import select_recording, select_recordings
 from .streams import (
@@ -119,9 +111,6 @@ SWAPPED_SIDES = "--swap left,right"
 #: Of the notes in a file's metadata this many are repeated, and this much of each.
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
-AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
-SKELETONS = (SkeletonDecoder, MarkerDecoder)
-
 
 def open_recording(
     path: str | os.PathLike[str],
@@ -133,7 +122,7 @@ def open_recording(
     """Read all streams of an MCAP file that a recording can be made of."""
     store = store or Store()
     container = Container(path)
-    decoders: dict[int, AnyDecoder | None] = {}  # by topic, in the order in which they are met
+    decoders: dict[int, Decoder | None] = {}  # by topic, in the order in which they are met
 
     def wanted(topic: Topic) -> bool:
         if id(topic) not in decoders:
@@ -145,7 +134,7 @@ def open_recording(
             decoder = decoders[id(container.topics[position])]
             assert decoder is not None
             decoder.feed(messages)
-        is_imu = any(isinstance(decoder, ImuDecoder) for decoder in decoders.values())
+        is_imu = any(isinstance(each, PlainDecoder) and each.kind == "imu" for each in decoders.values())
         if only and is_imu and set(only) <= {topic.name for topic in container.topics if topic.count}:
             break
     found = [decoder for decoder in decoders.values() if decoder is not None]
@@ -166,7 +155,9 @@ def open_recording(
             f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not joint positions; ignored."
         )
     _take_metadata(file)
-    with_lenses(file, {each.topic.label for each in found if isinstance(each, KeypointDecoder)})
+    with_lenses(
+        file, {each.topic.label for each in found if isinstance(each, SkeletonDecoder) and each.is_flat}
+    )
     return file
 
 
@@ -175,14 +166,14 @@ def is_motion(topic: Topic) -> bool:
     return _decoder(topic, Store(), truth=True) is not None
 
 
-def _decoder(topic: Topic, store: Store, truth: bool) -> AnyDecoder | None:
+def _decoder(topic: Topic, store: Store, truth: bool) -> Decoder | None:
     """What decodes a topic; None where it is not wanted."""
     if topic.name.startswith(RESULT_PREFIX):
         return None
-    decoder = plain_decoder(topic, store) or skeleton_decoder(topic, store) or keypoint_decoder(topic, store)
-    is_reference = isinstance(decoder, PoseDecoder) or (
-        topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SKELETONS)
-    )
+    decoder = decoder_of(topic, store)
+    is_pose = isinstance(decoder, PlainDecoder) and decoder.kind == "pose"
+    is_skeleton = isinstance(decoder, SkeletonDecoder | MarkerDecoder)
+    is_reference = is_pose or (is_skeleton and topic.name.startswith(TRUTH_PREFIX))
     return None if is_reference and not truth else decoder
 
 
@@ -310,7 +301,7 @@ def _opened(
     return file
 
 
-def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> None:
+def _gather(file: RecordingFile, decoders: list[Decoder], store: Store) -> None:
     fields: list[FieldSamples] = []
     for decoder in decoders:
         if decoder.grouper.broken:
@@ -319,7 +310,7 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> No
                     file.name, f"{decoder.grouper.broken} messages of {decoder.topic.label} were dropped."
                 )
             )
-        if isinstance(decoder, SKELETONS):
+        if not isinstance(decoder, PlainDecoder):
             arms = decoder.arms()
             file.arms += arms
             if not arms and not decoder.topic.name.startswith(TRUTH_PREFIX):
