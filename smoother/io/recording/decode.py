@@ -100,7 +100,8 @@ class PlainDecoder:
         if self.kind == "field":
             return FieldSamples(*named, *columns)
         if self.kind == "pose":
-            return PoseSamples(*named, *columns)
+            position, quaternion = columns
+            return PoseSamples(*named, position, quaternion)
         acc, gyro, mag = columns
         has_mag = any(np.isfinite(mag[part]).any() for part in batches(len(mag)))
         return ImuSamples(*named, acc, gyro, mag if has_mag else None, int(np.median(sampled(delay))))
