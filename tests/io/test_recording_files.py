@@ -270,10 +270,12 @@ def test_a_stamp_that_jumps_ahead_costs_one_sample() -> None:
 def test_info_says_what_is_missing(recording: Recording, tmp_path: Path) -> None:
     write_recording(recording, tmp_path / "a.mcap")
     info = describe(tmp_path / "a.mcap")
-    assert (info.imu, info.side, info.gaps) == ("/imu/forearm_right", "right", 2)
+    (arm,) = info.arms
+    assert (arm.imu, arm.side, arm.gaps) == ("/imu/forearm_right", "right", 2)
     assert not info.missing
     assert "images or depth" in info.optional and "truth" not in info.optional
-    assert json.loads(json.dumps(info.to_dict()))["topics"][0]["count"] > 0
+    assert (plain := json.loads(json.dumps(info.to_dict())))["topics"][0]["count"] > 0
+    assert plain["imu"] == arm.imu and plain["gaps"] == 2
 
 
 def test_importing_is_light() -> None:
