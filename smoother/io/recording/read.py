@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Unpack
 
@@ -383,13 +383,7 @@ def read_arm(
     **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording, corrected by a calibration file's values of its sensors."""
-    ((recording, calibration),) = _read(
-        calibration_file,
-        lambda prefer: [read_recording(path, prefer_side=prefer, **reading)],
-        remedy or Remedy(),
-        reading.get("store"),
-    )
-    return recording, calibration
+    return read_arms(path, calibration_file, remedy=remedy, alone=True, **reading)[0]
 
 
 def read_arms(
@@ -397,24 +391,17 @@ def read_arms(
     calibration_file: str | os.PathLike[str] | None = None,
     *,
     remedy: Remedy | None = None,
+    alone: bool = False,
     **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
-    """Read every arm of a recording that has an IMU, with its calibration; as `read_arm`."""
-    return _read(
-        calibration_file,
-        lambda prefer: read_recordings(path, prefer_side=prefer, **reading),
-        remedy or Remedy(),
-        reading.get("store"),
-    )
+    """Read every arm of a recording that has an IMU, or the one that is meant, each with its calibration."""
+    store, remedy = reading.get("store"), remedy or Remedy()
 
+    def read(prefer: str | None) -> list[Recording]:
+        if alone:
+            return [read_recording(path, prefer_side=prefer, **reading)]
+        return read_recordings(path, prefer_side=prefer, **reading)
 
-def _read(
-    calibration_file: str | os.PathLike[str] | None,
-    read: Callable[[str | None], list[Recording]],
-    remedy: Remedy,
-    store: Store | None,
-) -> list[tuple[Recording, ArmCalibration | None]]:
-    """Recordings, corrected, each with its calibration; `read` takes the side to prefer."""
     if calibration_file is None:
         return [(remedy.applied(recording, store), None) for recording in read(None)]
     from calib.camera_poses import camera_poses, with_camera_poses
