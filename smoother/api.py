@@ -10,7 +10,7 @@ from .errors import UnoccludeError
 if TYPE_CHECKING:
     from .calibration import ArmCalibration
     from .config import Config
-    from .io.recording.selection import Selection
+    from .io.recording.choose import Selection
     from .measurements.clock import Clock
     from .measures import Measures, MeasureSettings
     from .recording import Recording

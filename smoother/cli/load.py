@@ -18,15 +18,11 @@ from .output import say
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
-    from ..io.recording.selection import FileReading
+    from ..io.recording.choose import FileReading
     from ..measurements.clock import Clock
     from ..measurements.remedy import Remedy
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
-
-
-#: Words by which the reader of a file reports that it was cut off or is damaged.
-DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
 
 
 @dataclass(frozen=True)
@@ -55,18 +51,8 @@ def load_arm(
     remedy: Remedy | None = None,
     **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
-    """Read a recording and the calibration of its arm, and print what was chosen.
-
-    Where the recording leaves the side open, a calibration of one arm settles it. Parameters as of
-    `io.recording.read`.
-    """
-    reading.update(arm.reading())
-    check_allowance()
-    from ..io.recording.read import read_arm
-
-    recording, calibration = read_arm(path, calibration_file, remedy=remedy, **reading)
-    _say_chosen(path, recording)
-    return recording, calibration
+    """Read the one arm that is meant; a side that is left open a calibration of one arm settles."""
+    return load_arms(path, calibration_file, arm, remedy, alone=True, **reading)[0]
 
 
 def load_arms(
@@ -74,26 +60,20 @@ def load_arms(
     calibration_file: Path | None = None,
     arm: ArmSelection = ANY_ARM,
     remedy: Remedy | None = None,
+    alone: bool = False,
     **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
-    """Read every arm of a recording that has an IMU, with its calibration, and print what was chosen.
-
-    Parameters as of `load_arm`.
-    """
+    """Read every arm of a recording that has an IMU, with its calibration, and print what was chosen."""
     reading.update(arm.reading())
     check_allowance()
     from ..io.recording.read import read_arms
 
-    arms = read_arms(path, calibration_file, remedy=remedy, **reading)
+    arms = read_arms(path, calibration_file, remedy=remedy, alone=alone, **reading)
     for recording, _ in arms:
-        _say_chosen(path, recording)
+        name = recording.arm_label if recording.side else "strap"
+        joints = ", ".join(recording.arm.present) or "no joint tracked"
+        say(f"{path}: IMU {recording.imu.name}, {name} of {recording.arm.name} ({joints})")
     return arms
-
-
-def _say_chosen(path: Path, recording: Recording) -> None:
-    arm = recording.arm_label if recording.side else "strap"
-    joints = ", ".join(recording.arm.present) or "no joint tracked"
-    say(f"{path}: IMU {recording.imu.name}, {arm} of {recording.arm.name} ({joints})")
 
 
 def load_recoveries(path: Path, side: str | None = None, body: int | None = None) -> list[Recovery]:
@@ -112,7 +92,9 @@ def load_recoveries(path: Path, side: str | None = None, body: int | None = None
 
 def damage(notes: Iterable[str]) -> list[str]:
     """Of some notes those on a file that was cut off or is damaged."""
-    return [note for note in notes if any(words in note for words in DAMAGED)]
+    from ..io.mcap.messages import damage as of_files
+
+    return of_files(notes)
 
 
 def camera_frame_of(path: Path) -> CameraFrame | None:

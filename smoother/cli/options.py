@@ -15,7 +15,7 @@ from ..baselines.registry import DEFAULT_ORIENTATION, ORIENTATIONS
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
-    from ..io.recording.selection import Selection
+    from ..io.recording.choose import Selection
 
 
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]

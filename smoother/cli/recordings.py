@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..evaluation.gaps import TriedGaps
     from ..io.info import RecordingInfo
-    from ..io.mcap.merge import RepairReport
+    from ..io.mcap.repair import RepairReport
     from ..matching import ImuMatch
     from ..measurements.clock import Clock
     from ..recording import Recording
@@ -172,7 +172,7 @@ def match(
     upper arm, to none of the limbs in view, or left unknown if the motion does not decide.
     """
     from ..io import open_recording
-    from ..io.recording.select import match_file
+    from ..io.recording.match import match_file
     from ..matching import METHODS
 
     names = list(METHODS) if method == "all" else [method]
@@ -235,7 +235,7 @@ def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Fo
     Messages are written in the order of their log times, with a new index. Messages of chunks that fail their
     checksum are kept; the new file states it, and every command that reads it repeats the note.
     """
-    from ..io.mcap.merge import repair_container
+    from ..io.mcap.repair import repair_container
 
     check_mcap(output)
     check_outputs(force, [output, json_file], [broken_file])

@@ -277,7 +277,8 @@ def print_remarks(remarks: Sequence[str], lines: int) -> None:
 
     What is not to be trusted, and what is damaged, is printed in any case.
     """
-    grave = sum(each.startswith("not to be trusted") or bool(damage([each])) for each in remarks)
+    damaged = len(damage(each.removeprefix("note: ") for each in remarks))
+    grave = damaged + sum(each.startswith("not to be trusted") for each in remarks)
     few = len(remarks) if len(remarks) <= max(lines, 1) else max(lines - 1, min(grave, MOST_GRAVE))
     for remark in remarks[:few]:
         say(remark)

@@ -97,7 +97,7 @@ def _overlap(a: FloatArray, b: FloatArray) -> bool:
 def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
     """Read the truth of an MCAP file: the topic `/truth`, else its only topic of poses."""
     from ..io import open_recording
-    from ..io.recording.selection import is_of_other_arm
+    from ..io.recording.names import is_of_other_arm
 
     all_poses = open_recording(path).poses
     poses = [one for one in all_poses if not is_of_other_arm(one.topic, recovery.side, recovery.body)]

@@ -6,7 +6,7 @@ import math
 import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Camera, Recording
 from ..result.verdict import intervals_plain
+from .recording.choose import Selection
+from .recording.names import named_side, role
 from .recording.read import METADATA, open_recording
 from .recording.select import select_recordings
-from .recording.selection import Selection, named_side, role
 from .recording.streams import RecordingFile, TopicInfo
 from .result.read import stated_estimates
 from .result.write import RESULT
@@ -114,39 +115,35 @@ class RecordingInfo:
     imus: list[str]  # Streams found, as sentences a line each
     skeletons: list[str]  # Streams found, as sentences a line each
     poses: list[str]  # Streams found, as sentences a line each
-    imu: str = ""  # What would be taken for the first of them, as all that follows
-    skeleton: str = ""  # What would be taken for the first of them, as all that follows
-    side: str = ""  # What would be taken for the first of them, as all that follows
-    joints: list[str] = field(default_factory=list)  # Of the skeleton that would be taken
-    imu_rate_hz: float | None = None  # Median rates
-    camera_rate_hz: float | None = None  # Median rates
     camera_frame: str | None = None  # Convention of the camera's axes, or None
     # Per stream, first and last stamp (s) and how far log times lie behind stamps
     clocks: dict[str, dict[str, float]] = field(default_factory=dict)
-    duration_s: float | None = None  # Time that IMU and camera share
-    gaps: int | None = None  # Number of gaps
-    gap_total_s: float | None = None  # Their length together, and the longest
-    gap_longest_s: float | None = None  # Their length together, and the longest
     missing: dict[str, str] = field(default_factory=dict)  # By step, what is missing for it, one sentence
     # What the file lacks and recovering does not need, with what it would be good for
     optional: dict[str, str] = field(default_factory=dict)
-    allows: str = ""  # What the recording allows, in a line; empty where it cannot be recovered
     ready: bool = False  # All arms can be recovered, and there is no sign that no answer could be trusted
     result: bool = False  # The file contains a recovery already
     verdicts: list[dict[str, object]] = field(default_factory=list)  # On each arm of that
-    upper_imu: str = ""  # Those on the same upper arm and hand that would be used; empty without one
-    hand_imu: str = ""  # Those on the same upper arm and hand that would be used; empty without one
-    trunk_imu: str = ""  # The one on the trunk; empty without one
     notes: list[str] = field(default_factory=list)  # What was dropped, decided or wrong
     arms: list[ArmInfo] = field(default_factory=list)  # The arms that would be recovered
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values, fit for JSON."""
+        """Plain values, fit for JSON; those of an arm are also beside them, of the first."""
         values = asdict(self)
         for arm in values["arms"]:
             if not arm["cameras"]:  # of one camera nothing is said
                 del arm["cameras"]
-        return values
+        first = values["arms"][0] if self.arms else _NO_ARM
+        return {name: first[name] for name in _NO_ARM} | values
+
+
+#: What is said of the first arm where there is none.
+_NO_ARM: dict[str, Any] = {
+    **dict.fromkeys(("imu", "skeleton", "side", "upper_imu", "hand_imu", "trunk_imu", "allows"), ""),
+    **dict.fromkeys(("imu_rate_hz", "camera_rate_hz", "duration_s")),
+    **dict.fromkeys(("gaps", "gap_total_s", "gap_longest_s")),
+    "joints": [],
+}
 
 
 def describe(
@@ -204,15 +201,9 @@ def _rate_hz(file: RecordingFile, topic: TopicInfo) -> float | None:
 def _take(info: RecordingInfo, recordings: list[Recording]) -> None:
     """The arms that would be recovered; values of one arm are those of the first."""
     info.arms = [describe_arm(recording) for recording in recordings]
-    first, frame = info.arms[0], recordings[0].camera_frame
-    info.imu, info.skeleton, info.side = first.imu, first.skeleton, first.side
-    info.upper_imu, info.hand_imu, info.trunk_imu = first.upper_imu, first.hand_imu, first.trunk_imu
-    info.joints = first.joints
-    info.imu_rate_hz, info.camera_rate_hz = first.imu_rate_hz, first.camera_rate_hz
+    info.ready = all(arm.ready for arm in info.arms)
+    frame = recordings[0].camera_frame
     info.camera_frame = None if frame is None else str(frame)
-    info.duration_s, info.gaps = first.duration_s, first.gaps
-    info.gap_total_s, info.gap_longest_s = first.gap_total_s, first.gap_longest_s
-    info.allows, info.ready = first.allows, all(arm.ready for arm in info.arms)
     info.notes = list(dict.fromkeys(note for recording in recordings for note in recording.notes))
     for recording in reversed(recordings):
         info.missing |= _missing(recording, recording.arm_label if len(recordings) > 1 else "")

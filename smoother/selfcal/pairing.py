@@ -15,10 +15,10 @@ import numpy as np
 from ..errors import CalibrationError
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.segment import Timeline
-from ..recording import ImuStream, JointTracks, Recording
+from ..recording import Recording
 from ..result.verdict import Pairing
 from ..runtime.pool import Pool
-from .agreement import MotionAgreement, OffsetLine, agreement, agreement_of
+from .agreement import MotionAgreement, OffsetLine, agreement
 
 #: Less likely by chance than this is proof; a clock is moved, or drift believed, from the second on.
 PROVED, LIKELY = 1e-3, 1e-2
@@ -205,15 +205,6 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
         )
     is_believed = recording.clocks_unrelated or line.chance < LIKELY
     return line.offset_s if is_believed and abs(line.offset_s) > reach_s else 0.0
-
-
-def shifted_agreement(imu: ImuStream, arm: JointTracks, reach_s: float) -> tuple[float, float, bool]:
-    """How well an IMU turns as an arm does, at whatever shift of their clocks."""
-    found = agreement_of(imu, arm)
-    if found is None:
-        return 0.0, 0.0, False
-    best = found.best
-    return best.explained**0.5, best.offset_s, abs(best.offset_s) > reach_s and best.chance < LIKELY
 
 
 def _moved(recording: Recording, clock: Clock) -> Recording:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..body import SEGMENTS
 from ..errors import UnoccludeError
-from ..io.recording.selection import named_side
+from ..io.recording.names import named_side
 from ..runtime.printable import printable
 from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
 from .channels import ImuChannels, SkeletonChannels, StreamLabels

@@ -12,8 +12,8 @@ from ..array_types import IntArray
 from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.messages import SECOND_NS, Topic, seconds
-from ..io.recording.assign import choose
-from ..io.recording.decode import ImuDecoder, SkeletonDecoder, plain_decoder, skeleton_decoder
+from ..io.recording.choose import choose
+from ..io.recording.decode import PlainDecoder, SkeletonDecoder, decoder_of
 from ..io.recording.read import open_recording
 from ..io.recording.write import joints_there
 from ..recording import JOINTS
@@ -33,7 +33,7 @@ class LogTimes:
         self._stamp: dict[str, IntArray] = {}
         self._log: dict[str, IntArray] = {}
         container = Container(path)
-        decoders: dict[str, ImuDecoder | SkeletonDecoder] = {}
+        decoders: dict[str, PlainDecoder | SkeletonDecoder] = {}
         logs: dict[str, list[IntArray]] = {}
 
         def wanted(topic: Topic) -> bool:
@@ -43,8 +43,8 @@ class LogTimes:
             for position, messages in batch.items():
                 topic = container.topics[position]
                 if topic.label not in decoders:
-                    decoder = plain_decoder(topic) or skeleton_decoder(topic)
-                    if not isinstance(decoder, ImuDecoder | SkeletonDecoder):
+                    decoder = decoder_of(topic)
+                    if not isinstance(decoder, PlainDecoder | SkeletonDecoder):
                         continue
                     decoders[topic.label] = decoder
                 decoders[topic.label].feed(messages)

@@ -23,7 +23,7 @@ from typing import Any
 
 from ..config import Config
 from ..errors import UnoccludeError
-from ..io.recording.selection import Selection
+from ..io.recording.choose import Selection
 from ..runtime.csv_rows import read_cell
 from ..runtime.inputs import check_input
 from ..runtime.outputs import is_temporary

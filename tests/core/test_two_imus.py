@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from smoother import read_recording, write_recording
-from smoother.io.recording.selection import role, role_among
+from smoother.io.recording.names import role, role_among
 from smoother.io.recording.streams import ImuSamples
 from smoother.io.result.read import read_recovery
 from smoother.io.result.write import write_recovery

@@ -8,7 +8,6 @@ import time
 from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zstandard
 from hypothesis import HealthCheck, given, settings
@@ -23,8 +22,7 @@ from mcap_records import places, put
 from smoother.errors import RecordingError
 from smoother.io.mcap.container import Container
 from smoother.io.mcap.messages import Topic, plain_name
-from smoother.io.mcap.records import CHUNK, HEAD, MAGIC, find
-from smoother.io.mcap.top_level import LIMIT_NAME
+from smoother.io.mcap.records import CHUNK, HEAD, MAGIC
 
 COUNT = 300
 Rows = list[tuple[str, int, bytes]]
@@ -87,17 +85,19 @@ def test_a_chunk_is_told_by_what_is_in_it(path: Path, opcode: int):
     assert not sound.notes
     rows, container = read(path, put(whole, places(whole, Opcode.CHUNK)[3], bytes([opcode])))
     assert rows == everything
-    assert "opcode" in container.notes[0]
+    assert "head of the chunk" in container.notes[0]
 
 
 @pytest.mark.parametrize("length", [0, 5, 700, 10**5, 2**40, 2**63 + 1])
-def test_a_damaged_length_costs_no_chunk(path: Path, length: int):
+def test_a_damaged_length_costs_a_chunk_at_most(path: Path, length: int):
     whole = written()
     everything, _ = read(path, whole)
-    for place in (len(MAGIC), places(whole, Opcode.CHUNK)[4]):  # the header's, and a chunk's
-        rows, container = read(path, put(whole, place + 1, struct.pack("<Q", length)))
-        assert rows == everything
-        assert container.notes
+    chunks = places(whole, Opcode.CHUNK)
+    rows, container = read(path, put(whole, chunks[4] + 1, struct.pack("<Q", length)))
+    assert rows == everything and container.notes
+    rows, container = read(path, put(whole, len(MAGIC) + 1, struct.pack("<Q", length)))  # the header's
+    lost = COUNT - len(rows)
+    assert rows == everything[lost:] and lost < COUNT / (len(chunks) - 2) and container.notes
 
 
 @pytest.mark.parametrize("length", [10**5, 2**63 + 1, 2**64 - 1])
@@ -136,18 +136,17 @@ def test_one_message_outside_chunks_is_damaged(path: Path, opcode: int):
     assert "damaged" in container.notes[0] and sum(container.missing.values()) == 1
 
 
-def test_a_damaged_length_outside_chunks_costs_a_message(path: Path):
+def test_a_damaged_length_outside_chunks_costs_some_messages(path: Path):
     whole = written(chunked=False)
     everything, _ = read(path, whole)
     for length in (23, 500, 2**50):
         damaged = put(whole, places(whole, Opcode.MESSAGE)[100] + 1, struct.pack("<Q", length))
         rows, container = read(path, damaged)
-        assert rows == everything[:100] + everything[101:]
-        assert container.notes
+        assert rows[:100] == everything[:100] and rows[-180:] == everything[-180:] and container.notes
 
 
-def test_messages_before_their_channel_are_counted(path: Path):
-    """As the file's end describes it where there is one; else they are dropped, with a note."""
+def test_messages_before_their_channel(path: Path):
+    """As the record that comes late describes it."""
     whole = written(chunked=False)
     everything, _ = read(path, whole)
     first, second = places(whole, Opcode.CHANNEL)[:2]
@@ -155,21 +154,19 @@ def test_messages_before_their_channel_are_counted(path: Path):
     late = places(whole, Opcode.MESSAGE)[10]
     moved = whole[:second] + whole[second + length : late] + whole[second : second + length] + whole[late:]
     assert first < second and len(moved) == len(whole)
-    rows, container = read(path, moved)
-    assert rows == everything and "come before its record" in container.notes[0]
-    rows, container = read(path, moved[: len(moved) // 2])
-    assert [row for row in rows if row[0] == "/b"] == [r for r in everything if r[0] == "/b"][
-        5 : 5 + len(rows)
-    ][: sum(row[0] == "/b" for row in rows)]
-    assert any("5 messages of channels that no record" in note for note in container.notes)
+    assert read(path, moved)[0] == everything
+    rows, _ = read(path, moved[: len(moved) // 2])
+    assert rows == everything[: len(rows)] and len(rows) > COUNT / 3
 
 
-def test_a_chunk_that_is_there_twice_is_read_once(path: Path):
-    whole = written()
-    everything, _ = read(path, whole)
-    first, second = places(whole, Opcode.CHUNK)[2:4]
-    rows, container = read(path, whole[:second] + whole[first:second] + whole[second:])
-    assert rows == everything and "twice" in container.notes[0]
+def test_channels_of_a_damaged_chunk(path: Path):
+    """The first chunk has them and fails its checksum: the summary serves, else that chunk itself."""
+    whole = written(CompressionType.NONE)
+    chunks = places(whole, Opcode.CHUNK)
+    damaged = put(whole, chunks[1] - 700, b"x")
+    for end in (len(whole), chunks[5]):
+        rows, container = read(path, damaged[:end])
+        assert len(rows) > COUNT / 4 and any("taken from elsewhere" in note for note in container.notes)
 
 
 def test_a_damaged_message_in_a_chunk_without_checksum(path: Path):
@@ -180,8 +177,8 @@ def test_a_damaged_message_in_a_chunk_without_checksum(path: Path):
     message = start + 5 * (HEAD.size + 22 + 40)
     for value in (struct.pack("<Q", 2**33), bytes(9)):
         rows, container = read(path, put(whole, message + (len(value) == 8), value))
-        assert len(rows) == COUNT - 1 and set(rows) < set(everything)
-        assert "passed over" in container.notes[0]
+        assert COUNT - 30 < len(rows) < COUNT and set(rows) < set(everything)
+        assert "passed over" in container.notes[0] and sum(container.missing.values()) == COUNT - len(rows)
 
 
 def test_a_chunk_unpacks_to_no_more_than_it_may(path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -195,16 +192,6 @@ def test_a_chunk_unpacks_to_no_more_than_it_may(path: Path, monkeypatch: pytest.
         rows, container = read(path, whole[:place] + chunk + whole[place:])
         assert len(rows) == COUNT and time.process_time() - begin < 1
         assert container.notes
-    monkeypatch.setenv(LIMIT_NAME, "0.1")
-    with pytest.raises(Exception, match="is a number of megabytes"):
-        read(path, whole)
-
-
-def test_zeros_are_not_walked():
-    begin = time.process_time()
-    records = find(bytes(50_000_000), [], True)
-    assert not len(records.place) and records.damaged == 50_000_000
-    assert time.process_time() - begin < 2  # one by one it takes a second each 4 MB
 
 
 def test_bits_anywhere_are_never_silent(path: Path):
@@ -232,17 +219,16 @@ def test_names_are_fit_for_a_message():
 
 
 @pytest.mark.parametrize("chunked", [True, False])
-def test_a_message_that_is_there_twice_is_told(path: Path, chunked: bool):
-    """The file's own count is read also where bytes that were put in have moved it."""
+def test_messages_that_were_put_in_or_taken_out_are_told(path: Path, chunked: bool):
     whole = written(chunked=chunked)
     everything, _ = read(path, whole)
     kind = Opcode.CHUNK if chunked else Opcode.MESSAGE
     first, second = places(whole, kind)[4:6]
     rows, container = read(path, whole[:second] + whole[first:second] + whole[second:])
-    assert len(rows) == COUNT + (not chunked) and set(rows) == set(everything)
-    assert any(("twice" if chunked else "beyond the file's own count") in note for note in container.notes)
+    assert len(rows) > COUNT and set(rows) == set(everything)
+    assert any("index at its end is damaged" in note for note in container.notes)
     rows, container = read(path, whole[:second] + whole[second + 30 :])
-    assert len(rows) < COUNT and sum(container.missing.values()) == COUNT - len(rows)
+    assert len(rows) < COUNT and any("damaged and were left out" in note for note in container.notes)
 
 
 TOPICS = ("/a", "/b", "/c")
@@ -385,63 +371,17 @@ def records(messages: list[tuple[int, int]], definitions: set[int]) -> tuple[byt
     return bytes(block), places, short
 
 
-def index_of(places: list[int]) -> bytes:
-    entries = np.array([[0, place] for place in places], "<u8").reshape(-1, 2).tobytes()
-    return struct.pack("<HI", 0, len(entries)) + entries
-
-
-@settings(max_examples=300, deadline=None)
-@given(
-    st.lists(st.tuples(st.integers(0, 3), st.just(-1) | st.integers(0, 93)), max_size=25),
-    st.sets(st.integers(0, 24)),
-    st.data(),
-)
-def test_the_records_count_where_an_index_says_otherwise(
-    messages: list[tuple[int, int]], definitions: set[int], data: st.DataObject
-):
-    block, places, short = records(messages, definitions)
-    walked = find(block, [])
-    assert walked.place.tolist() == places
-    assert walked.heads["sequence"].tolist() == [i for i, (_, size) in enumerate(messages) if size >= 0]
-    assert len(walked.definitions) == len([i for i in definitions if i < len(messages)])
-    lies = data.draw(st.sampled_from(["none", "fewer", "other", "bytes", "cut", "twice", "short"]))
-    stated, index = list(places), b""
-    if lies == "fewer" and stated:
-        del stated[data.draw(st.integers(0, len(stated) - 1))]
-    if lies in ("other", "twice"):
-        stated += data.draw(st.lists(st.integers(0, max(len(block), 1)), max_size=3))
-        stated += places[:1] if lies == "twice" else []
-    stated += short if lies == "short" else []
-    index = index_of(data.draw(st.permutations(stated)))
-    if lies == "bytes":
-        index = index[: data.draw(st.integers(0, len(index)))]
-    if lies == "cut":
-        block = block[: data.draw(st.integers(0, len(block)))]
-    found, expected = find(block, [index]), find(block, [])
-    assert found.place.tolist() == expected.place.tolist()
-    assert found.heads.tobytes() == expected.heads.tobytes()
-    assert (found.definitions, found.is_cut) == (expected.definitions, expected.is_cut)
-
-
-def test_the_index_is_used_where_it_is_right(monkeypatch: pytest.MonkeyPatch):
-    block, places, _ = records([(0, 50)] * 20, {0})
-    sizes = []
-    walk = find.__globals__["_walked"]
-    monkeypatch.setitem(find.__globals__, "_walked", lambda *a: sizes.append(a[2] - a[1]) or walk(*a))
-    assert find(block, [index_of(places[::2]), index_of(places[1::2])]).place.tolist() == places
-    assert sum(sizes) == places[0]  # the channel's record alone
-
-
-def test_messages_before_their_channel_are_of_nobody(tmp_path: Path):
+def test_messages_before_their_channel_in_a_chunk(tmp_path: Path):
     block, *_ = records([(0, 5), (1, 5), (0, 5), (1, 5)], {0, 2, 3})
     chunk = struct.pack("<QQQII", 0, 3, len(block), 0, 0) + struct.pack("<Q", len(block)) + block
     path = tmp_path / "late.mcap"
     end = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
     path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", Opcode.CHUNK, len(chunk)) + chunk + end)
-    assert [(row[0], row[3]) for row in by_chunks(path)] == [("/t0", 0), ("/t0", 2), ("/t1", 3)]
+    expected = [("/t0", 0), ("/t1", 1), ("/t0", 2), ("/t1", 3)]
+    assert [(row[0], row[3]) for row in by_chunks(path)] == expected
     container = Container(path)
     assert [sorted(batch) for batch in container.by_topic(lambda topic: topic.name == "/t1")] == [[1]]
-    assert [topic.count for topic in container.topics] == [2, 1]
+    assert [topic.count for topic in container.topics] == [2, 2]
 
 
 def test_what_is_not_wanted_is_counted_and_passed_over(tmp_path: Path):
@@ -457,4 +397,4 @@ def test_what_is_not_wanted_is_counted_and_passed_over(tmp_path: Path):
     assert all(list(batch) == [1] for batch in batches)
     assert [(topic.name, topic.count) for topic in container.topics] == [(name, 100) for name in TOPICS]
     (chunk,) = Container(path).chunks(wanted)
-    assert [topic.name for topic in chunk.topics] == ["/b"] and set(chunk.topic.tolist()) == {0}
+    assert set(chunk.topic.tolist()) == {1} and len(chunk.chunk) == 0

@@ -25,7 +25,8 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.assign import choose, role
+from smoother.io.recording.choose import choose
+from smoother.io.recording.names import role
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.measurements.remedy import Remedy
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
@@ -161,7 +162,7 @@ def test_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.upper_imu.acc, made.upper_imu.acc)
     np.testing.assert_array_equal(back.upper_imu.gyro, made.upper_imu.gyro)
     assert any("upper_arm_right is on the same arm" in note for note in back.notes)
-    assert describe(tmp_path / "a.mcap").upper_imu == "/imu/upper_arm_right"
+    assert describe(tmp_path / "a.mcap").arms[0].upper_imu == "/imu/upper_arm_right"
 
 
 def test_any_name_is_written_as_the_upper_arms(tmp_path: Path) -> None:
@@ -303,7 +304,7 @@ def test_round_trip_with_the_trunk(tmp_path: Path, side: str) -> None:
         back.trunk.other_arm.joint("shoulder")[tracked], made.trunk.other_arm.joint("shoulder")[tracked]
     )
     assert any("is on the trunk by its name" in note for note in back.notes)
-    assert describe(tmp_path / "a.mcap").trunk_imu == "/imu/trunk"
+    assert describe(tmp_path / "a.mcap").arms[0].trunk_imu == "/imu/trunk"
 
 
 def test_both_arms_share_the_trunk(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import describe, open_csv, open_recording, read_recording, select_recording, write_recording
 from smoother.io.recording.bodies import join_bodies
-from smoother.io.recording.match_streams import motion_agreement
+from smoother.io.recording.match import agreement
 from smoother.io.recording.streams import ArmFrames
 from smoother.io.recording.write import as_file
 from smoother.io.wire.schemas import message_class
@@ -112,11 +112,11 @@ def test_motion_tells_whose_an_unnamed_imu_is() -> None:
         select_recording(file)
 
 
-def test_motion_agreement_finds_a_shifted_clock() -> None:
+def test_agreement_finds_a_shifted_clock() -> None:
     file = as_file(make(20))
-    assert motion_agreement(file.imus[0], file.arms[0]) > 0.95
+    assert agreement(file.imus[0], file.arms[0])[0] > 0.95
     late = replace(file.imus[0], stamp_ns=file.imus[0].stamp_ns + 400_000_000)
-    assert motion_agreement(late, file.arms[0]) > 0.95
+    assert agreement(late, file.arms[0])[0] > 0.95
 
 
 def test_a_body_that_is_numbered_anew() -> None:
@@ -270,10 +270,12 @@ def test_a_stamp_that_jumps_ahead_costs_one_sample() -> None:
 def test_info_says_what_is_missing(recording: Recording, tmp_path: Path) -> None:
     write_recording(recording, tmp_path / "a.mcap")
     info = describe(tmp_path / "a.mcap")
-    assert (info.imu, info.side, info.gaps) == ("/imu/forearm_right", "right", 2)
+    (arm,) = info.arms
+    assert (arm.imu, arm.side, arm.gaps) == ("/imu/forearm_right", "right", 2)
     assert not info.missing
     assert "images or depth" in info.optional and "truth" not in info.optional
-    assert json.loads(json.dumps(info.to_dict()))["topics"][0]["count"] > 0
+    assert (plain := json.loads(json.dumps(info.to_dict())))["topics"][0]["count"] > 0
+    assert plain["imu"] == arm.imu and plain["gaps"] == 2
 
 
 def test_importing_is_light() -> None:

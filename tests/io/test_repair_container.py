@@ -18,7 +18,7 @@ from test_damaged_container import COUNT, read, written
 
 from smoother.cli.run import run
 from smoother.io import open_recording
-from smoother.io.mcap.merge import repair_container
+from smoother.io.mcap.repair import repair_container
 
 
 def by_package(data: bytes) -> set[tuple[int, int, bytes]]:
@@ -85,10 +85,10 @@ def test_the_command_lists_what_was_lost(tmp_path: Path, capsys: pytest.CaptureF
     out = capsys.readouterr().out
     assert "missing by its own count" in out and "left out" in out and "written:" in out
     # whoever reads the whole file learns of it
-    assert any(note.startswith("The file was repaired") for note in open_recording(output).notes)
+    assert any(note.startswith("damaged file that was repaired") for note in open_recording(output).notes)
     again = tmp_path / "again.mcap"
     done("repair", output, "-o", again)
-    assert any(note.startswith("The file was repaired") for note in open_recording(again).notes)
+    assert any(note.startswith("damaged file that was repaired") for note in open_recording(again).notes)
 
 
 def test_what_cannot_be_repaired(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -23,8 +23,8 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.assign import choose
 from smoother.io.recording.bodies import join_bodies, people, unswap_bodies
+from smoother.io.recording.choose import choose
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import as_file, as_session
 from smoother.recording import JOINTS, JointState

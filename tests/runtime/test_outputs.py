@@ -58,7 +58,7 @@ def test_a_failure_leaves_the_older_output(tmp_path: Path, error: BaseException)
     ("place", "number", "words"),
     [
         ("os.fsync", errno.ENOSPC, r"out\.mcap could not be written: no space left on the disk"),
-        ("smoother.io.mcap.chunks.ChunkedFile.messages", errno.EIO, "Input/output error"),
+        ("smoother.io.mcap.merge.Output._write", errno.EIO, "Input/output error"),
     ],
 )
 def test_a_failure_in_the_middle_of_writing(

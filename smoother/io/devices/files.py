@@ -21,7 +21,7 @@ from ..recording.clean import clean_arm, clean_imu
 from ..recording.decode import JointRows, joint_code
 from ..recording.inertial import scale_to_si, shown_units
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, states_of_scores
-from ..recording.selection import named_side, role
+from ..recording.names import named_side, role
 from ..recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
 from ..tables.imu_checks import paired
 from ..tables.protocol import DeviceFormat, ImuTable, SkeletonTable

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
@@ -51,23 +55,24 @@ def prepare_export(
         return _sto(recovery, level_down)
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
-    if format_name == "parquet" and draws:
-        from .parquet import drawn_rows, export_draws
+    rows, write = len(recovery), partial(_write_rows, recovery, format_name, version, draws)
+    if draws:
+        from .parquet import drawn_rows
 
-        return Export(
-            drawn_rows(recovery),
-            lambda path, force: export_draws(recovery, path, version, force),
-            frame="camera",
-        )
-    if format_name == "parquet":
-        from .parquet import export_parquet
+        rows = drawn_rows(recovery)
+    return Export(rows, write, frame="camera")
 
-        return Export(
-            len(recovery), lambda path, force: export_parquet(recovery, path, version, force), frame="camera"
-        )
+
+def _write_rows(
+    recovery: Recovery, format_name: str, version: str, draws: bool, path: Path, force: bool
+) -> None:
     from .csv import export_csv
+    from .parquet import export_draws, export_parquet
 
-    return Export(len(recovery), lambda path, force: export_csv(recovery, path, force), frame="camera")
+    if format_name == "csv":
+        export_csv(recovery, path, force)
+    else:
+        (export_draws if draws else export_parquet)(recovery, path, version, force)
 
 
 def prepare_rrd(
@@ -109,8 +114,6 @@ def _sto(recovery: Recovery, level_down: FloatArray | None) -> Export:
 
 def level_note(recovery: Recovery) -> tuple[str, ...]:
     """A note where OpenSim's axes are those of a camera that is taken to stand level."""
-    import numpy as np
-
     if np.isfinite(recovery.gravity_direction).all():
         return ()
     return (f"the method '{recovery.method}' found no gravity: the camera is assumed level.",)
@@ -141,3 +144,28 @@ def _markers(
     check_frames(recovery.name, rows, rate)
     content = c3d_content(recovery, table, frame, version)
     return Export(rows, lambda path, force: write_c3d(path, content, force), rate, frame, notes)
+
+
+def export_recovery(
+    recovery: Recovery,
+    path: str | os.PathLike[str],
+    *,
+    force: bool = False,
+    frame: str | None = None,
+    rate_hz: float | None = None,
+    origin: str = "camera",
+) -> None:
+    """Write a recovery in the format of the file's ending."""
+    path = Path(path)
+    ending = path.suffix.lower().removeprefix(".")
+    if ending == "mcap":
+        from ..result.write import write_recovery
+
+        write_recovery(recovery, path, force=force)
+        return
+    if ending not in FORMATS:
+        endings = ", ".join(f".{name}" for name in ("mcap", *FORMATS))
+        raise UnoccludeError(f"{path}: its ending names no format; endings: {endings}")
+    from ... import __version__
+
+    prepare_export(recovery, ending, frame, rate_hz, None, __version__, origin).write(path, force)

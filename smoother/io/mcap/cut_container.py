@@ -17,8 +17,9 @@ from ...array_types import IntArray
 from ...errors import RecordingError
 from ...runtime.outputs import writing
 from .container import Container
-from .merge import Output, by_time, spooled
+from .merge import Output
 from .messages import Topic
+from .repair import by_time, spooled
 
 #: Metadata record of a part: of which recording, from when to when.
 CUT = "unocclude.cut"

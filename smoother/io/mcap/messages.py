@@ -6,9 +6,9 @@ Stamps in nanoseconds, as files have them, and seconds after an origin.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,26 @@ def ros_stamps(block: Block, layout: MessageLayout) -> IntArray:
     return seconds_part * SECOND_NS + layout.get(block, "nsec")[:, 0].astype(np.int64)
 
 
+#: What a note on a damaged file begins with, so that it is known where it is repeated, also from a result.
+_DAMAGED = "damaged file"
+
+
+def damage_note(name: str, what: str) -> str:
+    """A note on a file that was cut off or is damaged."""
+    return f"{_DAMAGED} {name}: {what.removeprefix(_DAMAGED).lstrip()}"
+
+
+def damage(notes: Iterable[str]) -> list[str]:
+    """Of some notes those on a file that was cut off or is damaged."""
+    return [note for note in notes if note.startswith(_DAMAGED)]
+
+
+def told_behind(notes: Sequence[str]) -> str:
+    """The first notes as sentences behind that of an error; "" for none."""
+    text = " ".join(notes[:4])
+    return f" {text[:1].upper()}{text[1:]}" if text else ""
+
+
 #: This many losses have a sentence of their own.
 _MOST = 6
 #: Names in messages are cut to this length.
@@ -64,56 +84,28 @@ class Loss:
     counts: dict[str, int] = field(default_factory=dict)  # Messages lost by topic, as far as indexes tell
     is_kept: bool = False  # They were read all the same, and cannot be vouched for
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, fit for JSON."""
+        return {
+            "what": self.what,
+            "start_byte": self.start,
+            "stop_byte": self.stop,
+            "first_ns": self.first_ns,
+            "last_ns": self.last_ns,
+            "messages": self.counts,
+            "messages_kept_unverified": self.is_kept,
+        }
+
     def sentence(self, zero_ns: int | None) -> str:
         """One clause for a note; times count from `zero_ns`."""
         parts = []
         if self.counts:
-            parts.append(listed(self.counts))
+            parts.append(f"messages: {listed(self.counts)}")
         if zero_ns is not None and self.first_ns is not None and self.last_ns is not None:
             first, last = (max((time - zero_ns) / 1e9, 0.0) for time in (self.first_ns, self.last_ns))
             if last < 1e8:  # a time that is damaged itself is of no use
                 parts.append(f"{first:.3f} to {max(first, last):.3f} s after the first message")
         return f"{self.what} ({', '.join(parts)})" if parts else self.what
-
-
-class DamageLog:
-    """What was wrong with a file, as it is met."""
-
-    def __init__(self, name: str):
-        self.name = name
-        self.notes: list[str] = []
-        self.losses: list[Loss] = []
-        self.is_cut = False
-        self.first_ns: int | None = None
-        self._last_ns: int | None = None
-        self._open: list[Loss] = []
-
-    def note(self, what: str) -> None:
-        """Say what was wrong, once."""
-        sentence = f"{self.name}: {what}."
-        if sentence not in self.notes:
-            self.notes.append(sentence)
-
-    def lost(self, loss: Loss) -> None:
-        """Take down a loss; if its time is unknown, it is between the messages around it."""
-        if loss.first_ns is None and self._last_ns is not None:
-            loss.first_ns = self._last_ns
-            self._open.append(loss)
-        self.losses.append(loss)
-
-    def met(self, log_ns: NDArray[np.uint64]) -> None:
-        """Messages (n,), at least one: what was lost before is between the ones before and these."""
-        first, last = int(log_ns.min()), int(log_ns.max())
-        for loss in self._open:
-            loss.last_ns = max(first, loss.first_ns or 0)
-        self._open.clear()
-        self.first_ns = first if self.first_ns is None else self.first_ns
-        self._last_ns = last if self._last_ns is None else max(self._last_ns, last)
-
-    def finish(self) -> None:
-        """Say what was lost."""
-        for clause in sentences(self.losses, self.first_ns):
-            self.note(clause)
 
 
 def sentences(losses: Sequence[Loss], zero_ns: int | None) -> list[str]:
@@ -124,18 +116,21 @@ def sentences(losses: Sequence[Loss], zero_ns: int | None) -> list[str]:
         counts: Counter[str] = Counter()
         for loss in rest:
             counts.update(loss.counts)
-        lost = f" ({listed(counts)})" if counts else ""
+        lost = f" (messages: {listed(counts)})" if counts else ""
         clauses.append(f"{len(rest)} places more are damaged{lost}; `unocclude repair` lists them all")
     return clauses
 
 
-def listed(counts: dict[str, int]) -> str:
-    """Messages by topic, for a sentence."""
+def listed(counts: Mapping[str, int], of: Mapping[str, int] | None = None) -> str:
+    """Messages by topic, for a sentence; `of` so many where that is known."""
     names = sorted(counts)
-    texts = [f"{counts[name]} of {plain_name(name)}" for name in names[:_MOST]]
+    texts = [
+        f"{counts[name]} of {'' if of is None else f'{of[name]} of '}{plain_name(name)}"
+        for name in names[:_MOST]
+    ]
     if len(names) > _MOST:
         texts.append(f"{len(names) - _MOST} topics more")
-    return "messages: " + ", ".join(texts)
+    return ", ".join(texts)
 
 
 def plain_name(name: str) -> str:

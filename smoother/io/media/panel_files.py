@@ -37,9 +37,9 @@ from ...runtime.outputs import (
 from ..mcap.container import Container
 from ..mcap.merge import Output, OutputStream
 from ..mcap.messages import SECOND_NS, Topic, nanoseconds, ros_stamps, seconds
+from ..recording.choose import choose_imu
 from ..recording.clean import clean_imu
 from ..recording.read import open_recording
-from ..recording.selection import choose_imu
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
 from ..wire.layout import Grouper

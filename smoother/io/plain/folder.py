@@ -27,10 +27,10 @@ from ..devices.registry import FileReader, recognise
 from ..devices.repair import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
 from ..mcap.messages import nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
+from ..recording.choose import Selection
 from ..recording.decode import JointRows, frames_of, joint_code
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
 from ..recording.read import select_recording
-from ..recording.selection import Selection
 from ..recording.streams import (
     ArmFrames,
     CameraStream,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ...errors import RecordingError
 from ...linalg import runs
 from ...recording import FOREARM_JOINTS, JOINTS, JointState
 from ...runtime.store import Store, batches
-from .selection import role
+from .names import role
 from .streams import ArmFrames, RecordingFile
 
 if TYPE_CHECKING:
@@ -27,16 +27,8 @@ _APART_M = 0.4
 _ASKED = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand", "strap")]
 
 
-class WornAgreement(Protocol):
-    """Evidence of IMUs on two bodies; see `WornImus.agree`."""
-
-    def agree(self, earlier: list[int], later: int, topic: str) -> bool | None:
-        """Whether a body wears what another wore; None where that is open."""
-        ...
-
-
 def join_bodies(
-    arms: list[ArmFrames], store: Store | None = None, worn: WornAgreement | None = None
+    arms: list[ArmFrames], store: Store | None = None, worn: WornImus | None = None
 ) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost."""
     joined: list[ArmFrames] = []
@@ -66,7 +58,7 @@ def join_bodies(
             continue
         place = (by_imu or by_place)[0]
         earlier = joined[place]
-        joined[place] = _joined(earlier, arm, store or Store())
+        joined[place] = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED, store or Store())
         numbers[place].append(arm.body)
         how = (
             "numbered it anew where it was"
@@ -80,12 +72,12 @@ def join_bodies(
     return joined, notes
 
 
-def _joined(earlier: ArmFrames, later: ArmFrames, store: Store) -> ArmFrames:
-    position = store.array(earlier.position.shape, 0.0)
+def _merged(own: ArmFrames, other: ArmFrames, taken: BoolArray, store: Store) -> ArmFrames:
+    """An arm with another's joints where `taken` (F, 5)."""
+    position = store.array(own.position.shape, 0.0)
     for part in batches(len(position)):
-        mine = (later.state[part] != JointState.NOT_TRACKED)[:, :, None]
-        position[part] = np.where(mine, later.position[part], earlier.position[part])
-    return replace(earlier, state=np.maximum(earlier.state, later.state), position=position)
+        position[part] = np.where(taken[part, :, None], other.position[part], own.position[part])
+    return replace(own, position=position, state=np.where(taken, other.state, own.state))
 
 
 def first_and_last(arm: ArmFrames) -> tuple[int, int]:
@@ -144,11 +136,11 @@ def unswap_bodies(arms: list[ArmFrames], store: Store | None = None) -> tuple[li
         exchanged = np.zeros(len(stamp), bool)
         for row in swaps:
             exchanged[row:] ^= True
+        taken = np.repeat(exchanged[:, None], len(JOINTS), axis=1)
         for i, k in pairs:
-            arms[i], arms[k] = (
-                _exchanged(arms[i], arms[k], exchanged, store or Store()),
-                _exchanged(arms[k], arms[i], exchanged, store or Store()),
-            )
+            one, other = arms[i], arms[k]
+            arms[i] = _merged(one, other, taken, store or Store())
+            arms[k] = _merged(other, one, taken, store or Store())
         seconds = [f"{(int(stamp[run.start]) - int(stamp[0])) / 1e9:.1f}" for run in runs(exchanged)]
         notes.append(
             f"Bodies {first} and {second} of {topic} exchange their numbers {', '.join(seconds[:5])} s after"
@@ -191,14 +183,6 @@ def _swaps(first: list[ArmFrames], second: list[ArmFrames]) -> IntArray:
     return np.asarray(rows[1:][jumps])
 
 
-def _exchanged(own: ArmFrames, other: ArmFrames, rows: BoolArray, store: Store) -> ArmFrames:
-    """An arm with the other body's joints in some frames."""
-    position = store.array(own.position.shape, 0.0)
-    for part in batches(len(position)):
-        position[part] = np.where(rows[part, None, None], other.position[part], own.position[part])
-    return replace(own, position=position, state=np.where(rows[:, None], other.state, own.state))
-
-
 #: With more bodies than this the camera counts shadows, and comparing all of them costs more than it shows.
 MOST_BODIES = 12
 #: An IMU that is on none of a body's limbs with this probability is on somebody else.
@@ -239,7 +223,7 @@ class WornImus:
 
     def _of(self, topic: str, body: int) -> dict[str, ImuMatch]:
         """What every IMU is on if this body is the only one; nothing where too little was seen of it."""
-        from .match_streams import match_streams
+        from .match import match_streams
 
         if (topic, body) not in self._matches:
             arms = [arm for arm in self._file.arms if (arm.topic, arm.body) == (topic, body)]

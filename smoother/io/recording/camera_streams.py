@@ -78,11 +78,11 @@ def same_arm(
 
 
 def _by_motion(candidates: Sequence[ArmFrames], imu: ImuSamples) -> ArmFrames:
-    from .match_streams import agreement_far_apart  # SciPy: where it is used
+    from .match import agreement  # SciPy: where it is used
 
     if len(candidates) == 1:
         return candidates[0]
-    scores = [agreement_far_apart(imu, each)[0] for each in candidates]
+    scores = [agreement(imu, each)[0] for each in candidates]
     return candidates[int(np.argmax(scores))]
 
 

@@ -190,55 +190,37 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
     _refuse_set_back(arm.stamp_ns, arm.position[:, _WRIST], arm.label, source, "frames")
     keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), {}, arm.label, source, "frames")
     position, state = kept(arm.position, keep, store), arm.state[keep]
-    claimed = state != JointState.NOT_TRACKED
-    there, far = np.empty(claimed.shape, bool), np.zeros(claimed.shape, bool)
+    broken, far, same = (np.zeros(state.shape, bool) for _ in range(3))
     for part in batches(len(position)):
-        there[part] = np.isfinite(position[part]).all(axis=2)
+        place = np.asarray(position[part])
+        broken[part] = ~np.isfinite(place).all(axis=2)
         with np.errstate(invalid="ignore"):
             if arm.lens is None:  # pixels are not metres
-                far[part] = claimed[part] & (abs(position[part]) > _FARTHEST_M).any(axis=2) & there[part]
-    broken = claimed & ~there
-    if broken.any():
-        if broken.sum() > _LIMIT * claimed.sum():
+                far[part] = ~broken[part] & (abs(place) > _FARTHEST_M).any(axis=2)
+            apart = abs(place[:, _ELBOW] - place[:, _WRIST]).max(axis=1)
+            same[part] = (apart < _ONE_POINT_M)[:, None]
+    for mask, what, remedy in (
+        (broken, "joint positions are not numbers", "check the recorder"),
+        (far, f"joint positions are farther than {_FARTHEST_M:.0f} m from the camera", "check the unit"),
+        (same, "frames have elbow and wrist in one point", "check the body tracking"),
+    ):
+        claimed = state != JointState.NOT_TRACKED
+        if mask is same:  # of frames, which lose all joints
+            claimed &= claimed[:, [_ELBOW, _WRIST]].all(axis=1, keepdims=True)
+        gone = claimed & mask
+        if not gone.any():
+            continue
+        if mask is far:
+            _check_metres(position, state, arm.label, source)
+        count, total = (int((m.any(axis=1) if mask is same else m).sum()) for m in (gone, claimed))
+        if count > _LIMIT * total:
             raise RecordingError(
-                f"{source}: {broken.sum()} of {claimed.sum()} joint positions of {arm.label} are not "
-                "numbers, which is too many to drop; check the recorder."
+                f"{source}: {arm.label}: {count} of {total} {what}, too many to drop; {remedy}."
             )
-        notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers; treated as not tracked.")
-        state[broken] = JointState.NOT_TRACKED
-    if far.any():
-        _check_metres(position, state, arm.label, source)
-        if far.sum() > _LIMIT * claimed.sum():
-            raise RecordingError(
-                f"{source}: {far.sum()} of {claimed.sum()} joint positions of {arm.label} are farther than "
-                f"{_FARTHEST_M:.0f} m from the camera, which is too many to drop; check the unit."
-            )
-        notes.append(
-            f"{arm.label}: {far.sum()} joint positions are farther than {_FARTHEST_M:.0f} m from the camera; "
-            "treated as not tracked."
-        )
-        state[far] = JointState.NOT_TRACKED
-    notes += _drop_points(position, state, arm.label, source)
+        notes.append(f"{arm.label}: {count} {what}; treated as not tracked.")
+        state[gone] = JointState.NOT_TRACKED
     position = _without(position, state == JointState.NOT_TRACKED, store)
     return replace(arm, stamp_ns=kept(arm.stamp_ns, keep, store), position=position, state=state), notes
-
-
-def _drop_points(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> list[str]:
-    """Joints become not tracked in frames whose elbow and wrist are in one point; a note gives the number."""
-    claimed = (state[:, _ELBOW] != JointState.NOT_TRACKED) & (state[:, _WRIST] != JointState.NOT_TRACKED)
-    same = np.zeros(len(state), bool)
-    for part in batches(len(state)):
-        apart = abs(position[part, _ELBOW] - position[part, _WRIST]).max(axis=1)
-        same[part] = claimed[part] & (apart < _ONE_POINT_M)
-    if not same.any():
-        return []
-    if same.sum() > _LIMIT * claimed.sum():
-        raise RecordingError(
-            f"{source}: elbow and wrist of {label} coincide in {same.sum()} of {claimed.sum()} frames,"
-            " which is too many to drop; check the body tracking."
-        )
-    state[same] = JointState.NOT_TRACKED
-    return [f"{label}: elbow and wrist coincide in {same.sum()} frames; treated as not tracked."]
 
 
 def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSamples, list[str]]:

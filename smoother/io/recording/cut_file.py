@@ -15,9 +15,9 @@ from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from ...runtime.store import Store
 from ..mcap.cut_container import Part, cut_container
+from .choose import Selection
 from .read import METADATA, RESULT_PREFIX, open_recording
 from .select import select_recordings
-from .selection import Selection
 
 
 def cut_file(

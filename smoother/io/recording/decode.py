@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +19,44 @@ from ..wire.layout import Block, Grouper, MessageLayout, axes
 from ..wire.schemas import message_class
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples
 
+#: Streams of plain columns by encoding and schema: what they are, and the walk over a ROS message.
+_PLAIN: dict[tuple[str, str], tuple[str, Callable[[bytes], MessageLayout] | None]] = {
+    ("cdr", "sensor_msgs/Imu"): ("imu", cdr.imu),
+    ("cdr", "sensor_msgs/MagneticField"): ("field", cdr.magnetic_field),
+    ("cdr", "geometry_msgs/PoseStamped"): ("pose", cdr.pose_stamped),
+    ("protobuf", "unocclude.Imu"): ("imu", None),
+    ("protobuf", "foxglove.PoseInFrame"): ("pose", None),
+}
+#: Their columns: the field of a ROS message, that of protobuf, its components.
+_COLUMNS = {
+    "imu": (
+        ("acc", "linear_acceleration", "xyz"),
+        ("gyro", "angular_velocity", "xyz"),
+        ("mag", "magnetic_field", "xyz"),
+    ),
+    "field": (("mag", "magnetic_field", "xyz"),),
+    "pose": (("position", "pose.position", "xyz"), ("quaternion", "pose.orientation", "xyzw")),
+}
+
+
+def stamps_of(block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
+    """Stamps (rows,), ns; log times where they are zero."""
+    if "sec" not in layout.fields:
+        return proto.stamps(block, layout, log_ns)
+    stamp = ros_stamps(block, layout)
+    return np.where(stamp == 0, log_ns, stamp)
+
 
 @dataclass
-class Decoder:
-    """Decodes the messages of one topic, a batch at a time."""
+class PlainDecoder:
+    """Decodes the IMU samples, magnetic fields or poses of one topic, a batch at a time."""
 
-    topic: Topic  # The topic
+    topic: Topic
+    kind: str  # Of `_COLUMNS`
     grouper: Grouper  # Sorts its messages by layout
-    is_cdr: bool = True
     store: Store = field(default_factory=Store)
     frame_id: str = ""
     gathered: list[Column] = field(default_factory=list)
-    #: Columns that may hold nothing.
-    optional: ClassVar[Collection[int]] = ()
 
     def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
@@ -40,110 +64,47 @@ class Decoder:
         for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
             log_ns = messages.log_ns[index]
-            stamp = self.stamps(block, layout, log_ns)
-            parts.append((index, stamp, log_ns - stamp, *self.columns(block, layout)))
+            stamp = stamps_of(block, layout, log_ns)
+            columns = (self._column(block, layout, *names) for names in _COLUMNS[self.kind])
+            parts.append((index, stamp, log_ns - stamp, *columns))
         for column, values in enumerate(in_order(parts)):
             if column == len(self.gathered):
-                optional = column in self.optional
-                self.gathered.append(Column(self.store, values.shape[1:], values.dtype, optional))
+                is_optional = self.kind == "imu" and column == 4  # a magnetometer
+                self.gathered.append(Column(self.store, values.shape[1:], values.dtype, is_optional))
             self.gathered[column].append(values)
 
-    def stamps(self, block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
-        """Stamps (rows,), ns; log times where they are zero."""
-        if not self.is_cdr:
-            return proto.stamps(block, layout, log_ns)
-        stamp = ros_stamps(block, layout)
-        return np.where(stamp == 0, log_ns, stamp)
-
-    def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
-        """What the messages carry, an array (rows, ...) each."""
-        raise NotImplementedError
+    def _column(self, block: Block, layout: MessageLayout, ros: str, name: str, letters: str) -> FloatArray:
+        """Values (rows, k); a magnetometer that is not there, and an orientation of zeros, is nan."""
+        names = axes(name, letters)
+        if ros in layout.fields:
+            values = layout.get(block, ros).astype(float)
+        elif name == "magnetic_field" and not layout.fields.keys() & set(names):
+            values = np.full((len(block), 3), np.nan)
+        else:
+            values = layout.vector(block, names)
+        if letters == "xyzw":
+            values = values[:, [3, 0, 1, 2]]
+            values[~(np.linalg.norm(values, axis=1) > 0.5)] = np.nan
+        return values
 
     def joined(self) -> list[NDArray]:
         """Stamps, log times less stamps, and columns of all messages, in the file's order."""
         return [column.done() for column in self.gathered]
 
-
-class ImuDecoder(Decoder):
-    """sensor_msgs/msg/Imu and unocclude.Imu."""
-
-    optional = (4,)
-
-    def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
-        """Specific force, angular velocity, magnetic field (nan where there is none)."""
-        nothing = np.full((len(block), 3), np.nan)
-        if self.is_cdr:
-            acc, gyro = layout.get(block, "acc"), layout.get(block, "gyro")
-            return acc.astype(float), gyro.astype(float), nothing
-        acc = layout.vector(block, axes("linear_acceleration"))
-        gyro = layout.vector(block, axes("angular_velocity"))
-        has_mag = any(name in layout.fields for name in axes("magnetic_field"))
-        return acc, gyro, layout.vector(block, axes("magnetic_field")) if has_mag else nothing
-
-    def stream(self) -> ImuSamples | None:
+    def stream(self) -> ImuSamples | FieldSamples | PoseSamples | None:
         """All samples, or None where there are none."""
         if not self.gathered:
             return None
-        stamp, delay, acc, gyro, mag = self.joined()
+        stamp, delay, *columns = self.joined()
+        named = (self.topic.label, self.frame_id, stamp)
+        if self.kind == "field":
+            return FieldSamples(*named, *columns)
+        if self.kind == "pose":
+            position, quaternion = columns
+            return PoseSamples(*named, position, quaternion)
+        acc, gyro, mag = columns
         has_mag = any(np.isfinite(mag[part]).any() for part in batches(len(mag)))
-        shift = int(np.median(sampled(delay)))
-        return ImuSamples(self.topic.label, self.frame_id, stamp, acc, gyro, mag if has_mag else None, shift)
-
-
-class FieldDecoder(Decoder):
-    """sensor_msgs/msg/MagneticField."""
-
-    def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
-        """Magnetic field."""
-        return (layout.get(block, "mag").astype(float),)
-
-    def stream(self) -> FieldSamples | None:
-        """All samples, or None where there are none."""
-        if not self.gathered:
-            return None
-        stamp, _, mag = self.joined()
-        return FieldSamples(self.topic.label, self.frame_id, stamp, mag)
-
-
-class PoseDecoder(Decoder):
-    """geometry_msgs/msg/PoseStamped and foxglove.PoseInFrame."""
-
-    def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
-        """Position, quaternion (qw, qx, qy, qz); an orientation of zeros is none."""
-        if self.is_cdr:
-            position = layout.get(block, "position").astype(float)
-            quaternion = layout.get(block, "quaternion").astype(float)[:, [3, 0, 1, 2]]
-        else:
-            position = layout.vector(block, axes("pose.position"))
-            quaternion = layout.vector(block, axes("pose.orientation", "wxyz"))
-        quaternion[~(np.linalg.norm(quaternion, axis=1) > 0.5)] = np.nan
-        return position, quaternion
-
-    def stream(self) -> PoseSamples | None:
-        """All poses, or None where there are none."""
-        if not self.gathered:
-            return None
-        stamp, _, position, quaternion = self.joined()
-        return PoseSamples(self.topic.label, self.frame_id, stamp, position, quaternion)
-
-
-def plain_decoder(topic: Topic, store: Store | None = None) -> ImuDecoder | FieldDecoder | PoseDecoder | None:
-    """The decoder of a topic of IMU samples, magnetic fields or poses; None for other topics."""
-    store = store or Store()
-    if topic.encoding == "cdr":
-        kind = topic.schema.replace("/msg/", "/")
-        if kind == "sensor_msgs/Imu":
-            return ImuDecoder(topic, Grouper(cdr.imu), store=store)
-        if kind == "sensor_msgs/MagneticField":
-            return FieldDecoder(topic, Grouper(cdr.magnetic_field), store=store)
-        if kind == "geometry_msgs/PoseStamped":
-            return PoseDecoder(topic, Grouper(cdr.pose_stamped), store=store)
-    elif topic.encoding == "protobuf":
-        if topic.schema == "unocclude.Imu":
-            return ImuDecoder(topic, proto_grouper(topic.schema), is_cdr=False, store=store)
-        if topic.schema == "foxglove.PoseInFrame":
-            return PoseDecoder(topic, proto_grouper(topic.schema), is_cdr=False, store=store)
-    return None
+        return ImuSamples(*named, acc, gyro, mag if has_mag else None, int(np.median(sampled(delay))))
 
 
 def in_order(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
@@ -162,6 +123,18 @@ def proto_grouper(schema: str) -> Grouper:
 
 
 SIDES = ("", "left", "right")
+#: The schema of keypoints in an image; a keypoint counts as tracked from this score on, as guessed from that.
+KEYPOINTS = "unocclude.Keypoints2D"
+TRACKED_SCORE, INFERRED_SCORE = 0.5, 0.1
+
+
+def states_of_scores(score: FloatArray) -> NDArray[np.int8]:
+    """The state of joints by a network's scores, 0 to 1; nan is none."""
+    with np.errstate(invalid="ignore"):
+        tracked, inferred = score >= TRACKED_SCORE, score >= INFERRED_SCORE
+    return np.where(tracked, JointState.TRACKED, np.where(inferred, JointState.INFERRED, 0)).astype(np.int8)
+
+
 #: State of a joint that a row does not contain.
 UNREPORTED = -128
 
@@ -287,15 +260,13 @@ def joint_code(name: str) -> tuple[int, int] | None:
 
 @dataclass
 class SkeletonDecoder:
-    """unocclude.Skeleton: one body, or an arm of it, a message."""
+    """unocclude.Skeleton or Keypoints2D: one body, or an arm of it, a message, or an image."""
 
     topic: Topic
     grouper: Grouper
     store: Store = field(default_factory=Store)
     frame_id: str = ""
     camera_frame: CameraFrame | None = None
-    #: The messages' repeated field.
-    elements: ClassVar[str] = "joints"
 
     def __post_init__(self) -> None:
         self._rows = JointRows(self.store)
@@ -320,8 +291,9 @@ class SkeletonDecoder:
         """Each side in messages of one layout."""
         body, count = layout.integer(block, "body") & 0xFFFFFFFF, len(block)
         sides: dict[int, tuple[NDArray, NDArray]] = {}
-        for i in range(layout.counts.get(self.elements, 0)):
-            path = f"{self.elements}.{i}"
+        elements = "keypoints" if self.is_flat else "joints"
+        for i in range(layout.counts.get(elements, 0)):
+            path = f"{elements}.{i}"
             code = joint_code(layout.texts.get(f"{path}.name", ""))
             if code is None:
                 continue
@@ -330,11 +302,19 @@ class SkeletonDecoder:
                 shape = (count, len(JOINTS))
                 sides[side] = np.full(shape, UNREPORTED, np.int8), np.full((*shape, 3), np.nan)
             state, position = sides[side]
-            state[:, joint], position[:, joint] = self.joint(block, layout, path)
+            state[:, joint], position[:, joint] = self._joint(block, layout, path)
         return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
 
-    def joint(self, block: Block, layout: MessageLayout, path: str) -> tuple[NDArray, FloatArray]:
-        """States (rows,) and positions (rows, 3) of a joint."""
+    @property
+    def is_flat(self) -> bool:
+        """Whether it has keypoints in images."""
+        return self.topic.schema == KEYPOINTS
+
+    def _joint(self, block: Block, layout: MessageLayout, path: str) -> tuple[NDArray, FloatArray]:
+        """States (rows,) and positions (rows, 3) of a joint; of a keypoint u, v and the score."""
+        if self.is_flat:
+            values = layout.vector(block, [f"{path}.{name}" for name in ("u", "v", "score")])
+            return states_of_scores(values[:, 2]), values
         said = layout.integer(block, f"{path}.state")
         if (said.view(np.uint64) > JointState.TRACKED).any():  # damaged
             said = np.where(said.view(np.uint64) > JointState.TRACKED, JointState.NOT_TRACKED, said)
@@ -375,8 +355,7 @@ class MarkerDecoder:
             if not layout.counts["markers"]:
                 continue
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            stamp = ros_stamps(block, layout)
-            stamp = np.where(stamp == 0, messages.log_ns[index], stamp)
+            stamp = stamps_of(block, layout, messages.log_ns[index])
             added = layout.many(block, "action")[:, :, 0] == _ADD
             stamps[index] = np.where(added.any(axis=1), stamp, 0)
             joints += self._joints(index, added, block, layout)
@@ -416,12 +395,20 @@ class MarkerDecoder:
         return self._rows.arms(stamp, self.topic.label, self.frame_id, CameraFrame.OPTICAL)
 
 
-def skeleton_decoder(topic: Topic, store: Store | None = None) -> SkeletonDecoder | MarkerDecoder | None:
-    """The decoder of a skeleton topic; None for other topics."""
+Decoder = PlainDecoder | SkeletonDecoder | MarkerDecoder
+
+
+def decoder_of(topic: Topic, store: Store | None = None) -> Decoder | None:
+    """The decoder of a topic of IMU samples, magnetic fields, poses or skeletons; None for other topics."""
     store = store or Store()
-    if topic.encoding == "protobuf" and topic.schema == "unocclude.Skeleton":
+    key = topic.encoding, topic.schema.replace("/msg/", "/")
+    if key in _PLAIN:
+        kind, walk = _PLAIN[key]
+        grouper = proto_grouper(topic.schema) if walk is None else Grouper(walk)
+        return PlainDecoder(topic, kind, grouper, store)
+    if key in (("protobuf", "unocclude.Skeleton"), ("protobuf", KEYPOINTS)):
         return SkeletonDecoder(topic, proto_grouper(topic.schema), store)
-    if topic.encoding == "cdr" and topic.schema.replace("/msg/", "/") == "visualization_msgs/MarkerArray":
+    if key == ("cdr", "visualization_msgs/MarkerArray"):
         textured = b"texture_resource" in topic.schema_data or not topic.schema_data
         return MarkerDecoder(topic, Grouper(partial(cdr.marker_array, textured=textured)), store)
     return None

@@ -15,43 +15,15 @@ from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTracks
 from ...runtime.store import Store, batches
 from ..mcap.merge import Encoded, Output, OutputStream
-from ..mcap.messages import Topic
-from ..wire import protobuf_encode as wire
-from ..wire.layout import Block, MessageLayout
-from .decode import SkeletonDecoder, proto_grouper
+from ..wire.protobuf_encode import encoded
+from .decode import INFERRED_SCORE, KEYPOINTS, TRACKED_SCORE
+from .decode import states_of_scores as states_of_scores
 from .streams import ArmFrames, KnownLens, RecordingFile
 
-#: The schema of a message; where those of the first camera are written to, and of one with a name.
-SCHEMA, TOPIC, NAMED_TOPIC = "unocclude.Keypoints2D", "/camera/keypoints_2d", "/camera/{}/keypoints_2d"
-#: A keypoint is treated as tracked from this score on, and as guessed from that.
-TRACKED_SCORE, INFERRED_SCORE = 0.5, 0.1
+#: Where the messages of the first camera are written to, and of one with a name.
+TOPIC, NAMED_TOPIC = "/camera/keypoints_2d", "/camera/{}/keypoints_2d"
 #: Networks place joints beyond the image's edge by this part of it, and hardly more than this share beyond.
 BEYOND, OUTSIDE_SHARE = 0.05, 0.01
-
-
-def states_of_scores(score: FloatArray) -> NDArray[np.int8]:
-    """The state of joints by a network's scores, 0 to 1; nan is none."""
-    with np.errstate(invalid="ignore"):
-        tracked, inferred = score >= TRACKED_SCORE, score >= INFERRED_SCORE
-    return np.where(tracked, JointState.TRACKED, np.where(inferred, JointState.INFERRED, 0)).astype(np.int8)
-
-
-class KeypointDecoder(SkeletonDecoder):
-    """unocclude.Keypoints2D: one body, or an arm of it, in one image."""
-
-    elements = "keypoints"
-
-    def joint(self, block: Block, layout: MessageLayout, path: str) -> tuple[NDArray, FloatArray]:
-        """States (rows,), and u, v and score (rows, 3)."""
-        values = layout.vector(block, [f"{path}.{name}" for name in ("u", "v", "score")])
-        return states_of_scores(values[:, 2]), values
-
-
-def keypoint_decoder(topic: Topic, store: Store | None = None) -> KeypointDecoder | None:
-    """The decoder of a topic of keypoints; None for other topics."""
-    if topic.encoding != "protobuf" or topic.schema != SCHEMA:
-        return None
-    return KeypointDecoder(topic, proto_grouper(topic.schema), store or Store())
 
 
 def with_lenses(file: RecordingFile, topics: set[str]) -> None:
@@ -123,26 +95,18 @@ def keypoint_messages(output: Output, arm: ArmFrames) -> OutputStream:
     """Messages of a camera without depth, on its topic; joints that are never there are left out."""
     suffix = f"_{arm.side}" if arm.side else ""
     present = np.flatnonzero((arm.state != JointState.NOT_TRACKED).any(axis=0)).tolist()
-    parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
-    parts += [
-        wire.message(
-            4,
-            wire.text(1, JOINTS[i] + suffix),
-            *(wire.double(2 + k, "values", 3 * i + k) for k in range(3)),
-        )
-        for i in present
-    ]
-    template = wire.join(*parts)
+    names = [{"name": JOINTS[i] + suffix} for i in present]
 
     def encode(part: slice) -> Encoded:
         values = np.nan_to_num(np.asarray(arm.position[part]))
         values[np.asarray(arm.state[part]) == JointState.NOT_TRACKED] = 0.0
-        stamp = arm.stamp_ns[part]
-        return template.encode(
-            len(stamp), {"values": values.reshape(-1, 3 * len(JOINTS))} | wire.stamps("stamp", stamp)
-        )
+        columns: dict[str, NDArray] = {"timestamp": arm.stamp_ns[part]}
+        for k, i in enumerate(present):
+            own = zip(("u", "v", "score"), values[:, i].T, strict=True)
+            columns |= {f"keypoints.{k}.{name}": column for name, column in own}
+        return encoded(KEYPOINTS, {"frame_id": arm.frame_id, "body": arm.body, "keypoints": names}, columns)
 
-    return OutputStream(output.channel(arm.topic, SCHEMA), arm.stamp_ns, encode)
+    return OutputStream(output.channel(arm.topic, KEYPOINTS), arm.stamp_ns, encode)
 
 
 def lens_plain(lens: Intrinsics) -> dict[str, Any]:

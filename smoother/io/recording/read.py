@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Unpack
 
@@ -22,23 +22,16 @@ from ...recording import JOINTS, CameraFrame, ImportNote, ImuStream, Recording
 from ...runtime.printable import printable
 from ...runtime.store import Store, batches
 from ..mcap.container import Container
-from ..mcap.merge import repair_notes
-from ..mcap.messages import SECOND_NS, Topic, plain_name, seconds
+from ..mcap.messages import SECOND_NS, Topic, damage_note, plain_name, seconds
+from ..mcap.repair import repair_notes
 from .camera_streams import cameras_from_plain
+from .choose import FileReading, Selection, choose_imu
 from .clean import clean_imu
-from .decode import (
-    FieldDecoder,
-    ImuDecoder,
-    MarkerDecoder,
-    PoseDecoder,
-    SkeletonDecoder,
-    plain_decoder,
-    skeleton_decoder,
-)
+from .decode import Decoder, MarkerDecoder, PlainDecoder, SkeletonDecoder, decoder_of
 from .inertial import settle_imus
-from .keypoints import KeypointDecoder, keypoint_decoder, lenses_from_plain, with_lenses
+from .keypoints import lenses_from_plain, with_lenses
+from .names import OTHER_SIDE
 from .select import select_recording, select_recordings
-from .selection import OTHER_SIDE, FileReading, Selection, choose_imu
 from .streams import (
     FieldSamples,
     ImuSamples,
@@ -118,9 +111,6 @@ SWAPPED_SIDES = "--swap left,right"
 #: Of the notes in a file's metadata this many are repeated, and this much of each.
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
-AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
-SKELETONS = (SkeletonDecoder, MarkerDecoder)
-
 
 def open_recording(
     path: str | os.PathLike[str],
@@ -132,23 +122,22 @@ def open_recording(
     """Read all streams of an MCAP file that a recording can be made of."""
     store = store or Store()
     container = Container(path)
-    decoders: dict[int, AnyDecoder | None] = {}
-    by_topic: dict[int, AnyDecoder | None] = {}
+    decoders: dict[int, Decoder | None] = {}  # by topic, in the order in which they are met
 
     def wanted(topic: Topic) -> bool:
-        if id(topic) not in by_topic:
-            by_topic[id(topic)] = _decoder(topic, store, truth)
-        return by_topic[id(topic)] is not None
+        if id(topic) not in decoders:
+            decoders[id(topic)] = _decoder(topic, store, truth)
+        return decoders[id(topic)] is not None
 
     for batch in container.by_topic(wanted):
         for position, messages in batch.items():
-            if position not in decoders:
-                decoders[position] = by_topic[id(container.topics[position])]
-            decoder = decoders[position]
-            if decoder is not None:
-                decoder.feed(messages)
-        if only and _met(only, [container.topics[position] for position in decoders], by_topic):
+            decoder = decoders[id(container.topics[position])]
+            assert decoder is not None
+            decoder.feed(messages)
+        is_imu = any(isinstance(each, PlainDecoder) and each.kind == "imu" for each in decoders.values())
+        if only and is_imu and set(only) <= {topic.name for topic in container.topics if topic.count}:
             break
+    found = [decoder for decoder in decoders.values() if decoder is not None]
 
     file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
     file.damage = list(container.notes)
@@ -156,7 +145,7 @@ def open_recording(
         TopicInfo(t.label, plain_name(t.schema), plain_name(t.encoding), t.count, t.first_ns, t.last_ns)
         for t in container.topics
     ]
-    _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
+    _gather(file, found, store)
     _refuse_json(file, container.topics)
     sort_arrivals(file, file.metadata.get(METADATA, {}), store)
     drop_timestamp_outliers(file, store)
@@ -166,7 +155,9 @@ def open_recording(
             f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not joint positions; ignored."
         )
     _take_metadata(file)
-    with_lenses(file, {each.topic.label for each in decoders.values() if isinstance(each, KeypointDecoder)})
+    with_lenses(
+        file, {each.topic.label for each in found if isinstance(each, SkeletonDecoder) and each.is_flat}
+    )
     return file
 
 
@@ -175,14 +166,14 @@ def is_motion(topic: Topic) -> bool:
     return _decoder(topic, Store(), truth=True) is not None
 
 
-def _decoder(topic: Topic, store: Store, truth: bool) -> AnyDecoder | None:
+def _decoder(topic: Topic, store: Store, truth: bool) -> Decoder | None:
     """What decodes a topic; None where it is not wanted."""
     if topic.name.startswith(RESULT_PREFIX):
         return None
-    decoder = plain_decoder(topic, store) or skeleton_decoder(topic, store) or keypoint_decoder(topic, store)
-    is_reference = isinstance(decoder, PoseDecoder) or (
-        topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SKELETONS)
-    )
+    decoder = decoder_of(topic, store)
+    is_pose = isinstance(decoder, PlainDecoder) and decoder.kind == "pose"
+    is_skeleton = isinstance(decoder, SkeletonDecoder | MarkerDecoder)
+    is_reference = is_pose or (is_skeleton and topic.name.startswith(TRUTH_PREFIX))
     return None if is_reference and not truth else decoder
 
 
@@ -218,13 +209,6 @@ def _json_kind(topic: Topic) -> str:
     text = topic.schema_data[:20_000]
     by_fields = (kind for kind, fields in _JSON_MOTION.items() if all(field in text for field in fields))
     return name if name in _JSON_MOTION else next(by_fields, "")
-
-
-def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecoder | None]) -> bool:
-    """Whether these and an IMU are among the topics that had messages."""
-    decoders = [decoder[id(topic)] for topic in topics]
-    is_imu = any(isinstance(d, ImuDecoder) for d in decoders)
-    return is_imu and set(only) <= {topic.name for topic in topics}
 
 
 def read_recording(
@@ -267,15 +251,8 @@ def read_recording(
     RecordingError
         The file cannot be read or used as it is, or leaves open what is meant.
     """
-    file = open_recording(path, store=store, truth=truth)
-    if swap_sides:
-        _swap_sides(file)
-    recording = select_recording(file, prefer_side=prefer_side, store=store, **selection)
-    return (
-        replace(recording, applied_fixes=(*recording.applied_fixes, SWAPPED_SIDES))
-        if swap_sides
-        else recording
-    )
+    file = _opened(path, store, truth, swap_sides)
+    return select_recording(file, prefer_side=prefer_side, store=store, **selection)
 
 
 def read_recordings(
@@ -308,30 +285,32 @@ def read_recordings(
     RecordingError
         As `read_recording`; no arm can be used.
     """
+    file = _opened(path, store, truth, swap_sides)
+    return select_recordings(file, prefer_side=prefer_side, store=store, **selection)
+
+
+def _opened(
+    path: str | os.PathLike[str], store: Store | None, truth: bool, swap_sides: bool
+) -> RecordingFile:
     file = open_recording(path, store=store, truth=truth)
     if swap_sides:
-        _swap_sides(file)
-    recordings = select_recordings(file, prefer_side=prefer_side, store=store, **selection)
-    return [
-        replace(one, applied_fixes=(*one.applied_fixes, SWAPPED_SIDES)) if swap_sides else one
-        for one in recordings
-    ]
+        for arm in file.arms:
+            arm.side = OTHER_SIDE.get(arm.side, arm.side)
+        file.notes.append(f"left and right of the skeleton were swapped ({SWAPPED_SIDES})")
+        file.applied_fixes = (SWAPPED_SIDES,)
+    return file
 
 
-def _swap_sides(file: RecordingFile) -> None:
-    for arm in file.arms:
-        arm.side = OTHER_SIDE.get(arm.side, arm.side)
-    file.notes.append(f"left and right of the skeleton were swapped ({SWAPPED_SIDES})")
-
-
-def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> None:
+def _gather(file: RecordingFile, decoders: list[Decoder], store: Store) -> None:
     fields: list[FieldSamples] = []
     for decoder in decoders:
         if decoder.grouper.broken:
             file.notes.append(
-                f"{decoder.topic.label}: {decoder.grouper.broken} messages are damaged and were dropped."
+                damage_note(
+                    file.name, f"{decoder.grouper.broken} messages of {decoder.topic.label} were dropped."
+                )
             )
-        if isinstance(decoder, SKELETONS):
+        if not isinstance(decoder, PlainDecoder):
             arms = decoder.arms()
             file.arms += arms
             if not arms and not decoder.topic.name.startswith(TRUTH_PREFIX):
@@ -404,13 +383,7 @@ def read_arm(
     **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording, corrected by a calibration file's values of its sensors."""
-    ((recording, calibration),) = _read(
-        calibration_file,
-        lambda prefer: [read_recording(path, prefer_side=prefer, **reading)],
-        remedy or Remedy(),
-        reading.get("store"),
-    )
-    return recording, calibration
+    return read_arms(path, calibration_file, remedy=remedy, alone=True, **reading)[0]
 
 
 def read_arms(
@@ -418,24 +391,17 @@ def read_arms(
     calibration_file: str | os.PathLike[str] | None = None,
     *,
     remedy: Remedy | None = None,
+    alone: bool = False,
     **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
-    """Read every arm of a recording that has an IMU, with its calibration; as `read_arm`."""
-    return _read(
-        calibration_file,
-        lambda prefer: read_recordings(path, prefer_side=prefer, **reading),
-        remedy or Remedy(),
-        reading.get("store"),
-    )
+    """Read every arm of a recording that has an IMU, or the one that is meant, each with its calibration."""
+    store, remedy = reading.get("store"), remedy or Remedy()
 
+    def read(prefer: str | None) -> list[Recording]:
+        if alone:
+            return [read_recording(path, prefer_side=prefer, **reading)]
+        return read_recordings(path, prefer_side=prefer, **reading)
 
-def _read(
-    calibration_file: str | os.PathLike[str] | None,
-    read: Callable[[str | None], list[Recording]],
-    remedy: Remedy,
-    store: Store | None,
-) -> list[tuple[Recording, ArmCalibration | None]]:
-    """Recordings, corrected, each with its calibration; `read` takes the side to prefer."""
     if calibration_file is None:
         return [(remedy.applied(recording, store), None) for recording in read(None)]
     from calib.camera_poses import camera_poses, with_camera_poses

@@ -6,7 +6,7 @@ All IMUs of a file matched to its bodies and limbs; what `unocclude match` says.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
@@ -16,16 +16,16 @@ from ...errors import RecordingError
 from ...recording import ImuStream, JointTracks, Recording, TrunkSensors, Truth, arm_words
 from ...runtime.store import Store
 from ..mcap.messages import SECOND_NS, seconds
-from .assign import choose, choose_arms, left_out_words
-from .bodies import join_bodies, people
+from .bodies import join_bodies
 from .camera_streams import camera_of
+from .choose import Selection, StreamChoice, choose, choose_arms, left_out_words
 from .clean import clean_arm, clean_imu, clean_poses
 from .keypoints import tracks_of
-from .selection import Selection, StreamChoice, is_named, named_side, role, role_among
+from .names import role
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 if TYPE_CHECKING:
-    from ...matching import ImuMatch
+    pass
 
 
 def trunk_of(
@@ -84,8 +84,8 @@ def select_recording(
     """Make a recording of one arm from all that a file contains; options as in `read_recording`."""
     store = store or Store()
     with file.damage_told():
-        arm = _CleanArm.of(choose(file, prefer_side=prefer_side, store=store, **selection), file, store)
-        return arm.recording(file, _origin_ns([arm]), store)
+        choice = _cleaned(choose(file, prefer_side=prefer_side, store=store, **selection), file, store)
+        return _recording(choice, file, _origin_ns([choice]), store)
 
 
 def select_recordings(
@@ -98,92 +98,77 @@ def select_recordings(
     """Make a recording of every arm with an IMU from all that a file contains; as `read_recordings`."""
     store = store or Store()
     with file.damage_told():
-        choices = choose_arms(file, prefer_side=prefer_side, store=store, **selection)
-    arms: list[_CleanArm] = []
-    left_out = list(choices.left_out)
+        choices, left_out = choose_arms(file, prefer_side=prefer_side, store=store, **selection)
+    arms: list[StreamChoice] = []
     errors: list[RecordingError] = []
-    for choice in choices.chosen:
+    for choice in choices:
         try:
-            arms.append(_CleanArm.of(choice, file, store))
+            arms.append(_cleaned(choice, file, store))
         except RecordingError as error:
             errors.append(error)
             left_out.append(left_out_words(arm_words(choice.side, choice.body), error))
     if not arms:
         raise errors[0]
     origin = _origin_ns(arms)  # one zero for all
-    recordings = [arm.recording(file, origin, store) for arm in arms]
+    recordings = [_recording(arm, file, origin, store) for arm in arms]
     return [replace(one, notes=(*one.notes, *left_out)) for one in recordings]
 
 
-@dataclass(frozen=True)
-class _CleanArm:
-    """The streams of an arm, cleaned, still with their stamps."""
+def _cleaned(choice: StreamChoice, file: RecordingFile, store: Store) -> StreamChoice:
+    """The same with streams that are cleaned, still with their stamps."""
+    source, notes = str(file.path), [*file.notes, *choice.notes]
 
-    choice: StreamChoice
-    imu: ImuSamples
-    arm: ArmFrames
-    base: ImuSamples | None
-    truth: PoseSamples | None
-    further: dict[str, ImuSamples]
-    notes: tuple[str, ...]
+    def imu(stream: ImuSamples) -> ImuSamples:
+        cleaned, dropped = clean_imu(stream, source, store)
+        notes.extend(dropped)
+        return cleaned
 
-    @classmethod
-    def of(cls, choice: StreamChoice, file: RecordingFile, store: Store) -> _CleanArm:
-        source = str(file.path)
-        notes = [*file.notes, *choice.notes]
-        forearm, dropped = clean_imu(choice.imu, source, store)
-        arm, arm_dropped = clean_arm(choice.arm, source, store)
-        notes += dropped + arm_dropped
-        _check_overlap(forearm, arm, source)
-        notes += _coverage(forearm, arm)
-        base, truth, further = None, None, {}
-        if choice.base is not None:
-            base, dropped = clean_imu(choice.base, source, store)
-            notes += dropped
-        if choice.truth is not None:
-            truth, dropped = clean_poses(choice.truth, store)
-            notes += dropped
-        for segment, stream in choice.further.items():
-            further[segment], dropped = clean_imu(stream, source, store)
-            notes += dropped
-        return cls(choice, forearm, arm, base, truth, further, tuple(notes))
-
-    @property
-    def first_ns(self) -> list[int]:
-        """First stamp of each stream."""
-        streams = (self.imu, self.arm, self.base, self.truth, *self.further.values())
-        return [int(s.stamp_ns[0]) for s in streams if s is not None and len(s.stamp_ns)]
-
-    def recording(self, file: RecordingFile, origin: int, store: Store) -> Recording:
-        arm = self.arm
-        trunk, trunk_notes = trunk_of(file, self.choice, origin, store)
-        found = [camera_of(*each, str(file.path), origin, store, file.lenses) for each in self.choice.cameras]
-        more = [note for _, notes in found for note in notes]
-        return Recording(
-            imu=_imu_stream(self.imu, origin, store),
-            arm=tracks_of(arm, seconds(arm.stamp_ns, origin, store), store),
-            side=self.choice.side,
-            camera_frame=arm.camera_frame if arm.lens is not None else file.camera_frame or arm.camera_frame,
-            gravity_hint=file.gravity_hint,
-            base_imu=None if self.base is None else _imu_stream(self.base, origin, store),
-            truth=None if self.truth is None else _truth(self.truth, origin, store),
-            origin_ns=origin,
-            name=file.name,
-            notes=(*self.notes, *trunk_notes, *more),
-            further_imus={
-                segment: _imu_stream(stream, origin, store) for segment, stream in self.further.items()
-            },
-            body=self.choice.body,
-            trunk=trunk,
-            clocks_unrelated=file.clocks_unrelated,
-            opposite=opposite_arm(file, self.choice, origin, store),
-            cameras=tuple(camera for camera, _ in found if camera is not None),
-        )
+    forearm = imu(choice.imu)
+    arm, dropped = clean_arm(choice.arm, source, store)
+    notes += dropped
+    _check_overlap(forearm, arm, source)
+    notes += _coverage(forearm, arm)
+    base = None if choice.base is None else imu(choice.base)
+    truth = choice.truth
+    if truth is not None:
+        truth, dropped = clean_poses(truth, store)
+        notes += dropped
+    further = {segment: imu(stream) for segment, stream in choice.further.items()}
+    return replace(choice, imu=forearm, arm=arm, base=base, truth=truth, further=further, notes=notes)
 
 
-def _origin_ns(arms: Sequence[_CleanArm]) -> int:
+def _recording(choice: StreamChoice, file: RecordingFile, origin: int, store: Store) -> Recording:
+    arm, base, truth = choice.arm, choice.base, choice.truth
+    trunk, trunk_notes = trunk_of(file, choice, origin, store)
+    found = [camera_of(*each, str(file.path), origin, store, file.lenses) for each in choice.cameras]
+    more = [note for _, notes in found for note in notes]
+    return Recording(
+        imu=_imu_stream(choice.imu, origin, store),
+        arm=tracks_of(arm, seconds(arm.stamp_ns, origin, store), store),
+        side=choice.side,
+        camera_frame=arm.camera_frame if arm.lens is not None else file.camera_frame or arm.camera_frame,
+        gravity_hint=file.gravity_hint,
+        base_imu=None if base is None else _imu_stream(base, origin, store),
+        truth=None if truth is None else _truth(truth, origin, store),
+        origin_ns=origin,
+        name=file.name,
+        notes=(*choice.notes, *trunk_notes, *more),
+        further_imus={name: _imu_stream(stream, origin, store) for name, stream in choice.further.items()},
+        body=choice.body,
+        trunk=trunk,
+        clocks_unrelated=file.clocks_unrelated,
+        applied_fixes=file.applied_fixes,
+        opposite=opposite_arm(file, choice, origin, store),
+        cameras=tuple(camera for camera, _ in found if camera is not None),
+    )
+
+
+def _origin_ns(arms: Sequence[StreamChoice]) -> int:
     """What the times of these arms count from, ns."""
-    first = [stamp for arm in arms for stamp in arm.first_ns]
+    streams = [
+        each for arm in arms for each in (arm.imu, arm.arm, arm.base, arm.truth, *arm.further.values())
+    ]
+    first = [int(stream.stamp_ns[0]) for stream in streams if stream is not None and len(stream.stamp_ns)]
     origin = min(first) // SECOND_NS * SECOND_NS
     return 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
 
@@ -248,48 +233,3 @@ def _truth(poses: PoseSamples, origin: int, store: Store) -> Truth:
     score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
     t_s = seconds(poses.stamp_ns, origin, store)
     return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))
-
-
-def match_file(
-    file: RecordingFile,
-    method: str = "motion",
-    reach_s: float | None = None,
-    store: Store | None = None,
-    skeleton: str | None = None,
-) -> tuple[list[ImuMatch], list[str]]:
-    """Settle which IMU of a file is on which body and limb, by motion alone; names are not asked."""
-    if not file.imus:
-        raise RecordingError(f"{file.path} has no IMU to match; record the IMUs as well.")
-    arms = [arm for arm in file.arms if skeleton is None or is_named(skeleton, arm.topic, arm.frame_id)]
-    if file.arms and not arms:
-        topics = ", ".join(dict.fromkeys(arm.topic for arm in file.arms))
-        raise RecordingError(f"{file.path}: no skeleton fits --skeleton {skeleton}; it has {topics}.")
-    if not any(arm.tracked for arm in arms):
-        raise RecordingError(
-            f"{file.path} shows no arm to match IMUs to (no forearm joint is tracked); "
-            "record again with the arms in view of the camera for some seconds."
-        )
-    arms, notes = people(replace(file, arms=arms), store)
-    from .match_streams import REACH_S, match_streams  # SciPy: where it is used
-
-    reach_s = REACH_S if reach_s is None else reach_s
-    matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s, store=store)
-    return matches, notes + more + _contradicted(file.imus, matches)
-
-
-def _contradicted(imus: Sequence[ImuSamples], matches: Sequence[ImuMatch]) -> list[str]:
-    """Sensors whose names say something else than their motion, where the motion is sure."""
-    notes = []
-    for imu, match in zip(imus, matches, strict=True):
-        named, side = role_among(imu, imus), named_side(imu.topic, imu.frame_id)
-        if match.limb is None or not match.is_sure:
-            continue
-        segment = "forearm" if match.limb.segment == "wrist" else match.limb.segment
-        if named == "hand" and segment == "forearm":
-            continue  # no limb of its own to be matched to: the forearm's is the nearest
-        if (named and named != segment) or (side and match.limb.side and side != match.limb.side):
-            notes.append(
-                f"{imu.topic} moves as {match.limb.label}, which its name contradicts; if it was mixed up, "
-                f"name it in the recording or give --imu {imu.topic} with --side and --body."
-            )
-    return notes

@@ -22,6 +22,7 @@ from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, JointState
 from ...runtime.store import Store, batches
+from ..mcap.messages import told_behind
 from ..tables.protocol import ImuTable
 
 
@@ -145,6 +146,7 @@ class RecordingFile:
     frames_without_body: int = 0  # Skeleton messages were there, and none had a joint of an arm
     damage: list[str] = field(default_factory=list)  # Of the notes those on a damaged container
     clocks_unrelated: bool = False  # The IMUs' clock and the camera's have nothing in common
+    applied_fixes: tuple[str, ...] = ()  # Options by which it is read otherwise than it says
     # Cameras beyond the first that the file names, by the topic of their skeleton
     cameras: dict[str, CameraStream] = field(default_factory=dict)
     # Of cameras without depth, by the topic of their keypoints
@@ -164,7 +166,7 @@ class RecordingFile:
         except RecordingError as error:
             if not self.damage or self.damage[0] in str(error):
                 raise
-            raise RecordingError(f"{error} The file is damaged: {' '.join(self.damage[:4])}") from error
+            raise RecordingError(f"{error}{told_behind(self.damage)}") from error
 
     @property
     def name(self) -> str:

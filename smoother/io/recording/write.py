@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,11 @@ from ...recording import JOINTS, CameraFrame, CameraPose, ImuStream, JointState,
 from ...runtime.outputs import writing
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.messages import nanoseconds
-from ..wire import protobuf_encode as wire
+from ..wire.protobuf_encode import encoded
 from .camera_streams import CAMERA_TOPIC, cameras_plain
 from .keypoints import NAMED_TOPIC, TOPIC, keypoint_messages, lenses_plain, pixels_of
+from .names import OTHER_SIDE
 from .read import CLOCKS_UNRELATED, METADATA
-from .selection import OTHER_SIDE
 from .streams import ArmFrames, CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile
 
 CAMERA = "camera"
@@ -94,8 +95,6 @@ def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]
 
 def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     """The streams of recordings under the topics that they are written to."""
-    from pathlib import Path
-
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     first = recordings[0]
     file = RecordingFile(Path(first.name), camera_frame=first.camera_frame, gravity_hint=first.gravity_hint)
@@ -105,30 +104,18 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     others: dict[tuple[int, str], tuple[JointTracks, int]] = {}
     for one in recordings:
         file.notes += [note for note in one.notes if note not in file.notes]
-        topic = _free(imu_topic(one.imu.name, one.side), topics)
-        file.imus.append(
-            ImuSamples(
-                topic,
-                topic.rpartition("/")[2],
-                nanoseconds(one.imu.t_s, one.origin_ns),
-                one.imu.acc,
-                one.imu.gyro,
-                one.imu.mag,
-            )
-        )
-        if one.base_imu is not None and "/imu/base" not in topics:
-            topics.add("/imu/base")
-            base = one.base_imu
-            stamp = nanoseconds(base.t_s, one.origin_ns)
-            file.imus.append(ImuSamples("/imu/base", "base", stamp, base.acc, base.gyro, base.mag))
-        for segment, imu in one.further_imus.items():
-            topic = _free(imu_topic(imu.name, one.side, segment), topics)
-            stamp = nanoseconds(imu.t_s, one.origin_ns)
-            file.imus.append(ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag))
+        has_trunk = "/imu/trunk" in topics
+        worn = [(imu_topic(one.imu.name, one.side), one.imu)]
+        worn += [(imu_topic(imu.name, one.side, segment), imu) for segment, imu in one.further_imus.items()]
+        shared = {"/imu/base": one.base_imu, "/imu/trunk": None if one.trunk is None else one.trunk.imu}
+        worn += [(topic, imu) for topic, imu in shared.items() if imu is not None and topic not in topics]
+        file.imus += [_samples(_free(topic, topics), imu, one.origin_ns) for topic, imu in worn]
         body = one.body or 0
         while (body, one.side) in sides:
             body += 1
         sides.add((body, one.side))
+        if one.trunk is not None and one.trunk.other_arm is not None and one.side and not has_trunk:
+            others[body, OTHER_SIDE[one.side]] = (one.trunk.other_arm, one.origin_ns)
         stamp = nanoseconds(one.arm.t_s, one.origin_ns)
         file.arms.append(_frames(file, "/skeleton", TOPIC, CAMERA, body, one.side, stamp, one.arm))
         for camera in one.cameras:
@@ -139,14 +126,6 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             )
             file.cameras[frames.topic] = CameraStream(camera.name, camera.camera_frame, camera.gravity_hint)
             file.arms.append(frames)
-        if one.trunk is not None and "/imu/trunk" not in topics:
-            topics.add("/imu/trunk")
-            trunk = one.trunk.imu
-            stamp = nanoseconds(trunk.t_s, one.origin_ns)
-            file.imus.append(ImuSamples("/imu/trunk", "trunk", stamp, trunk.acc, trunk.gyro))
-            other_side = OTHER_SIDE.get(one.side, "")
-            if one.trunk.other_arm is not None and other_side:
-                others[body, other_side] = (one.trunk.other_arm, one.origin_ns)
         if one.truth is not None:
             suffix = f"/{one.side or len(sides)}" if len(recordings) > 1 else ""
             suffix = suffix if one.body is None else f"/body_{one.body}{suffix}"
@@ -162,6 +141,11 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             stamp = nanoseconds(arm.t_s, origin_ns)
             file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
     return file
+
+
+def _samples(topic: str, imu: ImuStream, origin_ns: int) -> ImuSamples:
+    stamp = nanoseconds(imu.t_s, origin_ns)
+    return ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag)
 
 
 def _frames(
@@ -198,8 +182,6 @@ def as_session(
     camera_frame: CameraFrame | None = None,
 ) -> RecordingFile:
     """Arms of several bodies before one camera, and IMUs that belong to no arm yet, as a file's streams."""
-    from pathlib import Path
-
     file = RecordingFile(Path(name), camera_frame=camera_frame)
     topics: set[str] = set()
     # stamps are not negative: a clock that is behind starts later
@@ -207,9 +189,7 @@ def as_session(
     early = min((float(t[0]) for t in times if len(t)), default=0.0)
     origin_ns = int(np.ceil(max(-early, 0.0))) * 1_000_000_000
     for imu in imus:
-        topic = _free(imu_topic(imu.name), topics)
-        stamp = nanoseconds(imu.t_s, origin_ns)
-        file.imus.append(ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag))
+        file.imus.append(_samples(_free(imu_topic(imu.name), topics), imu, origin_ns))
     for body, side, arm in arms:
         stamp = nanoseconds(arm.t_s, origin_ns)
         file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
@@ -237,22 +217,12 @@ def _free(topic: str, topics: set[str]) -> str:
 
 def imu_messages(output: Output, imu: ImuSamples) -> OutputStream:
     """Messages of an IMU, on its topic."""
-    parts = [
-        wire.timestamp(1, "stamp"),
-        wire.text(2, imu.frame_id),
-        wire.vector(3, "acc"),
-        wire.vector(4, "gyro"),
-    ]
-    if imu.mag is not None:
-        parts.append(wire.vector(5, "mag"))
-    template = wire.join(*parts)
 
     def encode(part: slice) -> Encoded:
-        columns: dict[str, NDArray] = {"acc": imu.acc[part], "gyro": imu.gyro[part]}
-        if imu.mag is not None:
-            columns["mag"] = imu.mag[part]
-        stamp = imu.stamp_ns[part]
-        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+        columns = {"linear_acceleration": imu.acc[part], "angular_velocity": imu.gyro[part]}
+        columns |= {} if imu.mag is None else {"magnetic_field": imu.mag[part]}
+        stamp = {"timestamp": imu.stamp_ns[part]}
+        return encoded("unocclude.Imu", {"frame_id": imu.frame_id}, stamp | columns)
 
     return OutputStream(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
 
@@ -267,27 +237,19 @@ def arm_messages(
     suffix = f"_{arm.side}" if arm.side else ""
     if present is None:
         present = joints_there(arm.state)
-    parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
-    for i in present:
-        fields = [
-            wire.text(1, JOINTS[i] + suffix),
-            wire.vector(2, "position", (3 * i, 3 * i + 1, 3 * i + 2)),
-            wire.flag(3, "state", i),
-        ]
-        if strap_covariance is not None and JOINTS[i] == "strap":
-            fields.append(wire.packed(5, "covariance", 9))
-        parts.append(wire.message(4, *fields))
-    template = wire.join(*parts)
+    names = [{"name": JOINTS[i] + suffix} for i in present]
 
     def encode(part: slice) -> Encoded:
-        stamp = arm.stamp_ns[part]
-        columns: dict[str, NDArray] = {
-            "position": arm.position[part].reshape(-1, 3 * len(JOINTS)),
-            "state": arm.state[part],
-        }
-        if strap_covariance is not None:
-            columns["covariance"] = np.nan_to_num(strap_covariance[part])
-        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+        columns: dict[str, NDArray] = {"timestamp": arm.stamp_ns[part]}
+        for k, i in enumerate(present):
+            columns |= {
+                f"joints.{k}.position": arm.position[part, i],
+                f"joints.{k}.state": arm.state[part, i],
+            }
+            if strap_covariance is not None and JOINTS[i] == "strap":
+                columns[f"joints.{k}.position_covariance"] = np.nan_to_num(strap_covariance[part])
+        constants = {"frame_id": arm.frame_id, "body": arm.body, "joints": names}
+        return encoded("unocclude.Skeleton", constants, columns)
 
     return OutputStream(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)
 
@@ -298,13 +260,13 @@ def joints_there(state: NDArray[np.int8]) -> list[int]:
 
 
 def _poses(output: Output, poses: PoseSamples) -> list[OutputStream]:
-    pose = wire.message(3, wire.vector(1, "position"), wire.vector(2, "quaternion", (1, 2, 3, 0)))
-    template = wire.join(wire.timestamp(1, "stamp"), wire.text(2, poses.frame_id), pose)
-
     def encode(part: slice) -> Encoded:
-        stamp = poses.stamp_ns[part]
-        columns = {"position": poses.position[part], "quaternion": poses.quaternion[part]}
-        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+        columns: dict[str, NDArray] = {
+            "timestamp": poses.stamp_ns[part],
+            "pose.position": poses.position[part],
+            "pose.orientation": poses.quaternion[part][:, [1, 2, 3, 0]],
+        }
+        return encoded("foxglove.PoseInFrame", {"frame_id": poses.frame_id}, columns)
 
     outgoing = [OutputStream(output.channel(poses.topic, "foxglove.PoseInFrame"), poses.stamp_ns, encode)]
     if poses.joints:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from ...joint_angles import torso_axes
 from ...recording import JOINTS
 from ...result import Recovery
 from ...rotation import Rotation
-from ..wire import protobuf_encode as wire
+from ..wire.protobuf_encode import alike
 
 Color = tuple[float, float, float, float]
 VISIBLE: Color = (0.10, 0.45, 0.75, 1.0)
@@ -32,51 +32,74 @@ GUESSED: Color = (0.75, 0.75, 0.75, 0.6)
 CHAIN = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand")]
 _RADIUS_M = {"shoulder": 0.05, "elbow": 0.04, "wrist": 0.035, "hand": 0.035, "strap": 0.025}
 _THICKNESS_M = 0.012
-_IDENTITY = wire.join(wire.message(1, wire.constants(0, 0, 0)), wire.message(2, wire.constants(0, 0, 0, 1)))
+_IDENTITY = {"position": {}, "orientation": {"w": 1.0}}
+
+#: Rows that are written alike: which, the constants of their message, and its columns by some of them.
+AlikeRows = tuple[IntArray, dict[str, Any], Callable[[IntArray], dict[str, NDArray]]]
 
 
 def drawings(
-    position: FloatArray, shade: IntArray, colors: tuple[Color, ...], frame_id: str, entity: str
-) -> Iterator[wire.AlikeRows]:
-    """Rows that are drawn alike, the message that draws them, and its columns."""
+    position: FloatArray,
+    shade: IntArray,
+    colors: tuple[Color, ...],
+    frame_id: str,
+    entity: str,
+    stamp: IntArray,  # (F,) ns
+) -> Iterator[AlikeRows]:
+    """Rows that are drawn alike, and the foxglove.SceneUpdate that draws them."""
     has = np.isfinite(position).all(axis=2)
-    for pattern, rows in wire.alike(np.where(has, shade, -1)):
+    for pattern, rows in alike(np.where(has, shade, -1)):
+        shown = {i: colors[shade] for i, shade in enumerate(pattern) if shade >= 0}
+        chain = [i for i in CHAIN if i in shown] if len(shown.keys() & set(CHAIN)) > 1 else []
 
-        def columns(chosen: IntArray) -> dict[str, NDArray]:
-            return {"position": position[chosen].reshape(len(chosen), -1)}
+        def columns(
+            chosen: IntArray, shown: Collection[int] = shown, chain: Sequence[int] = chain
+        ) -> dict[str, NDArray]:
+            where = "entities.0" if shown else "deletions.0"
+            points = [(f"spheres.{k}.pose.position", i) for k, i in enumerate(shown)]
+            points += [(f"lines.0.points.{k}", i) for k, i in enumerate(chain)]
+            places: dict[str, NDArray] = {f"{where}.{path}": position[chosen, i] for path, i in points}
+            return {f"{where}.timestamp": stamp[chosen]} | places
 
-        yield rows, _template(pattern, colors, frame_id, entity), columns
-
-
-@lru_cache(256)
-def _template(
-    pattern: tuple[int, ...], colors: tuple[Color, ...], frame_id: str, entity: str
-) -> wire.Template:
-    present = [i for i, shade in enumerate(pattern) if shade >= 0]
-    if not present:
-        return wire.message(1, wire.timestamp(1, "stamp"), wire.text(3, entity))
-    parts = [wire.timestamp(1, "stamp"), wire.text(2, frame_id), wire.text(3, entity)]
-    for i in present:
-        place = wire.message(1, _at(1, i), wire.message(2, wire.constants(0, 0, 0, 1)))
-        size = wire.message(2, wire.constants(*[_RADIUS_M[JOINTS[i]]] * 3))
-        parts.append(wire.message(9, place, size, wire.message(3, wire.constants(*colors[pattern[i]]))))
-    chain = [i for i in CHAIN if i in present]
-    if len(chain) > 1:
-        points = [_at(5, i) for i in chain]
-        shades = [wire.message(7, wire.constants(*colors[pattern[i]])) for i in chain]
-        line = [wire.message(2, _IDENTITY), wire.constant(3, _THICKNESS_M), *points, *shades]
-        parts.append(wire.message(11, *line))
-    return wire.message(2, *parts)
+        yield rows, _scene(shown, chain, frame_id, entity), columns
 
 
-def _at(number: int, joint: int) -> wire.Template:
-    return wire.vector(number, "position", (3 * joint, 3 * joint + 1, 3 * joint + 2))
+def _scene(
+    shown: Mapping[int, Color], chain: Sequence[int], frame_id: str, entity: str
+) -> dict[str, list[dict[str, Any]]]:
+    """A sphere a joint and a line along the bones; nothing to draw deletes what was drawn before."""
+    if not shown:
+        return {"deletions": [{"id": entity}]}
+    spheres = [
+        {
+            "pose": _IDENTITY,
+            "size": dict.fromkeys("xyz", _RADIUS_M[JOINTS[i]]),
+            "color": dict(zip("rgba", color, strict=True)),
+        }
+        for i, color in shown.items()
+    ]
+    line = {
+        "pose": _IDENTITY,
+        "thickness": _THICKNESS_M,
+        "points": [{} for _ in chain],
+        "colors": [dict(zip("rgba", shown[i], strict=True)) for i in chain],
+    }
+    drawn = {"frame_id": frame_id, "id": entity, "spheres": spheres, "lines": [line] if chain else []}
+    return {"entities": [drawn]}
 
 
 #: Beads between two joints: 5 cm apart on an adult's arm.
 BETWEEN = 5
-_FIXED32 = 5
-_FLOAT32, _UINT8 = 7, 1  # foxglove.PackedElementField.NumericType
+#: Its fields: offset, and foxglove.PackedElementField.NumericType (FLOAT32, UINT8).
+_FIELDS = {
+    "x": (0, 7),
+    "y": (4, 7),
+    "z": (8, 7),
+    "red": (12, 1),
+    "green": (13, 1),
+    "blue": (14, 1),
+    "alpha": (15, 1),
+}
 #: Bytes of a bead: three single precision coordinates and a colour.
 _STRIDE = 16
 
@@ -85,21 +108,23 @@ def arm_point_clouds(
     position: FloatArray,  # (F, 5, 3) m
     kind: IntArray,  # int (F,)
     frame_id: str,
-) -> Iterator[wire.AlikeRows]:  # rows int (m,), template, columns
-    """Rows that have the same joints, the foxglove.PointCloud that draws them, and its columns."""
-    has = np.isfinite(position).all(axis=2)
-    for pattern, rows in wire.alike(np.where(has, 0, -1)):
-        present = tuple(i for i, shade in enumerate(pattern) if shade >= 0)
-        weights = _weights(present)
+    stamp: IntArray,  # (F,) ns
+) -> Iterator[AlikeRows]:
+    """Rows that have the same joints, and the foxglove.PointCloud that draws them."""
+    fields = [{"name": name, "offset": at, "type": kind} for name, (at, kind) in _FIELDS.items()]
+    constants = {"frame_id": frame_id, "pose": _IDENTITY, "point_stride": _STRIDE, "fields": fields}
+    for pattern, rows in alike(np.asarray(np.isfinite(position).all(axis=2))):
+        weights = _weights(tuple(np.flatnonzero(pattern).tolist()))
 
         def columns(chosen: IntArray, weights: FloatArray = weights) -> dict[str, NDArray]:
             beads = np.empty((len(chosen), len(weights), _STRIDE), np.uint8)
             places = weights @ np.nan_to_num(position[chosen])
             beads[:, :, :12] = np.ascontiguousarray(places, "<f4").view(np.uint8)
-            beads[:, :, 12:] = _colors()[kind[chosen]][:, None]
-            return {"beads": beads.view("<f8").reshape(len(chosen), -1)}  # slots copy eight bytes at a time
+            beads[:, :, 12:] = np.round(255 * np.array(ANSWER)).astype(np.uint8)[kind[chosen]][:, None]
+            data = {"data": beads.reshape(len(chosen), -1)} if len(weights) else {}
+            return {"timestamp": stamp[chosen]} | data
 
-        yield rows, _cloud_template(len(weights), frame_id), columns
+        yield rows, constants, columns
 
 
 @lru_cache(32)
@@ -112,36 +137,6 @@ def _weights(present: tuple[int, ...]) -> FloatArray:
         shares = np.arange(1, BETWEEN + 1)[:, None] / (BETWEEN + 1)
         beads += list((1 - shares) * joints[one] + shares * joints[other])
     return np.array(beads).reshape(-1, len(JOINTS))
-
-
-@lru_cache(1)
-def _colors() -> NDArray[np.uint8]:
-    return np.round(255 * np.array(ANSWER)).astype(np.uint8)
-
-
-@lru_cache(32)
-def _cloud_template(count: int, frame_id: str) -> wire.Template:
-    names = ("x", "y", "z", "red", "green", "blue", "alpha")
-    kinds = (*[_FLOAT32] * 3, *[_UINT8] * 4)
-    offsets = (0, 4, 8, 12, 13, 14, 15)
-    fields = [
-        wire.message(5, wire.text(1, name), _fixed32(2, offset), wire.number(3, kind))
-        for name, offset, kind in zip(names, offsets, kinds, strict=True)
-    ]
-    return wire.join(
-        wire.timestamp(1, "stamp"),
-        wire.text(2, frame_id),
-        wire.message(
-            3, wire.message(1, wire.constants(0, 0, 0)), wire.message(2, wire.constants(0, 0, 0, 1))
-        ),
-        _fixed32(4, _STRIDE),
-        *fields,
-        wire.packed(6, "beads", count * _STRIDE // 8),
-    )
-
-
-def _fixed32(number: int, value: int) -> wire.Template:
-    return wire.Template(wire.tag(number, _FIXED32) + struct.pack("<I", value))
 
 
 #: Name of the level frame: x towards the camera, z up, the origin in the camera.
@@ -165,16 +160,10 @@ def world_axes(down: FloatArray) -> FloatArray:  # down (3,) -> (3, 3)
     return np.stack([ahead, -right, up])
 
 
-def world_transform(down: FloatArray | None, frame_id: str) -> wire.Template:  # down (3,)
-    """The transform from `world` to the camera, an element of FrameTransforms; empty without gravity."""
+def world_transform(down: FloatArray | None, frame_id: str) -> dict[str, Any] | None:  # down (3,)
+    """The transform from `world` to the camera; None without gravity."""
     if down is None or frame_id == WORLD:
-        return wire.Template(b"")
+        return None
     turn = Rotation.from_matrix(world_axes(down)).as_quat(canonical=True)
-    return wire.message(
-        1,
-        wire.timestamp(1, "stamp"),
-        wire.text(2, WORLD),
-        wire.text(3, frame_id),
-        wire.message(4, wire.constants(0, 0, 0)),
-        wire.message(5, wire.constants(*turn.tolist())),
-    )
+    rotation = dict(zip("xyzw", turn.tolist(), strict=True))
+    return {"parent_frame_id": WORLD, "child_frame_id": frame_id, "translation": {}, "rotation": rotation}

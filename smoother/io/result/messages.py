@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from google.protobuf.message import DecodeError
@@ -20,9 +21,10 @@ from ..mcap.messages import Topic, TopicMessages, nanoseconds, seconds
 from ..recording.decode import SkeletonDecoder, joint_code, proto_grouper
 from ..recording.read import RESULT_PREFIX
 from ..wire import protobuf_decode as proto
-from ..wire import protobuf_encode as wire
 from ..wire.layout import Block, Grouper, MessageLayout, axes
+from ..wire.protobuf_encode import alike
 from ..wire.schemas import message_class
+from .drawing import AlikeRows
 
 
 def gap_messages(
@@ -61,38 +63,25 @@ def gap_messages(
     return events, lines
 
 
-class ResidualMessages:
-    """What the messages of a recovery's residuals are made of; the same joints in all of them."""
-
-    def __init__(self, residuals: FrameResiduals, frame_id: str):
-        self._frame_id = frame_id
-        self._joints = _present(residuals)
-        self._templates: dict[tuple[int, ...], wire.Template] = {}  # by reasons
-
-    def of_batch(self, residuals: FrameResiduals) -> Iterator[wire.AlikeRows]:
-        """Frames that are written alike, the message that contains them, and its columns."""
+def residual_messages(
+    residuals: FrameResiduals, joints: Sequence[int], frame_id: str, stamp: IntArray
+) -> Iterator[AlikeRows]:
+    """Frames with the same reasons, and the unocclude.Residuals that contains them."""
+    for pattern, rows in alike(residuals.reason):
+        reasons = [residuals.reasons[code].sentence for code in pattern]
+        own = [{"name": JOINTS[i], "reason": reasons[i]} for i in joints]
 
         def columns(rows: IntArray) -> dict[str, NDArray]:
-            flat = residuals.residual[rows].reshape(len(rows), -1)
-            return {"residual": flat, "used": residuals.used[rows].astype(np.int64)}
+            each = {"timestamp": stamp[rows]}
+            for k, i in enumerate(joints):
+                each |= {f"joints.{k}.residual": residuals.residual[rows, i]}
+                each |= {f"joints.{k}.used": residuals.used[rows, i].astype(np.int64)}
+            return each
 
-        for pattern, rows in wire.alike(residuals.reason):
-            if pattern not in self._templates:
-                reasons = [residuals.reasons[code].sentence for code in pattern]
-                self._templates[pattern] = self._template(reasons)
-            yield rows, self._templates[pattern], columns
-
-    def _template(self, reasons: list[str]) -> wire.Template:
-        """One message, with the reason of each joint."""
-        parts = [wire.timestamp(1, "stamp"), wire.text(2, self._frame_id)]
-        for i in self._joints:
-            value = wire.vector(2, "residual", (3 * i, 3 * i + 1, 3 * i + 2))
-            used, why = wire.flag(3, "used", i), wire.text(4, reasons[i])
-            parts.append(wire.message(3, wire.text(1, JOINTS[i]), value, used, why))
-        return wire.join(*parts)
+        yield rows, {"frame_id": frame_id, "joints": own}, columns
 
 
-def _present(residuals: FrameResiduals) -> list[int]:
+def joints_with_residuals(residuals: FrameResiduals) -> list[int]:
     """Joints of which there is anything to say."""
     present = np.zeros(len(JOINTS), bool)
     for part in residuals.batches():
@@ -129,47 +118,34 @@ def thorax_poses(r: Recovery) -> Recovery | None:
     )
 
 
-def odometry(r: Recovery, frame_id: str, body: str) -> Iterator[wire.AlikeRows]:
-    """What the messages of the samples with a position are made of, one layout after the other."""
+def odometry(r: Recovery, frame_id: str, body: str, stamp: IntArray) -> Iterator[AlikeRows]:
+    """The samples with a position, those with orientation and velocity apart, as foxglove.Odometry."""
     has_position = np.isfinite(r.position).all(axis=1)
-    has_turn = np.isfinite(r.quaternion).all(axis=1)
-    has_velocity = np.isfinite(r.velocity).all(axis=1)
-    head = [wire.timestamp(1, "stamp"), wire.text(2, frame_id)]
-    for turned in (True, False):
-        for moving in (True, False):
-            mine = has_position & (has_turn == turned) & (has_velocity == moving)
-            if not mine.any():
-                continue
-            turn = wire.vector(2, "quaternion", (1, 2, 3, 0))
-            if not turned:
-                turn = wire.message(2, wire.constants(0, 0, 0, 1))
-            parts = [
-                *head,
-                wire.text(3, body if turned else frame_id),
-                wire.message(4, wire.vector(1, "position"), turn),
-            ]
-            if moving:
-                parts.append(wire.vector(5, "velocity"))
-            parts += [wire.packed(7, "covariance", 36), wire.packed(8, "velocity_covariance", 36)]
+    has = np.isfinite(r.quaternion).all(axis=1), np.isfinite(r.velocity).all(axis=1)
+    for pattern, mine in alike(np.stack([has_position, *has], axis=1)):
+        _, turned, moving = pattern
+        if not pattern[0]:
+            continue
 
-            def columns(rows: IntArray, turned: bool = turned) -> dict[str, NDArray]:
-                velocity, spread = r.velocity[rows], r.velocity_covariance[rows]
-                if turned:
-                    quaternion = r.quaternion[rows]
-                    back = Rotation.from_quat(quaternion, scalar_first=True).inv().as_matrix()
-                    velocity = np.einsum("nij,nj->ni", back, velocity)
-                    spread = back @ spread @ back.transpose(0, 2, 1)
-                whole = np.zeros((len(rows), 6, 6))
-                whole[:, :3, :3] = spread
-                return {
-                    "position": r.position[rows],
-                    "quaternion": r.quaternion[rows],
-                    "velocity": velocity,
-                    "covariance": np.nan_to_num(r.pose_covariance[rows], nan=0.0),
-                    "velocity_covariance": np.nan_to_num(whole, nan=0.0),
-                }
+        def columns(rows: IntArray, turned: int = turned, moving: int = moving) -> dict[str, NDArray]:
+            velocity, spread = r.velocity[rows], r.velocity_covariance[rows]
+            if turned:
+                back = Rotation.from_quat(r.quaternion[rows], scalar_first=True).inv().as_matrix()
+                velocity = np.einsum("nij,nj->ni", back, velocity)
+                spread = back @ spread @ back.transpose(0, 2, 1)
+            whole = np.zeros((len(rows), 6, 6))
+            whole[:, :3, :3] = spread
+            each = {"timestamp": stamp[rows], "pose.position": r.position[rows]}
+            each |= {"pose.orientation": r.quaternion[rows][:, [1, 2, 3, 0]]} if turned else {}
+            each |= {"linear_velocity": velocity} if moving else {}
+            covariance = np.nan_to_num(r.pose_covariance[rows], nan=0.0)
+            return each | {
+                "pose_covariance": covariance.reshape(-1, 36),
+                "velocity_covariance": np.nan_to_num(whole, nan=0.0).reshape(-1, 36),
+            }
 
-            yield np.flatnonzero(mine), wire.join(*parts), columns
+        constants: dict[str, Any] = {"frame_id": frame_id, "body_frame_id": body if turned else frame_id}
+        yield mine, constants | {"pose": {"orientation": {"w": 1.0}}}, columns
 
 
 class TopicTable:

@@ -22,7 +22,7 @@ from ...result import Draws, Estimates, FrameResiduals, Recovery
 from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ...rotation import Rotation
 from ..mcap.container import Container
-from ..mcap.messages import Topic, plain_name, seconds
+from ..mcap.messages import Topic, plain_name, seconds, told_behind
 from ..recording.read import METADATA, RESULT_PREFIX
 from .messages import TABLES, CameraTable, DrawsTable, ResidualTable, TopicTable, kind_of
 from .write import RESULT, calibration_of, gaps_of
@@ -170,10 +170,9 @@ def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], n
             draws=_draws(tables.get(f"{RESULT_PREFIX}draws{suffix}"), values.get("draws"), origin),
         )
     except BROKEN_RESULT as error:
-        damage = f" The file is damaged: {' '.join(container.notes[:4])}" if container.notes else ""
         raise RecordingError(
             f"{path}: its result{plain_name(suffix)} is damaged or of another version ({shown(error)}); "
-            f"run `unocclude smooth` again.{damage}"
+            f"run `unocclude smooth` again.{told_behind(container.notes)}"
         ) from error
 
 

@@ -17,16 +17,17 @@ from ..mcap.messages import nanoseconds
 from ..recording.read import RESULT_PREFIX
 from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there
-from ..wire import protobuf_encode as wire
+from ..wire.protobuf_encode import alike, encoded
 from . import drawing as scene
-from .drawing import arm_point_clouds, world_transform
+from .drawing import AlikeRows, arm_point_clouds, world_transform
 from .messages import (
     SCHEMA,
-    ResidualMessages,
     draw_messages,
     gap_messages,
+    joints_with_residuals,
     message_rows,
     odometry,
+    residual_messages,
     segment_poses,
     thorax_poses,
 )
@@ -56,7 +57,7 @@ class RecoveryStreams:
         self.body = "forearm_imu" + suffix.replace("/", "_")
         self.camera_joints = joints_there(recovery.arm.state)
         residuals = recovery.residuals
-        self.residual_messages = None if residuals is None else ResidualMessages(residuals, frame_id)
+        self.residual_joints = [] if residuals is None else joints_with_residuals(residuals)
         self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
         self.trusted = recovery.trusted
         self.angles = JointAngles(recovery)
@@ -92,20 +93,12 @@ class RecoveryStreams:
     def _stamps(self, t_s: FloatArray) -> IntArray:
         return nanoseconds(t_s, self.recovery.origin_ns)
 
-    def _stream(
-        self,
-        topic: str,
-        schema: str,
-        template: wire.Template,
-        stamp: IntArray,
-        rows: IntArray,
-        columns: wire.Columns,
-    ) -> OutputStream:
+    def _stream(self, topic: str, schema: str, stamp: IntArray, alike_rows: AlikeRows) -> OutputStream:
         """Some rows of stamps (n,) on a topic."""
+        rows, constants, columns = alike_rows
 
         def encode(part: slice) -> Encoded:
-            chosen = rows[part]
-            return template.encode(len(chosen), columns(chosen) | wire.stamps("stamp", stamp[chosen]))
+            return encoded(schema, constants, columns(rows[part]))
 
         channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
         return OutputStream(channel, stamp[rows] + self.shift, encode)
@@ -119,39 +112,28 @@ class RecoveryStreams:
             poses["trunk"] = thorax, self.body.replace("forearm_imu", "thorax")
         stamp = self._stamps(r.t_s)
         for topic, (moving, body) in poses.items():
-            for rows, template, columns in odometry(moving, self.frame_id, body):
-                yield self._stream(topic, "foxglove.Odometry", template, stamp, rows, columns)
+            for rows in odometry(moving, self.frame_id, body, stamp):
+                yield self._stream(topic, "foxglove.Odometry", stamp, rows)
 
     def _skeleton(self, r: Recovery) -> OutputStream:
         """Every sample, so that times and occlusion are whole even where there is no answer."""
         names = [joint for joint in JOINTS if joint in r.joints]
-        parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
         side = f"_{r.side}" if r.side else ""
-        for joint in names:
-            parts.append(
-                wire.message(
-                    4,
-                    wire.text(1, joint + side),
-                    wire.vector(2, joint),
-                    wire.flag(3, f"{joint}_state"),
-                    wire.packed(5, f"{joint}_covariance", 9),
-                )
-            )
-        parts.append(wire.flag(5, "occluded"))
+        stamp = self._stamps(r.t_s)
 
         def columns(rows: IntArray) -> dict[str, NDArray]:
             occluded = r.occluded[rows]
-            arrays: dict[str, NDArray] = {"occluded": occluded.astype(np.int64)}
-            for joint in names:
+            arrays: dict[str, NDArray] = {"timestamp": stamp[rows], "occluded": occluded.astype(np.int64)}
+            for k, joint in enumerate(names):
                 position = r.joints[joint][rows]
                 state = np.where(occluded, JointState.INFERRED, JointState.TRACKED)
                 state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
-                arrays |= {joint: position, f"{joint}_state": state}
-                arrays[f"{joint}_covariance"] = r.joint_covariance[joint][rows]
+                arrays |= {f"joints.{k}.position": position, f"joints.{k}.state": state}
+                arrays[f"joints.{k}.position_covariance"] = r.joint_covariance[joint][rows].reshape(-1, 9)
             return arrays
 
-        stamp, rows = self._stamps(r.t_s), np.arange(len(r))
-        return self._stream("skeleton", "unocclude.Skeleton", wire.join(*parts), stamp, rows, columns)
+        constants = {"frame_id": self.frame_id, "joints": [{"name": joint + side} for joint in names]}
+        return self._stream("skeleton", "unocclude.Skeleton", stamp, (np.arange(len(r)), constants, columns))
 
     def _camera(self, r: Recovery) -> Iterator[OutputStream]:
         topic = f"{RESULT_PREFIX}camera{self.suffix}"
@@ -161,11 +143,11 @@ class RecoveryStreams:
         yield OutputStream(stream.channel, stream.time_ns + self.shift, stream.encode)
 
     def _residuals(self, residuals: FrameResiduals | None) -> Iterator[OutputStream]:
-        if self.residual_messages is None or residuals is None or not len(residuals):
+        if residuals is None or not len(residuals):
             return
         stamp = self._stamps(residuals.t_s)
-        for rows, template, columns in self.residual_messages.of_batch(residuals):
-            yield self._stream("residuals", "unocclude.Residuals", template, stamp, rows, columns)
+        for rows in residual_messages(residuals, self.residual_joints, self.frame_id, stamp):
+            yield self._stream("residuals", "unocclude.Residuals", stamp, rows)
 
     def _drawn(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[OutputStream]:
         whole, stamp = self.recovery, self._stamps(r.arm.t_s)
@@ -174,38 +156,38 @@ class RecoveryStreams:
             after[:, JOINTS.index(joint)] = position[nearest]
         kind = np.where(self.trusted[nearest], whole.occluded[nearest].astype(np.int64), scene.DISTRUST)
         shade = np.repeat(kind[:, None], len(JOINTS), axis=1)
-        name = f"arm{self.suffix.replace('/', '_')}"
-        for rows, template, columns in scene.drawings(after, shade, scene.ANSWER, self.frame_id, name):
-            yield self._stream("arm", "foxglove.SceneUpdate", template, stamp[inside], rows, columns)
-        for rows, template, columns in arm_point_clouds(after, kind, self.frame_id):
-            yield self._stream("beads", "foxglove.PointCloud", template, stamp[inside], rows, columns)
+        name, at, frame_id = f"arm{self.suffix.replace('/', '_')}", stamp[inside], self.frame_id
+        for rows in scene.drawings(after, shade, scene.ANSWER, frame_id, name, at):
+            yield self._stream("arm", "foxglove.SceneUpdate", at, rows)
+        for rows in arm_point_clouds(after, kind, frame_id, at):
+            yield self._stream("beads", "foxglove.PointCloud", at, rows)
         guessed = (r.arm.state == JointState.INFERRED).astype(np.int64)
         colors = (scene.CAMERA, scene.GUESSED)
-        name += "_camera"
-        for rows, template, columns in scene.drawings(r.arm.position, guessed, colors, self.frame_id, name):
-            yield self._stream("arm_camera", "foxglove.SceneUpdate", template, stamp, rows, columns)
+        for rows in scene.drawings(r.arm.position, guessed, colors, frame_id, f"{name}_camera", stamp):
+            yield self._stream("arm_camera", "foxglove.SceneUpdate", stamp, rows)
 
     def _transforms(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[OutputStream]:
         position, quaternion = self.recovery.position[nearest], self.recovery.quaternion[nearest]
         has_pose = np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1)
-        forearm = wire.message(
-            1,
-            wire.timestamp(1, "stamp"),
-            wire.text(2, self.frame_id),
-            wire.text(3, self.body),
-            wire.vector(4, "position"),
-            wire.vector(5, "quaternion", (1, 2, 3, 0)),
-        )
-
-        def columns(rows: IntArray) -> dict[str, NDArray]:
-            return {"position": position[rows], "quaternion": quaternion[rows]}
-
         stamp = self._stamps(r.arm.t_s)[inside]
+        forearm = {"parent_frame_id": self.frame_id, "child_frame_id": self.body}
         # The level frame is in every message, so that a viewer has it wherever it begins.
-        for mine, template in ((has_pose, wire.join(forearm, self.world)), (~has_pose, self.world)):
-            rows = np.flatnonzero(mine)
-            if template.data and len(rows):
-                yield self._stream("tf", "foxglove.FrameTransforms", template, stamp, rows, columns)
+        for posed in (True, False):
+            transforms = [*([forearm] if posed else []), *([self.world] if self.world else [])]
+
+            def columns(
+                rows: IntArray, posed: bool = posed, count: int = len(transforms)
+            ) -> dict[str, NDArray]:
+                pose: dict[str, NDArray] = {f"transforms.{k}.timestamp": stamp[rows] for k in range(count)}
+                if posed:
+                    pose["transforms.0.translation"] = position[rows]
+                    pose["transforms.0.rotation"] = quaternion[rows][:, [1, 2, 3, 0]]
+                return pose
+
+            rows = np.flatnonzero(has_pose == posed)
+            if transforms and len(rows):
+                alike_rows = (rows, {"transforms": transforms}, columns)
+                yield self._stream("tf", "foxglove.FrameTransforms", stamp, alike_rows)
 
     def _joint_states(self, r: Recovery) -> Iterator[OutputStream]:
         """The joint angles that are known at a sample, and behind them their sigmas, rad."""
@@ -214,21 +196,16 @@ class RecoveryStreams:
         names, table = list(columns), np.radians(np.column_stack(list(columns.values())))
         side = f"_{r.side}" if r.side else ""
         stamp = self._stamps(r.t_s)
-        known = np.isfinite(table)
-        keys = known @ (1 << np.arange(len(names)))  # samples with the same ones are written alike
-        for key in np.unique(keys[keys > 0]).tolist():
-            rows = np.flatnonzero(keys == key)
-            places = np.flatnonzero(known[rows[0]])
-            states = [
-                wire.message(2, wire.text(1, names[k] + side), wire.double(2, "angles", index))
-                for index, k in enumerate(places.tolist())
-            ]
-            template = wire.join(wire.timestamp(1, "stamp"), *states)
+        for pattern, rows in alike(np.isfinite(table)):  # samples with the same ones are written alike
+            places = np.flatnonzero(pattern).tolist()
 
-            def of_rows(chosen: IntArray, places: IntArray = places) -> dict[str, NDArray]:
-                return {"angles": table[np.ix_(chosen, places)]}
+            def of_rows(chosen: IntArray, places: list[int] = places) -> dict[str, NDArray]:
+                angles = {f"joints.{k}.position": table[chosen, place] for k, place in enumerate(places)}
+                return {"timestamp": stamp[chosen]} | angles
 
-            yield self._stream("joints", "foxglove.JointStates", template, stamp, rows, of_rows)
+            if places:
+                constants = {"joints": [{"name": names[k] + side} for k in places]}
+                yield self._stream("joints", "foxglove.JointStates", stamp, (rows, constants, of_rows))
 
     def _gaps(self, r: Recovery) -> Iterator[OutputStream]:
         """Each gap as an event, and as a line of a log, which more programs show."""

@@ -76,6 +76,8 @@ def _bytes(data: bytes, start: int, end: int, field: Any, name: str, layout: Mes
     elif field.type == field.TYPE_STRING:
         layout.fix(start, end)
         layout.texts[name] = data[start:end].decode("utf-8", "replace")
+    elif field.type == field.TYPE_BYTES:
+        layout.add(name, start, "u1", end - start)
     elif field.type == field.TYPE_DOUBLE and (end - start) % 8 == 0 and end > start:
         layout.add(name, start, "<f8", (end - start) // 8)
 

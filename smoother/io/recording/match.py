@@ -3,57 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...matching import ImuMatch, Limb, limbs_of, match_imus
-from ...recording import JOINTS, ImuStream, JointState, JointTracks
-from ...runtime.store import Store, batches
-from ...selfcal.pairing import shifted_agreement
+from ...recording import ImuStream, JointTracks
+from ...runtime.store import Store
+from ...selfcal.agreement import agreement_of
+from ...selfcal.pairing import chosen
 from ..mcap.messages import seconds
+from .bodies import people
 from .clean import clean_arm, clean_imu
+from .names import is_named, named_side, role_among
 from .streams import ArmFrames, ImuSamples, RecordingFile
 
-_MOTION_S = 0.3
-_LAG_S = 1.0
-#: Clocks may be this far apart, s.
-_FAR_S = 600.0
+#: Clocks may be this far apart, s: where they are far apart, and where an assignment is made.
+_FAR_S, REACH_S = 600.0, 5.0
 _MOTION_FRAMES = 20_000
-#: Where no two joints tell a direction, the one seen most; of equals the first.
-_POINTS = ("wrist", "strap", "hand", "elbow")
 
 
-def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
-    """How well an IMU's turning agrees with what the camera sees of an arm."""
-    at, moved = _arm_motion(arm)
-    if len(at) < 20:
-        return 0.0
-    stamp, gyro, _ = _samples_until(imu, int(at.max() + 1e9 * (_LAG_S + 2 * _MOTION_S)))
-    if len(stamp) < 20:
-        return 0.0
-    zero = int(stamp[0])
-    t = (stamp - zero) / 1e9
-    steps = 0.5 * (gyro[1:] + gyro[:-1]) * np.diff(t)[:, None]
-    turned = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-    first = (at - zero) / 1e9
-    best = 0.0
-    for lag in np.arange(-_LAG_S, _LAG_S + 1e-9, 0.04):
-        start, stop = first + lag, first + lag + _MOTION_S
-        inside = (start >= t[0]) & (stop <= t[-1])
-        if inside.sum() < 20:
-            continue
-        turn = np.stack([np.interp(stop, t, c) - np.interp(start, t, c) for c in turned.T], axis=1)
-        angle = np.linalg.norm(turn, axis=1)[inside]
-        shift = moved[inside]
-        if angle.std() > 1e-6 and shift.std() > 1e-9:
-            best = max(best, float(np.corrcoef(angle, shift)[0, 1]))
-    return best
-
-
-def agreement_far_apart(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, bool]:
-    """`shifted_agreement` of an IMU and an arm's first frames."""
+def agreement(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, bool]:
+    """How well an IMU turns as an arm in its first frames, the clocks' shift, s, and whether it is far."""
     order = np.argsort(arm.stamp_ns, kind="stable")[:_MOTION_FRAMES]
     if not len(order):
         return 0.0, 0.0, False
@@ -65,7 +38,11 @@ def agreement_far_apart(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, 
     stream = ImuStream(imu.topic, (stamp - zero) / 1e9, acc[first], gyro[first])
     t_s = (arm.stamp_ns[order] - zero) / 1e9
     tracks = JointTracks(arm.topic, t_s, arm.position[order], arm.state[order])
-    return shifted_agreement(stream, tracks, _LAG_S)
+    found = agreement_of(stream, tracks)
+    if found is None:
+        return 0.0, 0.0, False
+    line = chosen(found, is_unrelated=False)
+    return line.explained**0.5, line.offset_s, line is not found.near
 
 
 def _samples_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -79,37 +56,6 @@ def _samples_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray
         stamp, gyro, acc = stamp[order], gyro[order], acc[order]
     finite = np.isfinite(gyro).all(axis=1) & np.isfinite(acc).all(axis=1)
     return stamp[finite], gyro[finite], acc[finite]
-
-
-def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:
-    """Start times (ns) of steps of 0.3 s, and how far the forearm turned (rad) or moved (m) in them."""
-    tracked = arm.state == JointState.TRACKED
-    for part in batches(len(tracked)):
-        tracked[part] &= np.isfinite(arm.position[part]).all(axis=2)
-    elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
-    both = tracked[:, elbow] & tracked[:, wrist]
-    is_pair = bool(both.sum() >= 20)
-    point = max((JOINTS.index(joint) for joint in _POINTS), key=lambda index: tracked[:, index].sum())
-    rows = np.flatnonzero(both if is_pair else tracked[:, point])
-    rows = rows[np.argsort(arm.stamp_ns[rows], kind="stable")[:_MOTION_FRAMES]]
-    stamp, seen = arm.stamp_ns[rows], arm.position[rows]
-    along = seen[:, point]
-    if is_pair:
-        along = seen[:, wrist] - seen[:, elbow]
-        along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
-    if len(stamp) < 2:
-        return np.empty(0), np.empty(0)
-    later = np.searchsorted(stamp, stamp + int(_MOTION_S * 1e9))
-    usable = later < len(stamp)
-    later = np.minimum(later, len(stamp) - 1)
-    step = (stamp[later] - stamp) / 1e9
-    usable &= step < 1.5 * _MOTION_S
-    moved = np.linalg.norm(along[later] - along, axis=1) * _MOTION_S / np.maximum(step, 1e-6)
-    return stamp[usable].astype(float), moved[usable]
-
-
-#: Clocks may be this far apart, s.
-REACH_S = 5.0
 
 
 def match_streams(
@@ -183,5 +129,48 @@ def _left_open(
             notes.append(
                 f"{imu.name} may be on {best}: the motion does not settle it; record some seconds in which "
                 "this limb moves and the others do something else."
+            )
+    return notes
+
+
+def match_file(
+    file: RecordingFile,
+    method: str = "motion",
+    reach_s: float | None = None,
+    store: Store | None = None,
+    skeleton: str | None = None,
+) -> tuple[list[ImuMatch], list[str]]:
+    """Settle which IMU of a file is on which body and limb, by motion alone; names are not asked."""
+    if not file.imus:
+        raise RecordingError(f"{file.path} has no IMU to match; record the IMUs as well.")
+    arms = [arm for arm in file.arms if skeleton is None or is_named(skeleton, arm.topic, arm.frame_id)]
+    if file.arms and not arms:
+        topics = ", ".join(dict.fromkeys(arm.topic for arm in file.arms))
+        raise RecordingError(f"{file.path}: no skeleton fits --skeleton {skeleton}; it has {topics}.")
+    if not any(arm.tracked for arm in arms):
+        raise RecordingError(
+            f"{file.path} shows no arm to match IMUs to (no forearm joint is tracked); "
+            "record again with the arms in view of the camera for some seconds."
+        )
+    arms, notes = people(replace(file, arms=arms), store)
+    reach_s = REACH_S if reach_s is None else reach_s
+    matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s, store=store)
+    return matches, notes + more + _contradicted(file.imus, matches)
+
+
+def _contradicted(imus: Sequence[ImuSamples], matches: Sequence[ImuMatch]) -> list[str]:
+    """Sensors whose names say something else than their motion, where the motion is sure."""
+    notes = []
+    for imu, match in zip(imus, matches, strict=True):
+        named, side = role_among(imu, imus), named_side(imu.topic, imu.frame_id)
+        if match.limb is None or not match.is_sure:
+            continue
+        segment = "forearm" if match.limb.segment == "wrist" else match.limb.segment
+        if named == "hand" and segment == "forearm":
+            continue  # no limb of its own to be matched to: the forearm's is the nearest
+        if (named and named != segment) or (side and match.limb.side and side != match.limb.side):
+            notes.append(
+                f"{imu.topic} moves as {match.limb.label}, which its name contradicts; if it was mixed up, "
+                f"name it in the recording or give --imu {imu.topic} with --side and --body."
             )
     return notes

@@ -1,0 +1,507 @@
+"""Which streams of a file are meant and belong together: by option, else by name, else by motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, TypedDict, Unpack
+
+import numpy as np
+
+from ...body import FURTHER, BodySegment
+from ...errors import RecordingError
+from ...runtime.store import Store
+from .bodies import people
+from .camera_streams import of_first_camera, same_arm
+from .names import OTHER_SIDE, is_named, is_of_other_arm, named_side, role, role_among, words
+from .streams import ArmFrames, CameraStream, ImuSamples, PoseSamples, RecordingFile
+
+if TYPE_CHECKING:
+    from ...matching import ImuMatch, Limb
+
+
+class Selection(TypedDict, total=False):
+    """What to take of a file that contains several: keywords that readers hand on to `choose`."""
+
+    imu: str | None  # Topic (or a part of it, or its frame_id)
+    skeleton: str | None  # Topic (or a part of it, or its frame_id)
+    side: str | None  # "left" or "right"
+    body: int | None  # The camera's number of the body
+
+
+class FileReading(Selection, total=False):
+    """How a file is read, and what of it: keywords that are handed on to `read_recording`."""
+
+    store: Store | None  # Where samples and frames are to lie
+    truth: bool  # False passes over the reference motion
+    swap_sides: bool  # The skeleton's left arm is the right one, and the other way round
+
+
+@dataclass
+class StreamChoice:
+    """What is to be used of a file."""
+
+    imu: ImuSamples  # On the forearm
+    arm: ArmFrames  # The arm that it is on
+    side: str  # "left", "right" or ""
+    base: ImuSamples | None = None  # The IMU on the camera
+    truth: PoseSamples | None = None  # The reference motion
+    notes: list[str] = field(default_factory=list)  # How it was decided, one sentence each
+    # The IMUs on the same arm's further segments, by the segment's name
+    further: dict[str, ImuSamples] = field(default_factory=dict)
+    body: int | None = None  # The camera's number of the person, where arms of several were chosen
+    # Further cameras, and what each saw of the arm
+    cameras: list[tuple[CameraStream, ArmFrames]] = field(default_factory=list)
+
+
+def topics_of(file: RecordingFile) -> str:
+    """What a file contains, for messages."""
+    listed = [f"{topic.name} ({topic.schema or 'no schema'})" for topic in file.topics if topic.count]
+    if len(listed) > 8:
+        listed = [*listed[:8], f"and {len(listed) - 8} more"]
+    return ", ".join(listed) if listed else "no messages"
+
+
+def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
+    """The IMU of that name, of whatever limb, or the only one that there is."""
+    if name is None and len(file.imus) > 1:
+        listed = ", ".join(stream.topic for stream in file.imus)
+        raise RecordingError(f"{file.path} has several IMUs ({listed}); choose one with --imu.")
+    if name is None and len(file.imus) == 1:
+        return file.imus[0]
+    return forearm_imus(file, name)[0]
+
+
+def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
+    """The IMU of that name, or all that may be on a forearm by their names."""
+    if not file.imus and file.halves:
+        alone = ", ".join(
+            f"{half.name} ({'gyroscope' if half.acc is None else 'accelerometer'})" for half in file.halves
+        )
+        raise RecordingError(
+            f"{file.path} has no IMU with both sensors, but {alone} alone; record the other one as well."
+        )
+    if not file.imus:
+        raise RecordingError(
+            f"{file.path} has no IMU (sensor_msgs/Imu or unocclude.Imu); it has {topics_of(file)}; "
+            "record the wrist's IMU as well."
+        )
+    listed = ", ".join(stream.topic for stream in file.imus)
+    if name is not None:
+        wanted = name.strip("/")
+        exact = [s for s in file.imus if wanted in (topic.strip("/") for topic in (s.topic, *s.made_of))]
+        matches = exact or [s for s in file.imus if is_named(name, s.topic, s.frame_id)]
+        if len(matches) != 1:
+            what = "more than one IMU fits" if matches else "no IMU fits"
+            raise RecordingError(
+                f"{file.path}: {what} --imu {name}; it has {listed}{_what_fits(name, matches, file.imus)}."
+            )
+        return matches
+    candidates = [stream for stream in file.imus if role_among(stream, file.imus) in ("", "forearm")]
+    if not candidates:
+        raise RecordingError(
+            f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."
+        )
+    named = [
+        s for s in candidates if role_among(s, file.imus) == "forearm" or named_side(s.topic, s.frame_id)
+    ]
+    return named or candidates
+
+
+def _what_fits(name: str, matches: list[ImuSamples], imus: list[ImuSamples]) -> str:
+    """What to give instead of a name that fits none or several IMUs, for the end of a sentence."""
+    forearms = [stream for stream in matches if role(stream) in ("", "forearm")]
+    if len(forearms) == 1:
+        return f"; for the one on the forearm give --imu {forearms[0].topic}"
+    side = named_side(name)
+    may_be = any(named_side(stream.topic, stream.frame_id) in (side, "") for stream in imus)
+    return f"; for the {side} arm give --side {side}" if side and may_be else ""
+
+
+_TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", "qualisys")
+
+
+def choose_truth(
+    file: RecordingFile, side: str, body: int | None = None
+) -> tuple[PoseSamples | None, list[str]]:
+    """The poses that are the truth of an arm (of a body, where several are told apart), or None and why."""
+    poses = [poses for poses in file.poses if not is_of_other_arm(poses.topic, side, body)]
+    if len(poses) > 1:
+        named = [p for p in poses if any(word in words(p.topic) for word in _TRUTH_WORDS)]
+        sided = [p for p in named if named_side(p.topic) == side]
+        poses = sided if len(sided) == 1 else named
+        if len(poses) != 1:
+            return None, [
+                f"Of the poses {', '.join(p.topic for p in file.poses)} none is named as this arm's truth; "
+                "none was taken."
+            ]
+    return (poses[0], []) if poses else (None, [])
+
+
+_ONLY_ONE_ARM = (
+    "the skeleton shows the {} arm only: give --swap left,right if the camera's program exchanged the two"
+)
+
+
+def _further_by_name(
+    file: RecordingFile, forearm: ImuSamples, side: str, segment: BodySegment
+) -> tuple[ImuSamples | None, list[str]]:
+    """The IMU that names say is on a segment of the same arm, or None, and a sentence on it."""
+    named = [imu for imu in file.imus if imu is not forearm and role_among(imu, file.imus) == segment.name]
+    sided = [imu for imu in named if side and named_side(imu.topic, imu.frame_id) == side]
+    other_forearms = [i for i in file.imus if i is not forearm and role(i) in ("", "forearm")]
+    free = [imu for imu in named if not named_side(imu.topic, imu.frame_id)]
+    fitting = sided or ([] if other_forearms else free)
+    if not side and not fitting and not other_forearms:
+        fitting = named
+    if len(fitting) == 1:
+        return fitting[0], [f"IMU {fitting[0].topic} is on the same arm's {segment.label} by its name."]
+    if len(fitting) > 1:
+        names = ", ".join(imu.topic for imu in fitting)
+        return None, [
+            f"Of the {segment.label.replace(' ', '-')} IMUs {names} none was taken: their names do not show"
+            " which is meant."
+        ]
+    return None, []
+
+
+def wanted_arms(file: RecordingFile, selection: Selection) -> list[ArmFrames]:
+    """The tracked arms that fit what was asked for."""
+    skeleton, side, body = selection.get("skeleton"), selection.get("side"), selection.get("body")
+    if not file.arms and not file.frames_without_body:
+        if any(name.partition("/")[0] == "unocclude.result" for name in file.metadata):
+            raise RecordingError(f"{file.path} is a result; name the recording that it was made from.")
+        raise RecordingError(
+            f"{file.path} has no skeleton (unocclude.Skeleton, or MarkerArray of the Azure Kinect driver); "
+            f"it has {topics_of(file)}; record the body tracking as well."
+        )
+    seen = [arm for arm in file.arms if arm.tracked]
+    if not seen:
+        frames = max((len(arm.stamp_ns) for arm in file.arms), default=file.frames_without_body)
+        raise RecordingError(
+            f"{file.path} has {frames} skeleton frames and no forearm joint is tracked in any of them; "
+            "record again with the arm in view of the camera for some seconds."
+        )
+    fitting = [
+        arm
+        for arm in seen
+        if (skeleton is None or is_named(skeleton, arm.topic, arm.frame_id))
+        and (not side or arm.side in (side, ""))
+        and (body is None or arm.body == body)
+    ]
+    if not fitting:
+        wanted = [
+            f"--{name} {value}"
+            for name, value in (("skeleton", skeleton), ("side", side), ("body", body))
+            if value is not None
+        ]
+        raise RecordingError(
+            f"{file.path}: no tracked arm fits {' '.join(wanted)}; it has "
+            f"{', '.join(arm.label for arm in seen)}{_what_arm_fits(seen, skeleton, side)}."
+        )
+    return fitting
+
+
+def _what_arm_fits(seen: list[ArmFrames], skeleton: str | None, side: str | None) -> str:
+    """What to give instead of options that no arm fits, for the end of a sentence."""
+    named = named_side(skeleton or "")
+    if named and not side and any(arm.side == named for arm in seen):
+        return f"; a topic may contain both arms: for the {named} one give --side {named}"
+    sides = {arm.side for arm in seen}
+    if side and sides == {OTHER_SIDE[side]}:
+        return f"; {_ONLY_ONE_ARM.format(OTHER_SIDE[side])}"
+    return ""
+
+
+def _why_no_pair(imus: list[ImuSamples], arms: list[ArmFrames], side: str | None) -> str:
+    """Why no IMU may be on an arm of that side, and what to do, for the end of a sentence."""
+    worn = {named_side(imu.topic, imu.frame_id) for imu in imus}
+    if len(worn) != 1 or not (named := worn.pop()):
+        return "choose with --imu, --skeleton, --side or --body"
+    other, topic = OTHER_SIDE[named], imus[0].topic
+    if {arm.side for arm in arms if arm.tracked} == {other}:
+        return (
+            f"{topic} is on the {named} arm by its name, and {_ONLY_ONE_ARM.format(other)}; if the IMU was"
+            f" worn on the {other} arm, import it again as forearm_{other}"
+        )
+    if side == other:
+        return (
+            f"{topic} is on the {named} arm by its name: leave --side out, or give --side {named}; if it was"
+            f" worn on the {other} arm, import it again as forearm_{other}"
+        )
+    return "choose with --imu, --skeleton, --side or --body"
+
+
+#: Correlation that a pair must reach, and its lead over the next, to be taken by motion where the assignment
+#: of all leaves it open; what it must reach where the clocks are far apart.
+_ENOUGH, _LEAD, _ENOUGH_SHIFTED = 0.4, 0.1, 0.6
+#: An arm is taken by motion alone where its IMU is on it with this probability.
+_TAKEN_FROM = 0.8
+_SIDES = ("left", "right")
+
+
+def choose(
+    file: RecordingFile,
+    *,
+    prefer_side: str | None = None,
+    store: Store | None = None,
+    **selection: Unpack[Selection],
+) -> StreamChoice:
+    """Settle which IMU and arm are meant, where one arm is: by option, else by name, else by motion."""
+    return _one_arm(_Scene.of(file, store, selection), prefer_side, selection)
+
+
+def choose_arms(
+    file: RecordingFile,
+    *,
+    prefer_side: str | None = None,
+    store: Store | None = None,
+    **selection: Unpack[Selection],
+) -> tuple[list[StreamChoice], list[str]]:
+    """Settle which IMUs and arms belong together, in order of body and side, and why an arm is left out."""
+    scene = _Scene.of(file, store, selection)
+    if selection.get("imu") is None:
+        arms = wanted_arms(scene.file, selection)
+        imus = forearm_imus(scene.file, None)
+        if len({(arm.topic, arm.body) for arm in arms}) > 1:  # of several people also those without a name
+            imus = [imu for imu in scene.file.imus if role_among(imu, scene.file.imus) in ("", "forearm")]
+        if len(imus) > 1 and len(arms) > 1:
+            if _names_settle(imus, arms):
+                return _by_side(scene, selection)
+            choices = _by_motion(scene, arms, selection.get("side"))
+            if len(choices) > 1:
+                return choices, []
+    return [_one_arm(scene, prefer_side, selection)], []
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """A file's streams with every person under one number, those of further cameras apart."""
+
+    file: RecordingFile
+    others: RecordingFile | None
+    notes: list[str]
+    store: Store | None
+
+    @classmethod
+    def of(cls, file: RecordingFile, store: Store | None, selection: Selection) -> _Scene:
+        file, others = of_first_camera(file, selection.get("skeleton"))
+        if selection.get("body") is not None:
+            return cls(file, others, [], store)
+        arms, notes = people(file, store)
+        return cls(replace(file, arms=arms), others, notes, store)
+
+    def choice(
+        self,
+        imu: ImuSamples,
+        arm: ArmFrames,
+        side: str,
+        said: Sequence[str],
+        on_arm: Mapping[str, tuple[ImuSamples, ImuMatch]] | None = None,
+        body: int | None = None,
+    ) -> StreamChoice:
+        """A pair with all that belongs to it; `on_arm` are the IMUs that motion puts on the same arm."""
+        base = next((i for i in self.file.imus if i is not imu and role(i) == "base"), None)
+        truth, notes = choose_truth(self.file, side, body)
+        notes = [*said, *notes]
+        further = {}
+        for segment in FURTHER:
+            if on_arm and segment.name in on_arm:
+                further[segment.name], match = on_arm[segment.name]
+                notes.append(
+                    f"IMU {match.imu} is on the same arm's {segment.label} by its motion (probability"
+                    f" {match.probability:.2f})."
+                )
+            elif body is None:
+                named, more = _further_by_name(self.file, imu, side, segment)
+                notes += more
+                further |= {} if named is None else {segment.name: named}
+        if role(imu) == "hand":
+            notes.append(
+                f"IMU {imu.topic} is named after the hand and used as the forearm's: where the wrist"
+                " bends, the result is off by centimetres. Wear one on the forearm too."
+            )
+        cameras, more = same_arm(self.others, arm, imu, self.store)
+        return StreamChoice(imu, arm, side, base, truth, notes + more, further, body, cameras)
+
+
+def _one_arm(scene: _Scene, prefer_side: str | None, selection: Selection) -> StreamChoice:
+    file, side = scene.file, selection.get("side")
+    arms = wanted_arms(file, selection)
+    imus = forearm_imus(file, selection.get("imu"))
+    pairs = [(i, a) for i in imus for a in arms if len({_worn_on(i), a.side, side or ""} - {""}) <= 1]
+    if not pairs:
+        raise RecordingError(
+            f"{file.path}: no IMU is on an arm that the skeleton shows; it has {_listing(file)};"
+            f" {_why_no_pair(imus, file.arms, side)}."
+        )
+    if prefer_side and not side:
+        pairs = [(i, a) for i, a in pairs if (a.side or _worn_on(i)) in (prefer_side, "")] or pairs
+    said = [*scene.notes]
+    imu, arm = pairs[0]
+    if len(pairs) > 1:
+        (imu, arm), why = _pair_by_motion(scene, pairs)
+        said.append(f"Of {_listing(file)}, IMU {imu.topic} and {arm.label} were taken: {why}.")
+    elif len(file.imus) > 1 or len(file.arms) > 1:
+        said.append(f"IMU {imu.topic} and skeleton {arm.label} were taken.")
+    return scene.choice(imu, arm, arm.side or _worn_on(imu) or side or "", said)
+
+
+def _by_side(scene: _Scene, selection: Selection) -> tuple[list[StreamChoice], list[str]]:
+    """Both arms of one person by the IMUs' names, or the one that can be used and why the other cannot."""
+    chosen: list[StreamChoice] = []
+    errors: dict[str, RecordingError] = {}
+    for side in _SIDES:
+        try:
+            chosen.append(_one_arm(scene, None, {**selection, "side": side}))
+        except RecordingError as error:
+            errors[side] = error
+    if not chosen:
+        raise errors[_SIDES[0]]
+    return chosen, [left_out_words(f"{side} arm", error) for side, error in errors.items()]
+
+
+def left_out_words(arm: str, error: Exception) -> str:
+    """That an arm is not among the results, and why."""
+    return f"The {arm} was left out: {error}"
+
+
+def _names_settle(imus: Sequence[ImuSamples], arms: Sequence[ArmFrames]) -> bool:
+    """Whether one person wears IMUs whose names show on which arm each of them is."""
+    is_one = len({(arm.topic, arm.body) for arm in arms}) == 1
+    return is_one and {_worn_on(imu) for imu in imus} == {arm.side for arm in arms} == set(_SIDES)
+
+
+def _worn_on(imu: ImuSamples) -> str:
+    return named_side(imu.topic, imu.frame_id)
+
+
+def _listing(file: RecordingFile) -> str:
+    imus = ", ".join(stream.topic for stream in file.imus)
+    arms = ", ".join(arm.label for arm in file.arms if arm.tracked)
+    return f"IMU {imus} and skeleton {arms}"
+
+
+def _assigned(
+    scene: _Scene, imus: Sequence[ImuSamples], arms: Sequence[ArmFrames], may_be: Callable[[int, Limb], bool]
+) -> tuple[list[ImuMatch], list[str]]:
+    """One assignment of these IMUs to all limbs of these arms; none where streams cannot be used."""
+    from .match import match_streams  # SciPy: where it is used
+
+    try:
+        return match_streams(scene.file, imus, arms, store=scene.store, may_be=may_be)
+    except RecordingError:
+        return [], []  # what cannot be used is said when it is read, if it is what is meant
+
+
+Pair = tuple[ImuSamples, ArmFrames]
+
+
+def _pair_by_motion(scene: _Scene, pairs: Sequence[Pair]) -> tuple[Pair, str]:
+    from .match import agreement
+
+    imus = list({id(imu): imu for imu, _ in pairs}.values())
+    arms = list({id(arm): arm for _, arm in pairs}.values())
+    pair_of = {(imu.topic, arm.topic, arm.body, arm.side): (imu, arm) for imu, arm in pairs}
+
+    def may_be(row: int, limb: Limb) -> bool:
+        worn_as_named = limb.segment == "wrist" or role(imus[row]) != "forearm"
+        return worn_as_named and (imus[row].topic, limb.skeleton, limb.body, limb.side) in pair_of
+
+    matches = [match for match in _assigned(scene, imus, arms, may_be)[0] if match.limb is not None]
+    matched = {
+        match.imu: pair_of[match.imu, match.limb.skeleton, match.limb.body, match.limb.side]
+        for match in matches
+        if match.limb is not None and match.limb.segment == "wrist"
+    }
+    if len(matched) == 1:
+        ((name, pair),) = matched.items()
+        (match,) = (each for each in matches if each.imu == name)
+        return pair, f"their motion agrees best (probability {match.probability:.2f} among all limbs in view)"
+    elsewhere = {match.imu: match for match in matches if match.imu not in matched and match.is_sure}
+    left = [*matched.values()] or [pair for pair in pairs if pair[0].topic not in elsewhere]
+    if not left:
+        where = ", ".join(f"{m.imu} as {m.limb.label}" for m in elsewhere.values() if m.limb)
+        raise RecordingError(
+            f"{scene.file.path}: no IMU moves as a forearm that the camera shows ({where}); "
+            "choose with --imu and --side if one is on a forearm."
+        )
+    found = [agreement(imu, arm) for imu, arm in left]
+    scores = np.array([0.0 if far and score < _ENOUGH_SHIFTED else score for score, _, far in found])
+    order = np.argsort(-scores)
+    best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
+    if best < _ENOUGH or best - second < _LEAD:
+        raise RecordingError(f"{scene.file.path} has {_what_is_open(scene.file, pairs)}.")
+    pair, (_, shift_s, far) = left[order[0]], found[order[0]]
+    apart = f", with the clocks {abs(shift_s):.1f} s apart" if far else ""
+    further = [
+        f"{match.imu} moves as {match.limb.label}"
+        for match in matches
+        if match.limb and match.imu in matched and match.imu != pair[0].topic
+    ]
+    why = f"their motion agrees best{apart} (correlation {best:.2f}, the next {second:.2f})"
+    return pair, "; ".join([why, *further])
+
+
+def _what_is_open(file: RecordingFile, pairs: Sequence[Pair]) -> str:
+    """What a file has that motion does not tell apart, and what to give."""
+    sides = {_worn_on(imu) for imu, _ in pairs}
+    if "" not in sides and len(sides) == len(pairs):  # names show which IMU is on which arm
+        return (
+            f"an IMU on each of several arms ({_listing(file)}), and one is wanted here; choose with --side"
+        )
+    kinds: dict[str, set[object]] = {
+        "--imu": {id(imu) for imu, _ in pairs},
+        "--skeleton": {arm.topic for _, arm in pairs},
+        "--side": {arm.side for _, arm in pairs},
+        "--body": {(arm.topic, arm.body) for _, arm in pairs},
+    }
+    needed = " and ".join(option for option, values in kinds.items() if len(values) > 1)
+    return f"{_listing(file)}, and their motion does not show which belong together; choose with {needed}"
+
+
+def _by_motion(scene: _Scene, arms: Sequence[ArmFrames], side: str | None) -> list[StreamChoice]:
+    """A choice for every arm on whose forearm an IMU is, by one assignment of all IMUs to all limbs."""
+    imus = [imu for imu in scene.file.imus if role(imu) not in ("base", "trunk")]
+
+    def may_be(row: int, limb: Limb) -> bool:
+        named = role_among(imus[row], imus)
+        segment = {"": limb.segment, "forearm": "wrist"}.get(named, named)
+        return limb.segment == segment and len({_worn_on(imus[row]), limb.side, side or ""} - {""}) <= 1
+
+    matches, open_notes = _assigned(scene, imus, arms, may_be)
+    on_arm: dict[tuple[str, int, str], dict[str, tuple[ImuSamples, ImuMatch]]] = {}
+    for imu, match in zip(imus, matches, strict=False):
+        if (limb := match.limb) is not None and match.probability >= _TAKEN_FROM:
+            on_arm.setdefault((limb.skeleton, limb.body, limb.side), {})[limb.segment] = imu, match
+    several = len({key[:2] for key, found in on_arm.items() if "wrist" in found}) > 1
+    choices = []
+    for arm in sorted(arms, key=lambda arm: (arm.topic, arm.body, arm.side)):
+        found = on_arm.get((arm.topic, arm.body, arm.side), {})
+        if "wrist" not in found:
+            continue
+        imu, match = found["wrist"]
+        taken = (
+            f"IMU {imu.topic} and {arm.label} were taken: their motion agrees best (probability"
+            f" {match.probability:.2f} among all limbs in view)."
+        )
+        said = [*scene.notes, *open_notes, taken]
+        choices.append(scene.choice(imu, arm, arm.side, said, found, arm.body if several else None))
+    used = {
+        stream.topic for one in choices for stream in (one.imu, *one.further.values(), one.base) if stream
+    }
+    unused = [_unused(match) for match in matches if match.imu not in used]
+    return [replace(one, notes=[*one.notes, *filter(None, unused)]) for one in choices]
+
+
+def _unused(match: ImuMatch) -> str:
+    """What is said of an IMU that belongs to no arm that is recovered; one left open is said already."""
+    where, how_sure = match.limb, f"(probability {match.probability:.2f})"
+    if where is None:
+        return f"IMU {match.imu} is on no limb in view {how_sure}." if match.is_known else ""
+    if where.segment != "wrist":
+        return f"IMU {match.imu} is on {where.label} {how_sure} and not used: that forearm has none."
+    return (
+        f"IMU {match.imu} may be on {where.label} {how_sure}, too doubtful to recover that arm; if it is,"
+        f" give --imu {match.imu}."
+    )
