@@ -68,7 +68,7 @@ def video(
     from ..io.devices.video_file import PoseVideo
     from ..io.media.pose_landmarks import TURNS
     from ..io.plain.template import read_templates
-    from ..io.tables.protocol import read_head
+    from ..io.tables.table import read_head
 
     if turn not in TURNS:
         raise typer.BadParameter("--turn is 90, 180 or 270")

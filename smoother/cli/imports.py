@@ -366,7 +366,7 @@ def describe(
         write_json(json_file, {"format": importer.key, "recording_toml": None, "unsure": []}, force)
         return
     text = toml_of(path, guess, name)
-    say(f"# {len(sheet):,} rows, {sheet.layout.width} columns, parted by {sheet.layout.separator!r}")
+    say(f"# {len(sheet):,} rows, {sheet.width} columns, parted by {sheet.separator!r}")
     for sentence in sheet.notes:
         say(f"# {sentence}")
     for sentence in guess.unsure:

@@ -18,7 +18,8 @@ from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..runtime.inputs import check_input, crashes_in_subprocess
 from .plain.table import read_table
-from .tables.protocol import decode, plain_minus, shown
+from .tables.skeletons import without_origin
+from .tables.table import decode, plain_minus, shown
 from .tables.units import METRES
 
 
@@ -53,11 +54,6 @@ def metres_in(unit: str, path: Path) -> float:
             f"{path}: the unit of length is '{shown(unit, 40)}', and only m, cm, mm, dm and inches are known;"
             " export the file in mm or m"
         ) from None
-
-
-def without_origin(position: FloatArray) -> FloatArray:
-    """Positions (..., 3) in which all of (0, 0, 0), as many programs write a lost marker, is nan."""
-    return np.where((position == 0).all(axis=-1, keepdims=True), np.nan, position)
 
 
 def told_apart(names: list[str]) -> tuple[tuple[str, ...], list[str]]:

@@ -26,7 +26,7 @@ from smoother.errors import RecordingError
 from smoother.io import open_csv, open_recording
 from smoother.io.devices.registry import FileReader, format_named
 from smoother.io.plain.template import read_templates
-from smoother.io.tables.protocol import read_head
+from smoother.io.tables.table import read_head
 
 
 def test_two_files_become_a_recording(page: Page, session_files: dict[str, Path]):

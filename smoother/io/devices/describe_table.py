@@ -13,12 +13,11 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...units import STANDARD_GRAVITY
 from ..tables.columns import ACCELERATION_WORDS, TIME_WORDS, TURNING_WORDS
-from ..tables.imu_checks import WRONG_SCALE, turn_scale
+from ..tables.imu import WRONG_SCALE, ImuTable, turn_scale
 from ..tables.imu_columns import is_numeric
-from ..tables.joint_columns import JointColumns, find_joint_columns
-from ..tables.protocol import ImuTable
-from ..tables.raw_skeleton import unit_by_arm
-from ..tables.text_table import Sheet
+from ..tables.joints import JointColumns, find_joint_columns
+from ..tables.skeletons import unit_by_arm
+from ..tables.table import Table
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, TIME, from_1970, plain_unit, unit_of_step
 
 
@@ -59,10 +58,10 @@ def _value(value: object) -> str:
     return f"{value:g}"
 
 
-def named(sheet: Sheet, column: int) -> str | int:
+def named(sheet: Table, column: int) -> str | int:
     """A column as recording.toml names it: by its name where it has one of its own, else by its number."""
-    name = sheet.layout.names[column] if sheet.layout.names else ""
-    return name if name and list(sheet.layout.names).count(name) == 1 else column + 1
+    name = sheet.names[column] if sheet.names else ""
+    return name if name and list(sheet.names).count(name) == 1 else column + 1
 
 
 #: |specific force| at rest, within this of one g.
@@ -71,7 +70,7 @@ _REST = 0.25
 RATES_HZ = (4.0, 4000.0)
 
 
-def described_time_unit(sheet: Sheet, column: int, least: float) -> tuple[str, str]:
+def described_time_unit(sheet: Table, column: int, least: float) -> tuple[str, str]:
     """Unit of a column of times, and why; "" where it is none, or fewer than `least` of its steps rise."""
     try:
         values, dates = sheet.times(column)
@@ -92,7 +91,7 @@ def described_time_unit(sheet: Sheet, column: int, least: float) -> tuple[str, s
     return unit, unit and f"steps of {typical:g} make {1 / (typical * SECONDS[unit]):.1f} samples per second"
 
 
-def accelerometer_unit(sheet: Sheet, guess: Guess, acc: tuple[int, int, int] | None) -> None:
+def accelerometer_unit(sheet: Table, guess: Guess, acc: tuple[int, int, int] | None) -> None:
     """By what the quiet rows read."""
     if acc is None:
         return
@@ -115,7 +114,7 @@ def accelerometer_unit(sheet: Sheet, guess: Guess, acc: tuple[int, int, int] | N
 
 
 def gyroscope_unit(
-    sheet: Sheet,
+    sheet: Table,
     guess: Guess,
     t_s: FloatArray | None,
     acc: tuple[int, int, int] | None,
@@ -202,7 +201,7 @@ _DERIVED = re.compile(
 )
 
 
-def guess_sensor(sheet: Sheet) -> Guess:
+def guess_sensor(sheet: Table) -> Guess:
     """Guess at an inertial sensor's table; `kind` is "" where it is none."""
     guess = Guess("imu")
     acc, gyro, mag = _triples(sheet, guess)
@@ -223,7 +222,7 @@ def guess_sensor(sheet: Sheet) -> Guess:
     return guess
 
 
-def _triples(sheet: Sheet, guess: Guess) -> list[tuple[int, int, int] | None]:
+def _triples(sheet: Table, guess: Guess) -> list[tuple[int, int, int] | None]:
     """Columns of accelerometer, gyroscope and magnetometer: by names, by units, by magnitude."""
     triples = _axes_of(sheet)
     kinds: list[tuple[int, int, int] | None] = [None, None, None]
@@ -244,19 +243,19 @@ def _triples(sheet: Sheet, guess: Guess) -> list[tuple[int, int, int] | None]:
                 continue
             kinds[number] = columns
             guess.reasons[what] = (
-                f"unit {sheet.unit(columns[0])}" if by_unit else f"name {sheet.layout.names[columns[0]]}"
+                f"unit {sheet.unit(columns[0])}" if by_unit else f"name {sheet.names[columns[0]]}"
             )
             break
-    if kinds[0] is None and kinds[1] is None and not sheet.layout.names:
+    if kinds[0] is None and kinds[1] is None and not sheet.names:
         kinds[0], kinds[1] = _by_magnitude(sheet, guess)
     return kinds
 
 
-def _axes_of(sheet: Sheet) -> list[tuple[str, tuple[int, int, int]]]:
+def _axes_of(sheet: Table) -> list[tuple[str, tuple[int, int, int]]]:
     """Columns that are x, y, z of something, with the name of it, in the order of the table."""
     groups: dict[str, dict[str, int]] = {}
-    for column, name in enumerate(sheet.layout.names):
-        label = sheet.layout.labels[column]
+    for column, name in enumerate(sheet.names):
+        label = sheet.labels[column]
         plain = name.split("(")[0].split("[")[0].strip()
         if short := _SHORT.match(label.replace(" ", "")):
             groups.setdefault(short[1], {}).setdefault(short[2], column)
@@ -269,10 +268,10 @@ def _axes_of(sheet: Sheet) -> list[tuple[str, tuple[int, int, int]]]:
     return [(stem, (axes["x"], axes["y"], axes["z"])) for stem, axes in groups.items() if len(axes) == 3]
 
 
-def _by_magnitude(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | None, ...]:
+def _by_magnitude(sheet: Table, guess: Guess) -> tuple[tuple[int, int, int] | None, ...]:
     """Accelerometer and gyroscope of a table without names: three columns whose length stays near one g."""
-    columns = [column for column in range(sheet.layout.width) if is_numeric(sheet, column)]
-    if sheet.layout.width == 4 and described_time_unit(sheet, 0, 0.95)[0] and set(columns) >= {1, 2, 3}:
+    columns = [column for column in range(sheet.width) if is_numeric(sheet, column)]
+    if sheet.width == 4 and described_time_unit(sheet, 0, 0.95)[0] and set(columns) >= {1, 2, 3}:
         return _of_dates(sheet, guess)
     best, near, least = None, 0.0, np.inf
     for at in range(len(columns) - 2):
@@ -301,7 +300,7 @@ def _near_gravity(vectors: FloatArray) -> float:
     return max(float(np.mean(np.abs(length / one - 1) < 0.2)) for one in (1.0, STANDARD_GRAVITY, 1000.0))
 
 
-def _of_dates(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | None, ...]:
+def _of_dates(sheet: Table, guess: Guess) -> tuple[tuple[int, int, int] | None, ...]:
     """Sensor of a table of times and one vector without names: an accelerometer where it stays near one g."""
     three = (1, 2, 3)
     near = _near_gravity(sheet.vectors(three))
@@ -313,10 +312,10 @@ def _of_dates(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | None, 
     return None, three
 
 
-def _time(sheet: Sheet, guess: Guess, used: set[int]) -> FloatArray | None:
+def _time(sheet: Table, guess: Guess, used: set[int]) -> FloatArray | None:
     """The column of times or counts, its unit, and the times in s."""
-    names = sheet.layout.labels or ("",) * sheet.layout.width
-    free = [column for column in range(sheet.layout.width) if column not in used]
+    names = sheet.labels or ("",) * sheet.width
+    free = [column for column in range(sheet.width) if column not in used]
     timed = [column for column in free if re.search(_TIME, names[column].replace("_", " "))]
     counted = [column for column in free if re.search(_COUNTER, names[column].replace("_", " "))]
     for column in [*timed, *(column for column in free if column not in (*timed, *counted))]:
@@ -342,9 +341,9 @@ def _time(sheet: Sheet, guess: Guess, used: set[int]) -> FloatArray | None:
     return np.arange(len(sheet)) / rate if rate else None
 
 
-def _stated_rate(sheet: Sheet) -> float | None:
+def _stated_rate(sheet: Table) -> float | None:
     """A rate in Hz that the lines above the table state."""
-    for line in sheet.layout.preamble:
+    for line in sheet.preamble:
         if re.search(r"rate|freq|hz", line, re.I) and (number := re.search(r"(\d+(?:\.\d+)?)", line)):
             rate = float(number[1])
             if RATES_HZ[0] <= rate <= RATES_HZ[1]:
@@ -352,7 +351,7 @@ def _stated_rate(sheet: Sheet) -> float | None:
     return None
 
 
-def guess_skeleton(sheet: Sheet, joints: JointColumns) -> Guess:
+def guess_skeleton(sheet: Table, joints: JointColumns) -> Guess:
     """Guess at a table with one row per frame, whose joints are known by their names."""
     axes, states, time = joints.axes, joints.confidence, joints.time
     guess = Guess("skeleton")
@@ -385,7 +384,7 @@ def guess_skeleton(sheet: Sheet, joints: JointColumns) -> Guess:
     return guess
 
 
-def _down(sheet: Sheet, axes: dict[str, tuple[int, int, int]]) -> tuple[str, str]:
+def _down(sheet: Table, axes: dict[str, tuple[int, int, int]]) -> tuple[str, str]:
     """The camera's frame in which wrists and elbows hang below shoulders most of the time."""
     downs = {"kinect": (1, -1), "optical": (1, 1), "zup": (2, -1)}
     score = dict.fromkeys(downs, 0.0)
@@ -398,9 +397,9 @@ def _down(sheet: Sheet, axes: dict[str, tuple[int, int, int]]) -> tuple[str, str
     return best, "upper arms hang down so" if score[best] > 0 else "NOT KNOWN"
 
 
-def guess_of(sheet: Sheet) -> Guess:
+def guess_of(sheet: Table) -> Guess:
     """Guess what a table contains."""
-    joints = find_joint_columns(sheet.layout.names) if sheet.layout.names else None
+    joints = find_joint_columns(sheet.names) if sheet.names else None
     if joints is not None and joints.has_arm():
         return guess_skeleton(sheet, joints)
     return guess_sensor(sheet)

@@ -17,18 +17,21 @@ from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JointState
 from ..media.pose_landmarks import is_model
-from ..tables.protocol import (
+from ..tables.imu import ImuTable
+from ..tables.skeletons import SkeletonTable
+from ..tables.table import (
     HEAD_BYTES,
-    DeviceFormat,
     FileHead,
-    ImuTable,
-    SkeletonTable,
+    Format,
+    Table,
     first_rows,
+    is_workbook,
     read_head,
+    read_table,
     shown,
+    unpacked_size,
+    workbook_text,
 )
-from ..tables.table_layout import is_workbook, layout_of, unpacked_size, workbook_text
-from ..tables.text_table import Sheet, read_sheet
 from .describe_table import Guess, guess_of
 from .files import times_of
 from .folder import files_meant
@@ -135,7 +138,7 @@ def _beginning(path: Path, head: FileHead) -> Iterator[tuple[Path, list[str]]]:
     workbook = is_workbook(head.raw)
     size = unpacked_size(path) if workbook and head.text else path.stat().st_size
     longest = _WORKBOOK if workbook else _BEGINNING
-    if size <= longest or not head.text or layout_of(head.lines) is None:
+    if size <= longest or head.table is None:
         yield path, []
         return
     with TemporaryDirectory() as folder:
@@ -251,13 +254,13 @@ def _rounded(values: FloatArray) -> list[float | None]:
     return [float(f"{value:.4g}") if math.isfinite(value) else None for value in values]
 
 
-def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, Sheet | None, Guess | None]:
+def guessed_table(path: Path, reader: FileReader) -> tuple[Format | None, Table | None, Guess | None]:
     """The importer of a file, and what it would be taken for as a plain table."""
     head = read_head(path)
     importer = reader.recognised(path)
     try:
         with _beginning(path, head) as (short, notes):
-            sheet = read_sheet(short)
+            sheet = read_table(short)
             sheet.path = path
             sheet.notes += notes
     except RecordingError:
@@ -267,7 +270,7 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[DeviceFormat | None, 
     guess = guess_of(sheet)
     if not guess.kind:
         raise RecordingError(
-            f"{path} has {sheet.layout.width} columns and {len(sheet)} rows, and none of them look like an"
+            f"{path} has {sheet.width} columns and {len(sheet)} rows, and none of them look like an"
             f" accelerometer's, a gyroscope's or a joint's; it begins: {first_rows(head)}."
         )
     return importer, sheet, guess
@@ -279,7 +282,7 @@ def _guess(path: Path, head: FileHead) -> dict[str, Any] | None:
         return None
     try:
         with _beginning(path, head) as (short, _):
-            sheet = read_sheet(short)
+            sheet = read_table(short)
         guess = guess_of(sheet)
     except RecordingError:
         return None
@@ -296,12 +299,12 @@ def _plain(guess: Guess) -> dict[str, Any]:
     }
 
 
-def column_names(sheet: Sheet) -> list[str]:
+def column_names(sheet: Table) -> list[str]:
     """Names of a table's columns as written; () where it has no header."""
-    return list(sheet.layout.names)
+    return list(sheet.names)
 
 
-def _first_rows(sheet: Sheet) -> list[list[str]]:
-    width = sheet.layout.width
+def _first_rows(sheet: Table) -> list[list[str]]:
+    width = sheet.width
     columns = [[shown(cell, 24) for cell in sheet.texts(k)[:SHOWN_ROWS]] for k in range(width)]
     return [list(row) for row in zip(*columns, strict=True)]

@@ -23,8 +23,9 @@ from ..recording.inertial import scale_to_si, shown_units
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, states_of_scores
 from ..recording.selection import named_side, role
 from ..recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
-from ..tables.imu_checks import paired
-from ..tables.protocol import DeviceFormat, ImuTable, SkeletonTable
+from ..tables.imu import ImuTable, paired
+from ..tables.skeletons import SkeletonTable
+from ..tables.table import Format
 from .image_keypoints import PIXELS
 from .registry import FileReader
 from .repair import Timed, check_one_session, count_from_zero, repaired_imu, repaired_skeleton, shifts
@@ -238,7 +239,7 @@ def _named(
     return named
 
 
-def _report(reports: list[FileReport], path: Path, importer: DeviceFormat) -> FileReport:
+def _report(reports: list[FileReport], path: Path, importer: Format) -> FileReport:
     report = FileReport(str(path), importer.key, "")
     reports.append(report)
     return report

@@ -9,7 +9,9 @@ from ..markers import MARKER_FORMATS, read_markers
 from ..plain.folder import read_pose_table
 from ..recording.read import open_recording
 from ..recording.streams import RecordingFile
-from ..tables.protocol import ImuTable, SkeletonTable, first_rows, read_head
+from ..tables.imu import ImuTable
+from ..tables.skeletons import SkeletonTable
+from ..tables.table import first_rows, read_head
 from .files import FileReport, ImuFiles
 from .registry import FileReader, keys, unknown_file
 

@@ -12,9 +12,8 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ..recording.keypoints import states_of_scores
-from ..tables.joint_columns import POINT_SETS, joint_name
-from ..tables.protocol import ImagePoints, SkeletonTable
-from ..tables.raw_skeleton import USUAL_RATE_HZ, camera_time_scale, require_arm
+from ..tables.joints import POINT_SETS, joint_name
+from ..tables.skeletons import USUAL_RATE_HZ, ImagePoints, SkeletonTable, camera_time_scale, require_arm
 
 #: What positions count in where a table contains u, v and the score instead of places.
 PIXELS = "pixels"

@@ -13,9 +13,18 @@ from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
 from ...runtime.inputs import check_input
 from ..markers import Markers, read_c3d, read_trc, would_crash
-from ..tables.joint_columns import JointName, joint_name
-from ..tables.protocol import FileFormat, FileHead, SkeletonTable, shown
-from ..tables.raw_skeleton import axis_words, down_of, frame_of, half_arm, require_arm, unit_by_arm, up_axis
+from ..tables.joints import JointName, joint_name
+from ..tables.skeletons import (
+    SkeletonTable,
+    axis_words,
+    down_of,
+    frame_of,
+    half_arm,
+    require_arm,
+    unit_by_arm,
+    up_axis,
+)
+from ..tables.table import FileHead, Format, shown
 from ..tables.units import METRES
 
 #: A position farther away is a damaged number.
@@ -215,7 +224,7 @@ def read_c3d_skeleton(path: Path) -> list[SkeletonTable]:
     return [skeleton_of(markers, path, y_up=False)]
 
 
-C3D_SKELETON = FileFormat(
+C3D_SKELETON = Format(
     key="c3d",
     title="C3D model markers or Theia3D segments",
     kind="skeleton",
@@ -236,7 +245,7 @@ def read_trc_skeleton(path: Path) -> list[SkeletonTable]:
     return [skeleton_of(read_trc(path), path, y_up=True)]
 
 
-TRC_SKELETON = FileFormat(
+TRC_SKELETON = Format(
     key="trc",
     title="TRC (OpenCap, Pose2Sim, Theia)",
     kind="skeleton",

@@ -20,10 +20,11 @@ from ..recording.inertial import LEFT_OUT, settle_imus
 from ..recording.read import open_recording
 from ..recording.streams import ArmFrames, ImuSamples, RecordingFile
 from ..tables.columns import find_sensors, imu_of, joint_label, stem_of, with_halves_joined
-from ..tables.joint_columns import AZURE, JointName, find_joint_columns, joint_name, words_of
-from ..tables.protocol import FileFormat, ImuTable, SkeletonTable, begins, shown
-from ..tables.raw_skeleton import Conventions, RawSkeleton
+from ..tables.imu import ImuTable
+from ..tables.joints import AZURE, JointName, find_joint_columns, joint_name, words_of
 from ..tables.skeleton_formats import kinect_states, states_of
+from ..tables.skeletons import Conventions, RawSkeleton, SkeletonTable
+from ..tables.table import Format, begins, shown
 from ..tables.units import METRES
 
 
@@ -51,7 +52,7 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
     return tables
 
 
-MCAP = FileFormat(
+MCAP = Format(
     key="mcap",
     title="MCAP recording",
     kind="recording",
@@ -126,7 +127,7 @@ def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
         ) from error
 
 
-ROSBAG1 = FileFormat(
+ROSBAG1 = Format(
     key="rosbag1",
     title="ROS 1 bag",
     kind="recording",
@@ -280,7 +281,7 @@ def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
     return [*skeletons, *imus]
 
 
-XDF = FileFormat(
+XDF = Format(
     key="xdf",
     title="XDF recording (Lab Streaming Layer)",
     kind="recording",

@@ -6,10 +6,8 @@ from pathlib import Path
 
 from ...errors import RecordingError
 from ..plain.columns import ImuKeys, read_imu_columns
-from ..tables.imu_checks import UNUSED
-from ..tables.protocol import FileFormat, FileHead, ImuTable, shown
-from ..tables.table_layout import layout_of
-from ..tables.text_table import Sheet, read_sheet, sheet_of_text
+from ..tables.imu import UNUSED, ImuTable
+from ..tables.table import FileHead, Format, Table, read_table, shown
 from .describe_table import Guess, guess_sensor
 
 #: How `guess_sensor` marks what it made up.
@@ -18,18 +16,18 @@ _UNKNOWN = "NOT KNOWN"
 
 def _names_sensors(head: FileHead) -> bool:
     """Whether accelerometer or gyroscope are found, and nothing about them is made up."""
-    if not head.text or layout_of(head.lines) is None:
+    if head.table is None:
         return False
     try:
-        return _settled(_guessed(sheet_of_text(head.path, "\n".join(head.lines))))
+        return _settled(_guessed(head.table))
     except RecordingError:
         return False
 
 
 def read_named_imu(path: Path) -> list[ImuTable]:
     """Tables whose columns identify themselves; `import describe` prints the same guess to be edited."""
-    sheet = read_sheet(path, f"a {NAMED_IMU.title}")
-    names, guess = sheet.layout.names, _guessed(sheet)
+    sheet = read_table(path, f"a {NAMED_IMU.title}")
+    names, guess = sheet.names, _guessed(sheet)
     if not _settled(guess):
         why = " ".join(guess.unsure) or "it names no sensor."
         raise RecordingError(
@@ -54,7 +52,7 @@ def read_named_imu(path: Path) -> list[ImuTable]:
     return [table]
 
 
-NAMED_IMU = FileFormat(
+NAMED_IMU = Format(
     key="imu-table",
     title="table of an IMU by its columns",
     kind="imu",
@@ -64,9 +62,9 @@ NAMED_IMU = FileFormat(
 )
 
 
-def _guessed(sheet: Sheet) -> Guess:
+def _guessed(sheet: Table) -> Guess:
     """The guess at a table with a header, or at four columns of times and a vector; else an empty one."""
-    if not sheet.layout.names and sheet.layout.width != 4:
+    if not sheet.names and sheet.width != 4:
         return Guess()
     return guess_sensor(sheet)
 

@@ -8,37 +8,36 @@ from pathlib import Path
 
 from ...errors import RecordingError, UnoccludeError
 from ..tables.columns import MissingAxis, missing_axes, missing_axes_words
+from ..tables.imu import ImuTable
 from ..tables.imu_formats import IMU_FORMATS
-from ..tables.joint_columns import find_joint_columns
+from ..tables.joints import find_joint_columns
 from ..tables.phone_formats import PHONE_FORMATS
-from ..tables.protocol import (
+from ..tables.skeleton_formats import SKELETON_FORMATS
+from ..tables.table import (
     HEAD_BYTES,
-    DeviceFormat,
     FileHead,
-    ImuTable,
+    Format,
     Tables,
     first_rows,
     no_table,
     read_head,
     shown,
 )
-from ..tables.skeleton_formats import SKELETON_FORMATS
-from ..tables.table_layout import layout_of
 
 
 @cache
-def formats() -> tuple[DeviceFormat, ...]:
+def formats() -> tuple[Format, ...]:
     """All importers; where two recognise a file, the earlier one has it."""
     from . import marker_skeletons, message_files, named_table, sensor_files, skeleton_json, skeleton_tables
 
-    importers: list[DeviceFormat] = [
+    importers: list[Format] = [
         *(message_files.XDF, message_files.ROSBAG1, message_files.MCAP),
         *(skeleton_tables.JOINT_ARRAY, marker_skeletons.C3D_SKELETON, marker_skeletons.TRC_SKELETON),
         *(skeleton_json.KINECT_JSON, skeleton_json.POSE_JSON, *SKELETON_FORMATS),
         *(skeleton_tables.JOINT_ROWS, skeleton_tables.KINECT_NUMBERS),
     ]
     #: Files that are not plain tables, listed behind a row of `IMU_FORMATS`.
-    behind: dict[str, DeviceFormat] = {
+    behind: dict[str, Format] = {
         "xsens-dot": sensor_files.MVNX,
         "apdm": sensor_files.APDM_HDF,
         "phyphox": sensor_files.AXIVITY,
@@ -51,7 +50,7 @@ def formats() -> tuple[DeviceFormat, ...]:
     return tuple(importers)
 
 
-def format_named(key: str) -> DeviceFormat:
+def format_named(key: str) -> Format:
     """The importer of that key."""
     for importer in formats():
         if importer.key == key.strip().lower():
@@ -61,7 +60,7 @@ def format_named(key: str) -> DeviceFormat:
     )
 
 
-def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
+def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> Format | None:
     """The importer that a file belongs to, by what is in it."""
     for importer in formats():
         if (not kinds or importer.kind in kinds) and importer.recognises(head):
@@ -93,7 +92,7 @@ def unknown_file(head: FileHead) -> RecordingError:
 
 
 def _lacking(head: FileHead) -> str:
-    layout = layout_of(head.lines) if head.text else None
+    layout = head.table
     missing = [] if layout is None else missing_axes(layout.names)
     if missing:
         return f" (it has {missing_axes_words(missing)})"
@@ -113,14 +112,14 @@ class FileReader:
         self,
         imu_format: str | None = None,
         skeleton_format: str | None = None,
-        templates: Sequence[DeviceFormat] = (),
+        templates: Sequence[Format] = (),
     ) -> None:
         self._named = {"imu": imu_format, "skeleton": skeleton_format}
         self._templates = templates
         self._tables: dict[tuple[Path, str], Tables] = {}
-        self._formats: dict[Path, DeviceFormat | None] = {}
+        self._formats: dict[Path, Format | None] = {}
 
-    def format_of(self, path: Path, kind: str) -> DeviceFormat:
+    def format_of(self, path: Path, kind: str) -> Format:
         """The importer of a file that is to be an "imu" or a "skeleton" (or "" for either)."""
         if (key := self._named.get(kind)) is not None:
             return format_named(key)
@@ -132,7 +131,7 @@ class FileReader:
             raise RecordingError(f"{path} is recognised as {importer.title}; name it with {other}.")
         return importer
 
-    def recognised(self, path: Path, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
+    def recognised(self, path: Path, kinds: tuple[str, ...] = ()) -> Format | None:
         """The importer of a file, looked for once; those of the kinds first."""
         known = self._formats.get(path)
         if known is None or (kinds and known.kind not in kinds):
@@ -141,7 +140,7 @@ class FileReader:
             known = self._formats[path] = next(own, None) or recognise(head, kinds)
         return known
 
-    def read(self, path: Path, importer: DeviceFormat) -> Tables:
+    def read(self, path: Path, importer: Format) -> Tables:
         """All tables of a file."""
         key = (path, importer.key)
         if key not in self._tables:
@@ -172,7 +171,7 @@ class FileReader:
         """Drop the tables of a file, which may be many."""
         self._tables = {key: tables for key, tables in self._tables.items() if key[0] != path}
 
-    def _by_names(self, path: Path, importer: DeviceFormat, error: RecordingError) -> list[ImuTable]:
+    def _by_names(self, path: Path, importer: Format, error: RecordingError) -> list[ImuTable]:
         """A table that its importer refuses and whose columns suffice; [] where they do not."""
         from .named_table import NAMED_IMU, read_named_imu
 
@@ -188,7 +187,7 @@ class FileReader:
         return whole
 
 
-def _check_axes(path: Path, importer: DeviceFormat, tables: Tables) -> None:
+def _check_axes(path: Path, importer: Format, tables: Tables) -> None:
     """Refuse a table that lacks a column of a sensor or joint, unless others give it; note the rest."""
     missing = _missing(path, importer.kind)
     if not missing:
@@ -204,7 +203,7 @@ def _check_axes(path: Path, importer: DeviceFormat, tables: Tables) -> None:
 def _missing(path: Path, kind: str) -> list[MissingAxis]:
     """Columns of a table's sensors, or of its arms' joints, that are not there while their siblings are."""
     head = read_head(path)
-    layout = layout_of(head.lines) if head.text else None
+    layout = head.table
     if layout is None:
         return []
     if kind == "skeleton":
@@ -213,7 +212,7 @@ def _missing(path: Path, kind: str) -> list[MissingAxis]:
     return [each for each in missing_axes(layout.names) if each.is_of_sensor]
 
 
-def _lacks(path: Path, importer: DeviceFormat, missing: list[MissingAxis]) -> RecordingError:
+def _lacks(path: Path, importer: Format, missing: list[MissingAxis]) -> RecordingError:
     return RecordingError(
         f"{path} ({importer.title}) has {missing_axes_words(missing)}; export it again with all three axes."
     )

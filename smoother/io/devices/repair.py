@@ -20,7 +20,9 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from ..tables.protocol import ImuTable, SkeletonTable, amount
+from ..tables.imu import ImuTable
+from ..tables.skeletons import SkeletonTable
+from ..tables.table import amount
 
 #: Rows at the start with a stamp of zero are not times where the next stamp is this much later, s.
 _FAR_S = 3600.0

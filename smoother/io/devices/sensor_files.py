@@ -14,8 +14,8 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import crashes_in_subprocess
 from ...units import STANDARD_GRAVITY
-from ..tables.imu_checks import holds_gravity, size_notes
-from ..tables.protocol import FileFormat, FileHead, ImuTable, amount, begins, shown
+from ..tables.imu import ImuTable, holds_gravity, size_notes
+from ..tables.table import FileHead, Format, amount, begins, shown
 
 
 def read_apdm_hdf(path: Path) -> list[ImuTable]:
@@ -47,7 +47,7 @@ def read_apdm_hdf(path: Path) -> list[ImuTable]:
     return tables
 
 
-APDM_HDF = FileFormat(
+APDM_HDF = Format(
     key="apdm-hdf5",
     title="APDM Opal HDF5",
     kind="imu",
@@ -167,7 +167,7 @@ def read_axivity(path: Path) -> list[ImuTable]:
     return [_table(usable, len(data) - len(usable), cut)]
 
 
-AXIVITY = FileFormat(
+AXIVITY = Format(
     key="axivity",
     title="Axivity AX6 (CWA)",
     kind="imu",
@@ -274,7 +274,7 @@ def read_mvnx(path: Path) -> list[ImuTable]:
     return _tables(path, names, rows, times, rate, other)
 
 
-MVNX = FileFormat(
+MVNX = Format(
     key="mvnx",
     title="Xsens MVNX",
     kind="imu",

@@ -15,9 +15,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input
-from ..tables.joint_columns import AZURE, BLAZEPOSE, POINT_SETS, JointName, joint_name
-from ..tables.protocol import FileFormat, FileHead, SkeletonTable, decode
-from ..tables.raw_skeleton import Conventions, RawSkeleton
+from ..tables.joints import AZURE, BLAZEPOSE, POINT_SETS, JointName, joint_name
 from ..tables.skeleton_formats import (
     about_hips,
     azure_states,
@@ -25,6 +23,8 @@ from ..tables.skeleton_formats import (
     landmarks_in_metres,
     share_states,
 )
+from ..tables.skeletons import Conventions, RawSkeleton, SkeletonTable
+from ..tables.table import FileHead, Format, decode
 from .image_keypoints import keypoint_rows, keypoint_table
 
 
@@ -174,7 +174,7 @@ def read_kinect_json(path: Path) -> list[SkeletonTable]:
     return _raw_bodies(path, rows).skeletons(Conventions("mm", CameraFrame.OPTICAL))
 
 
-KINECT_JSON = FileFormat(
+KINECT_JSON = Format(
     key="azure-kinect-json",
     title="Azure Kinect or Orbbec body tracking, JSON",
     kind="skeleton",
@@ -329,7 +329,7 @@ def read_pose_json(path: Path) -> list[SkeletonTable]:
     return raw.skeletons(Conventions())
 
 
-POSE_JSON = FileFormat(
+POSE_JSON = Format(
     key="pose-json",
     title="MediaPipe or OpenPose landmarks in space, JSON",
     kind="skeleton",

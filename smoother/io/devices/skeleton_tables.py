@@ -16,7 +16,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...measurements.timestamps import begins_frames
 from ...recording import CameraFrame
-from ..tables.joint_columns import (
+from ..tables.joints import (
     AZURE,
     BLAZEPOSE,
     KINECT_V2,
@@ -26,8 +26,6 @@ from ..tables.joint_columns import (
     plain_words,
     time_unit_of,
 )
-from ..tables.protocol import FileFormat, FileHead, SkeletonTable, begins
-from ..tables.raw_skeleton import Conventions, RawSkeleton, camera_time_scale, unit_by_arm
 from ..tables.skeleton_formats import (
     azure_states,
     body_numbers,
@@ -39,7 +37,8 @@ from ..tables.skeleton_formats import (
     state_numbers,
     states_of,
 )
-from ..tables.text_table import Sheet, read_sheet, sheet_of_text
+from ..tables.skeletons import Conventions, RawSkeleton, SkeletonTable, camera_time_scale, unit_by_arm
+from ..tables.table import FileHead, Format, Table, begins, read_table, table_of
 
 _JOINT = (
     *("joint", "jointid", "joint id", "joint name", "jointname", "joint type", "jointtype", "landmark"),
@@ -93,8 +92,8 @@ def _has_joint_rows(head: FileHead) -> bool:
 
 def read_joint_rows(path: Path) -> list[SkeletonTable]:
     """One row per joint, joints by name or by their number in a Kinect v2, an Azure Kinect or BlazePose."""
-    sheet = read_sheet(path, "a table with one row per joint")
-    columns = _columns_of(sheet.layout.names)
+    sheet = read_table(path, "a table with one row per joint")
+    columns = _columns_of(sheet.names)
     if columns is None:
         raise RecordingError(
             f"{path} has no columns for joint, x, y, z and a time or frame; export one row per joint with"
@@ -103,7 +102,7 @@ def read_joint_rows(path: Path) -> list[SkeletonTable]:
     names, kind = _joints(sheet, columns.joint, path)
     raw = _gathered(sheet, columns, names, kind, path)
     if kind == "blazepose":
-        words = [plain_words(sheet.layout.names[at]) for at in columns.axes]
+        words = [plain_words(sheet.names[at]) for at in columns.axes]
         return landmarks_in_metres(raw, world=any("world" in word for word in words))
     if kind == "azure":
         return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL))
@@ -112,7 +111,7 @@ def read_joint_rows(path: Path) -> list[SkeletonTable]:
     return raw.skeletons(Conventions())
 
 
-JOINT_ROWS = FileFormat(
+JOINT_ROWS = Format(
     key="joint-rows",
     title="table with one row per joint",
     kind="skeleton",
@@ -134,7 +133,7 @@ def _columns_of(names: tuple[str, ...]) -> _Columns | None:
     return _Columns(joint, (x, y, z), time, frame, column_named(names, _BODY), column_named(names, _STATE))
 
 
-def _joints(sheet: Sheet, column: int, path: Path) -> tuple[list[str], str]:
+def _joints(sheet: Table, column: int, path: Path) -> tuple[list[str], str]:
     """Name of the joint of every row, and whose joints they are."""
     cells = sheet.texts(column)
     different = set(cells)
@@ -160,13 +159,13 @@ def _joints(sheet: Sheet, column: int, path: Path) -> tuple[list[str], str]:
     )
 
 
-def _gathered(sheet: Sheet, columns: _Columns, names: list[str], kind: str, path: Path) -> RawSkeleton:
+def _gathered(sheet: Table, columns: _Columns, names: list[str], kind: str, path: Path) -> RawSkeleton:
     """One row per frame and body, out of rows of joints."""
     raw = RawSkeleton(path, {}, notes=sheet.notes)
     time: FloatArray | None = None
     if columns.time is not None:
         time, dates = sheet.times(columns.time)
-        raw.time_scale = 1.0 if dates else time_unit_of(sheet.layout.names[columns.time])
+        raw.time_scale = 1.0 if dates else time_unit_of(sheet.names[columns.time])
     frame = None if columns.frame is None else sheet.numbers(columns.frame)
     key = frame if frame is not None else time
     assert key is not None
@@ -244,10 +243,10 @@ def _are_kinect_numbers(head: FileHead) -> bool:
     if not head.text:
         return False
     try:
-        sheet = sheet_of_text(head.path, "\n".join(head.lines[:40]) + "\n")
-        if sheet.layout.names or not len(sheet):
+        sheet = table_of(head.path, "\n".join(head.lines[:40]) + "\n")
+        if sheet.names or not len(sheet):
             return False
-        rows = sheet.vectors(range(sheet.layout.width))
+        rows = sheet.vectors(range(sheet.width))
         return any(_order_of(each) is not None for each in (rows, _filled(rows)))
     except RecordingError:
         return False
@@ -255,8 +254,8 @@ def _are_kinect_numbers(head: FileHead) -> bool:
 
 def read_kinect_numbers(path: Path) -> list[SkeletonTable]:
     """32 or 25 joints of 3, 4, 7 or 8 numbers, with or without a time and a body's number in front."""
-    sheet = read_sheet(path, "rows of numbers of a Kinect's joints")
-    rows = _filled(sheet.vectors(range(sheet.layout.width)))
+    sheet = read_table(path, "rows of numbers of a Kinect's joints")
+    rows = _filled(sheet.vectors(range(sheet.width)))
     order = _order_of(rows)
     if order is None:
         raise RecordingError(
@@ -283,7 +282,7 @@ def read_kinect_numbers(path: Path) -> list[SkeletonTable]:
     return raw.skeletons(Conventions("mm" if is_azure else "m", frame))
 
 
-KINECT_NUMBERS = FileFormat(
+KINECT_NUMBERS = Format(
     key="kinect-numbers",
     title="Azure Kinect or Kinect v2 joints without a header",
     kind="skeleton",
@@ -375,7 +374,7 @@ def read_joint_array(path: Path) -> list[SkeletonTable]:
     return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL) if names is AZURE else Conventions())
 
 
-JOINT_ARRAY = FileFormat(
+JOINT_ARRAY = Format(
     key="joint-array",
     title="array of joints, npy (FreeMoCap)",
     kind="skeleton",

@@ -21,10 +21,10 @@ from ..media.pose_landmarks import (
     open_video,
     persons,
 )
-from ..tables.joint_columns import BLAZEPOSE, joint_name
-from ..tables.protocol import FileHead, ImagePoints, SkeletonTable, amount
-from ..tables.raw_skeleton import Conventions, RawSkeleton
+from ..tables.joints import BLAZEPOSE, joint_name
 from ..tables.skeleton_formats import RELATIVE_NOTE, share_states
+from ..tables.skeletons import Conventions, ImagePoints, RawSkeleton, SkeletonTable
+from ..tables.table import FileHead, amount
 
 #: Bytes at the beginning of videos: where they stand, and what they are.
 _MARKS = ((4, b"ftyp"), (0, b"\x1aE\xdf\xa3"), (8, b"AVI "))
@@ -43,17 +43,17 @@ def is_video(raw: bytes) -> bool:
 
 @dataclass
 class PoseVideo:
-    """An importer of videos; see `DeviceFormat`."""
+    """An importer of videos; see `Format`."""
 
     model: Path | None  # Of the pose landmarker
     people: int = 2  # As many are looked for at most
     mirrored: bool = False  # The camera stored a mirror image
     turn_deg: int = 0  # Rotate the pictures clockwise, in addition to the file's own rotation
     progress: Progress | None = None  # Told how far it is
-    key: str = "video"  # See `DeviceFormat`
-    title: str = "video, MediaPipe pose landmarker"  # See `DeviceFormat`
-    kind: str = "skeleton"  # See `DeviceFormat`
-    recognised_by: str = "the beginning of MP4, MOV, MKV, WebM or AVI"  # See `DeviceFormat`
+    key: str = "video"  # See `Format`
+    title: str = "video, MediaPipe pose landmarker"  # See `Format`
+    kind: str = "skeleton"  # See `Format`
+    recognised_by: str = "the beginning of MP4, MOV, MKV, WebM or AVI"  # See `Format`
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the file is a video."""

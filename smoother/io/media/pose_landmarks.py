@@ -22,7 +22,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError, UnoccludeError
 from ...runtime.packages import extra_module
 from ...runtime.pool import Progress
-from ..tables.joint_columns import BLAZEPOSE
+from ..tables.joints import BLAZEPOSE
 
 #: What a bundle of the pose landmarker contains: its networks.
 _IN_BUNDLE = "pose_landmarks_detector.tflite"

@@ -17,19 +17,21 @@ from ...runtime.inputs import check_input
 from ..devices.image_keypoints import PIXELS
 from ..recording.decode import joint_code
 from ..recording.keypoints import states_of_scores
-from ..tables.joint_columns import joint_name
-from ..tables.protocol import HEAD_BYTES, ImuTable, SkeletonTable, decode, shown
-from ..tables.raw_skeleton import BodyRows
-from ..tables.table_layout import (
+from ..tables.imu import ImuTable
+from ..tables.joints import joint_name
+from ..tables.skeletons import BodyRows, SkeletonTable
+from ..tables.table import (
     SEPARATORS,
-    TableLayout,
+    Table,
+    check_lines,
+    file_text,
     is_data,
-    is_workbook,
     layout_of,
+    plain_label,
+    read_table,
+    shown,
     split_line,
-    workbook_text,
 )
-from ..tables.text_table import Sheet, read_sheet, sheet_of_text
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, DATED_S, METRES, SECONDS, from_1970
 
 Column = str | int
@@ -147,7 +149,7 @@ def _imu_table(path: Path, keys: ImuKeys, columns: dict[str, Column], is_part: b
 
 
 def times_in(
-    sheet: Sheet, column: int | None, keys: TableKeys
+    sheet: Table, column: int | None, keys: TableKeys
 ) -> tuple[FloatArray | None, NDArray[np.int64] | None]:
     """Times in s, or a counter, of a column."""
     if column is None or keys.time_unit == "counter":
@@ -177,7 +179,7 @@ def times_in(
     return times, None
 
 
-def described_sheet(path: Path, keys: TableKeys, columns: Mapping[str, Column | list[Column]]) -> Sheet:
+def described_sheet(path: Path, keys: TableKeys, columns: Mapping[str, Column | list[Column]]) -> Table:
     """The table of a file, laid out as said."""
     expected = "the table that recording.toml describes"
     check_input(path, RecordingError)
@@ -186,16 +188,15 @@ def described_sheet(path: Path, keys: TableKeys, columns: Mapping[str, Column | 
             f"{path} does not exist, but recording.toml names it; add it or correct the name."
         )
     if keys.separator is None and keys.skip_rows is None:
-        return read_sheet(path, expected, quote=False)
-    raw = path.read_bytes()
-    text = workbook_text(path) if is_workbook(raw[:HEAD_BYTES]) else decode(raw)
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
-    return sheet_of_text(path, text, expected, _layout(path, text.split("\n"), keys, columns))
+        return read_table(path, expected, quote=False)
+    lines = file_text(path).split("\n")
+    check_lines(path, lines)
+    return _layout(path, lines, keys, columns)
 
 
 def _layout(
     path: Path, lines: list[str], keys: TableKeys, columns: Mapping[str, Column | list[Column]]
-) -> TableLayout:
+) -> Table:
     first = keys.skip_rows or 0
     rest = [line for line in lines[first:] if line.strip()]
     if not rest:
@@ -219,27 +220,27 @@ def _layout(
     names = tuple(cells) if has_header else ()
     width = max(len(cells), len(split_line(lines[min(row, len(lines) - 1)], separator)))
     names += ("",) * (width - len(names)) if names else ()
-    labels = tuple(" ".join(name.lower().split()) for name in names)
-    return TableLayout(
-        separator, tuple(lines[:first]), names, ("",) * width, labels, first if has_header else -1, row, width
+    labels = tuple(map(plain_label, names))
+    header = first if has_header else -1
+    return Table(
+        path, separator, tuple(lines[:first]), names, ("",) * width, labels, header, row, width, lines
     )
 
 
-def place_of(sheet: Sheet, column: Column | list[Column]) -> int | None:
+def place_of(sheet: Table, column: Column | list[Column]) -> int | None:
     """Number (from 0) of a column by its name, or by its number from 1; None where it is not there."""
     if isinstance(column, int):
-        return column - 1 if 1 <= column <= sheet.layout.width else None
+        return column - 1 if 1 <= column <= sheet.width else None
     if not isinstance(column, str):
         return None
-    for names in (sheet.layout.names, [" ".join(name.lower().split()) for name in sheet.layout.names]):
-        wanted = column if names is sheet.layout.names else " ".join(column.lower().split())
-        if wanted in names:
-            return list(names).index(wanted)
-    plain = " ".join(column.lower().split())  # as written, or without the unit in brackets
-    return sheet.layout.labels.index(plain) if plain in sheet.layout.labels else None
+    if column in sheet.names:
+        return sheet.names.index(column)
+    wanted = plain_label(column)  # as written, or without the unit in brackets
+    labels = list(map(plain_label, sheet.names))
+    return labels.index(wanted) if wanted in labels else sheet.find(wanted)
 
 
-def needed_place(sheet: Sheet, what: str, column: Column | list[Column]) -> int:
+def needed_place(sheet: Table, what: str, column: Column | list[Column]) -> int:
     """`place_of` a column that must be there."""
     place = place_of(sheet, column)
     if place is None:
@@ -247,16 +248,16 @@ def needed_place(sheet: Sheet, what: str, column: Column | list[Column]) -> int:
     return place
 
 
-def _no_column(sheet: Sheet, what: str, column: Column | list[Column]) -> RecordingError:
+def _no_column(sheet: Table, what: str, column: Column | list[Column]) -> RecordingError:
     return RecordingError(
         f"{sheet.path} has no column {column!r} ({what}); its columns are {_listed(sheet)}."
     )
 
 
-def _listed(sheet: Sheet) -> str:
-    if not sheet.layout.names:
-        return f"without names, 1 to {sheet.layout.width}"
-    return shown(", ".join(sheet.layout.names))
+def _listed(sheet: Table) -> str:
+    if not sheet.names:
+        return f"without names, 1 to {sheet.width}"
+    return shown(", ".join(sheet.names))
 
 
 def refuse_others(path: Path, columns: Mapping[str, object], known: tuple[str, ...]) -> None:
@@ -266,7 +267,7 @@ def refuse_others(path: Path, columns: Mapping[str, object], known: tuple[str, .
             raise RecordingError(f"{path}: columns.{name} is not known; it is one of {', '.join(known)}.")
 
 
-def _vectors(sheet: Sheet, at: dict[str, int], letters: str) -> FloatArray:
+def _vectors(sheet: Table, at: dict[str, int], letters: str) -> FloatArray:
     kind, axes = letters[0], letters[1:]
     missing = [kind + axis for axis in axes if kind + axis not in at]
     if missing:
@@ -316,7 +317,7 @@ def read_keypoint_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     return tables
 
 
-def _wide_rows(sheet: Sheet, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
+def _wide_rows(sheet: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
     """One row per frame and body: three columns per joint."""
     names = [name for name in columns if name not in ("t", "body")]
     joints = [name for name in names if not name.endswith("_state")]
@@ -346,7 +347,7 @@ def _wide_rows(sheet: Sheet, keys: CameraKeys, columns: dict[str, Column | list[
     return BodyRows(np.arange(len(sheet), dtype=float) if t_s is None else t_s, bodies, position, state)
 
 
-def _long_rows(sheet: Sheet, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
+def _long_rows(sheet: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
     """One row per joint: the rows of one time and body become one."""
     refuse_others(sheet.path, columns, _LONG_COLUMNS)
     t_s = _frame_times(sheet, keys, columns)
@@ -391,7 +392,7 @@ def _joint_of(name: str) -> str:
     return "" if meaning is None else meaning.joint
 
 
-def _states(sheet: Sheet, column: int, keys: CameraKeys) -> NDArray[np.int64]:
+def _states(sheet: Table, column: int, keys: CameraKeys) -> NDArray[np.int64]:
     """States (n,) of a joint by the words or numbers of a column."""
     cells = sheet.texts(column)
     words = {
@@ -412,7 +413,7 @@ def _states(sheet: Sheet, column: int, keys: CameraKeys) -> NDArray[np.int64]:
 
 
 def _frame_times(
-    sheet: Sheet, keys: CameraKeys, columns: dict[str, Column | list[Column]]
+    sheet: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]
 ) -> FloatArray | None:
     """Times (n,) of rows in s; None where there are none."""
     place = needed_place(sheet, "t", columns["t"]) if "t" in columns else None

@@ -40,9 +40,9 @@ from ..recording.streams import (
     RecordingFile,
     TopicInfo,
 )
-from ..tables.imu_checks import paired
-from ..tables.protocol import HEAD_BYTES, ImuTable, SkeletonTable, Tables, read_head, shown
-from ..tables.table_layout import is_data
+from ..tables.imu import ImuTable, paired
+from ..tables.skeletons import SkeletonTable
+from ..tables.table import HEAD_BYTES, Tables, is_data, read_head, shown
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES
 from .columns import (
     LAYOUT_KEYS,

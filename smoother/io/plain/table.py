@@ -13,8 +13,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import ImuStream
 from ...runtime.inputs import check_input
-from ..tables.protocol import plain_minus, shown
-from ..tables.text_table import ROWS_BEFORE, is_cut_number
+from ..tables.table import ROWS_BEFORE, is_cut_number, plain_minus, shown
 
 #: Bytes at the end of a file that contain its last rows.
 _TAIL = 1 << 14

@@ -25,8 +25,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ...errors import RecordingError
 from ...runtime.inputs import check_input, read_toml
-from ..tables.protocol import FileHead, ImuTable, SkeletonTable, read_head, shown
-from ..tables.table_layout import layout_of
+from ..tables.imu import ImuTable
+from ..tables.skeletons import SkeletonTable
+from ..tables.table import FileHead, read_head, shown
 from .columns import CameraKeys, ImuKeys, read_imu_columns, read_skeleton_columns
 
 
@@ -46,12 +47,12 @@ class _Written(BaseModel):
 
 @dataclass(frozen=True)
 class TableTemplate:
-    """An importer of one layout, as a template describes it; see `DeviceFormat`."""
+    """An importer of one layout, as a template describes it; see `Format`."""
 
     path: Path  # The template
-    key: str  # As in `DeviceFormat`
-    title: str  # As in `DeviceFormat`
-    kind: str  # As in `DeviceFormat`
+    key: str  # As in `Format`
+    title: str  # As in `Format`
+    kind: str  # As in `Format`
     names: tuple[str, ...]  # Columns of the tables that it is for; () where they have no header
     width: int  # Their number
     keys: dict[str, Any]  # Of recording.toml's section, without the file
@@ -63,11 +64,11 @@ class TableTemplate:
 
     def recognises(self, head: FileHead) -> bool:
         """Whether a table has exactly these columns."""
-        layout = layout_of(head.lines) if head.text else None
+        layout = head.table
         return layout is not None and tuple(layout.names) == self.names and layout.width == self.width
 
     def read(self, path: Path) -> list[ImuTable] | list[SkeletonTable]:
-        """Read a table as described; see `DeviceFormat.read`."""
+        """Read a table as described; see `Format.read`."""
         if self.kind == "imu":
             return read_imu_columns(path.parent, _imu_keys(self.path, {**self.keys, "file": path.name}))
         return read_skeleton_columns(path, _camera_keys(self.path, {**self.keys, "skeleton": path.name}))

@@ -22,7 +22,7 @@ from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, JointState
 from ...runtime.store import Store, batches
-from ..tables.protocol import ImuTable
+from ..tables.imu import ImuTable
 
 
 @dataclass

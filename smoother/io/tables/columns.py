@@ -11,9 +11,9 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu_checks import paired, turn_scale
-from .joint_columns import words_of
-from .protocol import ImuTable, shown
+from .imu import ImuTable, paired, turn_scale
+from .joints import words_of
+from .table import shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, plain_unit, unit_of_step
 
 #: All in lower case; English first.

@@ -11,10 +11,8 @@ import numpy as np
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
-from .imu_checks import size_notes, with_settled_unit
-from .protocol import FileHead, ImuTable, shown
-from .table_layout import TableLayout, layout_of
-from .text_table import Sheet, read_sheet
+from .imu import ImuTable, size_notes, with_settled_unit
+from .table import FileHead, Table, read_table, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, TIME, from_1970, plain_unit, time_unit
 
 Columns = tuple[int, int, int]
@@ -28,54 +26,54 @@ class Increments:
     velocity: str  # Stem of the velocity's columns, m/s
     rotation: tuple[str, ...]  # Forms of the quaternion's columns, of `axis` (w, x, y, z) and `at` (0 to 3)
     units: str  # For the line about the file
-    lacks: Callable[[TableLayout, ImuTable], str]  # Of a table without these
+    lacks: Callable[[Table, ImuTable], str]  # Of a table without these
     no_rate: str  # Behind the file's name, where neither times nor a rate are there to multiply by
     signs: tuple[str, ...] = ("xyz",)  # Of the velocity's axes
 
 
 @dataclass(frozen=True)
 class ImuFormat:
-    """An importer of a plain table of inertial sensors; see `DeviceFormat`."""
+    """An importer of a plain table of inertial sensors; see `Format`."""
 
-    key: str  # As in `DeviceFormat`
-    title: str  # As in `DeviceFormat`
-    recognised_by: str  # As in `DeviceFormat`
-    fits: Callable[[TableLayout], bool]  # Whether a table's columns are of this device
+    key: str  # As in `Format`
+    title: str  # As in `Format`
+    recognised_by: str  # As in `Format`
+    fits: Callable[[Table], bool]  # Whether a table's columns are of this device
     # What a table without both sensors is, and what to do, behind the title
-    lacks: str | Callable[[TableLayout], str] = ""
-    # Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first
+    lacks: str | Callable[[Table], str] = ""
+    # Stems of the vectors' columns (see `Table.axes`), the preferred one first
     acc: tuple[str, ...] = ("acc",)
-    # Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first
+    # Stems of the vectors' columns (see `Table.axes`), the preferred one first
     gyro: tuple[str, ...] = ("gyr",)
-    # Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first
+    # Stems of the vectors' columns (see `Table.axes`), the preferred one first
     mag: tuple[str, ...] = ("mag",)
     axes: str = ""  # Text after the stem, `{}` for the axis, if it is not one of the usual ones
     # Count where the file states none; the first may be a function that finds it, and notes it
-    acc_unit: str | Callable[[ImuFormat, Sheet, Columns | None, list[str]], str] = "m/s^2"
+    acc_unit: str | Callable[[ImuFormat, Table, Columns | None, list[str]], str] = "m/s^2"
     gyro_unit: str = "rad/s"  # Count where the file states none
     time: tuple[str, ...] = ("time",)  # Labels of the time's column, the preferred one first
     time_unit: str = "s"
     # Finds the times (n,), s, by what names the sensor and the stated rate, where `time` does not do
-    times: Callable[[Sheet, str, float | None], FloatArray | None] | None = None
+    times: Callable[[Table, str, float | None], FloatArray | None] | None = None
     no_times: str = ""  # Behind the file's name, where there must be times or a rate
     name: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name and rate
     rate: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name and rate
     counter: tuple[str, ...] = ()  # Labels of a packet counter, which starts anew at `counter_wraps`
     counter_wraps: int = 0
     sensor: re.Pattern[str] | None = None  # Of a table with several sensors
-    notes: Callable[[TableLayout, str], list[str]] | None = None  # Sentences on what was chosen
+    notes: Callable[[Table, str], list[str]] | None = None  # Sentences on what was chosen
     increments: Increments | None = None  # What the device writes instead
     # The gyroscope's unit, where it is not stated, is the one in which gravity turns with it
     settles_unit: bool = False
     # Whether a file without header is of this device
-    headless: Callable[[FileHead, TableLayout], bool] | None = None
+    headless: Callable[[FileHead, Table], bool] | None = None
     # Reads the tables in a way of its own
-    sensors: Callable[[ImuFormat, Sheet], list[ImuTable]] | None = None
-    kind: str = "imu"  # As in `DeviceFormat`
+    sensors: Callable[[ImuFormat, Table], list[ImuTable]] | None = None
+    kind: str = "imu"  # As in `Format`
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the file is of this layout; never raises."""
-        layout = layout_of(head.lines) if head.text else None
+        layout = head.table
         if layout is None:
             return False
         if self.headless is not None and not layout.names:
@@ -83,10 +81,10 @@ class ImuFormat:
         return self.fits(layout)
 
     def read(self, path: Path) -> list[ImuTable]:
-        """One table per sensor, of a file that fits: see `DeviceFormat.read`."""
-        sheet = read_sheet(path, f"a table of {self.title}")
-        if not self.fits(sheet.layout):
-            names = ", ".join(sheet.layout.names) or "none"
+        """One table per sensor, of a file that fits: see `Format.read`."""
+        sheet = read_table(path, f"a table of {self.title}")
+        if not self.fits(sheet):
+            names = ", ".join(sheet.names) or "none"
             raise RecordingError(
                 f"{path} is not of {self.title} (recognised by {self.recognised_by}); its columns are"
                 f" {shown(names, 150)}."
@@ -98,25 +96,25 @@ class ImuFormat:
             table.notes += size_notes(table)
         return tables
 
-    def refused(self, sheet: Sheet, why: str) -> RecordingError:
+    def refused(self, sheet: Table, why: str) -> RecordingError:
         """The sentence about a table of this device that cannot be used; `why` goes on behind the title."""
         article = "an" if self.title[0] in "AXx" else "a"
         return RecordingError(f"{sheet.path} is {article} {self.title} {why}")
 
-    def _by_name(self, sheet: Sheet) -> list[ImuTable]:
+    def _by_name(self, sheet: Table) -> list[ImuTable]:
         """The sensors of a table, in the order of its columns."""
         prefixes = [""]
         if self.sensor is not None:
-            matches = [self.sensor.fullmatch(label) for label in sheet.layout.labels]
+            matches = [self.sensor.fullmatch(label) for label in sheet.labels]
             prefixes = list(dict.fromkeys(match.group(1) or "" for match in matches if match))
         tables = [table for prefix in prefixes if (table := self._table(sheet, prefix)) is not None]
         if not tables:
-            raise self.refused(sheet, self.lacks if isinstance(self.lacks, str) else self.lacks(sheet.layout))
+            raise self.refused(sheet, self.lacks if isinstance(self.lacks, str) else self.lacks(sheet))
         return tables
 
-    def _table(self, sheet: Sheet, prefix: str) -> ImuTable | None:
+    def _table(self, sheet: Table, prefix: str) -> ImuTable | None:
         """One sensor; None where it lacks one of the two vectors."""
-        layout = sheet.layout
+        layout = sheet
         acc, gyro, mag = (self._columns(layout, stems, prefix) for stems in (self.acc, self.gyro, self.mag))
         if (acc is None or gyro is None) and self.increments is None:
             return None
@@ -146,7 +144,7 @@ class ImuFormat:
             self._fill_from_increments(sheet, table)
         return with_settled_unit(table) if self.settles_unit else table
 
-    def _columns(self, layout: TableLayout, stems: tuple[str, ...], prefix: str) -> Columns | None:
+    def _columns(self, layout: Table, stems: tuple[str, ...], prefix: str) -> Columns | None:
         stems = tuple(stem.format(prefix) for stem in stems)
         return (
             named_columns(layout, tuple(stem + self.axes for stem in stems))
@@ -154,17 +152,17 @@ class ImuFormat:
             else layout.axes(*stems)
         )
 
-    def _fill_from_increments(self, sheet: Sheet, table: ImuTable) -> None:
+    def _fill_from_increments(self, sheet: Table, table: ImuTable) -> None:
         """Both vectors from the increments over a sample; they must be there."""
         what = self.increments
         assert what is not None
-        velocity = sheet.layout.axes(what.velocity, signs=what.signs)
+        velocity = sheet.axes(what.velocity, signs=what.signs)
         rotation = [
-            sheet.layout.find(*(form.format(axis=axis, at=at) for form in what.rotation))
+            sheet.find(*(form.format(axis=axis, at=at) for form in what.rotation))
             for at, axis in enumerate("wxyz")
         ]
         if velocity is None or None in rotation:
-            raise self.refused(sheet, what.lacks(sheet.layout, table))
+            raise self.refused(sheet, what.lacks(sheet, table))
         rate = table.rate_hz or rate_of(table.t_s)
         if rate is None:
             raise RecordingError(f"{sheet.path} {what.no_rate}")
@@ -176,7 +174,7 @@ class ImuFormat:
         )
 
 
-def named_columns(layout: TableLayout, forms: tuple[str, ...]) -> Columns | None:
+def named_columns(layout: Table, forms: tuple[str, ...]) -> Columns | None:
     """Columns of x, y and z by labels in which `{}` is the axis; the first form that fits counts."""
     for form in forms:
         columns = [layout.find(form.format(axis)) for axis in "xyz"]
@@ -186,20 +184,20 @@ def named_columns(layout: TableLayout, forms: tuple[str, ...]) -> Columns | None
 
 
 def specific_force(
-    sheet: Sheet, columns: Sequence[int] | None, unit: str = "", sign: float = 1.0
+    sheet: Table, columns: Sequence[int] | None, unit: str = "", sign: float = 1.0
 ) -> FloatArray | None:
     """Accelerometer of three columns, (n, 3) in m/s^2; None for no columns."""
     return None if columns is None else _in_si(sheet, columns, ACCELERATION, unit, sign, "acceleration")
 
 
-def angular_velocity(sheet: Sheet, columns: Sequence[int] | None, unit: str = "") -> FloatArray | None:
+def angular_velocity(sheet: Table, columns: Sequence[int] | None, unit: str = "") -> FloatArray | None:
     """Gyroscope of three columns, (n, 3) in rad/s; parameters and raises as `specific_force`."""
     return (
         None if columns is None else _in_si(sheet, columns, ANGULAR_VELOCITY, unit, 1.0, "angular velocity")
     )
 
 
-def magnetic_field(sheet: Sheet, columns: Sequence[int] | None) -> FloatArray | None:
+def magnetic_field(sheet: Table, columns: Sequence[int] | None) -> FloatArray | None:
     """Magnetometer of three columns, (n, 3) in the file's unit; None for no columns or an empty one."""
     if columns is None:
         return None
@@ -207,13 +205,13 @@ def magnetic_field(sheet: Sheet, columns: Sequence[int] | None) -> FloatArray | 
     return field if np.isfinite(field).all() else None
 
 
-def unit_summary(sheet: Sheet, *vectors: tuple[Sequence[int] | None, str]) -> str:
+def unit_summary(sheet: Table, *vectors: tuple[Sequence[int] | None, str]) -> str:
     """The units of vectors for the line about a file; each with the unit that counts where none is stated."""
     said = [sheet.unit(columns[0]) or unit for columns, unit in vectors if columns is not None]
     return ", ".join(plain_unit(unit) for unit in said)
 
 
-def is_numeric(sheet: Sheet, column: int) -> bool:
+def is_numeric(sheet: Table, column: int) -> bool:
     """Whether most cells of a column are numbers."""
     try:
         return bool(np.isfinite(sheet.numbers(column)).mean() > 0.5)
@@ -221,7 +219,7 @@ def is_numeric(sheet: Sheet, column: int) -> bool:
         return False
 
 
-def seconds(sheet: Sheet, column: int | None, unit: str = "s") -> FloatArray | None:
+def seconds(sheet: Table, column: int | None, unit: str = "s") -> FloatArray | None:
     """Times of a column, (n,) in s, dates since 1970; None for no column or one without times."""
     if column is None or not any(sheet.texts(column)[:2000]):
         return None
@@ -238,7 +236,7 @@ def seconds(sheet: Sheet, column: int | None, unit: str = "s") -> FloatArray | N
     return from_1970(times, fits) * SECONDS[fits]
 
 
-def packet_counter(sheet: Sheet, column: int | None) -> IntArray | None:
+def packet_counter(sheet: Table, column: int | None) -> IntArray | None:
     """Packet counter of a column, (n,); None where there is none, or some packet has none."""
     if column is None:
         return None
@@ -248,7 +246,7 @@ def packet_counter(sheet: Sheet, column: int | None) -> IntArray | None:
 
 
 def _in_si(
-    sheet: Sheet, columns: Sequence[int], units: dict[str, float], unit: str, sign: float, what: str
+    sheet: Table, columns: Sequence[int], units: dict[str, float], unit: str, sign: float, what: str
 ) -> FloatArray:
     stated = plain_unit(sheet.unit(columns[0]))
     if (stated or unit) not in units:

@@ -7,10 +7,9 @@ import re
 import numpy as np
 
 from ...array_types import FloatArray
+from .imu import ImuTable
 from .imu_columns import Columns, ImuFormat, Increments, seconds
-from .protocol import ImuTable
-from .table_layout import TableLayout
-from .text_table import Sheet
+from .table import Table
 from .units import plain_unit
 
 _RATE_INTO_TOML = "write rate_hz into a recording.toml (`unocclude import describe` prints one)."
@@ -22,7 +21,7 @@ _MT_OWN = ("quat_q0", "quat_w", "mat[1][1]", "roll", "velinc_x", "oriinc_q0", "o
 _TICK_S = 1e-4
 
 
-def _is_mt(layout: TableLayout) -> bool:
+def _is_mt(layout: Table) -> bool:
     counted = layout.find("counter", "packetcounter", "sampletimefine")
     commented = any(line.lstrip().startswith("//") for line in layout.preamble)
     only_here = layout.find(*(name for name in _MT_OWN if name not in ("quat_w", "roll", "acc_x")))
@@ -31,19 +30,19 @@ def _is_mt(layout: TableLayout) -> bool:
     return counted is not None and own and (commented or only_here is not None or plain)
 
 
-def _mt_times(sheet: Sheet, _: str, rate: float | None) -> FloatArray | None:
+def _mt_times(sheet: Table, _: str, rate: float | None) -> FloatArray | None:
     """Where no rate is stated: the UTC columns, else SampleTimeFine, else a column Time."""
     if rate is not None:
         return None
-    utc = [sheet.layout.find(f"utc_{part}") for part in ("hour", "minute", "second", "nano")]
+    utc = [sheet.find(f"utc_{part}") for part in ("hour", "minute", "second", "nano")]
     if None not in utc:
         hour, minute, second, nano = (sheet.numbers(column) for column in utc if column is not None)
         t_s = 3600 * hour + 60 * minute + second + 1e-9 * nano
         if np.isfinite(t_s).mean() > 0.5:
             return t_s
-    column = sheet.layout.find("sampletimefine")
+    column = sheet.find("sampletimefine")
     if column is None or not np.isfinite(sheet.numbers(column)).any():
-        return seconds(sheet, sheet.layout.find("time"))
+        return seconds(sheet, sheet.find("time"))
     ticks = sheet.numbers(column)
     return ticks * _TICK_S if np.isfinite(ticks).mean() > 0.5 else None
 
@@ -83,7 +82,7 @@ _XSENS_MT = ImuFormat(
 _DOT_FUSED = ("quat_w", "euler_x", "freeacc_x")
 
 
-def _is_dot(layout: TableLayout) -> bool:
+def _is_dot(layout: Table) -> bool:
     """Whether the columns are a DOT's, and not those of MT Manager: `//` above them, or some of its own."""
     if layout.find("sampletimefine", "packetcounter") is None:
         return False
@@ -93,7 +92,7 @@ def _is_dot(layout: TableLayout) -> bool:
     return layout.find("acc_x", "gyr_x", "dv[1]", "dv_x", "iv_x", *_DOT_FUSED) is not None
 
 
-def _dot_lacks(layout: TableLayout, table: ImuTable) -> str:
+def _dot_lacks(layout: Table, table: ImuTable) -> str:
     if table.acc is not None:
         has = "acceleration but no angular velocity"
     elif table.gyro is not None:
@@ -145,21 +144,21 @@ _SHIMMER_TIMES = (
 )
 
 
-def _is_shimmer(layout: TableLayout) -> bool:
+def _is_shimmer(layout: Table) -> bool:
     matches = [_SHIMMER_COLUMN.fullmatch(label) for label in layout.labels]
     return any(match and match.group(2) != "mag" for match in matches)
 
 
-def _shimmer_times(sheet: Sheet, prefix: str, _: float | None) -> FloatArray | None:
+def _shimmer_times(sheet: Table, prefix: str, _: float | None) -> FloatArray | None:
     for name in _SHIMMER_TIMES:
-        t_s = seconds(sheet, sheet.layout.find(f"{prefix}{name}_cal"), "ms")
+        t_s = seconds(sheet, sheet.find(f"{prefix}{name}_cal"), "ms")
         if t_s is not None:
             return t_s
-    column = sheet.layout.find(f"{prefix}timestamp_raw")
+    column = sheet.find(f"{prefix}timestamp_raw")
     return None if column is None else sheet.numbers(column) / 32768  # ticks of the device's clock
 
 
-def _shimmer_notes(layout: TableLayout, prefix: str) -> list[str]:
+def _shimmer_notes(layout: Table, prefix: str) -> list[str]:
     """Of the two accelerometers the wide-range one is taken, which fast arms do not clip."""
     wide, low = (
         all(f"{prefix}accel_{kind}_{axis}_cal" in layout.labels for axis in "xyz") for kind in ("wr", "ln")
@@ -171,7 +170,7 @@ def _shimmer_notes(layout: TableLayout, prefix: str) -> list[str]:
     return []
 
 
-def _shimmer_lacks(layout: TableLayout) -> str:
+def _shimmer_lacks(layout: Table) -> str:
     matches = [_SHIMMER_COLUMN.fullmatch(label) for label in layout.labels]
     raw = any(match and match.group(3) != "cal" for match in matches)
     what = "uncalibrated values only" if raw else "no gyroscope or no accelerometer"
@@ -217,7 +216,7 @@ _APDM = ImuFormat(
 # ------------------------------------------------------------------------------------- x-IMU3, NGIMU, x-IMU
 
 
-def _is_ximu(layout: TableLayout) -> bool:
+def _is_ximu(layout: Table) -> bool:
     """Whether the columns are x-io's: the words in full, in deg/s or g."""
     columns = [layout.axes("gyroscope"), layout.axes("accelerometer")]
     units = {plain_unit(layout.units[c[0]]) for c in columns if c is not None}
@@ -250,7 +249,7 @@ _NILSPOD_TIMES = ("t", "utc", "utc_datetime", "local_datetime")
 _RAW, _ONE_G = 150.0, (0.85, 1.15)
 
 
-def _is_nilspod(layout: TableLayout) -> bool:
+def _is_nilspod(layout: Table) -> bool:
     """Whether the columns are NilsPodLib's; `time`, which others write too, counts beside own ones alone."""
     written = {"acc_x", "gyr_x"} & set(layout.names)  # lower case in the file, unlike Xsens
     own = layout.find("analog_0", "baro") is not None
@@ -258,7 +257,7 @@ def _is_nilspod(layout: TableLayout) -> bool:
     return bool(written) and layout.find(*times) is not None
 
 
-def _nilspod_unit(form: ImuFormat, sheet: Sheet, columns: Columns | None, notes: list[str]) -> str:
+def _nilspod_unit(form: ImuFormat, sheet: Table, columns: Columns | None, notes: list[str]) -> str:
     """m/s^2, as NilsPodLib calibrates, or g, as some versions did."""
     assert columns is not None
     size = np.linalg.norm(sheet.vectors(columns), axis=1)

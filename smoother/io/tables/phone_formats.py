@@ -9,7 +9,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from .columns import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS, time_among
-from .imu_checks import holds_gravity, with_settled_unit
+from .imu import ImuTable, holds_gravity, with_settled_unit
 from .imu_columns import (
     Columns,
     ImuFormat,
@@ -20,9 +20,7 @@ from .imu_columns import (
     specific_force,
     unit_summary,
 )
-from .protocol import FileHead, ImuTable, shown
-from .table_layout import TableLayout, is_data, split_line
-from .text_table import Sheet
+from .table import FileHead, Table, is_data, shown, split_line
 from .units import (
     ACCELERATION,
     ANGULAR_VELOCITY,
@@ -44,7 +42,7 @@ _TIME_CELL = re.compile(r"\d{4}-\d\d-\d\dT.*")
 _ABOUT_ONE_G = (0.7, 1.3)
 
 
-def _is_metamotion(layout: TableLayout) -> bool:
+def _is_metamotion(layout: Table) -> bool:
     """Whether the columns are MetaBase's; a table without header has six of them."""
     if not layout.names:
         return layout.width >= 6
@@ -52,12 +50,12 @@ def _is_metamotion(layout: TableLayout) -> bool:
     return layout.find(*_EPOCHS) is not None and elapsed is not None and layout.units[elapsed] == "s"
 
 
-def _is_headless_metamotion(head: FileHead, layout: TableLayout) -> bool:
+def _is_headless_metamotion(head: FileHead, layout: Table) -> bool:
     cells = split_line(head.lines[layout.first_row], layout.separator)
     return layout.width >= 6 and bool(_EPOCH_CELL.fullmatch(cells[0]) and _TIME_CELL.fullmatch(cells[1]))
 
 
-def _metamotion_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
+def _metamotion_tables(form: ImuFormat, sheet: Table) -> list[ImuTable]:
     """The one sensor of the file: `acc` or `gyro`."""
     columns = _metamotion_columns(sheet)
     unit = plain_unit(sheet.unit(columns[0]))
@@ -84,7 +82,7 @@ def _metamotion_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
             f"{sheet.path} is a MetaMotion CSV of acceleration without gravity; record the"
             " accelerometer, not sensor fusion."
         )
-    epoch = sheet.layout.find(*_EPOCHS) or 0
+    epoch = sheet.find(*_EPOCHS) or 0
     return [
         ImuTable(
             name="",
@@ -97,10 +95,10 @@ def _metamotion_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
     ]
 
 
-def _metamotion_columns(sheet: Sheet) -> Columns:
-    if not sheet.layout.names:
+def _metamotion_columns(sheet: Table) -> Columns:
+    if not sheet.names:
         return 3, 4, 5
-    columns = named_columns(sheet.layout, ("{}-axis", "{} axis", "{}"))
+    columns = named_columns(sheet, ("{}-axis", "{} axis", "{}"))
     if columns is not None:
         return columns
     raise RecordingError(
@@ -115,16 +113,16 @@ _LOGGED_GYRO, _LOGGED_RATE = ("gyrorotation",), ("motionrotationrate",)
 _LOGGED_TIMES = ("loggingtime", "timestamp", "time", "locationtimestamp_since1970")
 
 
-def _is_sensorlog(layout: TableLayout) -> bool:
+def _is_sensorlog(layout: Table) -> bool:
     """Whether some vector has SensorLog's name."""
     return any(
         layout.axes(*stems) is not None for stems in (_LOGGED_ACC, _LOGGED_USER, _LOGGED_GYRO, _LOGGED_RATE)
     )
 
 
-def _sensorlog_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
+def _sensorlog_tables(form: ImuFormat, sheet: Table) -> list[ImuTable]:
     """One sensor: raw accelerometer and gyroscope, else Core Motion's."""
-    layout = sheet.layout
+    layout = sheet
     raw, user, gravity, gyro, rate = (
         _filled(sheet, layout.axes(*stems))
         for stems in (_LOGGED_ACC, _LOGGED_USER, _LOGGED_GRAVITY, _LOGGED_GYRO, _LOGGED_RATE)
@@ -159,7 +157,7 @@ def _sensorlog_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
     ]
 
 
-def _filled(sheet: Sheet, columns: Columns | None) -> Columns | None:
+def _filled(sheet: Table, columns: Columns | None) -> Columns | None:
     """The columns, where there are values in them: sensors that were off leave theirs empty or null."""
     return (
         columns if columns is not None and any(_has_value(text) for text in sheet.texts(columns[0])) else None
@@ -174,10 +172,10 @@ def _sum(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
     return None if one is None or other is None else one + other
 
 
-def _sensorlog_times(sheet: Sheet, stamp: str) -> FloatArray | None:
+def _sensorlog_times(sheet: Table, stamp: str) -> FloatArray | None:
     """The sensor's own stamps, else those of logging."""
     for label in (stamp, *_LOGGED_TIMES):
-        t_s = seconds(sheet, sheet.layout.find(label))
+        t_s = seconds(sheet, sheet.find(label))
         if t_s is not None:
             return t_s
     raise RecordingError(f"{sheet.path} has no times; log them too (loggingTime, timestamp since reboot).")
@@ -186,7 +184,7 @@ def _sensorlog_times(sheet: Sheet, stamp: str) -> FloatArray | None:
 _PHYPHOX_TIMES = (*TIME_WORDS, "t")
 
 
-def _is_phyphox(layout: TableLayout) -> bool:
+def _is_phyphox(layout: Table) -> bool:
     """Whether the columns are phyphox's, whose units are always in the header."""
     time = layout.find(*_PHYPHOX_TIMES)
     if time is None or plain_unit(layout.units[time]) != "s":
@@ -201,9 +199,9 @@ def _is_phyphox(layout: TableLayout) -> bool:
     return bool(units & {"m/s^2", "rad/s"}) and not units & {"g", "deg/s"}
 
 
-def _phyphox_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
+def _phyphox_tables(form: ImuFormat, sheet: Table) -> list[ImuTable]:
     """One sensor, or the half of one."""
-    layout = sheet.layout
+    layout = sheet
     acc, gyro, bare = layout.axes(*ACCELERATION_WORDS), layout.axes(*TURNING_WORDS), layout.axes("")
     if bare is not None and acc is None and gyro is None:
         unit = plain_unit(sheet.unit(bare[0]))
@@ -262,7 +260,7 @@ _SENSOR_LOGGER = (
 )
 
 
-def _is_android(layout: TableLayout) -> bool:
+def _is_android(layout: Table) -> bool:
     """Whether there is a time and a vector; four columns without header are a time and a vector."""
     if not layout.names:
         return layout.width == 4
@@ -271,7 +269,7 @@ def _is_android(layout: TableLayout) -> bool:
     return any(there) if _time_column(layout) is not None else all(there[:2])
 
 
-def _is_headless_android(head: FileHead, layout: TableLayout) -> bool:
+def _is_headless_android(head: FileHead, layout: Table) -> bool:
     """Whether four columns are a time and a vector."""
     if not _is_android(layout):
         return False
@@ -284,9 +282,9 @@ def _is_headless_android(head: FileHead, layout: TableLayout) -> bool:
     return len(times) > 3 and times[0] > 1e6 and time_unit("", times) is not None
 
 
-def _android_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
+def _android_tables(form: ImuFormat, sheet: Table) -> list[ImuTable]:
     """One sensor, or the half of one; of a log with a column of sensor names, its two halves."""
-    layout = sheet.layout
+    layout = sheet
     t_s, notes = _android_times(sheet)
     if {"time", "seconds_elapsed"} <= set(layout.labels):
         notes.append(_SENSOR_LOGGER)
@@ -316,7 +314,7 @@ def _android_tables(form: ImuFormat, sheet: Sheet) -> list[ImuTable]:
     return [with_settled_unit(table)]
 
 
-def _time_column(layout: TableLayout) -> int | None:
+def _time_column(layout: Table) -> int | None:
     exact = layout.find(*_TIMES)
     if exact is not None:
         return exact
@@ -324,16 +322,16 @@ def _time_column(layout: TableLayout) -> int | None:
     return 0 if first.startswith(("time", "timestamp", "elapsed", "epoch")) else None
 
 
-def _android_times(sheet: Sheet) -> tuple[FloatArray, list[str]]:
+def _android_times(sheet: Table) -> tuple[FloatArray, list[str]]:
     """Times in s, and what was decided about their unit."""
-    column, notes = _time_column(sheet.layout) if sheet.layout.names else 0, list[str]()
+    column, notes = _time_column(sheet) if sheet.names else 0, list[str]()
     if column is None:
-        names = enumerate(sheet.layout.names)
+        names = enumerate(sheet.names)
         free = {name: sheet.numbers(at) for at, name in names if is_numeric(sheet, at)}
         name, unit = time_among(free, SENSOR_RATES, sheet.path, notes)
         if not name:
             raise RecordingError(
-                f"{sheet.path} has no column of times: none of {shown(', '.join(sheet.layout.names), 150)} is"
+                f"{sheet.path} has no column of times: none of {shown(', '.join(sheet.names), 150)} is"
                 " known as one or rises like one; export times as well, or give rate_hz in a recording.toml"
                 f" (`unocclude import describe {sheet.path}` prints one)."
             )
@@ -341,7 +339,7 @@ def _android_times(sheet: Sheet) -> tuple[FloatArray, list[str]]:
     times, dates = sheet.times(column)
     if dates:
         return times, []
-    label = sheet.layout.labels[column] if sheet.layout.labels else ""
+    label = sheet.labels[column] if sheet.labels else ""
     stated = TIME.get(plain_unit(sheet.unit(column)))
     suffix = _SUFFIX.search(label)
     said = {"n": "ns", "u": "us", "m": "ms", "s": "s"}[suffix.group(1)[0]] if suffix else ""
@@ -360,7 +358,7 @@ def _android_times(sheet: Sheet) -> tuple[FloatArray, list[str]]:
     return from_1970(times, found) * SECONDS[found], notes
 
 
-def _by_name(sheet: Sheet, kinds: int, columns: Columns, t_s: FloatArray, notes: list[str]) -> list[ImuTable]:
+def _by_name(sheet: Table, kinds: int, columns: Columns, t_s: FloatArray, notes: list[str]) -> list[ImuTable]:
     """The halves of a log whose rows name their sensor; () where the names are of no use."""
     names = np.array([text.lower() for text in sheet.texts(kinds)])
     values, tables = sheet.vectors(columns), []
@@ -390,7 +388,7 @@ def _by_name(sheet: Sheet, kinds: int, columns: Columns, t_s: FloatArray, notes:
     return tables
 
 
-def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) -> ImuTable:
+def _by_size(sheet: Table, columns: Columns, t_s: FloatArray, notes: list[str]) -> ImuTable:
     """A vector whose columns have no telling names, by its unit or the size of its values."""
     stated = plain_unit(sheet.unit(columns[0]))
     values = sheet.vectors(columns)

@@ -15,11 +15,9 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
 from .columns import time_among
-from .joint_columns import JointColumns, find_joint_columns, words_of
-from .protocol import FileHead, SkeletonTable
-from .raw_skeleton import Conventions, RawSkeleton, unit_by_arm
-from .table_layout import layout_of
-from .text_table import Sheet, read_sheet
+from .joints import JointColumns, find_joint_columns, words_of
+from .skeletons import Conventions, RawSkeleton, SkeletonTable, unit_by_arm
+from .table import FileHead, Table, read_table
 from .units import CAMERA_RATES, SECONDS, TIME, plain_unit
 
 #: States (N,) from the cells of a confidence column, numbers or words made numbers.
@@ -35,15 +33,15 @@ _WORDS = {
 
 def header_of(head: FileHead) -> tuple[str, ...]:
     """Names of the columns of a file's beginning; none where it is not a table with a header."""
-    layout = layout_of(head.lines) if head.text else None
+    layout = head.table
     return () if layout is None else layout.names
 
 
 def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[RawSkeleton, JointColumns]:
     """Read a table with one row per frame and body."""
-    sheet = read_sheet(path, expected)
+    sheet = read_table(path, expected)
     sheet.refuse_nameless()
-    columns = find_joint_columns(sheet.layout.names)
+    columns = find_joint_columns(sheet.names)
     raw = RawSkeleton(
         path,
         {joint: sheet.vectors(triple) for joint, triple in columns.axes.items()},
@@ -69,12 +67,12 @@ def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[Ra
     return raw, columns
 
 
-def _take_time(sheet: Sheet, columns: JointColumns, raw: RawSkeleton) -> bool:
+def _take_time(sheet: Table, columns: JointColumns, raw: RawSkeleton) -> bool:
     """Whether a column of no known name is the time; it is the skeleton's then."""
     used = {columns.frame, columns.body, *columns.confidence.values()}
     used |= {at for triple in (*columns.axes.values(), *(each for _, each in columns.rest)) for at in triple}
     free: dict[str, FloatArray] = {}
-    for at, name in enumerate(sheet.layout.names):
+    for at, name in enumerate(sheet.names):
         if at not in used:
             with suppress(RecordingError):  # of words, not of times
                 free[name] = sheet.times(at)[0]
@@ -85,7 +83,7 @@ def _take_time(sheet: Sheet, columns: JointColumns, raw: RawSkeleton) -> bool:
     return True
 
 
-def state_numbers(sheet: Sheet, column: int) -> FloatArray:
+def state_numbers(sheet: Table, column: int) -> FloatArray:
     """A column of confidences or states; words as `_WORDS` has them, also behind a prefix."""
     cells = sheet.texts(column)
     sample = next((cell for cell in cells if cell), "")
@@ -98,7 +96,7 @@ def state_numbers(sheet: Sheet, column: int) -> FloatArray:
     return np.array([code[cell] for cell in cells])
 
 
-def body_numbers(sheet: Sheet, column: int) -> FloatArray:
+def body_numbers(sheet: Table, column: int) -> FloatArray:
     """A column of the bodies' numbers; names are numbered in their order, no body (-1, 2^32 - 1) is nan."""
     cells = sheet.texts(column)
     if any(character.isalpha() for cell in cells[:50] for character in cell if cell.lower() != "nan"):
@@ -219,11 +217,11 @@ def _in_image(raw: RawSkeleton) -> bool:
 
 @dataclass(frozen=True)
 class SkeletonFormat:
-    """An importer of a table with a header, one row per frame and body; see `DeviceFormat`."""
+    """An importer of a table with a header, one row per frame and body; see `Format`."""
 
-    key: str  # As in `DeviceFormat`
-    title: str  # As in `DeviceFormat`
-    recognised_by: str  # As in `DeviceFormat`
+    key: str  # As in `Format`
+    title: str  # As in `Format`
+    recognised_by: str  # As in `Format`
     expected: str  # What a file should be, for messages
     # Whether a table that names an elbow and a wrist of one side is of this format, by its columns' names and
     # what they are
@@ -232,7 +230,7 @@ class SkeletonFormat:
     # What the format settles; or makes the skeletons in a way of its own
     conventions: Conventions | Callable[[RawSkeleton, JointColumns], list[SkeletonTable]]
     guesses: bool = False  # Joints that are never tracked are treated as inferred
-    kind: str = "skeleton"  # As in `DeviceFormat`
+    kind: str = "skeleton"  # As in `Format`
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the header names an elbow and a wrist of one side, as this format does."""

@@ -27,9 +27,7 @@ from smoother.io.devices.described import describe_file
 from smoother.io.devices.files import ImuFiles, import_files
 from smoother.io.devices.registry import FileReader, recognise, unknown_file
 from smoother.io.recording.keypoints import TOPIC
-from smoother.io.tables.protocol import read_head
-from smoother.io.tables.table_layout import LONGEST_LINE, MOST_COLUMNS, layout_of
-from smoother.io.tables.text_table import read_sheet
+from smoother.io.tables.table import LONGEST_LINE, MOST_COLUMNS, layout_of, read_head, read_table
 from smoother.units import STANDARD_GRAVITY
 
 T, ACC, GYRO = turning(1000, 100.0)
@@ -348,7 +346,7 @@ def test_a_long_table_is_described_by_its_beginning(tmp_path: Path, monkeypatch:
 def test_a_workbook_of_any_length(tmp_path: Path) -> None:
     rows: list[list[object]] = [["time_s", "acc_x", "acc_y", "acc_z"]]
     rows += [[at / 100, 0.123456789, 9.87654321, at * 0.001] for at in range(4000)]
-    sheet = read_sheet(workbook(tmp_path / "a.xlsx", rows))  # some 150,000 characters
+    sheet = read_table(workbook(tmp_path / "a.xlsx", rows))  # some 150,000 characters
     assert len(sheet) == 4000 and sheet.numbers(3)[-1] == pytest.approx(3.999)
 
 

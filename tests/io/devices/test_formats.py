@@ -19,8 +19,7 @@ from smoother.io.devices.folder import sort_files
 from smoother.io.devices.registry import FileReader, format_named, formats, unknown_file
 from smoother.io.recording.streams import RecordingFile
 from smoother.io.tables.imu_columns import ImuFormat
-from smoother.io.tables.protocol import decode, read_head, shown
-from smoother.io.tables.text_table import read_sheet
+from smoother.io.tables.table import decode, read_head, read_table, shown
 
 ROOT = Path(__file__).parents[3]
 
@@ -86,7 +85,7 @@ def test_workbooks_archives_and_headers_alone(tmp_path: Path, raw: bytes, said: 
     path.write_bytes(raw)
     assert said in str(unknown_file(read_head(path)))
     with pytest.raises(RecordingError, match=said):
-        read_sheet(path)
+        read_table(path)
 
 
 MUTANTS = 600

@@ -11,7 +11,7 @@ from imu_files import GRAVITY, motion, printed, rows
 
 from smoother.errors import RecordingError
 from smoother.io.devices.registry import format_named, formats
-from smoother.io.tables.protocol import read_head
+from smoother.io.tables.table import read_head
 
 # ---------------------------------------------------------------------------------------- Xsens DOT
 PREAMBLE = (
@@ -407,7 +407,7 @@ def test_other_plain_tables(tmp_path: Path, header: str, units: str):
 
 
 def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
-    from smoother.io.tables.imu_checks import paired
+    from smoother.io.tables.imu import paired
 
     slow = DEG / 4  # 21 deg/s at most: by its size it could be rad/s
     (gyro,) = tables(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, slow)), "android")

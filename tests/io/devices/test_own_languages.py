@@ -14,9 +14,10 @@ from smoother.errors import RecordingError
 from smoother.io.devices.describe_table import guess_sensor
 from smoother.io.devices.files import ImuFiles, import_files
 from smoother.io.devices.registry import FileReader, recognise
-from smoother.io.tables.joint_columns import joint_name
-from smoother.io.tables.protocol import ImuTable, SkeletonTable, read_head
-from smoother.io.tables.text_table import read_sheet
+from smoother.io.tables.imu import ImuTable
+from smoother.io.tables.joints import joint_name
+from smoother.io.tables.skeletons import SkeletonTable
+from smoother.io.tables.table import read_head, read_table
 
 COUNT = 400
 ACC, GYRO = motion(COUNT)
@@ -155,6 +156,6 @@ def test_german_headers(tmp_path: Path, turning: str, units: bool) -> None:
     path.write_text("\n".join([";".join(header), *rows, ""]), encoding="utf-8")
     (table,) = tables(path, "phyphox" if units else "android")
     assert np.allclose(table.t_s, np.arange(300) / 100) and np.allclose(table.gyro, gyro, atol=1e-6)
-    guess = guess_sensor(read_sheet(path))
+    guess = guess_sensor(read_table(path))
     assert guess.columns["t"] == f"Zeit{second}" and guess.keys["time_unit"] == "s"
     assert guess.columns["gx"] == f"{turning} x{rate}"

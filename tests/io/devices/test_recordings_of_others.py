@@ -20,7 +20,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from smoother.errors import RecordingError
 from smoother.io import open_recording
 from smoother.io.tables.columns import find_sensors
-from smoother.io.tables.joint_columns import AZURE, KINECT_V2
+from smoother.io.tables.joints import AZURE, KINECT_V2
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 60

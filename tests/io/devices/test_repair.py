@@ -14,8 +14,8 @@ from smoother.errors import RecordingError
 from smoother.io.devices.files import ImuFiles, import_files
 from smoother.io.devices.repair import Timed, count_from_zero, repaired_imu, repaired_skeleton, shifts
 from smoother.io.tables.columns import missing_axes, missing_axes_words
-from smoother.io.tables.imu_checks import paired
-from smoother.io.tables.protocol import ImuTable, SkeletonTable
+from smoother.io.tables.imu import ImuTable, paired
+from smoother.io.tables.skeletons import SkeletonTable
 
 N = 2000
 T = np.arange(N) / 100.0

@@ -12,7 +12,7 @@ from importers import tables
 from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
-from smoother.io.tables.joint_columns import AZURE, BLAZEPOSE, BODY_25, JointName, joint_name
+from smoother.io.tables.joints import AZURE, BLAZEPOSE, BODY_25, JointName, joint_name
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 30

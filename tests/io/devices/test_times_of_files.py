@@ -15,7 +15,7 @@ from smoother.io.devices.registry import FileReader
 from smoother.io.devices.repair import repaired_imu, repaired_skeleton
 from smoother.io.recording.clean import clean_imu
 from smoother.io.recording.streams import ImuSamples
-from smoother.io.tables.protocol import ImuTable
+from smoother.io.tables.imu import ImuTable
 
 ROWS = 400
 ACC, GYRO = motion(ROWS)

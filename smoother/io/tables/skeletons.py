@@ -9,13 +9,49 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array_types import FloatArray, IntArray
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
-from ..markers import without_origin
-from .joint_columns import JointName
-from .protocol import SkeletonTable, shown
+from .joints import JointName
+from .table import shown
 from .units import CAMERA_RATES, METRES, SECONDS, from_1970, unit_of_step
+
+
+@dataclass
+class ImagePoints:
+    """One body's joints in the pictures of a camera."""
+
+    width: int  # Of the pictures, pixels
+    height: int  # Of the pictures, pixels
+    joints: dict[str, FloatArray]  # dict of (F, 3)
+
+    def select(self, keep: BoolArray | IntArray) -> ImagePoints:
+        """Some of the frames."""
+        return ImagePoints(self.width, self.height, {name: rows[keep] for name, rows in self.joints.items()})
+
+
+@dataclass
+class SkeletonTable:
+    """One body's joints as a file has them, in metres, times not yet repaired."""
+
+    body: int  # The file's number of the body
+    t_s: FloatArray | None  # (F,) s: frame times as written, on the camera's clock
+    # dict of (F, 3) m: By joint and side (`wrist_left`, `shoulder_right`, ..); nan where there is none
+    position: dict[str, FloatArray]
+    state: dict[str, NDArray[np.int8]]  # int (F,): `JointState` values of the same joints
+    frame: CameraFrame | None = None  # Where the format settles the axes
+    gravity_hint: FloatArray | None = None  # (3,)
+    rate_hz: float | None = None  # Rate that the file or its format states
+    relative: bool = False  # Positions are relative to the body (about the hips)
+    units: str = ""  # As written in the file ("mm")
+    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
+    image: ImagePoints | None = None  # The same joints in the pictures, where the file has them
+
+
+def without_origin(position: FloatArray) -> FloatArray:
+    """Positions (..., 3) in which all of (0, 0, 0), as many programs write a lost marker, is nan."""
+    return np.where((position == 0).all(axis=-1, keepdims=True), np.nan, position)
+
 
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.
 ARM_M = (0.09, 0.6)

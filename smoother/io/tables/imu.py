@@ -2,16 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...array_types import BoolArray, FloatArray
 from ...errors import RecordingError
 from ...linalg import interpolate, median_rate_hz
 from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
 from ...units import STANDARD_GRAVITY
-from .protocol import ImuTable, amount
+from .table import amount
+
+
+@dataclass
+class ImuTable:
+    """One inertial sensor as a file has it, in SI units, times not yet repaired."""
+
+    name: str  # What the file calls the sensor ("" where it does not say)
+    t_s: FloatArray | None  # (N,) s: stamps as written, on the device's clock
+    acc: FloatArray | None  # (N, 3) m/s^2 and rad/s: none where the file contains only the other of the two
+    gyro: FloatArray | None  # (N, 3) m/s^2 and rad/s: none where the file contains only the other of the two
+    mag: FloatArray | None = None  # (N, 3): in the sensor's own unit
+    rate_hz: float | None = None  # Rate that the file states, or that its counter counts
+    # int (N,): Packet counter, where there is one
+    counter: NDArray[np.int64] | None = None
+    counter_wraps: int = 0  # 0 = it does not wrap
+    units: str = ""  # As written in the file, for the line that is said of it ("m/s^2, deg/s")
+    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
+    # The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may settle it
+    gyro_unit_assumed: bool = False
+    made_of: tuple[str, ...] = ()  # Streams of the file that contain a half each
+
 
 #: A median below this part of gravity has no gravity.
 _NO_GRAVITY = 0.35
