@@ -27,9 +27,9 @@ from .output import check_mcap, check_outputs, print_notes, print_table, say, sa
 
 if TYPE_CHECKING:
     from ..io import RecordingFile
-    from ..io.devices.described import DescribedFile
-    from ..io.devices.files import FileReport, ImuFiles
-    from ..io.media.strap import StrapFound
+    from ..io.files import FileReport, ImuFiles
+    from ..io.rig.strap import StrapFound
+    from ..io.tables.describe import DescribedFile
     from ..recording import Recording
 
 
@@ -64,7 +64,7 @@ def csv(
 ) -> None:
     """Import recording.toml with skeleton and IMU tables."""
     from ..io import open_csv
-    from ..io.plain.template import read_templates
+    from ..io.tables.recording_toml import read_templates
 
     check_mcap(output)
     inputs = [path for path in folder.glob("*") if path.is_file()]
@@ -208,10 +208,9 @@ def files(
     """Import files as exported by devices and camera programs."""
     from calib.intrinsics import read_camera_file
 
-    from ..io.devices.files import import_files
-    from ..io.devices.folder import add_truth, sort_files
-    from ..io.devices.registry import FileReader
-    from ..io.plain.template import read_templates
+    from ..io.files import add_truth, import_files, sort_files
+    from ..io.registry import FileReader
+    from ..io.tables.recording_toml import read_templates
 
     reader = FileReader(imu_format, skeleton_format, read_templates(template or []))
     named_skeletons = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
@@ -291,7 +290,7 @@ def _check_role(name: str) -> None:
 
 def imu_files(text: str) -> ImuFiles:
     """What `--imu [NAME=]FILE[,FILE]` or `FILE#SENSOR[,#SENSOR]` names."""
-    from ..io.devices.files import ImuFiles
+    from ..io.files import ImuFiles
 
     name, sensor, rest = "", "", text.strip()
     if not Path(rest).exists() and "=" in rest:
@@ -311,7 +310,7 @@ def imu_files(text: str) -> ImuFiles:
 
 def formats(json_file: Json = None, force: Force = False) -> None:
     """List the formats that `import files` recognises."""
-    from ..io.devices.registry import formats as importers
+    from ..io.registry import formats as importers
 
     check_outputs(force, [json_file])
     figures = [
@@ -344,10 +343,10 @@ def describe(
     Of several files, or those of a folder, list the streams that they contain: rates, units, axes. --json has
     a small plot of each, and the guess about tables of an unknown layout.
     """
-    from ..io.devices.describe_table import toml_of
-    from ..io.devices.described import describe_files, guessed_table
-    from ..io.devices.registry import FileReader
-    from ..io.plain.template import read_templates
+    from ..io.registry import FileReader
+    from ..io.tables.columns import toml_of
+    from ..io.tables.describe import describe_files, guessed_table
+    from ..io.tables.recording_toml import read_templates
 
     check_outputs(force, [json_file], [path for path in paths if not path.is_dir()])
     reader = FileReader(templates=read_templates(template or []))
@@ -442,7 +441,7 @@ def strap(
     from calib.strap import held_radius, mounted_on
 
     from ..calibration import Length
-    from ..io.media.strap import check_images
+    from ..io.rig.strap import check_images
     from ..report.strap import verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from ..io.tables.columns import SensorChannels, find_sensors, joint_label, kind_of
+from ..io.tables.imu import SensorChannels, find_sensors, joint_label, kind_of
 from ..io.tables.joints import find_joint_columns, words_of
 from ..io.tables.skeleton_formats import kinect_states, share_states
 from ..io.tables.skeletons import without_origin

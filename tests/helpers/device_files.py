@@ -70,7 +70,7 @@ phyphox = _table(
     form="{:.9E}",
 )
 named = _table(
-    ";".join(["Zeit [ms]", *_xyz("K1 {} [g]"), *_xyz("D1 {} [deg/s]")]),
+    ";".join(["Lauf [ms]", *_xyz("K1 {} [g]"), *_xyz("D1 {} [deg/s]")]),
     columns=(MICROS / 1e3, ACC / GRAVITY, DEG),
     separator=";",
 )

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
-from smoother.io.markers import _whole, read_markers
+from smoother.io.tables.markers import _whole, read_markers
 
 DATASETS = os.environ.get("UNOCCLUDE_DATASETS")
 

@@ -211,12 +211,12 @@ _ELSE = {
     *("uncertainty", "sigma", "std", "cov", "q"),
 }
 _NORMALISED = {"norm", "normalized", "normalised"}
-_BODY = (
+BODY_WORDS = (
     *("body idx", "body id", "bodyid", "bodyidx", "body", "tracking id", "trackingid", "person", "person id"),
     *("skeleton id", "skeletonid", "user id", "userid", "user", "player", "player id", "subject", "track id"),
     *("body index", "body num", "pose id", "pose index", "pose idx", "id"),
 )
-_TIME = (
+TIME_WORDS = (
     *(
         "timestamp",
         "time stamp",
@@ -246,7 +246,16 @@ _TIME = (
     *("time in", "unix", "unix time", "unix timestamp", "epoch", "epoch time", "kinect time", "host time"),
     *("host timestamp", "system time", "sensor time", "tick", "captured at", "capture time", "time span"),
 )
-_FRAME = ("frame", "frame number", "frame no", "frame index", "frame idx", "frame id", "framenumber", "index")
+FRAME_WORDS = (
+    "frame",
+    "frame number",
+    "frame no",
+    "frame index",
+    "frame idx",
+    "frame id",
+    "framenumber",
+    "index",
+)
 _UNIT_WORDS = {
     **dict.fromkeys(("us", "usec", "usecs", "microsecond", "microseconds", "micros"), 1e-6),
     **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds", "millis"), 1e-3),
@@ -388,8 +397,8 @@ def _bookkeeping(names: Sequence[str], result: JointColumns) -> None:
     """Columns of time, frame and body, which belong to no joint."""
     used = {at for triple in result.axes.values() for at in triple}
     free = [name if at not in used else "" for at, name in enumerate(names)]
-    result.time = column_named(free, _TIME)
-    result.frame = column_named(free, _FRAME)
-    result.body = column_named(free, _BODY)
+    result.time = column_named(free, TIME_WORDS)
+    result.frame = column_named(free, FRAME_WORDS)
+    result.body = column_named(free, BODY_WORDS)
     if result.time is not None:
         result.time_scale = time_unit_of(names[result.time])

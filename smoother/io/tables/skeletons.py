@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
-from .joints import JointName
+from .joints import JointName, joint_name
 from .table import shown
 from .units import CAMERA_RATES, METRES, SECONDS, from_1970, unit_of_step
 
@@ -53,6 +53,8 @@ def without_origin(position: FloatArray) -> FloatArray:
     return np.where((position == 0).all(axis=-1, keepdims=True), np.nan, position)
 
 
+#: What positions count in where a table contains u, v and the score instead of places.
+PIXELS = "pixels"
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.
 ARM_M = (0.09, 0.6)
 #: What is larger is not a position in any unit, but a cell that was damaged.
@@ -241,7 +243,8 @@ class RawSkeleton:
     """Numbers of a file as written, one row per frame and body."""
 
     path: Path  # The file
-    position: dict[str, FloatArray]  # dict of (N, 3): by joint and side, in the file's unit
+    # dict of (N, 3): by joint and side, in the file's unit
+    position: dict[str, FloatArray] = field(default_factory=dict)
     # int (N,): `JointState` values where the file has them
     state: dict[str, NDArray[np.int8]] = field(default_factory=dict)
     time: FloatArray | None = None  # (N,): as written
@@ -251,6 +254,18 @@ class RawSkeleton:
     rest: list[tuple[JointName, FloatArray]] = field(default_factory=list)  # (N, 3) ): hips, feet and head
     rate_hz: float | None = None  # As the file states it
     notes: list[str] = field(default_factory=list)  # What was decided in reading
+
+    def add(self, name: str, rows: FloatArray, state: NDArray[np.int8] | None = None) -> None:
+        """Put in the positions (N, 3) of a joint or marker by its name, if it is one that counts."""
+        meaning = joint_name(name)
+        if meaning is None or (meaning.joint and meaning.kind == "skin"):
+            return
+        if not meaning.joint:
+            self.rest.append((meaning, rows))
+            return
+        self.position[meaning.joint] = rows
+        if state is not None:
+            self.state[meaning.joint] = state
 
     def skeletons(self, conventions: Conventions) -> list[SkeletonTable]:
         """One skeleton a body."""

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 
 from ...array_types import FloatArray
-from ...errors import RecordingError
-from ...units import GRAVITY, STANDARD_GRAVITY
+from ...units import STANDARD_GRAVITY
 
 #: m/s^2 in one unit, by the unit in its plain form (see `plain_unit`).
 ACCELERATION = {
@@ -100,18 +98,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 #: Rates that a sensor may have, Hz: times are of the unit that gives one of these.
 SENSOR_RATES = (3.0, 2500.0)
-#: Sizes that are gravity in m/s^2, in g and in mg.
-_IS_GRAVITY, _IS_ONE_G, _IS_1000_MG = (8.0, 12.0), (0.85, 1.15), (700.0, 1300.0)
 #: Sizes at rest, when no motion adds to them, by the unit that they are gravity in.
 _AT_REST = {"g": (0.7, 1.4), "mg": (700.0, 1400.0), "mm/s^2": (7000.0, 14000.0)}
-#: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
-_FAST = 40.0
-#: A field of 15 to 120 uT whose middle half lies within a quarter is the earth's.
-_FIELD, _FIELD_SPREAD = (15.0, 120.0), 0.25
-#: A size that varies by less is the system's estimate of gravity, not a sensor.
-_EXACT = 1e-4
-
-
 #: Frame rates of cameras, Hz.
 CAMERA_RATES = (4.0, 260.0)
 #: The years 1990 and 2100 since 1970, s.
@@ -167,51 +155,3 @@ def from_1970(times: FloatArray, unit: str) -> FloatArray:
 def unit_of_rest(size: float) -> str:
     """Unit in which a specific force of that size at rest is gravity, if it is another one than m/s^2."""
     return next((unit for unit, (low, high) in _AT_REST.items() if low < size < high), "")
-
-
-def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str:  # values (n, 3)
-    """Unit of an accelerometer (n, 3) that states none: m/s^2 as on Android, or g where gravity is 1."""
-    size = np.linalg.norm(values, axis=1)
-    median = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-    if _IS_ONE_G[0] < median < _IS_ONE_G[1]:
-        notes.append("The accelerometer states no unit; gravity is 1, so it is in g.")
-        return "g"
-    if _IS_1000_MG[0] < median < _IS_1000_MG[1]:
-        notes.append("The accelerometer states no unit; gravity is 1000, so it is in mg.")
-        return "mg"
-    if not 0.35 < median / GRAVITY < 2:
-        raise RecordingError(
-            f"{source} states no unit of acceleration, and its usual size of {median:.3g} is neither 9.81"
-            " m/s^2 nor 1 g; export calibrated acceleration with gravity, or describe it in a recording.toml."
-        )
-    notes.append("The accelerometer states no unit; gravity is 9.8, so it is in m/s^2.")
-    return "m/s^2"
-
-
-def turning_unit(values: FloatArray, notes: list[str]) -> str:
-    """Unit of a gyroscope (n, 3) that states none: rad/s as on Android, deg/s where it is too fast."""
-    finite = np.abs(values[np.isfinite(values)])
-    unit = "deg/s" if len(finite) and float(np.percentile(finite, 99)) > _FAST else "rad/s"
-    notes.append(f"The gyroscope states no unit; by the size of its values it is in {unit}.")
-    return unit
-
-
-def unit_by_size(values: FloatArray, source: Path) -> str:  # values (n, 3)
-    """Unit, and with it the sensor, of a vector that states neither."""
-    size = np.linalg.norm(values, axis=1)
-    low, median, high = np.percentile(size[np.isfinite(size)], (25, 50, 75))
-    if _IS_GRAVITY[0] < median < _IS_GRAVITY[1]:
-        if high - low < _EXACT * median:
-            raise RecordingError(
-                f"{source} contains gravity as the system estimates it, not an accelerometer; log the raw"
-                " accelerometer."
-            )
-        return "m/s^2"
-    if _IS_ONE_G[0] < median < _IS_ONE_G[1] and high - low < 0.3:
-        return "g"
-    if _FIELD[0] < median < _FIELD[1] and high - low < _FIELD_SPREAD * median:
-        raise RecordingError(
-            f"{source} looks like a magnetometer (its size is {median:.0f} throughout); name the files of the"
-            " accelerometer and the gyroscope."
-        )
-    return "deg/s" if float(np.percentile(size[np.isfinite(size)], 99)) > _FAST else "rad/s"

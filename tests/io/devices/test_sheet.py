@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
-from smoother.io.devices.registry import FileReader, recognise
-from smoother.io.plain.folder import open_csv
-from smoother.io.plain.table import read_table as read_strict
+from smoother.io.registry import FileReader, recognise
+from smoother.io.tables.columns import read_exact as read_strict
 from smoother.io.tables.imu import ImuTable
+from smoother.io.tables.recording_toml import open_csv
 from smoother.io.tables.table import read_head, read_table, seconds_of_dates, table_of
 from smoother.io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
 

@@ -84,7 +84,7 @@ def test_world_landmarks(tmp_path: Path, layout: str) -> None:
     else:
         write(path, values[layout])
     if layout == "arrays":  # no name in it: asked for by --skeleton-format
-        from smoother.io.devices.registry import format_named
+        from smoother.io.registry import format_named
 
         (table,) = format_named("pose-json").read(path)
     else:

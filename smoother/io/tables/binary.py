@@ -14,8 +14,8 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import crashes_in_subprocess
 from ...units import STANDARD_GRAVITY
-from ..tables.imu import ImuTable, holds_gravity, size_notes
-from ..tables.table import FileHead, Format, amount, begins, shown
+from .imu import ImuTable, holds_gravity, size_notes
+from .table import FileHead, Format, amount, begins, shown
 
 
 def read_apdm_hdf(path: Path) -> list[ImuTable]:

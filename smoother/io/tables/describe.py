@@ -16,10 +16,12 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JointState
-from ..media.pose_landmarks import is_model
-from ..tables.imu import ImuTable
-from ..tables.skeletons import SkeletonTable
-from ..tables.table import (
+from ..files import files_meant, times_of
+from ..registry import FileReader, Tables, unknown_file
+from .columns import Guess, guess_of
+from .imu import ImuTable
+from .skeletons import SkeletonTable
+from .table import (
     HEAD_BYTES,
     FileHead,
     Format,
@@ -32,12 +34,8 @@ from ..tables.table import (
     unpacked_size,
     workbook_text,
 )
-from .describe_table import Guess, guess_of
-from .files import times_of
-from .folder import files_meant
-from .registry import FileReader, Tables, unknown_file
-from .repair import repaired_imu, repaired_skeleton
-from .video_file import is_video
+from .times import repaired_imu, repaired_skeleton
+from .video import is_model, is_video
 
 #: Columns of a plot: of the samples that fall into one, the least and the largest are kept.
 BINS = 200

@@ -12,11 +12,9 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ..recording.keypoints import states_of_scores
-from ..tables.joints import POINT_SETS, joint_name
-from ..tables.skeletons import USUAL_RATE_HZ, ImagePoints, SkeletonTable, camera_time_scale, require_arm
+from .joints import POINT_SETS, joint_name
+from .skeletons import PIXELS, USUAL_RATE_HZ, ImagePoints, SkeletonTable, camera_time_scale, require_arm
 
-#: What positions count in where a table contains u, v and the score instead of places.
-PIXELS = "pixels"
 #: Scores of COCO's visibilities: not labelled, labelled and hidden, visible.
 VISIBILITY = (0.0, 0.3, 1.0)
 #: A row of a frame: its number, its time as written (or nan), and u, v, score one after the other.

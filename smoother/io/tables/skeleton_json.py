@@ -15,17 +15,17 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input
-from ..tables.joints import AZURE, BLAZEPOSE, POINT_SETS, JointName, joint_name
-from ..tables.skeleton_formats import (
+from .image_keypoints import keypoint_rows, keypoint_table
+from .joints import AZURE, BLAZEPOSE, POINT_SETS, JointName, joint_name
+from .skeleton_formats import (
     about_hips,
     azure_states,
     inferred_throughout,
     landmarks_in_metres,
     share_states,
 )
-from ..tables.skeletons import Conventions, RawSkeleton, SkeletonTable
-from ..tables.table import FileHead, Format, decode
-from .image_keypoints import keypoint_rows, keypoint_table
+from .skeletons import Conventions, RawSkeleton, SkeletonTable
+from .table import FileHead, Format, decode
 
 
 def read_json(path: Path, expected: str) -> Any:

@@ -12,9 +12,9 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
 from ...runtime.inputs import check_input
-from ..markers import Markers, read_c3d, read_trc, would_crash
-from ..tables.joints import JointName, joint_name
-from ..tables.skeletons import (
+from .joints import JointName, joint_name
+from .markers import Markers, read_c3d, read_trc, would_crash
+from .skeletons import (
     SkeletonTable,
     axis_words,
     down_of,
@@ -24,8 +24,8 @@ from ..tables.skeletons import (
     unit_by_arm,
     up_axis,
 )
-from ..tables.table import FileHead, Format, shown
-from ..tables.units import METRES
+from .table import FileHead, Format, shown
+from .units import METRES
 
 #: A position farther away is a damaged number.
 _FARTHEST_M = 1e6

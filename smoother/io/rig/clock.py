@@ -25,7 +25,7 @@ from ..mcap.messages import McapMessage, Topic
 from ..recording.write import write_recording
 from ..wire.cdr import CdrReader
 from ..wire.schemas import parsed
-from .panel_files import writing_folder
+from .panel import writing_folder
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
 JUMP_PART = 0.5

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ..array_types import FloatArray
-from ..errors import RecordingError
-from ..runtime.inputs import check_input, crashes_in_subprocess
-from .plain.table import read_table
-from .tables.skeletons import without_origin
-from .tables.table import decode, plain_minus, shown
-from .tables.units import METRES
+from ...array_types import FloatArray
+from ...errors import RecordingError
+from ...runtime.inputs import check_input, crashes_in_subprocess
+from .columns import read_exact
+from .skeletons import without_origin
+from .table import decode, plain_minus, shown
+from .units import METRES
 
 
 @dataclass(frozen=True)
@@ -385,7 +385,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
-    numbers, words = read_table(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
+    numbers, words = read_exact(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
     rows = np.column_stack([numbers[axis] for axis in "xyz"])
     names, _ = told_apart(words["marker"])
     known = np.asarray(np.isfinite(rows).all(axis=1), bool)

@@ -1,9 +1,12 @@
-"""Times of device tables repaired, and clocks that have nothing in common brought together."""
+"""Times of tables: which column they are, repaired, and clocks brought together that share nothing."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +23,104 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from ..tables.imu import ImuTable
-from ..tables.skeletons import SkeletonTable
-from ..tables.table import amount
+from .imu import ImuTable
+from .joints import words_of
+from .skeletons import SkeletonTable
+from .table import Table, amount, shown
+from .units import SECONDS, TIME, from_1970, plain_unit, time_unit, unit_of_step
+
+#: Labels of a column of times, the best first; units behind them (time_ms) are taken off already.
+TIMES = (
+    *("epoch", "epoc"),  # MetaMotion's dates beside it are of a time zone
+    *("timestamp", "time", "t", "sensor_timestamp", "sensortimestamp", "event_timestamp", "eventtimestamp"),
+    *("timestamp_nano", "unix_time", "unixtime", "seconds_elapsed", "seconds", "elapsed", "ts"),
+    *("elapsedrealtime", "elapsedrealtimenanos", "elapsed_realtime_nanos", "time since start in ms"),
+    *("datetime", "date", "milliseconds", "nanoseconds", "systemtime", "system_time", "phone_time"),
+    *("time_in", "time in", "unix", "unix timestamp", "unix_timestamp", "kinect_time", "kinecttime"),
+    *("host_time", "hosttime", "captured_at", "capturedat", "capture_time", "timespan", "tick", "ticks"),
+    *("time_in_ms", "time_in_us", "time_in_ns", "time_in_s", "filetime"),
+    *("zeit", "zeitstempel", "temps", "tiempo", "tempo"),
+)
+#: Units that a label ends with, where they are not taken off.
+_SUFFIX = re.compile(r"(?:_|\s|\b)(ns|nano\w*|us|micro\w*|ms|milli\w*|s|sec\w*)$")
+#: This share of the steps of a column of times rises, and lies within these parts of the usual one.
+_RISES, _EVEN, _EVEN_SHARE = 0.95, (0.3, 3.0), 0.8
+#: Fewer rows than these rise by chance.
+_FEWEST = 8
+
+
+def time_column(table: Table) -> int | None:
+    """The column that is the time by its name; without names the first."""
+    if not table.labels:
+        return 0
+    exact = table.find(*TIMES)
+    if exact is not None:
+        return exact
+    return 0 if table.labels[0].startswith(("time", "timestamp", "elapsed", "epoch")) else None
+
+
+def stated_time_unit(table: Table, column: int) -> str:
+    """The unit that a column of times states, in brackets or behind its name; "" where it states none."""
+    stated = TIME.get(plain_unit(table.unit(column)))
+    suffix = _SUFFIX.search(table.labels[column] if table.labels else "")
+    letters = suffix.group(1) if suffix else ""
+    said = (
+        "us"
+        if letters.startswith("micro")
+        else {"n": "ns", "u": "us", "m": "ms", "s": "s"}.get(letters[:1], "")
+    )
+    return next((unit for unit, seconds in SECONDS.items() if seconds == stated), said)
+
+
+def seconds(table: Table, column: int | None, unit: str = "s") -> FloatArray | None:
+    """Times of a column, (n,) in s, dates since 1970; None for no column or one without times."""
+    if column is None or not any(table.texts(column)[:2000]):
+        return None
+    times, dates = table.times(column)
+    if not np.isfinite(times).any():
+        return None
+    if dates:
+        return times
+    stated = next((u for u, s in SECONDS.items() if s == TIME.get(plain_unit(table.unit(column)))), unit)
+    fits = time_unit(stated, times) or stated
+    note = f"Times are in {fits}, by the rate or the date that they give, not in {stated}."
+    if fits != stated and note not in table.notes:
+        table.notes.append(note)
+    return from_1970(times, fits) * SECONDS[fits]
+
+
+def time_among(
+    columns: Mapping[str, FloatArray], rates_hz: tuple[float, float], source: Path, notes: list[str]
+) -> tuple[str, str]:
+    """The column that is the time, and its unit, among those (n,) that nothing else is known of."""
+    for name, values in columns.items():
+        if {"x", "y", "z", "w"} & set(words_of(name)):
+            continue
+        step = np.diff(values[np.isfinite(values)])
+        moved = step[step != 0]
+        if len(values) < _FEWEST or len(moved) < 0.3 * (len(values) - 1) or not (moved > 0).mean() > _RISES:
+            continue
+        usual = float(np.median(moved))
+        unit = unit_of_step(usual, rates_hz, "", float(np.nanmedian(values)))
+        if usual == 1 and (values % 1 == 0)[np.isfinite(values)].all() and np.nanmax(values) < 1e11:
+            notes.append(f"The column {shown(name, 60)} counts rows or packets and is not the time.")
+            continue
+        even = ((step > _EVEN[0] * usual) & (step < _EVEN[1] * usual)).mean() > _EVEN_SHARE
+        if unit is None and not even:
+            continue
+        if unit is None or not even or not (step > 0).all() or not np.isfinite(values).all():
+            raise RecordingError(
+                f"{source} has no time by its name, and its column {shown(name, 60)} rises like one, but it"
+                " is not certain that it is, or in which unit; call it time_s, time_ms, time_us, time_ns or"
+                f" time_ticks, or describe it in a recording.toml (`unocclude import describe {source}`)."
+            )
+        notes.append(
+            f"The column {shown(name, 60)} was taken for the time, in {unit}: it alone rises evenly, with"
+            f" {1 / (usual * SECONDS[unit]):.4g} rows per second."
+        )
+        return name, unit
+    return "", ""
+
 
 #: Rows at the start with a stamp of zero are not times where the next stamp is this much later, s.
 _FAR_S = 3600.0
