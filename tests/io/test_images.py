@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import ros_bags
 from scipy.io import wavfile
-from smoother.io.rig import panel as panel_files
 
 from calib.panel.images import read_view, unpacked
 from smoother.errors import CalibrationError, RecordingError
 from smoother.io.mcap.merge import Output, OutputStream
+from smoother.io.rig import panel as panel_files
 from smoother.io.rig.clock import read_sound
 from smoother.io.rig.images import ImageMessage, LensMessage, raw_image, read_images
 from smoother.io.rig.panel import read_pairs

@@ -444,8 +444,8 @@ def _frame_times(
 #: How a reason begins that is made up.
 UNKNOWN = "NOT KNOWN"
 _NO_SENSOR = (
-    "No three columns look like an accelerometer's or a gyroscope's (linear acceleration is without gravity and"
-    " is not read)."
+    "No three columns look like an accelerometer's or a gyroscope's (linear acceleration is without gravity,"
+    " and is not read)."
 )
 _NO_UNIT_NOTE = "The gyroscope's unit is guessed by its size alone: check it in the device's manual."
 

@@ -1,10 +1,10 @@
-"""Skeletons in JSON: body tracking of a Kinect, landmarks of MediaPipe, keypoints in OpenPose's manner."""
+"""Skeletons in JSON: body tracking of a Kinect, landmarks in space, keypoints in images (OpenPose, COCO)."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,36 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input
-from .image_keypoints import keypoint_rows, keypoint_table
-from .joints import AZURE, BLAZEPOSE, POINT_SETS, JointName, joint_name
+from ..recording.keypoints import states_of_scores
+from .joints import AZURE, BLAZEPOSE, POINT_SETS, joint_name
 from .skeleton_formats import (
+    AZURE_AXES,
+    STATE_WORDS,
+    StateReader,
     about_hips,
     azure_states,
     inferred_throughout,
     landmarks_in_metres,
     share_states,
 )
-from .skeletons import Conventions, RawSkeleton, SkeletonTable
+from .skeletons import (
+    PIXELS,
+    USUAL_RATE_HZ,
+    Conventions,
+    ImagePoints,
+    RawSkeleton,
+    SkeletonTable,
+    camera_time_scale,
+    require_arm,
+)
 from .table import FileHead, Format, decode
+
+#: x, y, z and the confidence of a point.
+Point = tuple[float, float, float, float]
+NAN = float("nan")
+NOTHING: Point = (NAN,) * 4
+
+# ---------------------------------------------------------------------------------------- values and points
 
 
 def read_json(path: Path, expected: str) -> Any:
@@ -41,14 +60,11 @@ def read_json(path: Path, expected: str) -> Any:
         rows = _lines(text)
         if rows is not None:
             return rows
-        if isinstance(error, RecursionError):
-            raise RecordingError(
-                f"{path} should be {expected}, and its JSON is nested too deeply to be one; export it again."
-            ) from None
-        where = f" in line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
-        raise RecordingError(
-            f"{path} should be {expected}, and its JSON is cut off{where}; copy or export it again."
-        ) from None
+        what = "nested too deeply to be one; export it again."
+        if not isinstance(error, RecursionError):
+            where = f" in line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
+            what = f"cut off{where}; copy or export it again."
+        raise RecordingError(f"{path} should be {expected}, and its JSON is {what}") from None
 
 
 def _lines(text: str) -> list[Any] | None:
@@ -64,65 +80,102 @@ def _lines(text: str) -> list[Any] | None:
     return rows if len(rows) > 1 else None
 
 
-def xyz_of(value: Any) -> tuple[float, float, float, float]:
-    """x, y, z and confidence of a point as a list or a mapping; nan for what is missing."""
-    if isinstance(value, Mapping):
-        small = {str(key).lower(): entry for key, entry in value.items()}
-        inner = next(
-            (small[key] for key in ("position", "pos", "xyz", "location", "point") if key in small), None
-        )
-        if inner is not None:
-            x, y, z, _ = xyz_of(inner)
-        else:
-            x, y, z = (number(small.get(axis)) for axis in "xyz")
-        names = (
-            "visibility",
-            "confidence",
-            "confidence_level",
-            "state",
-            "trackingstate",
-            "tracking_state",
-            "score",
-        )
-        share = next((number(small[name]) for name in names if name in small), float("nan"))
-        return x, y, z, share
-    if isinstance(value, Sequence) and not isinstance(value, str) and len(value) >= 3:
-        x, y, z, *rest = value[:4]
-        return number(x), number(y), number(z), number(rest[0]) if rest else float("nan")
-    return (float("nan"),) * 4
-
-
 def number(value: Any) -> float:
     """A number, or nan for anything else (words of confidence count 0 to 3)."""
     if isinstance(value, bool):
-        return float("nan")
+        return NAN
     if isinstance(value, int | float):
-        return float(value) if abs(value) < 1e300 else float("nan")
-    if isinstance(value, str):
-        word = value.lower().rpartition("_")[2]
-        levels = {
-            "none": 0.0,
-            "nottracked": 0.0,
-            "low": 1.0,
-            "inferred": 1.0,
-            "medium": 2.0,
-            "tracked": 2.0,
-            "high": 3.0,
-        }
-        if word in levels:
-            return levels[word]
-        try:
-            return float(value)
-        except ValueError:
-            return float("nan")
-    return float("nan")
+        return float(value) if abs(value) < 1e300 else NAN
+    if not isinstance(value, str):
+        return NAN
+    word = value.lower().rpartition("_")[2]
+    try:
+        return STATE_WORDS[word] if word in STATE_WORDS else float(value)
+    except ValueError:
+        return NAN
 
 
-def points(values: Sequence[tuple[float, float, float, float]]) -> tuple[FloatArray, FloatArray]:
-    """Positions (N, 3) and confidences (N,)."""
-    table = np.array(values, dtype=float).reshape(-1, 4)
-    return table[:, :3].copy(), table[:, 3].copy()
+def first_number(value: Mapping[str, Any], names: Iterable[str], default: float = NAN) -> float:
+    """The number under the first of these names that is there."""
+    return next((number(value[name]) for name in names if name in value), default)
 
+
+_SHARES = (
+    *("visibility", "confidence", "confidence_level", "state", "trackingstate", "tracking_state", "score"),
+)
+
+
+def point_of(value: Any) -> Point:
+    """A point as a list or a mapping; nan for what is missing."""
+    if isinstance(value, Mapping):
+        small = {str(key).lower(): entry for key, entry in value.items()}
+        names = ("position", "pos", "xyz", "location", "point")
+        inner = next((small[key] for key in names if key in small), None)
+        x, y, z = (number(small.get(axis)) for axis in "xyz") if inner is None else point_of(inner)[:3]
+        return x, y, z, first_number(small, _SHARES)
+    if isinstance(value, Sequence) and not isinstance(value, str) and len(value) >= 3:
+        x, y, z, *rest = map(number, value[:4])
+        return x, y, z, rest[0] if rest else NAN
+    return NOTHING
+
+
+def points_by_name(value: Any, order: Sequence[str] | None = None) -> dict[str, Point]:
+    """Points by name; a list's by their own names, or in an order (of as many that are known)."""
+    if isinstance(value, Mapping):
+        return {str(name): point_of(point) for name, point in value.items()}
+    if not isinstance(value, list) or not value:
+        return {}
+    if isinstance(value[0], int | float):  # x, y, z, c one after the other
+        width = next((w for w in (4, 3) if len(value) % w == 0 and len(value) // w in POINT_SETS), 0)
+        if not width:
+            return {}
+        value = [value[at : at + width] for at in range(0, len(value), width)]
+    own = [str(p["name"]) for p in value if isinstance(p, Mapping) and isinstance(p.get("name"), str)]
+    names = own if len(own) == len(value) else order or POINT_SETS.get(len(value), [])
+    return {name: point_of(point) for name, point in zip(names, value, strict=False)}
+
+
+@dataclass
+class _Rows:
+    """What is gathered, one row per frame and body."""
+
+    time: list[float] = field(default_factory=list)
+    frame: list[float] = field(default_factory=list)
+    body: list[float] = field(default_factory=list)
+    points: list[dict[str, Point]] = field(default_factory=list)
+    scale: float | None = None  # s in a unit of `time`
+    world: bool = False  # They are called world landmarks
+
+    def time_of(self, frame: Any, known: Iterable[tuple[str, float | None]]) -> float:
+        """The time of a frame, whose unit is kept."""
+        there = (pair for pair in (*known, *_TIMES) if isinstance(frame, Mapping) and pair[0] in frame)
+        name, scale = next(there, ("", None))
+        self.scale = self.scale or scale
+        return number(frame[name]) if name else NAN
+
+    def raw(self, path: Path, states: StateReader) -> RawSkeleton:
+        """The skeleton of all rows."""
+        raw = RawSkeleton(path, time_scale=self.scale, frame=np.array(self.frame))
+        order = {name: at for at, name in enumerate(BLAZEPOSE)}
+        names = dict.fromkeys(name for row in self.points for name in row)
+        for name in sorted(names, key=lambda name: order.get(name, 99)):
+            if joint_name(name) is not None:
+                table = np.array([row.get(name, NOTHING) for row in self.points], dtype=float)
+                share = table[:, 3]
+                raw.add(name, table[:, :3].copy(), states(share) if np.isfinite(share).any() else None)
+        return raw
+
+
+#: Names of a frame's time whose unit its rate shows.
+_TIMES = tuple(
+    (name, None)
+    for name in (
+        *("time_in_ms", "unix_ms", "unix", "epoch", "kinect_time", "hostTime", "systemTime", "captured_at"),
+        *("Tick", "ticks", "TimeSpan", "relative_time", "relativeTime", "timestamp_ns", "deviceTimestamp"),
+    )
+)
+
+# ------------------------------------------------------------------------------- body tracking of a Kinect
 
 _POSITIONS = ("joint_positions", "jointPositions", "joints", "positions", "skeleton")
 _KINECT_TIMES = (
@@ -134,30 +187,14 @@ _CONFIDENCES = ("confidence_levels", "joint_confidences", "joint_confidence", "c
 _KINECT_EXPECTED = "JSON of body tracking (frames with bodies and joint_positions)"
 
 
-@dataclass
-class _Rows:
-    """What is gathered, one row per frame and body."""
-
-    time: list[float] = field(default_factory=list)
-    frame: list[float] = field(default_factory=list)
-    body: list[float] = field(default_factory=list)
-    scale: float | None = None
-    joints: dict[str, list[tuple[float, float, float, float]]] = field(default_factory=dict)
-
-
 def _is_kinect_json(head: FileHead) -> bool:
     """Whether the fields' names are in the first 64 kB."""
     text = head.text.lstrip()
-    if not text.startswith(("{", "[")):
-        return False
-    return (
-        '"joint_positions"' in text
-        or ('"bodies"' in text and '"timestamp' in text)
-        or "k4abt" in text.lower()
-    )
+    own = '"joint_positions"' in text or ('"bodies"' in text and '"timestamp' in text)
+    return text.startswith(("{", "[")) and (own or "k4abt" in text.lower())
 
 
-def read_kinect_json(path: Path) -> list[SkeletonTable]:
+def _read_kinect_json(path: Path) -> list[SkeletonTable]:
     """`frames`, each with `timestamp_usec` and `bodies`, each with `body_id` and `joint_positions` in mm."""
     value = read_json(path, _KINECT_EXPECTED)
     frames = value.get("frames") if isinstance(value, Mapping) else value
@@ -169,9 +206,23 @@ def read_kinect_json(path: Path) -> list[SkeletonTable]:
     order = [str(name) for name in names] if isinstance(names, list) and names else list(AZURE)
     rows = _Rows()
     for count, frame in enumerate(frames):
-        if isinstance(frame, Mapping):
-            _add_frame(rows, frame, count, order)
-    return _raw_bodies(path, rows).skeletons(Conventions("mm", CameraFrame.OPTICAL))
+        if not isinstance(frame, Mapping):
+            continue
+        bodies = frame.get("bodies", frame.get("skeletons", []))
+        there = [body for body in bodies if isinstance(body, Mapping)] if isinstance(bodies, list) else []
+        time = rows.time_of(frame, _KINECT_TIMES)
+        bodies_or_none: list[Mapping[str, Any] | None] = [*there] or [None]
+        for body in bodies_or_none:
+            rows.time.append(time)
+            rows.frame.append(number(frame.get("frame_id", frame.get("frame_number", count))))
+            of_body = NAN if body is None else first_number(body, _BODY, 0.0)
+            rows.body.append(of_body if 0 <= of_body < 2**32 - 1 else NAN)
+            rows.points.append({} if body is None else _joints_of(body, order))
+    raw = rows.raw(path, azure_states)
+    raw.time = np.array(rows.time) if np.isfinite(rows.time).any() else None
+    raw.body = np.array(rows.body)
+    inferred_throughout(raw)
+    return raw.skeletons(AZURE_AXES)
 
 
 KINECT_JSON = Format(
@@ -180,75 +231,21 @@ KINECT_JSON = Format(
     kind="skeleton",
     recognised_by="JSON with joint_positions, or with bodies and timestamp_usec",
     recognises=_is_kinect_json,
-    read=read_kinect_json,
+    read=_read_kinect_json,
 )
 
 
-def _add_frame(rows: _Rows, frame: Mapping[str, Any], count: int, order: list[str]) -> None:
-    name, scale = next(
-        ((name, scale) for name, scale in (*_KINECT_TIMES, *_TIMES) if name in frame), ("", None)
-    )
-    rows.scale = rows.scale or scale
-    bodies = frame.get("bodies", frame.get("skeletons", []))
-    bodies = bodies if isinstance(bodies, list) else []
-    numbered = [(_number_of(body), body) for body in bodies if isinstance(body, Mapping)]
-    for body_number, body in numbered or [(float("nan"), {})]:
-        rows.time.append(number(frame.get(name)))
-        rows.frame.append(number(frame.get("frame_id", frame.get("frame_number", count))))
-        rows.body.append(body_number)
-        _add_body(rows, body, order)
-
-
-def _number_of(body: Mapping[str, Any]) -> float:
-    value = next((number(body[name]) for name in _BODY if name in body), 0.0)
-    return value if 0 <= value < 2**32 - 1 else float("nan")
-
-
-def _add_body(rows: _Rows, body: Mapping[str, Any], order: list[str]) -> None:
-    """Joints of one body; those that it lacks get nan."""
+def _joints_of(body: Mapping[str, Any], order: list[str]) -> dict[str, Point]:
     value: Any = next((body[name] for name in _POSITIONS if name in body), [])
-    if isinstance(value, Mapping):
-        named = {str(name): xyz_of(point) for name, point in value.items()}
-    elif isinstance(value, list):
-        own = [str(p["name"]) for p in value if isinstance(p, Mapping) and isinstance(p.get("name"), str)]
-        names = own if len(own) == len(value) else order
-        named = {name: xyz_of(point) for name, point in zip(names, value, strict=False)}
-    else:
-        named = {}
+    named = points_by_name(value, order)
     levels = next((body[name] for name in _CONFIDENCES if isinstance(body.get(name), list)), None)
-    if levels is not None:
-        named = {
-            name: (*point[:3], number(level))
-            for (name, point), level in zip(named.items(), levels, strict=False)
-        }
-    before = len(rows.time) - 1
-    nothing = (float("nan"),) * 4
-    for name in named:
-        rows.joints.setdefault(name, [nothing] * before)
-    for name, values in rows.joints.items():
-        values.append(named.get(name, nothing))
+    if levels is None:
+        return named
+    pairs = zip(named.items(), levels, strict=False)
+    return {name: (x, y, z, number(level)) for (name, (x, y, z, _)), level in pairs}
 
 
-def _raw_bodies(path: Path, rows: _Rows) -> RawSkeleton:
-    raw = RawSkeleton(path, {}, time_scale=rows.scale)
-    time = np.array(rows.time)
-    raw.time = time if np.isfinite(time).any() else None
-    raw.frame = np.array(rows.frame)
-    raw.body = np.array(rows.body)
-    for name, values in rows.joints.items():
-        meaning: JointName | None = joint_name(name)
-        if meaning is None:
-            continue
-        position, confidence = points(values)
-        if not meaning.joint:
-            raw.rest.append((meaning, position))
-            continue
-        raw.position[meaning.joint] = position
-        if np.isfinite(confidence).any():
-            raw.state[meaning.joint] = azure_states(confidence)
-    inferred_throughout(raw)
-    return raw
-
+# ----------------------------------------------------------------------------------- landmarks and keypoints
 
 _POSE_EXPECTED = "JSON of landmarks by frame (pose_world_landmarks, or joints by name)"
 _WORLD = (
@@ -261,24 +258,8 @@ _POINTS = (
     "body", "positions", "data",
 )  # fmt: skip
 _FRAMES = (
-    "frames",
-    "positions",
-    "poses",
-    "results",
-    "data",
-    "motion",
-    "pose_data",
-    "instance_info",
-    "records",
-)
-#: Further names of a frame's time, in a unit that its rate shows.
-_TIMES = tuple(
-    (name, None)
-    for name in (
-        *("time_in_ms", "unix_ms", "unix", "epoch", "kinect_time", "hostTime", "systemTime", "captured_at"),
-        *("Tick", "ticks", "TimeSpan", "relative_time", "relativeTime", "timestamp_ns", "deviceTimestamp"),
-    )
-)
+    "frames", "positions", "poses", "results", "data", "motion", "pose_data", "instance_info", "records",
+)  # fmt: skip
 _POSE_TIMES = (
     ("timestamp_ms", 1e-3), ("timestampMs", 1e-3), ("time_ms", 1e-3), ("timestamp_us", 1e-6),
     ("timestamp_s", 1.0), ("time_s", 1.0), ("time_sec", 1.0), ("timestamp", None), ("time", None),
@@ -293,39 +274,40 @@ _MARK = re.compile(
 )
 
 
-@dataclass
-class _Frames:
-    """What is gathered, one row per frame."""
-
-    time: list[float] = field(default_factory=list)
-    frame: list[float] = field(default_factory=list)
-    scale: float | None = None
-    world: bool = False
-    points: list[dict[str, tuple[float, float, float, float]]] = field(default_factory=list)
-
-
 def _is_pose_json(head: FileHead) -> bool:
     """Whether the fields' names are in the first 64 kB."""
     return head.text.lstrip().startswith(("{", "[")) and bool(_MARK.search(head.text))
 
 
-def read_pose_json(path: Path) -> list[SkeletonTable]:
+def _read_pose_json(path: Path) -> list[SkeletonTable]:
     """Frames of landmarks: in a list or by number, landmarks in a list or by name."""
     value = read_json(path, _POSE_EXPECTED)
-    frames, listed = _Frames(), _frames_of(value)
+    rows, listed = _Rows(), _frames_of(value)
     for key, frame in listed:
-        _add(frames, key, frame, path)
-    contents = [frame for _, frame in listed]
-    rows = keypoint_rows(value, list(zip(frames.frame, frames.time, contents, strict=True)))
-    if rows is not None:
-        return [keypoint_table(path, rows, frames.scale, _rate(value))]
-    if not any(frames.points):
+        rows.time.append(rows.time_of(frame, _POSE_TIMES))
+        count = first_number(frame, _NUMBERS) if isinstance(frame, Mapping) else NAN
+        digits = re.search(r"\d+(\.\d+)?", key)
+        rows.frame.append(
+            float(digits.group()) if digits else count if np.isfinite(count) else len(rows.frame)
+        )
+        points, world = _points_in(frame)
+        rows.world |= world
+        rows.points.append(points_by_name(points))
+    rate = first_number(value, _RATES) if isinstance(value, Mapping) else NAN
+    rate_hz = rate if 1.0 <= rate <= 1000.0 else None
+    keypoints = _coco(value) or _keypoints([frame for _, frame in listed], rows)
+    if keypoints is not None:
+        return [_keypoint_table(path, keypoints, rows.scale, rate_hz)]
+    if not any(rows.points):
         raise RecordingError(f"{path} should be {_POSE_EXPECTED}, and no frame of it has points in space.")
-    raw = _raw_landmarks(path, frames)
-    raw.rate_hz = _rate(value)
-    names = {_flat(name) for frame in frames.points for name in frame}
-    if frames.world or {"rightpinky", "leftpinky"} & names or about_hips(raw):
-        return landmarks_in_metres(raw, frames.world)
+    raw = rows.raw(path, share_states)
+    time = np.array(rows.time)
+    known = np.isfinite(time)
+    raw.time = time if known.mean() > 0.5 and np.ptp(time[known]) > 0 else None
+    raw.rate_hz = rate_hz
+    names = {re.sub(r"[^a-z0-9]", "", name.lower()) for row in rows.points for name in row}
+    if rows.world or {"rightpinky", "leftpinky"} & names or about_hips(raw):
+        return landmarks_in_metres(raw, rows.world)
     return raw.skeletons(Conventions())
 
 
@@ -335,49 +317,31 @@ POSE_JSON = Format(
     kind="skeleton",
     recognised_by="JSON with pose_world_landmarks, pose_keypoints_3d, or a wrist by name",
     recognises=_is_pose_json,
-    read=read_pose_json,
+    read=_read_pose_json,
 )
-
-
-def _rate(value: Any) -> float | None:
-    """Frames per second that a file states."""
-    if not isinstance(value, Mapping):
-        return None
-    rate = next((number(value[name]) for name in _RATES if name in value), float("nan"))
-    return rate if 1.0 <= rate <= 1000.0 else None
-
-
-def _flat(name: str) -> str:
-    return "".join(character for character in name.lower() if character.isalnum())
 
 
 def _frames_of(value: Any) -> list[tuple[str, Any]]:
     """The frames with what the file calls them ("" where it does not)."""
-    if isinstance(value, Mapping):
-        for name in _FRAMES:
-            inner = value.get(name)
-            if isinstance(inner, list | Mapping) and len(inner) and not _is_points(inner):
-                return _frames_of(inner)
-        lists = {str(key): rows for key, rows in value.items() if isinstance(rows, list) and rows}
-        columns = {
-            key: rows
-            for key, rows in lists.items()
-            if joint_name(key) is not None and isinstance(rows[0], list | Mapping)
-        }
-        if columns:  # a list of positions by joint
-            count = max(map(len, columns.values()))
-            return [
-                ("", {key: rows[at] for key, rows in columns.items() if at < len(rows)})
-                for at in range(count)
-            ]
-        if value and all(_is_number(str(key)) for key in value):
-            return [(str(key), frame) for key, frame in value.items()]
-        return [("", value)]
-    return [("", frame) for frame in value] if isinstance(value, list) else []
-
-
-def _is_number(text: str) -> bool:
-    return bool(re.fullmatch(r"(frame[_ ]?)?\d+(\.\d+)?", text, re.IGNORECASE))
+    if not isinstance(value, Mapping):
+        return [("", frame) for frame in value] if isinstance(value, list) else []
+    for name in _FRAMES:
+        inner = value.get(name)
+        if isinstance(inner, list | Mapping) and len(inner) and not _is_points(inner):
+            return _frames_of(inner)
+    columns = {
+        str(key): rows
+        for key, rows in value.items()
+        if isinstance(rows, list) and rows and isinstance(rows[0], list | Mapping) and joint_name(str(key))
+    }
+    if columns:  # a list of positions by joint
+        count = max(map(len, columns.values()))
+        return [
+            ("", {key: rows[at] for key, rows in columns.items() if at < len(rows)}) for at in range(count)
+        ]
+    if value and all(re.fullmatch(r"(?i)(frame[_ ]?)?\d+(\.\d+)?", str(key)) for key in value):
+        return [(str(key), frame) for key, frame in value.items()]
+    return [("", value)]
 
 
 def _is_points(value: Any) -> bool:
@@ -388,91 +352,100 @@ def _is_points(value: Any) -> bool:
     return isinstance(first, Mapping) and "x" in first
 
 
-def _add(frames: _Frames, key: str, frame: Any, path: Path) -> None:
-    time, scale, count = float("nan"), None, float("nan")
-    if isinstance(frame, Mapping):
-        name, scale = next(
-            ((name, scale) for name, scale in (*_POSE_TIMES, *_TIMES) if name in frame), ("", None)
-        )
-        time = number(frame.get(name))
-        count = next((number(frame[name]) for name in _NUMBERS if name in frame), float("nan"))
-    digits = re.search(r"\d+(\.\d+)?", key)
-    value, world = _points_in(frame, path)
-    frames.time.append(time)
-    frames.frame.append(
-        float(digits.group()) if digits else count if np.isfinite(count) else len(frames.frame)
-    )
-    frames.scale = frames.scale or scale
-    frames.world |= world
-    frames.points.append(_by_name(value))
-
-
-def _points_in(frame: Any, path: Path, depth: int = 0) -> tuple[Any, bool]:
+def _points_in(frame: Any, depth: int = 0) -> tuple[Any, bool]:
     """The points of a frame, and whether they are called world landmarks."""
     if depth > 5:
         return None, False
     if isinstance(frame, Mapping):
         if _is_points(frame):
             return frame, False
-        for name in _WORLD:
-            if frame.get(name):
-                return _points_in(frame[name], path, depth + 1)[0], True
+        if world := next((frame[name] for name in _WORLD if frame.get(name)), None):
+            return _points_in(world, depth + 1)[0], True
         people = frame.get("people", frame.get("persons", frame.get("instances")))
         if isinstance(people, list):
-            if people and isinstance(people[0], Mapping):
-                return _points_in(people[0], path, depth + 1)
-            return None, False
-        for name in _POINTS:
-            if frame.get(name):
-                return _points_in(frame[name], path, depth + 1)
+            one = people[0] if people and isinstance(people[0], Mapping) else None
+            return _points_in(one, depth + 1)
+        return _points_in(next((frame[name] for name in _POINTS if frame.get(name)), None), depth + 1)
+    if not isinstance(frame, list):
         return None, False
-    if isinstance(frame, list) and frame and isinstance(frame[0], list):
-        if len(frame) == 1:  # one pose of several
-            return _points_in(frame[0], path, depth + 1)
-        return frame, False
-    if isinstance(frame, list) and len(frame) == 1 and isinstance(frame[0], Mapping) and "x" not in frame[0]:
-        return _points_in(frame[0], path, depth + 1)
-    return (frame, False) if isinstance(frame, list) else (None, False)
+    is_one = len(frame) == 1 and isinstance(frame[0], list | Mapping) and "x" not in frame[0]
+    return _points_in(frame[0], depth + 1) if is_one else (frame, False)  # one pose of several
 
 
-def _by_name(value: Any) -> dict[str, tuple[float, float, float, float]]:
-    """Points by name; none where there are no points, or this many that their order is not known."""
+#: A row of a frame: its number, its time as written (or nan), and u, v, score one after the other.
+Row = tuple[float, float, list[float]]
+#: Scores of COCO's visibilities: not labelled, labelled and hidden, visible.
+_VISIBILITY = (0.0, 0.3, 1.0)
+
+
+def _keypoints(frames: list[Any], rows: _Rows) -> list[Row] | None:
+    """The first person's keypoints of OpenPose by frame; None where the file contains none in images."""
+    found: list[Row] = []
+    for count, time, frame in zip(rows.frame, rows.time, frames, strict=True):
+        people = frame.get("people") if isinstance(frame, Mapping) else None
+        person = (people[0] if people else None) if isinstance(people, list) else frame
+        flat = person.get("pose_keypoints_2d") if isinstance(person, Mapping) else None
+        if isinstance(person, Mapping) and person.get("pose_keypoints_3d"):
+            return None
+        found.append((count, time, flat if isinstance(flat, list) else []))
+    return found if any(flat for _, _, flat in found) else None
+
+
+def _coco(value: Any) -> list[Row] | None:
+    """Of COCO's annotations or results the surest person of each image, by the images' numbers."""
+    listed = value.get("annotations") if isinstance(value, Mapping) else value
+    if not isinstance(listed, list) or not listed:
+        return None
+    if not all(isinstance(one, Mapping) and "image_id" in one and "keypoints" in one for one in listed):
+        return None
+    best: dict[float, tuple[float, list[float]]] = {}
     if isinstance(value, Mapping):
-        return {str(name): xyz_of(point) for name, point in value.items()}
-    if not isinstance(value, list) or not value:
-        return {}
-    if isinstance(value[0], int | float):  # x, y, z, c one after the other
-        width = next((w for w in (4, 3) if len(value) % w == 0 and len(value) // w in POINT_SETS), 0)
-        if not width:
-            return {}
-        value = [value[at : at + width] for at in range(0, len(value), width)]
-    own = [
-        str(point["name"])
-        for point in value
-        if isinstance(point, Mapping) and isinstance(point.get("name"), str)
-    ]
-    names = own if len(own) == len(value) else POINT_SETS.get(len(value), [])
-    return {name: xyz_of(point) for name, point in zip(names, value, strict=False)}
+        best = {number(image.get("id")): (-1.0, []) for image in value.get("images", [])}
+    for one in listed:
+        image, score = number(one["image_id"]), number(one.get("score", one.get("area", 0.0)))
+        if image not in best or score > best[image][0]:
+            best[image] = score, list(one["keypoints"])
+    ordered = sorted((image, flat) for image, (_, flat) in best.items() if np.isfinite(image))
+    thirds = {flat for _, each in ordered for flat in each[2::3]}
+    if max(thirds, default=0.0) > 1.0 and thirds <= {0, 1, 2}:  # labelled by hand
+        for _, flat in ordered:
+            flat[2::3] = [_VISIBILITY[int(one)] for one in flat[2::3]]
+    return [(image, NAN, flat) for image, flat in ordered]
 
 
-def _raw_landmarks(path: Path, frames: _Frames) -> RawSkeleton:
-    raw = RawSkeleton(path, {}, time_scale=frames.scale)
-    time = np.array(frames.time)
-    raw.time = time if np.isfinite(time).mean() > 0.5 and np.ptp(time[np.isfinite(time)]) > 0 else None
-    raw.frame = np.array(frames.frame)
-    nothing = (float("nan"),) * 4
-    order = {name: at for at, name in enumerate(BLAZEPOSE)}
-    for name in sorted(
-        {name for frame in frames.points for name in frame}, key=lambda name: order.get(name, 99)
-    ):
+def _keypoint_table(path: Path, rows: list[Row], scale: float | None, rate_hz: float | None) -> SkeletonTable:
+    """A body whose positions are u, v and score."""
+    count = next((len(flat) // 3 for _, _, flat in rows if flat), 0)
+    names = POINT_SETS.get(count)
+    if names is None:
+        raise RecordingError(
+            f"{path}: {count} keypoints per person are not a known set"
+            f" ({', '.join(map(str, POINT_SETS))} are); export COCO's 17 or OpenPose's BODY_25."
+        )
+    table = np.full((len(rows), count, 3), np.nan)
+    for at, (_, _, flat) in enumerate(rows):
+        if len(flat) == 3 * count:
+            table[at] = np.array([number(each) for each in flat]).reshape(count, 3)
+    table[~(table[..., 2] > 0.0)] = np.nan  # what was not found is stored as 0, 0
+    joints: dict[str, FloatArray] = {}
+    for column, name in enumerate(names[:count]):
         meaning = joint_name(name)
-        if meaning is None or (meaning.joint and meaning.kind == "skin"):
-            continue
-        position, confidence = points([frame.get(name, nothing) for frame in frames.points])
-        if not meaning.joint:
-            raw.rest.append((meaning, position))
-            continue
-        raw.position[meaning.joint] = position
-        if np.isfinite(confidence).any():
-            raw.state[meaning.joint] = share_states(confidence)
-    return raw
+        if meaning is not None and meaning.joint and meaning.kind != "skin":
+            joints[meaning.joint] = table[:, column]
+    require_arm(joints, path, "keypoints", list(names))
+    frame, time = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+    known = np.isfinite(time)
+    notes = []
+    if known.mean() > 0.5 and np.ptp(time[known]) > 0 and (unit := camera_time_scale(time, scale)):
+        t_s = time * unit
+    else:
+        if rate_hz is None:
+            notes.append(
+                f"The file has no times: assumed {USUAL_RATE_HZ:g} frames per second; write fps into it."
+            )
+        t_s = (frame - frame[0]) / (rate_hz or USUAL_RATE_HZ)
+    state = {name: states_of_scores(points[:, 2]) for name, points in joints.items()}
+    image = ImagePoints(0, 0, joints)
+    return SkeletonTable(
+        0, t_s, joints, state, CameraFrame.OPTICAL, rate_hz=rate_hz, units=PIXELS, notes=notes, image=image
+    )
