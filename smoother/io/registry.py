@@ -16,7 +16,7 @@ from .tables.table import HEAD_BYTES, FileHead, Format, Tables, first_rows, no_t
 @cache
 def formats() -> tuple[Format, ...]:
     """All formats; where two recognise a file, the earlier one has it."""
-    from .tables import binary, marker_skeletons, rosbag, skeleton_json, xdf
+    from .tables import binary, markers, rosbag, skeleton_json, xdf
     from .tables.skeleton_formats import JOINT_ARRAY, JOINT_ROWS, KINECT_NUMBERS, SKELETON_FORMATS
 
     of_imus: list[Format] = []
@@ -26,7 +26,7 @@ def formats() -> tuple[Format, ...]:
         of_imus += [row, behind[row.key]] if row.key in behind else [row]
     return (
         *(xdf.XDF, rosbag.ROSBAG1, rosbag.MCAP),
-        *(JOINT_ARRAY, marker_skeletons.C3D_SKELETON, marker_skeletons.TRC_SKELETON),
+        *(JOINT_ARRAY, markers.C3D_SKELETON, markers.TRC_SKELETON),
         *(skeleton_json.KINECT_JSON, skeleton_json.POSE_JSON, *SKELETON_FORMATS, JOINT_ROWS, KINECT_NUMBERS),
         *(*of_imus, NAMED_IMU),
     )
