@@ -1,4 +1,4 @@
-"""What device files contain, stream by stream: names, rates, units, axes, and a small plot of each."""
+"""What files contain, stream by stream: names, rates, units, axes, and a small plot of each."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JointState
 from ..files import files_meant, times_of
-from ..registry import FileReader, Tables, unknown_file
+from ..registry import FileReader, unknown_file
 from .columns import Guess, guess_of
 from .imu import ImuTable
 from .skeletons import SkeletonTable
@@ -50,16 +50,6 @@ _PLOTTED = ("wrist", "strap", "hand", "elbow")
 
 
 @dataclass(frozen=True)
-class StreamPlot:
-    """A small plot of a stream."""
-
-    title: str  # What is plotted ("accelerometer", "m/s^2")
-    unit: str  # What is plotted ("accelerometer", "m/s^2")
-    t_s: list[float]  # Middle of each column, from the stream's first sample
-    lines: list[dict[str, Any]]  # `name` ("x"), `low` and `high`
-
-
-@dataclass(frozen=True)
 class DescribedStream:
     """One IMU or one person's skeleton of a file."""
 
@@ -68,12 +58,13 @@ class DescribedStream:
     holds: list[str]  # Sensors of the device, or joints
     count: int  # Samples or frames
     rate_hz: float | None  # Median rate
-    start_s: float  # First time on the file's own clock, and from there to the last
-    duration_s: float  # First time on the file's own clock, and from there to the last
+    start_s: float  # First time on the file's own clock
+    duration_s: float  # From there to the last
     units: str  # As the file has them
     axes: str = ""  # Of a skeleton: "kinect", "optical", "zup", or "" where the file does not settle them
     body: int | None = None  # The file's number of the person
-    plots: list[StreamPlot] = field(default_factory=list)
+    # What is plotted (`title`, `unit`), `t_s` in the middle of each column, `lines` (`name`, `low`, `high`)
+    plots: list[dict[str, Any]] = field(default_factory=list)
 
 
 @dataclass
@@ -81,15 +72,15 @@ class DescribedFile:
     """A file among others."""
 
     file: str  # Its path as given
-    format: str = ""  # Key and name of its importer; "" where it is of none
-    title: str = ""  # Key and name of its importer; "" where it is of none
+    format: str = ""  # Key and title of its format; "" where it is of none
+    title: str = ""
     # "imu", "skeleton", "recording", "video", "model" (of the pose landmarker), "calibration", "description"
     # (a recording.toml), or "" where the file is not recognised or cannot be read
     kind: str = ""
     streams: list[DescribedStream] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # What was decided or corrected
     error: str = ""  # Why it cannot be used; "" where it can
-    guess: dict[str, Any] | None = None  # Of a table that no importer knows
+    guess: dict[str, Any] | None = None  # Of a table that no format knows
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values."""
@@ -112,15 +103,18 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
         if what := _no_stream(path, head):
             about.kind, about.title = what
             return about
-        importer = reader.recognised(path)
-        if importer is None:
+        found = reader.recognised(path)
+        if found is None:
             about.guess = _guess(path, head)
             about.error = str(unknown_file(head))
             return about
-        about.format, about.title, about.kind = importer.key, importer.title, importer.kind
+        about.format, about.title, about.kind = found.key, found.title, found.kind
         with _beginning(path, head) as (short, notes):
-            tables = reader.read(short, importer)
-            about.streams, about.notes = _streams(path, tables)
+            tables = reader.read(short, found)
+            for table in tables:
+                stream, said = _stream(table, str(path))
+                about.streams.append(stream)
+                about.notes += [note for note in said if note not in about.notes]
             about.notes += notes
             reader.forget(short)
         if any(table.units for table in tables):  # where the units are wrong, the columns can be described
@@ -135,8 +129,7 @@ def _beginning(path: Path, head: FileHead) -> Iterator[tuple[Path, list[str]]]:
     """A file, or a copy of a long table's first rows: looking at it must not take memory with its length."""
     workbook = is_workbook(head.raw)
     size = unpacked_size(path) if workbook and head.text else path.stat().st_size
-    longest = _WORKBOOK if workbook else _BEGINNING
-    if size <= longest or head.table is None:
+    if size <= (_WORKBOOK if workbook else _BEGINNING) or head.table is None:
         yield path, []
         return
     with TemporaryDirectory() as folder:
@@ -157,63 +150,41 @@ def _beginning(path: Path, head: FileHead) -> Iterator[tuple[Path, list[str]]]:
 
 def _no_stream(path: Path, head: FileHead) -> tuple[str, str] | None:
     """Kind and title of a file that is not a device's stream but is used."""
-    if is_video(head.raw):
-        return "video", "Video"
-    if head.raw.startswith(b"PK") and is_model(path):
-        return "model", "Model of MediaPipe's pose landmarker"
-    if path.name == "recording.toml":
-        return "description", "recording.toml"
-    if path.suffix.lower() == ".toml" and "unocclude calibration" in head.text[:4000]:
-        return "calibration", "Calibration"
-    return None
+    is_toml = path.suffix.lower() == ".toml"
+    kinds = (
+        ("video", "Video", is_video(head.raw)),
+        ("model", "Model of MediaPipe's pose landmarker", head.raw.startswith(b"PK") and is_model(path)),
+        ("description", "recording.toml", path.name == "recording.toml"),
+        ("calibration", "Calibration", is_toml and "unocclude calibration" in head.text[:4000]),
+    )
+    return next(((kind, title) for kind, title, fits in kinds if fits), None)
 
 
-def _streams(path: Path, tables: Tables) -> tuple[list[DescribedStream], list[str]]:
-    streams: list[DescribedStream] = []
-    notes: list[str] = []
-    for table in tables:
-        if isinstance(table, SkeletonTable):
-            skeleton = repaired_skeleton(table, str(path))
-            streams.append(_skeleton(skeleton))
-            notes += skeleton.notes
-        else:
-            imu = repaired_imu(table, str(path))
-            streams.append(_imu(imu))
-            notes += imu.notes
-    return streams, list(dict.fromkeys(notes))
-
-
-def _imu(table: ImuTable) -> DescribedStream:
-    sensors = {
-        "accelerometer": (table.acc, "m/s^2"),
-        "gyroscope": (table.gyro, "rad/s"),
-        "magnetometer": (table.mag, "as in the file"),
-    }
-    t_s = times_of(table)
-    there = {name: (values, unit) for name, (values, unit) in sensors.items() if values is not None}
-    plots = [
-        _plot(name, unit, t_s, {axis: values[:, k] for k, axis in enumerate("xyz")})
-        for name, (values, unit) in there.items()
-        if name != "magnetometer"
-    ]
-    return DescribedStream("imu", table.name, list(there), *_timing(t_s), table.units, plots=plots)
-
-
-def _skeleton(table: SkeletonTable) -> DescribedStream:
-    t_s = times_of(table)
-    frame = "" if table.frame is None else str(table.frame.value)
+def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[DescribedStream, list[str]]:
+    """A stream with corrected times, and what was decided of it."""
+    if isinstance(table, ImuTable):
+        imu = repaired_imu(table, source)
+        sensors = {"accelerometer": imu.acc, "gyroscope": imu.gyro, "magnetometer": imu.mag}
+        holds, t_s = [name for name, values in sensors.items() if values is not None], times_of(imu)
+        units = (("accelerometer", "m/s^2"), ("gyroscope", "rad/s"))
+        plots = [_plot(name, unit, t_s, each) for name, unit in units if (each := sensors[name]) is not None]
+        return DescribedStream("imu", imu.name, holds, *_timing(t_s), imu.units, plots=plots), imu.notes
+    body = repaired_skeleton(table, source)
+    t_s = times_of(body)
     tracked = {
-        joint: np.where((table.state[joint] == JointState.TRACKED)[:, None], table.position[joint], np.nan)
-        for joint in table.position
+        joint: np.where((body.state[joint] == JointState.TRACKED)[:, None], body.position[joint], np.nan)
+        for joint in body.position
     }
     seen = [joint for joint, values in tracked.items() if np.isfinite(values).any()]
     plots = []
     for side in ("left", "right", ""):
         names = [f"{joint}_{side}" if side else joint for joint in _PLOTTED]
         if name := next((name for name in names if name in seen), None):
-            axes = {axis: tracked[name][:, k] for k, axis in enumerate("xyz")}
-            plots.append(_plot(name.replace("_", " "), "m", t_s, axes))
-    return DescribedStream("skeleton", "", sorted(seen), *_timing(t_s), table.units, frame, table.body, plots)
+            plots.append(_plot(name.replace("_", " "), "m", t_s, tracked[name]))
+    axes = "" if body.frame is None else str(body.frame.value)
+    timing = _timing(t_s)
+    stream = DescribedStream("skeleton", "", sorted(seen), *timing, body.units, axes, body.body, plots)
+    return stream, body.notes
 
 
 def _timing(t_s: FloatArray) -> tuple[int, float | None, float, float]:
@@ -221,31 +192,24 @@ def _timing(t_s: FloatArray) -> tuple[int, float | None, float, float]:
     if not len(t_s):
         return 0, None, 0.0, 0.0
     rate = median_rate_hz(t_s)
-    return (
-        len(t_s),
-        round(rate, 3) if math.isfinite(rate) else None,
-        float(t_s[0]),
-        round(float(t_s[-1] - t_s[0]), 3),
-    )
+    stated = round(rate, 3) if math.isfinite(rate) else None
+    return len(t_s), stated, float(t_s[0]), round(float(t_s[-1] - t_s[0]), 3)
 
 
-def _plot(title: str, unit: str, t_s: FloatArray, lines: dict[str, FloatArray]) -> StreamPlot:
-    """Least and largest value of each line in `BINS` columns of even length."""
-    if not len(t_s):
-        return StreamPlot(title, unit, [], [])
-    since = t_s - t_s[0]
-    length = max(float(since[-1]), 1e-9)
-    bins = min(BINS, max(len(t_s), 1))
-    column = np.minimum((since / length * bins).astype(np.int64), bins - 1)
-    middles = (np.arange(bins) + 0.5) * length / bins
-    drawn = []
-    for name, values in lines.items():
-        low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
-        good = np.isfinite(values)
-        np.minimum.at(low, column[good], values[good])
-        np.maximum.at(high, column[good], values[good])
-        drawn.append({"name": name, "low": _rounded(low), "high": _rounded(high)})
-    return StreamPlot(title, unit, [round(float(t), 4) for t in middles], drawn)
+def _plot(title: str, unit: str, t_s: FloatArray, values: FloatArray) -> dict[str, Any]:
+    """Least and largest value of x, y and z in `BINS` columns of even length."""
+    since = t_s - t_s[:1]
+    length = max(float(since[-1]), 1e-9) if len(t_s) else 0.0
+    bins = min(BINS, len(t_s))
+    column = np.minimum((since / length * bins).astype(np.int64), bins - 1) if bins else np.zeros(0, int)
+    lines = []
+    for name, line in zip("xyz", values.T, strict=True):
+        low, high, good = np.full(bins, np.inf), np.full(bins, -np.inf), np.isfinite(line)
+        np.minimum.at(low, column[good], line[good])
+        np.maximum.at(high, column[good], line[good])
+        lines.append({"name": name, "low": _rounded(low), "high": _rounded(high)})
+    middles = [round((at + 0.5) * length / bins, 4) for at in range(bins)]
+    return {"title": title, "unit": unit, "t_s": middles, "lines": lines if bins else []}
 
 
 def _rounded(values: FloatArray) -> list[float | None]:
@@ -253,25 +217,25 @@ def _rounded(values: FloatArray) -> list[float | None]:
 
 
 def guessed_table(path: Path, reader: FileReader) -> tuple[Format | None, Table | None, Guess | None]:
-    """The importer of a file, and what it would be taken for as a plain table."""
+    """The format of a file, and what it would be taken for as a plain table."""
     head = read_head(path)
-    importer = reader.recognised(path)
+    found = reader.recognised(path)
     try:
         with _beginning(path, head) as (short, notes):
-            sheet = read_table(short)
-            sheet.path = path
-            sheet.notes += notes
+            table = read_table(short)
+            table.path = path
+            table.notes += notes
     except RecordingError:
-        if importer is None:
+        if found is None:
             raise
-        return importer, None, None
-    guess = guess_of(sheet)
+        return found, None, None
+    guess = guess_of(table)
     if not guess.kind:
         raise RecordingError(
-            f"{path} has {sheet.width} columns and {len(sheet)} rows, and none of them look like an"
+            f"{path} has {table.width} columns and {len(table)} rows, and none of them look like an"
             f" accelerometer's, a gyroscope's or a joint's; it begins: {first_rows(head)}."
         )
-    return importer, sheet, guess
+    return found, table, guess
 
 
 def _guess(path: Path, head: FileHead) -> dict[str, Any] | None:
@@ -280,29 +244,10 @@ def _guess(path: Path, head: FileHead) -> dict[str, Any] | None:
         return None
     try:
         with _beginning(path, head) as (short, _):
-            sheet = read_table(short)
-        guess = guess_of(sheet)
+            table = read_table(short)
+        guess = guess_of(table)
     except RecordingError:
         return None
-    return {**_plain(guess), "names": column_names(sheet), "rows": _first_rows(sheet)}
-
-
-def _plain(guess: Guess) -> dict[str, Any]:
-    return {
-        "kind": guess.kind,
-        "columns": guess.columns,
-        "keys": guess.keys,
-        "reasons": guess.reasons,
-        "unsure": guess.unsure,
-    }
-
-
-def column_names(sheet: Table) -> list[str]:
-    """Names of a table's columns as written; () where it has no header."""
-    return list(sheet.names)
-
-
-def _first_rows(sheet: Table) -> list[list[str]]:
-    width = sheet.width
-    columns = [[shown(cell, 24) for cell in sheet.texts(k)[:SHOWN_ROWS]] for k in range(width)]
-    return [list(row) for row in zip(*columns, strict=True)]
+    columns = [[shown(cell, 24) for cell in table.texts(at)[:SHOWN_ROWS]] for at in range(table.width)]
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    return {**asdict(guess), "names": list(table.names), "rows": rows}

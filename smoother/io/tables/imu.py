@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array_types import BoolArray, FloatArray
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import interpolate, median_rate_hz
 from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
@@ -38,6 +39,17 @@ class ImuTable:
     # The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may settle it
     gyro_unit_assumed: bool = False
     made_of: tuple[str, ...] = ()  # Streams of the file that contain a half each
+
+    def __len__(self) -> int:
+        return next((len(each) for each in (self.acc, self.gyro, self.t_s) if each is not None), 0)
+
+    def select(self, keep: BoolArray | IntArray) -> ImuTable:
+        """Some of the samples, or all in another order."""
+        arrays: dict[str, Any] = {
+            name: None if (rows := getattr(self, name)) is None else rows[keep]
+            for name in ("t_s", "acc", "gyro", "mag", "counter")
+        }
+        return replace(self, **arrays)
 
 
 # ------------------------------------------------------------------------- which columns are a sensor's axes

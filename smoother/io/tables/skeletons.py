@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,19 @@ class SkeletonTable:
     units: str = ""  # As written in the file ("mm")
     notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
     image: ImagePoints | None = None  # The same joints in the pictures, where the file has them
+
+    def __len__(self) -> int:
+        return next(map(len, self.position.values()), 0)
+
+    def select(self, keep: BoolArray | IntArray) -> SkeletonTable:
+        """Some of the frames, or all in another order."""
+        return replace(
+            self,
+            t_s=None if self.t_s is None else self.t_s[keep],
+            position={joint: values[keep] for joint, values in self.position.items()},
+            state={joint: values[keep] for joint, values in self.state.items()},
+            image=None if self.image is None else self.image.select(keep),
+        )
 
 
 def without_origin(position: FloatArray) -> FloatArray:
@@ -169,20 +182,15 @@ class BodyRows:
             for joint in self.position:
                 position[joint][frame[rows]] = self.position[joint][rows]
                 state[joint][frame[rows]] = self.state[joint][rows]
-            tables.append(
-                SkeletonTable(
-                    int(number) if fits else count,
-                    None if t_s is None else t_s.copy(),
-                    position,
-                    state,
-                    pattern.frame,
-                    pattern.gravity_hint,
-                    pattern.rate_hz,
-                    pattern.relative,
-                    pattern.units,
-                    notes,
-                )
+            own = replace(
+                pattern,
+                body=int(number) if fits else count,
+                t_s=None if t_s is None else t_s.copy(),
+                position=position,
+                state=state,
+                notes=notes,
             )
+            tables.append(own)
         return tables
 
 
