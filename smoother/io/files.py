@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.intrinsics import CameraFile
 
@@ -273,16 +274,7 @@ def add_skeleton(
     frames = np.unique(np.concatenate(stamps))
     rows = JointRows()
     for table, stamp in zip(tables, stamps, strict=True):
-        frame = np.searchsorted(frames, stamp)
-        body = np.full(len(stamp), table.body, np.int64)
-        for name, position in table.position.items():
-            code = joint_code(name)
-            if code is None:
-                continue
-            side, joint = (np.full(len(stamp), value, np.int64) for value in code)
-            state = table.state[name].astype(np.int64)
-            state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
-            rows.add_joints(frame, body, side, joint, state, np.array(position, dtype=float))
+        _add_joints(rows, frames, stamp, table.body, table.position, table.state)
     first = tables[0]
     arms = rows.arms(frames, topic, camera, first.frame)
     if first.units == PIXELS and known is None:
@@ -303,6 +295,24 @@ def add_skeleton(
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
 
 
+def _add_joints(
+    rows: JointRows,
+    frames: IntArray,
+    stamp: IntArray,
+    body: int,
+    position: Mapping[str, FloatArray],
+    states: Mapping[str, NDArray[np.int8]],
+) -> None:
+    """Put the joints of one body, (F, 3) by name, to the frames of all."""
+    frame = np.searchsorted(frames, stamp)
+    for name, values in position.items():
+        if (code := joint_code(name)) is not None:
+            number, side, joint = (np.full(len(stamp), value, np.int64) for value in (body, *code))
+            lost = ~np.isfinite(values).all(axis=1)
+            state = np.where(lost, JointState.NOT_TRACKED, states[name]).astype(np.int64)
+            rows.add_joints(frame, number, side, joint, state, np.array(values, dtype=float))
+
+
 def _add_image_points(
     file: RecordingFile,
     tables: list[SkeletonTable],
@@ -313,16 +323,11 @@ def _add_image_points(
     """The same joints in the pictures, where the file has them: for a camera model that uses pixels."""
     rows, topic = JointRows(), TOPIC if camera == "camera" else NAMED_TOPIC.format(camera)
     for table, stamp in zip(tables, stamps, strict=True):
-        if table.image is None:
-            continue
-        frame = np.searchsorted(frames, stamp)
-        body = np.full(len(stamp), table.body, np.int64)
-        file.image_sizes[topic] = (table.image.width, table.image.height)
-        for name, points in table.image.joints.items():
-            if (code := joint_code(name)) is not None:
-                side, joint = (np.full(len(stamp), value, np.int64) for value in code)
-                state = states_of_scores(points[:, 2]).astype(np.int64)
-                rows.add_joints(frame, body, side, joint, state, points.copy())
+        if table.image is not None:
+            file.image_sizes[topic] = (table.image.width, table.image.height)
+            points = table.image.joints
+            state = {name: states_of_scores(each[:, 2]) for name, each in points.items()}
+            _add_joints(rows, frames, stamp, table.body, points, state)
     if topic in file.image_sizes:
         file.image_points += rows.arms(frames, topic, camera, CameraFrame.OPTICAL)
 

@@ -853,9 +853,7 @@ def read_exact(
         place = {name: header.index(name) for name in (*required, *optional) if name in header}
         return _fast(path, len(header), place, words, empty) or _careful(path, place, words, empty)
     except FileNotFoundError:
-        raise RecordingError(
-            f"{path} does not exist, but recording.toml names it; add it or correct the name."
-        ) from None
+        raise RecordingError(f"{path} does not exist; add it, or correct the name.") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise RecordingError(

@@ -10,52 +10,52 @@ import numpy as np
 from ...array_types import FloatArray
 from ...units import STANDARD_GRAVITY
 
-#: m/s^2 in one unit, by the unit in its plain form (see `plain_unit`).
-ACCELERATION = {
-    **dict.fromkeys(
-        ("m/s^2", "m/s2", "m/(s^2)", "m/(sec^2)", "m/s/s", "ms^-2", "m.s^-2", "m*s^-2", "m/s**2"), 1.0
-    ),
-    **dict.fromkeys(("mps2", "ms2", "m_s2", "ms-2", "mps^2"), 1.0),
-    **dict.fromkeys(("g", "gs", "gn", "gravity"), STANDARD_GRAVITY),
-    **dict.fromkeys(("mg", "milli-g"), STANDARD_GRAVITY / 1000),
-    **dict.fromkeys(("cm/s^2", "cm/s2", "gal"), 0.01),
-    **dict.fromkeys(("mm/s^2", "mm/s2"), 0.001),
-}
+
+def _factors(**units: tuple[float, str]) -> dict[str, float]:
+    return {name: factor for factor, names in units.values() for name in names.split()}
+
+
+#: m/s^2 in one unit, by the unit in its plain form (see `plain_unit`); the first name is recording.toml's.
+ACCELERATION = _factors(
+    si=(1.0, "m/s^2 m/s2 m/(s^2) m/(sec^2) m/s/s ms^-2 m.s^-2 m*s^-2 m/s**2 mps2 ms2 m_s2 ms-2 mps^2"),
+    g=(STANDARD_GRAVITY, "g gs gn gravity"),
+    mg=(STANDARD_GRAVITY / 1000, "mg milli-g"),
+    cm=(0.01, "cm/s^2 cm/s2 gal"),
+    mm=(0.001, "mm/s^2 mm/s2"),
+)
 #: rad/s in one unit.
-ANGULAR_VELOCITY = {
-    **dict.fromkeys(("rad/s", "rads/s", "radian/s", "radians/s", "rad*s^-1", "rad.s^-1", "rads^-1"), 1.0),
-    **dict.fromkeys(("rads", "rad_s", "radps", "r/s"), 1.0),
-    **dict.fromkeys(
-        ("deg/s", "degs/s", "degree/s", "degrees/s", "dps", "deg*s^-1", "deg.s^-1"), math.pi / 180
+ANGULAR_VELOCITY = _factors(
+    si=(1.0, "rad/s rads/s radian/s radians/s rad*s^-1 rad.s^-1 rads^-1 rads rad_s radps r/s"),
+    degrees=(
+        math.pi / 180,
+        "deg/s degs/s degree/s degrees/s dps deg*s^-1 deg.s^-1 deg_s degs d/s degps",
     ),
-    **dict.fromkeys(("deg_s", "degs", "d/s", "degps"), math.pi / 180),
-    **dict.fromkeys(("mdps", "mdeg/s"), math.pi / 180_000),
-}
+    milli=(math.pi / 180_000, "mdps mdeg/s"),
+)
 #: s in one unit.
-TIME = {
-    **dict.fromkeys(("s", "seconds", "second"), 1.0),
-    **dict.fromkeys(("ms", "milliseconds", "msec", "msecs", "millis"), 1e-3),
-    **dict.fromkeys(("us", "usec", "microseconds", "micros"), 1e-6),
-    **dict.fromkeys(("ns", "nsec", "nanoseconds", "nanos"), 1e-9),
-    **dict.fromkeys(("100ns", "ticks", "ticksof100ns"), 1e-7),
-}
+TIME = _factors(
+    s=(1.0, "s seconds second"),
+    ms=(1e-3, "ms milliseconds msec msecs millis"),
+    us=(1e-6, "us usec microseconds micros"),
+    ns=(1e-9, "ns nsec nanoseconds nanos"),
+    ticks=(1e-7, "100ns ticks ticksof100ns"),
+)
 TICKS = "ticks of 100 ns"
 #: s in one unit, by the unit in sentences, in the order in which they are tried.
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, TICKS: 1e-7}
 #: Metres in a unit, by the names that files use.
-METRES = {
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-    **dict.fromkeys(("dm", "decimeters", "decimetres"), 0.1),
-    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetres"), 0.01),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetres"), 0.001),
-    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
-}
-_OTHERS = (
-    *("ut", "t", "nt", "mt", "gauss", "ga", "mgauss", "au", "a.u.", "arbitrary", "local_flux", "flux"),
-    *("mv", "v", "kpa", "pa", "hpa", "mbar", "bar", "degc", "c", "celsius", "degreecelsius"),
-    *("k", "%", "lux", "m", "mm", "cm", "deg", "degree", "degrees", "rad", "radians", "hz", "no_units"),
-    *("nounits", "counts", "count", "lsb", "raw", "adc", "quaternion", "unitless", "none", "n/a", "-"),
-    *("degreescelsius", "yyyy-mm-dd", "hh:mm:ss"),
+METRES = _factors(
+    m=(1.0, "m meter meters metre metres"),
+    dm=(0.1, "dm decimeters decimetres"),
+    cm=(0.01, "cm centimeter centimeters centimetres"),
+    mm=(0.001, "mm millimeter millimeters millimetres"),
+    inch=(0.0254, "in inch inches"),
+)
+_OTHERS = _factors(
+    field=(1.0, "ut t nt mt gauss ga mgauss au a.u. arbitrary local_flux flux"),
+    others=(1.0, "mv v kpa pa hpa mbar bar degc c celsius degreecelsius degreescelsius k % lux hz"),
+    place=(1.0, "m mm cm deg degree degrees rad radians quaternion"),
+    none=(1.0, "no_units nounits counts count lsb raw adc unitless none n/a - yyyy-mm-dd hh:mm:ss"),
 )
 _UNITS = frozenset((*ACCELERATION, *ANGULAR_VELOCITY, *TIME, *_OTHERS))
 _BRACKETED = re.compile(r"\s*[\(\[]([^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)[\)\]]\s*$")
