@@ -74,7 +74,7 @@ _LETTERS = {"a": "acc", "g": "gyro", "w": "gyro", "m": "mag"}
 _DERIVED = {
     *("free", "linear", "lineare", "lineaire", "lineal", "linearacceleration", "linacc", "user", "gravity"),
     *("quat", "quaternion", "euler", "orientation", "angle", "norm", "magnitude", "bias", "mat", "roll"),
-    *("pitch", "yaw", "std", "filtered", "global"),
+    *("pitch", "yaw"),
 }
 _NOISE = {
     *("velocity", "rate", "field", "x", "y", "z", "channel", "ch", "cal", "calibrated", "raw", "wr", "ln"),
@@ -120,13 +120,15 @@ def find_sensors(
         by_unit = kind_of_unit(units[at]) if units else ""
         kind = kind_of(words) or _of_letters(words) or kind_of(type_words) or by_unit
         axis = next((w[-1] for w in reversed([*type_words, *words]) if _is_axis(w)), "")
-        axis = axis or next((w for w in reversed(words) if w in "0123"), "")
+        if units:  # columns of a table may be numbered
+            axis = axis or next((w for w in reversed(words) if w in ("0", "1", "2", "3")), "")
         if not kind and axis in ("x", "y", "z") and count in (3, 4):
             kind = of_stream
         if not kind and count == 3 and of_stream and not any(labels):
             kind, axis = of_stream, "xyz"[at]
         if kind and axis and by_unit in ("", kind):
-            name = " ".join(w for w in words if not _says_what(w) and w != axis)
+            by_letter = {*_LETTERS} if not kind_of(words) and _of_letters(words) else set()
+            name = " ".join(w for w in words if not _says_what(w) and w != axis and w not in by_letter)
             groups.setdefault(name, {}).setdefault(kind, {}).setdefault(axis, at)
     found = []
     for name, kinds in groups.items():
