@@ -85,4 +85,4 @@ def video(
         recording, reports = import_files(
             [file], imus, imu_starts_at_s=imu_starts_at, reader=reader, one_session=one_session
         )
-    write_imported(recording, reports, output, json_file, force)
+    write_imported(recording, output, json_file, force, reports)

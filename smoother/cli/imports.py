@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import asdict
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -70,7 +71,7 @@ def csv(
     inputs = [path for path in folder.glob("*") if path.is_file()]
     check_outputs(force, [output, json_file], [*inputs, *(template or [])])
     templates = read_templates(template or [])
-    _finish(open_csv(folder, outside=outside, templates=templates), output, json_file, force)
+    write_imported(open_csv(folder, outside=outside, templates=templates), output, json_file, force)
 
 
 def broad(
@@ -93,7 +94,8 @@ def broad(
         raise typer.BadParameter("--noise-m is between 0 and 1")
     check_mcap(output)
     check_outputs(force, [output, json_file], [mat])
-    _finish(import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed), output, json_file, force)
+    made = import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed)
+    write_imported(made, output, json_file, force)
 
 
 def utd_mhad(
@@ -116,7 +118,7 @@ def utd_mhad(
     skeleton = skeleton or _skeleton_beside(inertial)
     check_mcap(output)
     check_outputs(force, [output, json_file], [inertial, skeleton])
-    _finish(import_utd_mhad(inertial, skeleton), output, json_file, force)
+    write_imported(import_utd_mhad(inertial, skeleton), output, json_file, force)
 
 
 def _skeleton_beside(inertial: Path) -> Path:
@@ -127,19 +129,6 @@ def _skeleton_beside(inertial: Path) -> Path:
         if name != inertial.name and place.is_file():
             return place
     raise UnoccludeError(f"{inertial}: no skeleton file was found beside it; name it as the second argument")
-
-
-def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path | None, force: bool) -> None:
-    """Write what was imported, and print what it contains."""
-    from ..io import describe, write_recording
-
-    write_recording(recording, output, force=force)
-    about = describe(output)
-    write_json(json_file, about.to_dict(), force)
-    from .recordings import print_topics
-
-    print_topics(about)
-    print_notes(recording.notes, imported=True)
 
 
 def files(
@@ -233,29 +222,29 @@ def files(
     )
     if truth is not None:
         reports.append(add_truth(file, truth))
-    write_imported(file, reports, output, json_file, force, passed_over)
+    write_imported(file, output, json_file, force, reports, passed_over)
 
 
 def write_imported(
-    file: RecordingFile,
-    reports: list[FileReport],
+    recording: Recording | RecordingFile,
     output: Path,
     json_file: Path | None,
     force: bool,
+    reports: Sequence[FileReport] | None = None,
     passed_over: Sequence[str] = (),
 ) -> None:
     """Print what was recognised in files, write their recording, and print what it contains."""
     from ..io import describe, write_recording
-
-    for report in reports:
-        say(report.sentence)
-    write_recording(file, output, force=force)
-    about = describe(output)
-    write_json(json_file, {**about.to_dict(), "files": [vars(report) for report in reports]}, force)
     from .recordings import print_topics
 
+    for report in reports or ():
+        say(report.sentence)
+    write_recording(recording, output, force=force)
+    about = describe(output)
+    files = {} if reports is None else {"files": [vars(report) for report in reports]}
+    write_json(json_file, {**about.to_dict(), **files}, force)
     print_topics(about)
-    print_notes([*file.notes, *passed_over])
+    print_notes([*recording.notes, *passed_over], imported=reports is None)
 
 
 def skeleton_file(text: str) -> tuple[str, Path]:
@@ -366,21 +355,11 @@ def describe(
         return
     text = toml_of(path, guess, name)
     say(f"# {len(sheet):,} rows, {sheet.width} columns, parted by {sheet.separator!r}")
-    for sentence in sheet.notes:
+    for sentence in (*sheet.notes, *(f"unsure: {each}" for each in guess.unsure)):
         say(f"# {sentence}")
-    for sentence in guess.unsure:
-        say(f"# unsure: {sentence}")
     say(text)
-    figures = {
-        "format": None if importer is None else importer.key,
-        "kind": guess.kind,
-        "recording_toml": text,
-        "columns": guess.columns,
-        "keys": guess.keys,
-        "reasons": guess.reasons,
-        "unsure": guess.unsure,
-    }
-    write_json(json_file, figures, force)
+    key = None if importer is None else importer.key
+    write_json(json_file, {"format": key, "recording_toml": text, **asdict(guess)}, force)
 
 
 def _print_streams(found: list[DescribedFile]) -> None:
