@@ -19,8 +19,8 @@ import pytest
 import typer
 
 from calib import read_calibration
-from smoother.io.plain.folder import _Description
 from smoother.io.result.write import write_recovery
+from smoother.io.tables.recording_toml import _Description
 from smoother.result import Draws, Recovery
 
 ROOT = Path(__file__).parents[1]

@@ -19,10 +19,9 @@ import numpy as np
 
 from smoother.errors import UnoccludeError
 from smoother.io import read_recovery
-from smoother.io.devices.files import import_files
-from smoother.io.devices.folder import sort_files
-from smoother.io.devices.registry import FileReader
+from smoother.io.files import import_files, sort_files
 from smoother.io.recording.read import open_recording, select_recording
+from smoother.io.registry import FileReader
 
 ROOT = Path(__file__).parents[1]
 #: A damaged example of some kilobytes is read or refused within this, s.

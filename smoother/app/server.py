@@ -22,8 +22,8 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ..errors import UnoccludeError
-from ..io.media.pose_landmarks import is_model
-from ..io.plain.template import read_templates, template_text
+from ..io.tables.recording_toml import read_templates, template_text
+from ..io.tables.video import is_model
 from . import steps, views
 from .folder import (
     AppError,

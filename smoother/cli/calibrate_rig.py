@@ -90,14 +90,14 @@ def _session(
     from calib.panel.definition import read_intrinsics
     from calib.panel.images import read_view
 
-    from ..io.markers import read_positions
+    from ..io.tables.markers import read_positions
 
     lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
     positions = [read_positions(path) for path in marked]
     if recording is not None:
         if depths or infrareds:
             raise typer.BadParameter("give either a recording or --depth and --infrared, not both")
-        from ..io.media.panel_files import read_panel_session
+        from ..io.rig.panel import read_panel_session
 
         return read_panel_session(recording, positions, lens, notes)
     if not depths:
@@ -231,7 +231,7 @@ def _from_files(
     from calib.panel.images import read_view
     from calib.world.panel_view import common_time
 
-    from ..io.plain.table import read_imu_table
+    from ..io.tables.columns import read_imu_table
 
     counts = [len(each) for each in (depths, infrareds, panels, bases)]
     if not depths:
@@ -256,7 +256,7 @@ def _from_files(
 def _from_recording(
     path: Path, panel_topic: str, base_topic: str, lens: Intrinsics | None
 ) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream], Intrinsics, tuple[str, ...]]:
-    from ..io.media.panel_files import read_session
+    from ..io.rig.panel import read_session
 
     session = read_session(path, panel_topic, base_topic)
     lens = lens or session.lens
@@ -387,7 +387,7 @@ def clock(
     from calib.clock.links import beep_receptions, beeps_of_tracks, buzzer_node
     from calib.clock.motion_clock import clock_from_motion
 
-    from ..io.media.clock_files import read_broadcast, read_sound
+    from ..io.rig.clock import read_broadcast, read_sound
 
     if sound is None and broadcast is None and motion is None:
         raise typer.BadParameter("give --sound with --event-time, --broadcast, --motion, or several of them")

@@ -272,7 +272,7 @@ def truth_for(
     from calib.file import read_calibration
 
     from ..evaluation.reference import ReferenceAlignment, read_reference
-    from ..io.markers import MARKER_FORMATS
+    from ..io.tables.markers import MARKER_FORMATS
 
     if truth_file is None:
         assert recording.truth is not None

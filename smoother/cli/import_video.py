@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..errors import RecordingError
 from .imports import Templates, imu_files, write_imported
 from .options import Force, Json, Output
 from .output import check_mcap, check_outputs, progress_bar
@@ -63,12 +64,11 @@ def video(
 
     Joints are stored in metres relative to the hips, and in pixels.
     """
-    from ..io.devices.files import import_files
-    from ..io.devices.registry import FileReader
-    from ..io.devices.video_file import PoseVideo
-    from ..io.media.pose_landmarks import TURNS
-    from ..io.plain.template import read_templates
-    from ..io.tables.protocol import read_head
+    from ..io.files import import_files
+    from ..io.registry import FileReader
+    from ..io.tables.recording_toml import read_templates
+    from ..io.tables.table import read_head
+    from ..io.tables.video import TURNS, pose_video
 
     if turn not in TURNS:
         raise typer.BadParameter("--turn is 90, 180 or 270")
@@ -76,11 +76,13 @@ def video(
     imus = [imu_files(text) for text in imu or []]
     check_outputs(force, [output, json_file], [file, model, *(p for files in imus for p in files.paths)])
     with progress_bar("opening the video") as progress:
-        camera = PoseVideo(model, people, mirrored, turn, progress)
+        camera = pose_video(model, people, mirrored, turn, progress)
         reader = FileReader(templates=[camera, *read_templates(template or [])])
         if not camera.recognises(read_head(file)):
-            camera.refuse(file)
+            raise RecordingError(
+                f"{file} is not a video (MP4, MOV, AVI, MKV); export or convert it, or name another file."
+            )
         recording, reports = import_files(
             [file], imus, imu_starts_at_s=imu_starts_at, reader=reader, one_session=one_session
         )
-    write_imported(recording, reports, output, json_file, force)
+    write_imported(recording, output, json_file, force, reports)

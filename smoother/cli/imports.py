@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import asdict
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,9 +28,9 @@ from .output import check_mcap, check_outputs, print_notes, print_table, say, sa
 
 if TYPE_CHECKING:
     from ..io import RecordingFile
-    from ..io.devices.described import DescribedFile
-    from ..io.devices.files import FileReport, ImuFiles
-    from ..io.media.strap import StrapFound
+    from ..io.files import FileReport, ImuFiles
+    from ..io.rig.strap import StrapFound
+    from ..io.tables.describe import DescribedFile
     from ..recording import Recording
 
 
@@ -64,13 +65,13 @@ def csv(
 ) -> None:
     """Import recording.toml with skeleton and IMU tables."""
     from ..io import open_csv
-    from ..io.plain.template import read_templates
+    from ..io.tables.recording_toml import read_templates
 
     check_mcap(output)
     inputs = [path for path in folder.glob("*") if path.is_file()]
     check_outputs(force, [output, json_file], [*inputs, *(template or [])])
     templates = read_templates(template or [])
-    _finish(open_csv(folder, outside=outside, templates=templates), output, json_file, force)
+    write_imported(open_csv(folder, outside=outside, templates=templates), output, json_file, force)
 
 
 def broad(
@@ -93,7 +94,8 @@ def broad(
         raise typer.BadParameter("--noise-m is between 0 and 1")
     check_mcap(output)
     check_outputs(force, [output, json_file], [mat])
-    _finish(import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed), output, json_file, force)
+    made = import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed)
+    write_imported(made, output, json_file, force)
 
 
 def utd_mhad(
@@ -116,7 +118,7 @@ def utd_mhad(
     skeleton = skeleton or _skeleton_beside(inertial)
     check_mcap(output)
     check_outputs(force, [output, json_file], [inertial, skeleton])
-    _finish(import_utd_mhad(inertial, skeleton), output, json_file, force)
+    write_imported(import_utd_mhad(inertial, skeleton), output, json_file, force)
 
 
 def _skeleton_beside(inertial: Path) -> Path:
@@ -127,19 +129,6 @@ def _skeleton_beside(inertial: Path) -> Path:
         if name != inertial.name and place.is_file():
             return place
     raise UnoccludeError(f"{inertial}: no skeleton file was found beside it; name it as the second argument")
-
-
-def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path | None, force: bool) -> None:
-    """Write what was imported, and print what it contains."""
-    from ..io import describe, write_recording
-
-    write_recording(recording, output, force=force)
-    about = describe(output)
-    write_json(json_file, about.to_dict(), force)
-    from .recordings import print_topics
-
-    print_topics(about)
-    print_notes(recording.notes, imported=True)
 
 
 def files(
@@ -208,10 +197,9 @@ def files(
     """Import files as exported by devices and camera programs."""
     from calib.intrinsics import read_camera_file
 
-    from ..io.devices.files import import_files
-    from ..io.devices.folder import add_truth, sort_files
-    from ..io.devices.registry import FileReader
-    from ..io.plain.template import read_templates
+    from ..io.files import add_truth, import_files, sort_files
+    from ..io.registry import FileReader
+    from ..io.tables.recording_toml import read_templates
 
     reader = FileReader(imu_format, skeleton_format, read_templates(template or []))
     named_skeletons = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
@@ -234,29 +222,29 @@ def files(
     )
     if truth is not None:
         reports.append(add_truth(file, truth))
-    write_imported(file, reports, output, json_file, force, passed_over)
+    write_imported(file, output, json_file, force, reports, passed_over)
 
 
 def write_imported(
-    file: RecordingFile,
-    reports: list[FileReport],
+    recording: Recording | RecordingFile,
     output: Path,
     json_file: Path | None,
     force: bool,
+    reports: Sequence[FileReport] | None = None,
     passed_over: Sequence[str] = (),
 ) -> None:
     """Print what was recognised in files, write their recording, and print what it contains."""
     from ..io import describe, write_recording
-
-    for report in reports:
-        say(report.sentence)
-    write_recording(file, output, force=force)
-    about = describe(output)
-    write_json(json_file, {**about.to_dict(), "files": [vars(report) for report in reports]}, force)
     from .recordings import print_topics
 
+    for report in reports or ():
+        say(report.sentence)
+    write_recording(recording, output, force=force)
+    about = describe(output)
+    files = {} if reports is None else {"files": [vars(report) for report in reports]}
+    write_json(json_file, {**about.to_dict(), **files}, force)
     print_topics(about)
-    print_notes([*file.notes, *passed_over])
+    print_notes([*recording.notes, *passed_over], imported=reports is None)
 
 
 def skeleton_file(text: str) -> tuple[str, Path]:
@@ -291,7 +279,7 @@ def _check_role(name: str) -> None:
 
 def imu_files(text: str) -> ImuFiles:
     """What `--imu [NAME=]FILE[,FILE]` or `FILE#SENSOR[,#SENSOR]` names."""
-    from ..io.devices.files import ImuFiles
+    from ..io.files import ImuFiles
 
     name, sensor, rest = "", "", text.strip()
     if not Path(rest).exists() and "=" in rest:
@@ -311,7 +299,7 @@ def imu_files(text: str) -> ImuFiles:
 
 def formats(json_file: Json = None, force: Force = False) -> None:
     """List the formats that `import files` recognises."""
-    from ..io.devices.registry import formats as importers
+    from ..io.registry import formats as importers
 
     check_outputs(force, [json_file])
     figures = [
@@ -344,10 +332,10 @@ def describe(
     Of several files, or those of a folder, list the streams that they contain: rates, units, axes. --json has
     a small plot of each, and the guess about tables of an unknown layout.
     """
-    from ..io.devices.describe_table import toml_of
-    from ..io.devices.described import describe_files, guessed_table
-    from ..io.devices.registry import FileReader
-    from ..io.plain.template import read_templates
+    from ..io.registry import FileReader
+    from ..io.tables.columns import toml_of
+    from ..io.tables.describe import describe_files, guessed_table
+    from ..io.tables.recording_toml import read_templates
 
     check_outputs(force, [json_file], [path for path in paths if not path.is_dir()])
     reader = FileReader(templates=read_templates(template or []))
@@ -366,22 +354,12 @@ def describe(
         write_json(json_file, {"format": importer.key, "recording_toml": None, "unsure": []}, force)
         return
     text = toml_of(path, guess, name)
-    say(f"# {len(sheet):,} rows, {sheet.layout.width} columns, parted by {sheet.layout.separator!r}")
-    for sentence in sheet.notes:
+    say(f"# {len(sheet):,} rows, {sheet.width} columns, parted by {sheet.separator!r}")
+    for sentence in (*sheet.notes, *(f"unsure: {each}" for each in guess.unsure)):
         say(f"# {sentence}")
-    for sentence in guess.unsure:
-        say(f"# unsure: {sentence}")
     say(text)
-    figures = {
-        "format": None if importer is None else importer.key,
-        "kind": guess.kind,
-        "recording_toml": text,
-        "columns": guess.columns,
-        "keys": guess.keys,
-        "reasons": guess.reasons,
-        "unsure": guess.unsure,
-    }
-    write_json(json_file, figures, force)
+    key = None if importer is None else importer.key
+    write_json(json_file, {"format": key, "recording_toml": text, **asdict(guess)}, force)
 
 
 def _print_streams(found: list[DescribedFile]) -> None:
@@ -442,7 +420,7 @@ def strap(
     from calib.strap import held_radius, mounted_on
 
     from ..calibration import Length
-    from ..io.media.strap import check_images
+    from ..io.rig.strap import check_images
     from ..report.strap import verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap

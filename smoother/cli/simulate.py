@@ -316,7 +316,7 @@ def strap(
 
     FILE_truth.toml contains the strap's true position, FILE the IMU's true motion.
     """
-    from ..io.media.strap import write_strap_recording
+    from ..io.rig.strap import write_strap_recording
     from ..simulation import ArmSimulation, simulate_arm
     from ..simulation.strap import COLOUR, DEPTH, DEPTH_LATER_S, strap_images, strap_radius_m
     from .output import progress_bar

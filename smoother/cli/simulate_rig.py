@@ -189,7 +189,7 @@ def panel(
     Writes depth and infrared images, mocap markers and IMU samples of each pose, intrinsics.toml, panel.toml
     and truth.toml: what `calibrate panel` and `calibrate world` take, and what they should find.
     """
-    from ..io.media.panel_files import check_folder, write_panel_folder, write_panel_recording
+    from ..io.rig.panel import check_folder, write_panel_folder, write_panel_recording
     from ..simulation.panel import simulate_panel
 
     config = _configured(panel_file, {name: value for name, value in settings.items() if value is not None})
@@ -305,7 +305,7 @@ def _definition(config: PanelSimulation) -> dict[str, Any]:
 def _shots(simulated: SimulatedPanel) -> list[Any]:
     import numpy as np
 
-    from ..io.media.panel_files import PanelShot
+    from ..io.rig.panel import PanelShot
 
     return [
         PanelShot(
@@ -339,8 +339,8 @@ def clock(
 
     Writes beep.wav, times.csv, session.mcap and truth.toml. The IMU's clock runs 390 ppm fast.
     """
-    from ..io.media.clock_files import MOTION, SOUND, TIMES, write_clock_folder
-    from ..io.media.panel_files import check_folder
+    from ..io.rig.clock import MOTION, SOUND, TIMES, write_clock_folder
+    from ..io.rig.panel import check_folder
     from ..simulation.rig import simulate_clock_session
 
     check_folder(output, force)

@@ -95,7 +95,7 @@ def read_reference(
     align: bool = False,
 ) -> tuple[Truth, ReferenceAlignment]:
     """Read a truth of any kind, in the camera frame and on the IMU's clock."""
-    from ..io.markers import MARKER_FORMATS, read_markers
+    from ..io.tables.markers import MARKER_FORMATS, read_markers
 
     path = Path(path)
     if path.suffix.lower() not in MARKER_FORMATS:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
-from ..io.tables.protocol import shown
+from ..io.tables.table import shown
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input

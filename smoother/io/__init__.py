@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ..runtime.outputs import check_output as check_output
     from ..runtime.outputs import writing as writing
-    from .devices.files import ImuFiles as ImuFiles
-    from .devices.files import import_files as import_files
+    from .datasets import import_broad as import_broad
+    from .datasets import import_utd_mhad as import_utd_mhad
     from .export.csv import export_csv as export_csv
     from .export.prepare import prepare_export as prepare_export
+    from .files import ImuFiles as ImuFiles
+    from .files import import_files as import_files
     from .info import RecordingInfo as RecordingInfo
     from .info import describe as describe
-    from .plain.folder import import_broad as import_broad
-    from .plain.folder import import_csv as import_csv
-    from .plain.folder import import_utd_mhad as import_utd_mhad
-    from .plain.folder import open_csv as open_csv
     from .recording.read import open_recording as open_recording
     from .recording.read import read_imu as read_imu
     from .recording.read import read_recording as read_recording
@@ -28,19 +26,21 @@ if TYPE_CHECKING:
     from .recording.write import write_recording as write_recording
     from .result.read import read_recovery as read_recovery
     from .result.write import write_recovery as write_recovery
+    from .tables.recording_toml import import_csv as import_csv
+    from .tables.recording_toml import open_csv as open_csv
 
 _HOMES = {
-    "ImuFiles": ".devices.files",
+    "ImuFiles": ".files",
     "RecordingFile": ".recording.streams",
     "RecordingInfo": ".info",
     "check_output": "..runtime.outputs",
     "describe": ".info",
     "export_csv": ".export.csv",
-    "import_broad": ".plain.folder",
-    "import_csv": ".plain.folder",
-    "import_files": ".devices.files",
-    "import_utd_mhad": ".plain.folder",
-    "open_csv": ".plain.folder",
+    "import_broad": ".datasets",
+    "import_csv": ".tables.recording_toml",
+    "import_files": ".files",
+    "import_utd_mhad": ".datasets",
+    "open_csv": ".tables.recording_toml",
     "open_recording": ".recording.read",
     "prepare_export": ".export.prepare",
     "read_imu": ".recording.read",

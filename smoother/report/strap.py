@@ -11,7 +11,7 @@ from ..linalg import robust_sigma
 from .sheet import Page, listing, tabulated
 
 if TYPE_CHECKING:
-    from ..io.media.strap import StrapFound
+    from ..io.rig.strap import StrapFound
 
 
 #: A strap that wanders along the forearm by more than this part of it was at times something else.

@@ -16,11 +16,11 @@ from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.merge import Output
 from ..io.mcap.messages import Topic
-from ..io.media.images import ImageMessage
-from ..io.media.strap import Cameras, StrapFound
 from ..io.recording.read import METADATA, is_motion, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
+from ..io.rig.images import ImageMessage
+from ..io.rig.strap import Cameras, StrapFound
 from ..recording import JOINTS, CameraFrame, JointState
 from ..runtime.outputs import writing
 

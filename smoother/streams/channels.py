@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from ..io.markers import without_origin
-from ..io.tables.columns import SensorChannels, find_sensors, joint_label, kind_of
-from ..io.tables.joint_columns import find_joint_columns, words_of
+from ..io.tables.imu import SensorChannels, find_sensors, joint_label, kind_of
+from ..io.tables.joints import find_joint_columns, words_of
 from ..io.tables.skeleton_formats import kinect_states, share_states
+from ..io.tables.skeletons import without_origin
 from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
 from ..recording import JOINTS, CameraFrame, JointState
 from ..runtime.printable import printable

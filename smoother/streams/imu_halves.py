@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from ..io.tables.columns import find_sensors, kind_of, stem_of
-from ..io.tables.joint_columns import words_of
+from ..io.tables.imu import find_sensors, kind_of, stem_of
+from ..io.tables.joints import words_of
 from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY
 from ..runtime.printable import printable
 from .arrivals import STEP_OF_IMU_S, ImuRows, StampSteps

@@ -24,9 +24,9 @@ from smoother.app.steps import describe_steps, import_steps
 from smoother.cli.app import app
 from smoother.errors import RecordingError
 from smoother.io import open_csv, open_recording
-from smoother.io.devices.registry import FileReader, format_named
-from smoother.io.plain.template import read_templates
-from smoother.io.tables.protocol import read_head
+from smoother.io.registry import FileReader, format_named
+from smoother.io.tables.recording_toml import read_templates
+from smoother.io.tables.table import read_head
 
 
 def test_two_files_become_a_recording(page: Page, session_files: dict[str, Path]):

@@ -19,8 +19,8 @@ from calib.world.world_table import with_gravity
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import read_recording, write_recording
-from smoother.io.markers import read_positions
-from smoother.io.media.images import ImageMessage, LensMessage, read_images
+from smoother.io.rig.images import ImageMessage, LensMessage, read_images
+from smoother.io.tables.markers import read_positions
 from smoother.recording import ImuStream, Recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth

@@ -30,7 +30,7 @@ from smoother.evaluation.reference import read_reference
 from smoother.evaluation.truth import read_truth
 from smoother.evaluation.validate import validate
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc
-from smoother.io.markers import read_markers
+from smoother.io.tables.markers import read_markers
 from smoother.recording import CameraFrame
 
 PLATE = np.array(

@@ -11,7 +11,7 @@ import numpy as np
 import skeleton_files as made
 from imu_files import GRAVITY, motion, rows
 
-from smoother.io.tables.joint_columns import AZURE, BLAZEPOSE, KINECT_V2
+from smoother.io.tables.joints import AZURE, BLAZEPOSE, KINECT_V2
 
 COUNT, FRAMES = 80, 12
 ACC, GYRO = motion(COUNT)
@@ -70,7 +70,7 @@ phyphox = _table(
     form="{:.9E}",
 )
 named = _table(
-    ";".join(["Zeit [ms]", *_xyz("K1 {} [g]"), *_xyz("D1 {} [deg/s]")]),
+    ";".join(["Lauf [ms]", *_xyz("K1 {} [g]"), *_xyz("D1 {} [deg/s]")]),
     columns=(MICROS / 1e3, ACC / GRAVITY, DEG),
     separator=";",
 )

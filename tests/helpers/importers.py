@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from imu_files import motion
 
-from smoother.io.devices.registry import recognise
-from smoother.io.tables.protocol import ImuTable, SkeletonTable, read_head
+from smoother.io.registry import recognise
+from smoother.io.tables.imu import ImuTable
+from smoother.io.tables.skeletons import SkeletonTable
+from smoother.io.tables.table import read_head
 
 ACC, GYRO = motion()
 COUNT = len(ACC)

@@ -10,7 +10,7 @@ import skeleton_files as made
 from importers import turning
 from imu_files import motion
 
-from smoother.io.tables.joint_columns import AZURE
+from smoother.io.tables.joints import AZURE
 
 ZERO = 1_700_000_000 * 10**9
 

@@ -12,9 +12,9 @@ from starlette.testclient import TestClient
 
 from smoother.app.folder import AppFolder, write_json
 from smoother.app.steps import STREAMS
-from smoother.io.devices.described import describe_files
-from smoother.io.devices.registry import FileReader
-from smoother.io.plain.template import read_templates
+from smoother.io.registry import FileReader
+from smoother.io.tables.describe import describe_files
+from smoother.io.tables.recording_toml import read_templates
 from smoother.recording import JOINTS, JointState
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.units import STANDARD_GRAVITY

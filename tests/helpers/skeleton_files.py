@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother.io.tables.joint_columns import AZURE, BLAZEPOSE, BODY_25, KINECT_V2
+from smoother.io.tables.joints import AZURE, BLAZEPOSE, BODY_25, KINECT_V2
 
 #: Parts of a standing body, m: x to its left, y up, z to its back; the origin under it.
 _PARTS = {

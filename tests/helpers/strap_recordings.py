@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from smoother.io.media.strap import write_strap_recording
+from smoother.io.rig.strap import write_strap_recording
 from smoother.simulation.arm import SimulatedArm
 from smoother.simulation.strap import COLOUR, DEPTH, DEPTH_LATER_S, strap_images
 

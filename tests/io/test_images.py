@@ -13,11 +13,11 @@ from scipy.io import wavfile
 from calib.panel.images import read_view, unpacked
 from smoother.errors import CalibrationError, RecordingError
 from smoother.io.mcap.merge import Output, OutputStream
-from smoother.io.media import panel_files
-from smoother.io.media.clock_files import read_sound
-from smoother.io.media.images import ImageMessage, LensMessage, raw_image, read_images
-from smoother.io.media.panel_files import read_pairs
-from smoother.io.media.strap import check_images
+from smoother.io.rig import panel as panel_files
+from smoother.io.rig.clock import read_sound
+from smoother.io.rig.images import ImageMessage, LensMessage, raw_image, read_images
+from smoother.io.rig.panel import read_pairs
+from smoother.io.rig.strap import check_images
 from smoother.io.wire.schemas import message_class
 from smoother.runtime.outputs import writing
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
-from smoother.io.markers import _whole, read_markers
+from smoother.io.tables.markers import _refuse_cut_off, read_markers
 
 DATASETS = os.environ.get("UNOCCLUDE_DATASETS")
 
@@ -283,4 +283,4 @@ def test_a_c3d_header_without_points_whose_data_begin_behind_the_end(tmp_path: P
     path = tmp_path / "a.c3d"
     path.write_bytes(header.tobytes() + bytes(40))
     with pytest.raises(RecordingError, match="cut off: it contains 0 % of the frames"):
-        _whole(path, {})
+        _refuse_cut_off(path, {})

@@ -13,7 +13,7 @@ from made_recordings import make, plain_texts
 
 from smoother.errors import RecordingError
 from smoother.io import import_csv, open_csv, read_recording, write_recording
-from smoother.io.plain.table import read_table
+from smoother.io.tables.columns import read_exact
 from smoother.recording import CameraFrame
 
 Folder = Callable[..., Path]
@@ -158,7 +158,7 @@ TABLE = "x,word,z\n"
 def test_tables_that_are_not_plain(tmp_path: Path, rows: str, x: list[float], words: list[str]) -> None:
     path = tmp_path / "t.csv"
     path.write_text(TABLE + rows, encoding="utf-8", newline="")
-    numbers, texts = read_table(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
+    numbers, texts = read_exact(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
     assert numbers["x"].tolist() == x and texts["word"] == words
 
 
@@ -176,7 +176,7 @@ def test_the_wrong_line_of_a_table_is_named(tmp_path: Path, rows: str, said: str
     path = tmp_path / "t.csv"
     path.write_text(TABLE + rows, encoding="utf-8", newline="")
     with pytest.raises(RecordingError, match=said):
-        read_table(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
+        read_exact(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
 
 
 cells = st.floats(allow_nan=False, allow_infinity=False)
@@ -200,7 +200,7 @@ def test_any_table(
         comma.join((repr(x), repr(y), "" if z is None else repr(z), word, "?")) for x, y, z, word in rows
     ]
     path.write_text(("\ufeff" if bom else "") + end.join(lines) + end, encoding="utf-8", newline="")
-    numbers, texts = read_table(path, ("x", "y", "word"), ("z", "absent"), words=("word",), empty=("z",))
+    numbers, texts = read_exact(path, ("x", "y", "word"), ("z", "absent"), words=("word",), empty=("z",))
     assert numbers["x"].tolist() == [row[0] for row in rows]
     assert numbers["y"].tolist() == [row[1] for row in rows]
     assert [None if np.isnan(z) else z for z in numbers["z"].tolist()] == [row[2] for row in rows]
@@ -212,14 +212,14 @@ def test_any_table(
 def test_a_table_that_ends_within_a_number(tmp_path: Path, cut: int) -> None:
     text = "t_s,x\n" + "".join(f"{0.01 * k:.4f},{1.5 + k:.3f}\n" for k in range(40))
     (tmp_path / "a.csv").write_text(text)
-    numbers, _ = read_table(tmp_path / "a.csv", ["t_s", "x"])
+    numbers, _ = read_exact(tmp_path / "a.csv", ["t_s", "x"])
     assert numbers["x"][-1] == 40.5
     (tmp_path / "a.csv").write_text(text[:-1])  # its last line is whole
-    numbers, _ = read_table(tmp_path / "a.csv", ["t_s", "x"])
+    numbers, _ = read_exact(tmp_path / "a.csv", ["t_s", "x"])
     assert numbers["x"][-1] == 40.5
     (tmp_path / "a.csv").write_text(text[: -1 - cut])
     with pytest.raises(RecordingError, match="ends within a number"):
-        read_table(tmp_path / "a.csv", ["t_s", "x"])
+        read_exact(tmp_path / "a.csv", ["t_s", "x"])
 
 
 def test_a_camera_without_skeleton_leaves_the_imus(plain_folder: Folder) -> None:

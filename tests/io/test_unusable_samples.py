@@ -184,7 +184,7 @@ def test_other_toml_files_with_deep_or_long_values(tmp_path: Path):
     from calib.panel.definition import read_panel
     from smoother.cli.config import read_config
     from smoother.evaluation.mocap.markers import read_marker_map
-    from smoother.io.plain.folder import open_csv
+    from smoother.io.tables.recording_toml import open_csv
 
     for text in ("a = " + "[" * 5000 + "]" * 5000, "a = " + "1" * 5000, 'a = "\\u0000"'):
         path = tmp_path / "recording.toml"

@@ -19,19 +19,19 @@ from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.cli.config import read_config, to_toml
 from smoother.config import Config
 from smoother.io import export_csv, read_recovery, write_recovery
-from smoother.io.devices.describe_table import Guess, toml_of
 from smoother.io.export.csv import csv_columns
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
 from smoother.io.export.storage import MotTable, write_mot
-from smoother.io.markers import read_c3d, read_trc
 from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.mcap.repair import repair_container
-from smoother.io.media.images import raw_image, read_images
 from smoother.io.recording.read import open_recording
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import write_recording
+from smoother.io.rig.images import raw_image, read_images
+from smoother.io.tables.columns import Guess, toml_of
+from smoother.io.tables.markers import read_c3d, read_trc
 from smoother.io.wire.protobuf_encode import encoded
 from smoother.io.wire.schemas import parsed
 from smoother.result import Recovery

@@ -14,7 +14,7 @@ from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.measure_files import _detectable_of_user
 from smoother.evaluation.mocap.markers import read_marker_map
-from smoother.io.plain.folder import _describe
+from smoother.io.tables.recording_toml import read_description
 from smoother.runtime.inputs import MOST_DEEP, read_toml, toml_text
 
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-32")
@@ -33,7 +33,7 @@ def test_every_reader_takes_it(tmp_path: Path, encoding: str) -> None:
     assert _detectable_of_user(write("[mdc95]\nhand_reach_alpha_l = 0.1\n")) == {"hand_reach_alpha_l": 0.1}
     assert read_intrinsics(write(LENS)).fx == 500
     write('[imu.forearm_right]\nfile = "imu.csv"\n', "recording.toml")
-    assert _describe(tmp_path).imu["forearm_right"].file == "imu.csv"
+    assert read_description(tmp_path).imu["forearm_right"].file == "imu.csv"
     path = write("[clock]\noffset_s = 0.5\n")
     assert read_calibration(path).tables["clock"]["offset_s"] == 0.5
     write_calibration(path, CalibrationFile({}, {"clock": {"offset_s": 0.7}}))
@@ -58,7 +58,7 @@ READERS = (read_config, read_marker_map, read_calibration, _detectable_of_user, 
 def refused(folder: Path, text: str, said: str) -> None:
     path = folder / "recording.toml"
     path.write_text(text, encoding="utf-8")
-    for read in (*READERS, lambda path: _describe(path.parent)):
+    for read in (*READERS, lambda path: read_description(path.parent)):
         began = time.monotonic()
         with pytest.raises(UnoccludeError, match=said):
             read(path)
@@ -93,7 +93,7 @@ def test_a_file_that_is_no_settings_is_not_read_whole(tmp_path: Path) -> None:
     with open(path, "wb") as file:
         file.truncate(2_000_000_000)  # a hole: no disk is used
     began = time.monotonic()
-    for read in (*READERS, lambda path: _describe(path.parent)):
+    for read in (*READERS, lambda path: read_description(path.parent)):
         with pytest.raises(UnoccludeError, match="longer than 1 MB"):
             read(path)
     assert time.monotonic() - began < 2

@@ -28,15 +28,14 @@ from smoother.io import (
     read_recording,
     read_recovery,
 )
-from smoother.io.devices.files import ImuFiles
-from smoother.io.markers import read_c3d, read_markers, read_positions, read_trc
+from smoother.io.datasets import import_utd_mhad
+from smoother.io.files import ImuFiles
 from smoother.io.mcap.container import Container
-from smoother.io.media.clock_files import read_broadcast, read_sound
-from smoother.io.media.images import read_images
-from smoother.io.plain.folder import import_utd_mhad
-from smoother.io.plain.table import read_table
-from smoother.io.tables.protocol import read_head
-from smoother.io.tables.text_table import read_sheet
+from smoother.io.rig.clock import read_broadcast, read_sound
+from smoother.io.rig.images import read_images
+from smoother.io.tables.columns import read_exact as read_strict
+from smoother.io.tables.markers import read_c3d, read_markers, read_positions, read_trc
+from smoother.io.tables.table import read_head, read_table
 from smoother.runtime.inputs import check_input
 from smoother.study.inputs import file_hash, find_entries
 
@@ -65,8 +64,8 @@ READERS: dict[str, Callable[[Path], object]] = {
     "c.c3d": read_positions,
     "a.trc": read_trc,
     "b.trc": read_markers,
-    "a.csv": lambda path: read_table(path, ["t_s"]),
-    "b.csv": read_sheet,
+    "a.csv": lambda path: read_strict(path, ["t_s"]),
+    "b.csv": read_table,
     "c.csv": read_head,
     "d.csv": read_truth_csv,
     "e.csv": read_positions,

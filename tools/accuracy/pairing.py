@@ -33,7 +33,7 @@ from smoother.array_types import FloatArray
 from smoother.errors import RecordingError
 from smoother.filters import gaussian_smoothed
 from smoother.io import import_utd_mhad
-from smoother.io.devices.files import ImuFiles, import_files
+from smoother.io.files import ImuFiles, import_files
 from smoother.io.recording.select import select_recording
 from smoother.linalg import unit
 from smoother.matching import METHODS, SURE_FROM, ImuMatch, decide, limbs_of, pair_evidence

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...io.markers import Markers
+from ...io.tables.markers import Markers
 from ...recording import Truth
 from ..metrics import BRIDGED_S
 from .markers import (

@@ -11,9 +11,7 @@ from ...errors import RecordingError
 from ...measurements.timestamps import increasing
 from ...runtime.store import Store, batches, sampled
 from ..mcap.messages import nanoseconds, seconds
-from ..tables.columns import with_halves_joined
-from ..tables.imu_checks import WRONG_SCALE, turn_scale
-from ..tables.protocol import ImuTable
+from ..tables.imu import WRONG_SCALE, ImuTable, turn_scale, with_halves_joined
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, unit_of_rest
 from .clean import GYRO_LIMIT, rest_size
 from .streams import ImuSamples, RecordingFile, without_outlying

@@ -23,7 +23,7 @@ from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, JointState
 from ...runtime.store import Store, batches
 from ..mcap.messages import told_behind
-from ..tables.protocol import ImuTable
+from ..tables.imu import ImuTable
 
 
 @dataclass

@@ -1,329 +1,967 @@
-"""Which columns or channels are a sensor's axes, by their names, types and units."""
+"""Which columns of a table are what: as recording.toml says, or as their names, units and values show."""
 
 from __future__ import annotations
 
+import csv
+import json
+import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu_checks import paired, turn_scale
-from .joint_columns import words_of
-from .protocol import ImuTable, shown
-from .units import ACCELERATION, ANGULAR_VELOCITY, SECONDS, plain_unit, unit_of_step
-
-#: All in lower case; English first.
-TIME_WORDS = ("time", "zeit", "zeitstempel", "temps", "tiempo", "tempo")
-ACCELERATION_WORDS = (
-    *("acceleration", "accelerometer", "beschleunigung", "beschleunigungssensor"),
-    *("accélération", "aceleración", "accelerazione"),
+from ...recording import CameraFrame, ImuStream, JointState
+from ...runtime.inputs import check_input
+from ..recording.decode import joint_code
+from ..recording.keypoints import states_of_scores
+from .imu import (
+    Columns,
+    ImuTable,
+    acceleration_unit,
+    find_sensors,
+    gravity_unit,
+    holds_gravity,
+    kind_of_unit,
+    turning_unit,
+    usual_size,
 )
-LINEAR_WORDS = (
-    *("linear acceleration", "lineare beschleunigung", "accélération linéaire", "aceleración lineal"),
+from .joints import JointColumns, find_joint_columns, joint_name
+from .skeletons import PIXELS, BodyRows, SkeletonTable, unit_by_arm
+from .table import (
+    ROWS_BEFORE,
+    SEPARATORS,
+    Table,
+    check_lines,
+    file_text,
+    is_cut_number,
+    is_data,
+    layout_of,
+    plain_label,
+    plain_minus,
+    read_table,
+    shown,
+    split_line,
 )
-TURNING_WORDS = (
-    *("gyroscope", "gyroscope rotation", "rotation rate", "angular velocity"),
-    *("gyroskop", "drehrate", "drehgeschwindigkeit", "winkelgeschwindigkeit"),
-    *("giroscopio", "velocidad angular", "velocità angolare", "vitesse angulaire"),
+from .times import stated_time_unit, time_among, time_column
+from .units import (
+    ACCELERATION,
+    ANGULAR_VELOCITY,
+    DATED_S,
+    METRES,
+    SECONDS,
+    SENSOR_RATES,
+    from_1970,
+    plain_unit,
+    split_unit,
+    time_unit,
 )
 
-
-_ACC = {"acc", "accel", "accelerations", "acce", *(w for w in ACCELERATION_WORDS if " " not in w)}
-_GYRO = {
-    *("gyr", "gyro", "gyroscope", "gyroscopes", "angvel", "angular", "omega", "rotationrate", "gyration"),
-    *("turn", "gyros", "ang", "angulaire"),
-    *(word for word in TURNING_WORDS if " " not in word),
-}
-_MAG = {"mag", "magn", "magnetometer", "magnetic", "magfield"}
-_LETTERS = {"a": "acc", "g": "gyro", "w": "gyro", "m": "mag"}
-#: Words of columns that are not a raw signal of a sensor.
-_DERIVED = {
-    "free",
-    "linear",
-    "quat",
-    "quaternion",
-    "euler",
-    "orientation",
-    "angle",
-    "norm",
-    "magnitude",
-    "bias",
-}
-_NOISE = {
-    *(
-        "velocity",
-        "rate",
-        "field",
-        "x",
-        "y",
-        "z",
-        "channel",
-        "ch",
-        "cal",
-        "calibrated",
-        "raw",
-        "wr",
-        "ln",
-        "data",
-    ),
-    *("stream", "lsl", "ms", "s", "deg", "rad", "g", "imu", "sensor"),
-}
-#: A gyroscope's values beyond this are deg/s, whatever moved: 60 rad/s is 3400 deg/s.
-_FASTEST_RAD_S = 60.0
-#: What is larger is not a measurement in any unit.
-_DAMAGED = 1e9
+Column = str | int
+LAYOUT_KEYS = {"separator", "skip_rows", "columns", "time_unit", "rate_hz"}
 
 
-@dataclass(frozen=True)
-class SensorChannels:
-    """Channels (from 0) of one sensor."""
+class TableKeys(BaseModel):
+    """How a table is laid out; what is not given is looked for."""
 
-    name: str  # What the labels call it, "" where they do not
-    axes: dict[str, tuple[int, int, int]]  # Columns of x, y, z of `acc`, `gyro`, `mag`
-
-
-def kind_of(words: Sequence[str]) -> str:
-    """What words speak of: `acc`, `gyro`, `mag`, or ""."""
-    present = set(words)
-    if present & _DERIVED or ("rotation" in present and not present & {"rate"}):
-        return ""
-    for kind, names in (("gyro", _GYRO), ("acc", _ACC), ("mag", _MAG)):
-        if present & names or (kind == "gyro" and {"rotation", "rate"} <= present):
-            return kind
-    return ""
+    model_config = ConfigDict(extra="forbid")
+    separator: str | None = None  # ",", ";", a tab or a blank (any number of them)
+    skip_rows: int | None = Field(None, ge=0)  # Lines above the header, or above the rows where there is none
+    # "s", "ms", "us", "ns", "ticks of 100 ns", "iso" (dates), "counter" (samples, with `rate_hz`)
+    time_unit: Literal["s", "ms", "us", "ns", "ticks of 100 ns", "iso", "counter"] = "s"
+    rate_hz: float | None = Field(None, gt=0)  # Of a table without times, or of a counter
 
 
-def find_sensors(labels: Sequence[str], types: Sequence[str], stream: str) -> list[SensorChannels]:
-    """Sensors among the channels of a stream."""
-    groups: dict[str, dict[str, dict[int, int]]] = {}
-    of_stream = kind_of(words_of(stream))
-    for at, (label, channel_type) in enumerate(zip(labels, types, strict=True)):
-        words = words_of(label)
-        type_words = words_of(channel_type)
-        axis = next((w[-1] for w in reversed([*type_words, *words]) if w[-1:] in "xyz" and _is_axis(w)), "")
-        kind = kind_of(words) or _of_letters(words) or kind_of(type_words)
-        if set(words) & _DERIVED or set(type_words) & _DERIVED:
-            continue
-        if not kind and axis and len(labels) in (3, 4):
-            kind = of_stream
-        if not kind and len(labels) == 3 and of_stream and not any(labels):
-            kind, axis = of_stream, "xyz"[at]
-        if kind and axis:
-            name = " ".join(w for w in words if not _says_what(w))
-            groups.setdefault(name, {}).setdefault(kind, {}).setdefault("xyz".index(axis), at)
-    sensors = []
-    for name, kinds in groups.items():
-        axes = {
-            kind: (columns[0], columns[1], columns[2]) for kind, columns in kinds.items() if len(columns) == 3
-        }
-        if axes.keys() & {"acc", "gyro"}:
-            sensors.append(SensorChannels(name, axes))
-    return sensors
+class ImuKeys(TableKeys):
+    """Files of an IMU; units count for all of them."""
 
-
-def joint_label(marker: str, kind: str) -> str:
-    """A channel's label of a marker (or object) and the channel's type in the MoCap meta-data of XDF."""
-    kind = kind.lower()
-    if marker and kind.startswith("position") and kind[-1:] in "xyz":
-        return f"{marker}_{kind[-1]}"
-    return f"{marker}_{kind}" if marker and kind in ("confidence", "trackingstate") else ""
-
-
-def stem_of(name: str) -> str:
-    """A stream's name without accelerometer or gyroscope, to find what belongs together."""
-    return " ".join(word for word in words_of(name) if not _says_what(word))
-
-
-def with_halves_joined(
-    tables: Sequence[ImuTable], source: str
-) -> tuple[list[ImuTable], list[ImuTable], list[str]]:
-    """IMUs of halves whose names differ in the sensor alone; the halves left over, and why."""
-    joined: list[ImuTable] = []
-    alone: list[ImuTable] = []
-    stems = [" ".join(word for word in stem_of(table.name).split() if word != "linear") for table in tables]
-    for stem in dict.fromkeys(stems):
-        mine = [table for table, each in zip(tables, stems, strict=True) if each == stem]
-        acc, gyro = ([t for t in mine if getattr(t, part) is not None] for part in ("acc", "gyro"))
-        if len(acc) == len(gyro) == 1:
-            table = paired(mine, source)
-            table.notes.insert(0, f"{acc[0].name} and {gyro[0].name} were taken as one IMU.")
-            table.made_of = acc[0].name, gyro[0].name
-            joined.append(table)
-        else:
-            alone += mine
-    only = ["an accelerometer" if table.acc is not None else "a gyroscope" for table in alone]
-    why = [f"{t.name} is {what} alone, and both are needed" for t, what in zip(alone, only, strict=True)]
-    return joined, alone, why
-
-
-def _says_what(word: str) -> bool:
-    known = _ACC | _GYRO | _MAG | _NOISE
-    return word in known or (word[:-1] in known and word[-1:] in "xyz") or _of_letters([word]) != ""
-
-
-def _is_axis(word: str) -> bool:
-    return word in "xyz" or word[:-1] in _ACC | _GYRO | _MAG | {"a", "g", "w", "m"}
-
-
-def _of_letters(words: Sequence[str]) -> str:
-    """Kind of `ax`, `gy`, `mz`; "" for others."""
-    return next((_LETTERS[w[0]] for w in words if len(w) == 2 and w[0] in _LETTERS and w[1] in "xyz"), "")
-
-
-def imu_of(
-    name: str,
-    t_s: FloatArray,  # (N,) s
-    values: FloatArray,  # (N, channels)
-    sensor: SensorChannels,
-    units: Sequence[str],
-    rate: float | None,  # Hz
-) -> tuple[ImuTable | None, str]:
-    """A sensor's samples in SI units."""
-    values = np.where(np.abs(values) < _DAMAGED, values, np.nan)
-    table = ImuTable(name, t_s, None, None, rate_hz=rate)
-    said = []
-    if "acc" in sensor.axes:
-        unit = plain_unit(units[sensor.axes["acc"][0]])
-        table.acc = values[:, sensor.axes["acc"]].astype(float)
-        if unit not in ACCELERATION:
-            unit = _unit_by_gravity(table.acc)
-            if not unit:
-                return None, f"{name}: the accelerometer's unit is not stated, and no gravity shows it"
-            table.notes.append(f"{name}: assumed {unit} for the accelerometer (it then shows gravity).")
-        table.acc *= ACCELERATION[unit]
-        said.append(unit)
-    if "gyro" in sensor.axes:
-        unit = plain_unit(units[sensor.axes["gyro"][0]])
-        table.gyro = values[:, sensor.axes["gyro"]].astype(float)
-        if unit not in ANGULAR_VELOCITY:
-            unit = _unit_by_turning(table)
-            if not unit:
-                return None, f"{name}: the gyroscope's unit is not stated, and the motion does not show it"
-            table.notes.append(f"{name}: assumed {unit} for the gyroscope (it then turns as gravity does).")
-        table.gyro *= ANGULAR_VELOCITY[unit]
-        said.append(unit)
-    if "mag" in sensor.axes:
-        table.mag = values[:, sensor.axes["mag"]].astype(float)
-    table.units = ", ".join(said)
-    return table, ""
-
-
-def _unit_by_gravity(acc: FloatArray) -> str:
-    """Unit in which most samples are about gravity; "" where none is."""
-    size = np.linalg.norm(acc, axis=1)
-    median = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-    for unit in ("m/s^2", "g", "mg"):
-        if 0.7 < median * ACCELERATION[unit] / 9.81 < 1.4:
-            return unit
-    return ""
-
-
-def _unit_by_turning(table: ImuTable) -> str:
-    """Unit of the gyroscope by its size, or by how fast gravity turns in the sensor's axes; "" if unclear."""
-    assert table.gyro is not None
-    finite = table.gyro[np.isfinite(table.gyro)]
-    if len(finite) and float(np.percentile(np.abs(finite), 99)) > _FASTEST_RAD_S:
-        return "deg/s"
-    scale = turn_scale(table)
-    if scale is None:
-        return ""
-    if 0.3 < scale < 3.0:
-        return "rad/s"
-    return "deg/s" if 0.3 < np.degrees(scale) < 3.0 else ""
-
-
-#: The axis letter in a column's name: between signs, a capital behind a word, or the last letter.
-_AXIS = re.compile(r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])|(?<=[a-z])[XYZ](?![a-z])|(?<=[A-Za-z])[xyzXYZ]$")
-_AXES = ("xyz", "XYZ")
-#: Of several incomplete vectors this many are named.
-_MOST = 3
-
-
-@dataclass(frozen=True)
-class MissingAxis:
-    """Two columns of a vector without the third."""
-
-    missing: str  # Name of the column that is not there, spelled as the others are
-    present: tuple[str, str]  # Names of the two that are
+    file: str | list[str]
+    columns: dict[str, Column] | list[dict[str, Column]] | None = None
+    accelerometer_unit: Literal["m/s^2", "g", "mg", "cm/s^2", "mm/s^2"] = "m/s^2"
+    gyroscope_unit: Literal["rad/s", "deg/s", "mdps"] = "rad/s"
 
     @property
-    def is_of_sensor(self) -> bool:
-        """Whether it is of an accelerometer or a gyroscope, or of nothing that its name says ("x-axis")."""
-        plain = re.split(r"[(\[]", self.missing)[0]
-        words = words_of(plain)
-        if len(words) == 1 and len(words[0]) == 2:  # ax, gy
-            return words[0][0] in "agw"
-        words = [word for word in words if word != "rotation"]  # of a gyroscope, or beside one of its words
-        kind = kind_of([*words, *(word[:-1] for word in words if word[-1:] in "xyz")])
-        return kind in ("acc", "gyro") or set(words) <= {"x", "y", "z", "axis"}
+    def is_plain(self) -> bool:
+        """Whether the file is one with the product's own columns."""
+        return isinstance(self.file, str) and not self.model_fields_set & LAYOUT_KEYS
 
 
-def missing_axes(names: Sequence[str]) -> list[MissingAxis]:
-    """Vectors among the columns of a table of which two axes are there and one is not."""
-    there = set(names)
-    found: dict[str, MissingAxis] = {}
-    for name in names:
-        for match in reversed(list(_AXIS.finditer(name))):  # the last letter that has a sibling counts
-            axes = _AXES[match[0].isupper()]
-            triple = [name[: match.start()] + axis + name[match.end() :] for axis in axes]
-            present = [each for each in triple if each in there]
-            if len(present) == 3:
-                break
-            if len(present) == 2:
-                missing = next(each for each in triple if each not in there)
-                found.setdefault(missing, MissingAxis(missing, (present[0], present[1])))
-                break
-    return list(found.values())
+class CameraKeys(TableKeys):
+    """The skeleton's file: a row per joint (columns joint, x, y, z), or per frame (wrist_right = ..)."""
+
+    frame: CameraFrame
+    skeleton: str | None = None
+    keypoints: str | None = None
+    intrinsics: dict[str, float] | None = None
+    gravity: list[float] | None = Field(None, min_length=3, max_length=3)
+    position_unit: Literal["m", "cm", "mm"] = "m"
+    columns: dict[str, Column | list[Column]] | None = None
+    states: dict[str, Literal["tracked", "inferred", "not_tracked"]] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_pixels(cls, values: Any) -> Any:
+        """Keypoints are in the axes of a lens, so they need no frame."""
+        if not isinstance(values, dict) or "keypoints" not in values:
+            if isinstance(values, dict) and "intrinsics" in values:
+                raise ValueError("intrinsics are of keypoints; give keypoints = a file instead of skeleton")
+            return values
+        if "skeleton" in values:
+            raise ValueError("a camera has a skeleton or keypoints; give the other a section [camera.NAME]")
+        if values.get("frame", "optical") != "optical":
+            raise ValueError('keypoints are in the axes of the lens; leave out frame, or give "optical"')
+        return {"frame": "optical", **values}
+
+    @property
+    def file(self) -> str | None:
+        """The file that the section names."""
+        return self.keypoints if self.skeleton is None else self.skeleton
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the file is one with the product's own columns."""
+        return not self.model_fields_set & (LAYOUT_KEYS | {"states"})
 
 
-def missing_axes_words(missing: Sequence[MissingAxis]) -> str:
-    """What is missing, for a sentence: "no column Gyr_Z beside Gyr_X and Gyr_Y"."""
-    said = [
-        f"no column {shown(each.missing, 60)} beside {shown(' and '.join(each.present), 120)}"
-        for each in missing[:_MOST]
-    ]
-    more = f" (and {len(missing) - _MOST} more like it)" if len(missing) > _MOST else ""
-    return " and ".join(said) + more
+# --------------------------------------------------------------------------------------- columns as stated
+
+IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
+#: A header may be followed by this many lines of units and the like.
+_BELOW_HEADER = 3
 
 
-#: This share of the steps of a column of times rises, and lies within these parts of the usual one.
-_RISES, _EVEN, _EVEN_SHARE = 0.95, (0.3, 3.0), 0.8
-#: Fewer rows than these rise by chance.
-_FEWEST = 8
-
-
-def time_among(
-    columns: Mapping[str, FloatArray], rates_hz: tuple[float, float], source: Path, notes: list[str]
-) -> tuple[str, str]:
-    """The column that is the time, and its unit, among those (n,) that nothing else is known of."""
-    for name, values in columns.items():
-        if {"x", "y", "z", "w"} & set(words_of(name)):
-            continue
-        step = np.diff(values[np.isfinite(values)])
-        moved = step[step != 0]
-        if len(values) < _FEWEST or len(moved) < 0.3 * (len(values) - 1) or not (moved > 0).mean() > _RISES:
-            continue
-        usual = float(np.median(moved))
-        unit = unit_of_step(usual, rates_hz, "", float(np.nanmedian(values)))
-        if usual == 1 and (values % 1 == 0)[np.isfinite(values)].all() and np.nanmax(values) < 1e11:
-            notes.append(f"The column {shown(name, 60)} counts rows or packets and is not the time.")
-            continue
-        even = ((step > _EVEN[0] * usual) & (step < _EVEN[1] * usual)).mean() > _EVEN_SHARE
-        if unit is None and not even:
-            continue
-        if unit is None or not even or not (step > 0).all() or not np.isfinite(values).all():
-            raise RecordingError(
-                f"{source} has no time by its name, and its column {shown(name, 60)} rises like one, but it"
-                " is not certain that it is, or in which unit; call it time_s, time_ms, time_us, time_ns or"
-                f" time_ticks, or describe it in a recording.toml (`unocclude import describe {source}`)."
-            )
-        notes.append(
-            f"The column {shown(name, 60)} was taken for the time, in {unit}: it alone rises evenly, with"
-            f" {1 / (usual * SECONDS[unit]):.4g} rows per second."
+def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
+    """The tables of an IMU, one per file, in SI units."""
+    files = [keys.file] if isinstance(keys.file, str) else keys.file
+    given = keys.columns if isinstance(keys.columns, list) else [keys.columns] * len(files)
+    if len(given) != len(files):
+        raise RecordingError(
+            f"{folder / 'recording.toml'}: {len(files)} files have {len(given)} tables of columns; give one"
+            " for each, or one for all."
         )
-        return name, unit
-    return "", ""
+    tables = []
+    for file, columns in zip(files, given, strict=True):
+        _refuse_others(folder / file, columns or {}, IMU_COLUMNS)
+        table = _described(folder / file, keys, columns or {})
+        tables.append(imu_by_columns(table, columns or {}, keys, len(files) > 1))
+    return tables
+
+
+def imu_by_columns(
+    table: Table, columns: Mapping[str, Column], keys: ImuKeys, is_part: bool = False
+) -> ImuTable:
+    """An IMU of the columns that are stated, or of the product's own."""
+    at = {}
+    for what, column in (columns or dict(zip(IMU_COLUMNS, ("t_s", *IMU_COLUMNS[1:]), strict=True))).items():
+        place = _place(table, column)
+        if place is not None:
+            at[what] = place
+        elif not is_part and (columns or what not in ("t", "mx", "my", "mz")):
+            raise _no_column(table, what, column)
+    acc, gyro, mag = (_vectors(table, at, letter) if f"{letter}x" in at else None for letter in "agm")
+    if acc is None and gyro is None:
+        raise RecordingError(
+            f"{table.path}: columns name neither an accelerometer (ax, ay, az) nor a gyroscope (gx, gy, gz)"
+            f" that is there; its columns are {_listed(table)}."
+        )
+    t_s, counter = _times(table, at.get("t"), keys)
+    units = (
+        keys.accelerometer_unit if acc is not None else "",
+        keys.gyroscope_unit if gyro is not None else "",
+    )
+    return ImuTable(
+        "",
+        t_s,
+        None if acc is None else acc * ACCELERATION[keys.accelerometer_unit],
+        None if gyro is None else gyro * ANGULAR_VELOCITY[keys.gyroscope_unit],
+        mag,
+        keys.rate_hz,
+        counter,
+        units=", ".join(unit for unit in units if unit),
+        notes=table.notes,
+    )
+
+
+def _times(
+    table: Table, column: int | None, keys: TableKeys
+) -> tuple[FloatArray | None, NDArray[np.int64] | None]:
+    """Times in s, or a counter, of a column."""
+    if column is None or keys.time_unit == "counter":
+        if keys.rate_hz is None:
+            raise RecordingError(f"{table.path} has no times by recording.toml; give its rate as rate_hz.")
+        if column is None:
+            return None, None
+        counter = table.numbers(column)
+        if not np.isfinite(counter).all():
+            raise RecordingError(f"{table.path}: {table.name(column)} is not a counter; it has empty cells.")
+        return None, counter.astype(np.int64)
+    values, are_dates = table.times(column)
+    if are_dates != (keys.time_unit == "iso"):
+        seen = shown(table.texts(column)[0], 40)
+        raise RecordingError(
+            f"{table.path}: {table.name(column)} begins with '{seen}', which is not a time in"
+            f" {keys.time_unit}; correct time_unit."
+        )
+    if are_dates:
+        return values, None
+    times = from_1970(values, keys.time_unit) * SECONDS[keys.time_unit]
+    if np.isfinite(times).any() and float(np.nanmedian(times)) > DATED_S[1]:
+        raise RecordingError(
+            f"{table.path}: in {keys.time_unit} the times of {table.name(column)} are later than 2100;"
+            " correct time_unit."
+        )
+    return times, None
+
+
+def _described(path: Path, keys: TableKeys, columns: Mapping[str, Column | list[Column]]) -> Table:
+    """The table of a file, laid out as said."""
+    check_input(path, RecordingError)
+    if not path.is_file():
+        raise RecordingError(
+            f"{path} does not exist, but recording.toml names it; add it or correct the name."
+        )
+    if keys.separator is None and keys.skip_rows is None:
+        return read_table(path, "the table that recording.toml describes", quote=False)
+    lines = file_text(path).split("\n")
+    check_lines(path, lines)
+    first = keys.skip_rows or 0
+    rest = [line for line in lines[first:] if line.strip()]
+    if not rest:
+        raise RecordingError(f"{path} has no rows below the first {first}; correct skip_rows.")
+    found = layout_of(rest)
+    separator = keys.separator or ("," if found is None else found.separator)
+    if separator not in SEPARATORS:
+        raise RecordingError(f'{path}: separator is {separator!r}; it is one of ",", ";", "\\t" and " ".')
+    while first < len(lines) - 1 and not lines[first].strip():
+        first += 1
+    cells = split_line(lines[first], separator)
+    flat = [c for each in columns.values() for c in (each if isinstance(each, list) else [each])]
+    has_header = any(isinstance(column, str) for column in flat) or not any(map(is_data, cells))
+    row = first
+    if has_header:
+        row += 1
+        for _ in range(_BELOW_HEADER):
+            below = split_line(lines[row], separator) if row < len(lines) else []
+            if row < len(lines) - 1 and not any(is_data(cell) for cell in below):
+                row += 1
+    width = max(len(cells), len(split_line(lines[min(row, len(lines) - 1)], separator)))
+    names = tuple(cells + [""] * (width - len(cells))) if has_header else ()
+    labels, header = tuple(map(plain_label, names)), first if has_header else -1
+    above = tuple(lines[:first])
+    return Table(path, separator, above, names, ("",) * width, labels, header, row, width, lines)
+
+
+def _place(table: Table, column: Column | list[Column]) -> int | None:
+    """Number (from 0) of a column by its name, or by its number from 1; None where it is not there."""
+    if isinstance(column, int):
+        return column - 1 if 1 <= column <= table.width else None
+    if not isinstance(column, str):
+        return None
+    if column in table.names:
+        return table.names.index(column)
+    wanted = plain_label(column)  # as written, or without the unit in brackets
+    labels = list(map(plain_label, table.names))
+    return labels.index(wanted) if wanted in labels else table.find(wanted)
+
+
+def _needed(table: Table, what: str, column: Column | list[Column]) -> int:
+    place = _place(table, column)
+    if place is None:
+        raise _no_column(table, what, column)
+    return place
+
+
+def _no_column(table: Table, what: str, column: Column | list[Column]) -> RecordingError:
+    return RecordingError(
+        f"{table.path} has no column {column!r} ({what}); its columns are {_listed(table)}."
+    )
+
+
+def _listed(table: Table) -> str:
+    return shown(", ".join(table.names)) if table.names else f"without names, 1 to {table.width}"
+
+
+def _refuse_others(path: Path, columns: Mapping[str, object], known: Sequence[str]) -> None:
+    """Refuse keys of `columns` that mean nothing."""
+    for name in columns:
+        if name not in known:
+            raise RecordingError(f"{path}: columns.{name} is not known; it is one of {', '.join(known)}.")
+
+
+def _vectors(table: Table, at: Mapping[str, int], letter: str) -> FloatArray:
+    missing = [letter + axis for axis in "xyz" if letter + axis not in at]
+    if missing:
+        raise RecordingError(f"{table.path}: columns lack {', '.join(missing)}; name all three axes.")
+    return table.vectors([at[letter + axis] for axis in "xyz"])
+
+
+STATES = {state.name.lower(): state for state in JointState}
+_LONG_COLUMNS = ("t", "joint", "x", "y", "z", "state", "body")
+
+
+def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
+    """The bodies of a skeleton's table."""
+    columns = keys.columns or dict(zip(_LONG_COLUMNS, ("t_s", *_LONG_COLUMNS[1:]), strict=True))
+    table = _described(path, keys, columns)
+    rows = _long_rows(table, keys, columns) if "joint" in columns else _wide_rows(table, keys, columns)
+    metres = METRES[keys.position_unit]
+    rows.position = {joint: values * metres for joint, values in rows.position.items()}
+    hint = None if keys.gravity is None else np.array(keys.gravity)
+    pattern = SkeletonTable(
+        0, None, {}, {}, keys.frame, hint, keys.rate_hz, False, keys.position_unit, table.notes
+    )
+    tables = rows.skeletons(pattern, 1.0 if "t" in columns else None)
+    if not tables:
+        raise RecordingError(f"{path} has no rows of a skeleton; export it again.")
+    return tables
+
+
+_POINT_COLUMNS = {"t": "t_s", "joint": "joint", "u": "u", "v": "v", "score": "score", "body": "body"}
+
+
+def read_keypoint_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
+    """The bodies of a table of keypoints: `position` holds u, v and the score."""
+    given = keys.columns or {}
+    _refuse_others(path, given, tuple(_POINT_COLUMNS))
+    axes = {"u": "x", "v": "y", "score": "z"}
+    columns = {axes.get(name, name): column for name, column in (_POINT_COLUMNS | given).items()}
+    tables = read_skeleton_columns(path, keys.model_copy(update={"columns": columns, "position_unit": "m"}))
+    for table in tables:
+        table.units = PIXELS
+        table.state = {joint: states_of_scores(points[:, 2]) for joint, points in table.position.items()}
+    return tables
+
+
+def _lost(values: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray((values == 0).all(axis=1) | ~np.isfinite(values).all(axis=1))
+
+
+def _wide_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
+    """One row per frame and body: three columns per joint."""
+    names = [name for name in columns if name not in ("t", "body")]
+    for name in names:
+        if joint_code(name.removesuffix("_state")) is None:
+            raise RecordingError(
+                f"{table.path}: columns.{name} is not a joint; joints are shoulder, elbow, wrist, hand or"
+                " strap with _left or _right, and t, body, JOINT_state."
+            )
+    position, state = {}, {}
+    for joint in (name for name in names if not name.endswith("_state")):
+        three = columns[joint]
+        if not isinstance(three, list) or len(three) != 3:
+            raise RecordingError(
+                f"{table.path}: columns.{joint} names {three!r}; give its three columns x, y, z in brackets."
+            )
+        position[joint] = table.vectors([_needed(table, joint, column) for column in three])
+        lost = _lost(position[joint])
+        position[joint][lost] = np.nan
+        said: Any = JointState.TRACKED
+        if (column := columns.get(f"{joint}_state")) is not None:
+            said = _states(table, _needed(table, f"{joint}_state", column), keys)
+        state[joint] = np.where(lost, JointState.NOT_TRACKED, said).astype(np.int8)
+    body = columns.get("body")
+    bodies = None if body is None else table.numbers(_needed(table, "body", body))
+    t_s = _frame_times(table, keys, columns)
+    return BodyRows(np.arange(len(table), dtype=float) if t_s is None else t_s, bodies, position, state)
+
+
+def _long_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
+    """One row per joint: the rows of one time and body become one."""
+    _refuse_others(table.path, columns, _LONG_COLUMNS)
+    t_s = _frame_times(table, keys, columns)
+    if t_s is None:
+        raise RecordingError(f"{table.path}: columns.t is missing; it defines which rows are one frame.")
+    values = table.vectors([_needed(table, axis, columns.get(axis, axis)) for axis in "xyz"])
+    body, place = (_place(table, columns[name]) if name in columns else None for name in ("body", "state"))
+    bodies = np.zeros(len(table)) if body is None else table.numbers(body)
+    names = table.texts(_needed(table, "joint", columns["joint"]))
+    meaning = {name: _joint_of(name) for name in set(names)}
+    joints = sorted({joint for joint in meaning.values() if joint})
+    if not joints:
+        raise RecordingError(
+            f"{table.path}: none of the joints ({shown(', '.join(sorted(meaning)), 120)}) is of an arm; they"
+            " are shoulder, elbow, wrist, hand or strap with _left or _right."
+        )
+    said = np.full(len(table), JointState.TRACKED) if place is None else _states(table, place, keys)
+    said = np.where(_lost(values), JointState.NOT_TRACKED, said)
+    key, first, row = np.unique(np.stack([t_s, bodies]), axis=1, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))  # frames in the order of the file
+    row, key = rank[np.reshape(row, -1)], key[:, np.argsort(first)]
+    written = np.array([meaning[name] for name in names])
+    position, state = {}, {}
+    for joint in joints:
+        mine = written == joint
+        position[joint] = np.full((key.shape[1], 3), np.nan)
+        position[joint][row[mine]] = values[mine]
+        state[joint] = np.zeros(key.shape[1], np.int8)
+        state[joint][row[mine]] = said[mine]
+    return BodyRows(key[0], key[1], position, state)
+
+
+def _joint_of(name: str) -> str:
+    """A joint as the product names it, from its own names or a camera program's; "" for others."""
+    if joint_code(name) is not None:
+        return name.strip().lower()
+    meaning = joint_name(name)
+    return "" if meaning is None else meaning.joint
+
+
+def _states(table: Table, column: int, keys: CameraKeys) -> NDArray[np.int64]:
+    """States (n,) of a joint by the words or numbers of a column."""
+    cells = table.texts(column)
+    own = {cell.strip().lower(): STATES[state] for cell, state in (keys.states or {}).items()}
+    words, codes = {**STATES, **own}, {}
+    for cell in set(cells):
+        plain = cell.strip().lower()
+        plain = plain if plain in words else plain.removesuffix(".0")
+        if plain not in words:
+            raise RecordingError(
+                f"{table.path}: {table.name(column)} contains '{shown(cell, 40)}'; state its values' meaning,"
+                ' as in states = { "0" = "not_tracked", "1" = "inferred", "2" = "tracked" }.'
+            )
+        codes[cell] = int(words[plain])
+    return np.array([codes[cell] for cell in cells], np.int64)
+
+
+def _frame_times(
+    table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]
+) -> FloatArray | None:
+    """Times (n,) of rows in s; None where there are none."""
+    place = _needed(table, "t", columns["t"]) if "t" in columns else None
+    t_s, counter = _times(table, place, keys)
+    return t_s if counter is None else counter / (keys.rate_hz or 1.0)
+
+
+# ----------------------------------------------------------------------------------- columns as they appear
+
+#: How a reason begins that is made up.
+UNKNOWN = "NOT KNOWN"
+_NO_SENSOR = (
+    "No three columns look like an accelerometer's or a gyroscope's (linear acceleration is without gravity,"
+    " and is not read)."
+)
+_NO_UNIT_NOTE = "The gyroscope's unit is guessed by its size alone: check it in the device's manual."
+
+
+@dataclass
+class Guess:
+    """What a table seems to contain, with the keys of recording.toml."""
+
+    kind: str = ""  # "imu", "skeleton" or "" where nothing fits
+    columns: dict[str, Any] = field(default_factory=dict)  # As in recording.toml
+    keys: dict[str, Any] = field(default_factory=dict)  # Further ones (time_unit, accelerometer_unit ..)
+    reasons: dict[str, str] = field(default_factory=dict)  # Why, by column or key
+    unsure: list[str] = field(default_factory=list)  # What to check, a sentence each
+
+    @property
+    def settled(self) -> bool:
+        """Whether times and units of an IMU are known."""
+        made_up = any(reason.startswith(UNKNOWN) for reason in self.reasons.values())
+        return bool({"ax", "gx"} & self.columns.keys()) and "t" in self.columns and not made_up
+
+    def set(self, key: str, value: object, reason: str, unsure: str = "") -> None:
+        """Set a key, with its reason."""
+        self.keys[key], self.reasons[key] = value, reason
+        self.unsure += [unsure] if unsure else []
+
+
+def toml_of(path: Path, guess: Guess, name: str) -> str:
+    """A recording.toml of a guess, with its reasons as comments."""
+    is_camera = guess.kind == "skeleton"
+    section = "camera" if is_camera else f"imu.{name}"
+    lines = [f"[{section}]", f"{'skeleton' if is_camera else 'file'} = {_toml_value(path.name)}"]
+    for key, value in guess.keys.items():
+        reason = guess.reasons.get(key, "")
+        lines.append(f"{key} = {_toml_value(value)}" + (f"  # {reason}" if reason else ""))
+    lines += ["", f"[{section}.columns]"]
+    for key, value in guess.columns.items():
+        reason = guess.reasons.get(key[0], "") if not is_camera and key[1:] == "x" else ""
+        lines.append(f"{key} = {_toml_value(value)}" + (f"  # {reason}" if reason else ""))
+    return "\n".join(lines) + "\n"
+
+
+def _toml_value(value: object) -> str:
+    if isinstance(value, dict):
+        pairs = (f"{_toml_value(str(key))} = {_toml_value(one)}" for key, one in value.items())
+        return "{ " + ", ".join(pairs) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml_value(one) for one in value) + "]"
+    if isinstance(value, str):  # JSON lets one control character stand that TOML does not
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return f"{value:g}"
+
+
+def guess_of(table: Table) -> Guess:
+    """Guess what a table contains."""
+    joints = find_joint_columns(table.names) if table.names else None
+    return guess_skeleton(table, joints) if joints is not None and joints.has_arm() else guess_sensor(table)
+
+
+def named(table: Table, column: int) -> str | int:
+    """A column as recording.toml names it: by its name where it has one of its own, else by its number."""
+    name = table.names[column] if table.names else ""
+    return name if name and list(table.names).count(name) == 1 else column + 1
+
+
+def guess_sensor(table: Table, usual_gyro: str = "") -> Guess:
+    """Guess at an inertial sensor's table; `usual_gyro` counts where the gyroscope states no unit."""
+    guess = Guess("imu")
+    axes = _sensor_axes(table, guess)
+    if not axes:
+        return Guess(unsure=[_NO_SENSOR])
+    for kind, columns in axes.items():
+        for axis, column in zip("xyz", columns, strict=True):
+            guess.columns[kind[0] + axis] = named(table, column)
+    used = {column for columns in axes.values() for column in columns}
+    t_s, rate = _guess_times(table, guess, used)
+    acc, gyro = axes.get("acc"), axes.get("gyro")
+    force = None if acc is None else _guess_acceleration(table, guess, acc)
+    if gyro is not None:
+        _guess_turning(table, guess, gyro, force, t_s, rate, usual_gyro)
+    if acc is None or gyro is None:
+        missing = "accelerometer" if acc is None else "gyroscope"
+        guess.unsure.append(
+            f"There is no {missing} here; name its file too: file = [.., ..], columns = [{{..}}, {{..}}]."
+        )
+    return guess
+
+
+#: Stems of a vector that its columns' names do not tell, and the signs of its axes.
+_BARE, _SIGNS = ("", "value", "values", "v", "axis"), ("xyz", "012", "123")
+
+
+def bare_vector(table: Table) -> Columns | None:
+    """The one vector of a table whose names do not say of what; without names behind the times."""
+    return table.axes(*_BARE, signs=_SIGNS) if table.labels else (1, 2, 3) if table.width == 4 else None
+
+
+def sensors_named(table: Table) -> dict[str, Columns]:
+    """Columns of accelerometer, gyroscope and magnetometer by names and units; those of one sensor first."""
+    names = [split_unit(name)[0] for name in table.names] or list(table.labels)
+    names = ["" if name.lower().endswith("raw") else name for name in names]  # counts of a converter
+    sensors = find_sensors(names, units=table.units)
+    sensors.sort(key=lambda sensor: not {"acc", "gyro"} <= sensor.axes.keys())
+    axes: dict[str, Columns] = {}
+    for sensor in sensors:
+        axes = {**sensor.axes, **axes}
+    return {kind: axes[kind] for kind in ("acc", "gyro", "mag") if kind in axes}
+
+
+def _sensor_axes(table: Table, guess: Guess) -> dict[str, Columns]:
+    axes = sensors_named(table)
+    for kind, columns in axes.items():
+        unit = table.unit(columns[0])
+        by_unit = bool(unit) and kind_of_unit(unit) == kind
+        guess.reasons[kind[0]] = f"unit {unit}" if by_unit else f"name {table.name(columns[0])}"
+    bare = bare_vector(table)
+    if axes:
+        return axes
+    if bare is not None and (not table.labels or _is_of_numbers(table)):
+        kind = _kind_by_size(table, bare)
+        near = "its size is gravity's" if kind == "acc" else "it shows no gravity"
+        guess.reasons[kind[0]] = f"the only vector, and {near}"
+        if kind == "gyro":
+            guess.unsure.append(f"{table.path.name} names no columns: without gravity assumed a gyroscope.")
+        return {kind: bare}
+    return {} if table.names else _by_magnitude(table, guess)
+
+
+def _is_of_numbers(table: Table) -> bool:
+    """Whether a table has neither words nor a quaternion: its x, y, z may be a sensor's."""
+    time = time_column(table)
+    numeric = (
+        at == time or _time_unit(table, at, 0.0)[0] or table.is_numeric(at) for at in range(table.width)
+    )
+    return time is not None and all(numeric) and table.axes("q") is None
+
+
+#: A field of 15 to 120 uT whose middle half lies within a quarter is the earth's.
+_FIELD, _FIELD_SPREAD = (15.0, 120.0), 0.25
+#: Half of an accelerometer's samples in g are within these sizes, whatever the arm does.
+_ABOUT_1_G = (0.7, 1.3)
+#: A size that varies by less is the system's estimate of gravity, not a sensor.
+_EXACT = 1e-4
+
+
+def _kind_by_size(table: Table, columns: Columns) -> str:
+    """Which sensor a vector that is named after none is, by the size of its values."""
+    values = table.vectors(columns)
+    size = np.linalg.norm(values, axis=1)
+    size = size[np.isfinite(size)]
+    if not len(size):
+        raise RecordingError(f"{table.path} has no samples; export it again.")
+    low, median, high = np.percentile(size, (25, 50, 75))
+    unit = gravity_unit(float(median), 0.82, 1.22)
+    spread = high - low
+    if unit == "m/s^2" and spread < _EXACT * median:
+        raise RecordingError(
+            f"{table.path} contains gravity as the system estimates it, not an accelerometer; log the raw"
+            " accelerometer."
+        )
+    if unit == "m/s^2" or ((size > _ABOUT_1_G[0]) & (size < _ABOUT_1_G[1])).mean() > 0.5:
+        return "acc"
+    if _FIELD[0] < median < _FIELD[1] and spread < _FIELD_SPREAD * median:
+        raise RecordingError(
+            f"{table.path} looks like a magnetometer (its size is {median:.0f} throughout); name the files of"
+            " the accelerometer and the gyroscope."
+        )
+    return "gyro"
+
+
+def _by_magnitude(table: Table, guess: Guess) -> dict[str, Columns]:
+    """Accelerometer and gyroscope of a table without names: three columns whose length stays near one g."""
+    columns = [column for column in range(table.width) if table.is_numeric(column)]
+    best, share, least = None, 0.0, np.inf
+    for at in range(len(columns) - 2):
+        three = (columns[at], columns[at + 1], columns[at + 2])
+        length = np.linalg.norm(table.vectors(three), axis=1)
+        ones = (float(np.mean(np.abs(length / one - 1) < 0.2)) for one in (1.0, 9.80665, 1000.0))
+        near, spread = max(ones), float(np.nanstd(length) / np.nanmedian(length))
+        # a part of a quaternion stays near 1 as well, and far more evenly than any force
+        if near > 0.5 and 1e-3 < spread < least:
+            best, share, least = three, near, spread
+    if best is None:
+        return {}
+    guess.reasons["a"] = f"the length of these three stays near one g in {100 * share:.0f} % of the rows"
+    guess.unsure.append("The file names no columns; check which is which.")
+    for first in (best[2] + 1, best[0] - 3):
+        three = (first, first + 1, first + 2)
+        if all(column in columns for column in three) and (first > 0 or first + 3 == best[0] != 3):
+            guess.reasons["g"] = "the three columns beside the accelerometer"
+            return {"acc": best, "gyro": three}
+    return {"acc": best}
+
+
+def _guess_acceleration(table: Table, guess: Guess, acc: Columns) -> FloatArray | None:
+    """The unit by what the file states, or by gravity; values in m/s^2 where it is known."""
+    values, stated = table.vectors(acc), plain_unit(table.unit(acc[0]))
+    size = usual_size(values)
+    unit = _key_of(stated, ACCELERATION) or acceleration_unit(values)
+    if unit and holds_gravity(values * ACCELERATION[unit]):
+        why = f"stated ({table.unit(acc[0])})" if stated in ACCELERATION else f"it reads {size:.3g} as a rule"
+        guess.set("accelerometer_unit", unit, why)
+        return values * ACCELERATION[unit]
+    guess.set(
+        "accelerometer_unit",
+        unit or "m/s^2",
+        f"{UNKNOWN}: it reads {size:.3g} as a rule",
+        "The acceleration is without gravity, or its unit is not known: record the raw accelerometer, which"
+        f" reads 9.81 m/s^2 or 1 g at rest, and not {size:.3g}.",
+    )
+    return None
+
+
+def _guess_turning(
+    table: Table,
+    guess: Guess,
+    gyro: Columns,
+    force: FloatArray | None,
+    t_s: FloatArray | None,
+    rate: float | None,
+    usual: str,
+) -> None:
+    """The unit by what the file states, by how gravity turns in the sensor, by size."""
+    if unit := _key_of(plain_unit(table.unit(gyro[0])), ANGULAR_VELOCITY):
+        guess.set("gyroscope_unit", unit, f"stated ({table.unit(gyro[0])})")
+        return
+    if usual:
+        guess.set("gyroscope_unit", usual, "that of this device")
+        return
+    values = table.vectors(gyro)
+    unit, why = turning_unit(values, force, t_s, rate)
+    fast = float(np.nanpercentile(np.abs(values), 99)) if np.isfinite(values).any() else 0.0
+    guess.set("gyroscope_unit", unit, why or f"it reads up to {fast:.3g}", "" if why else _NO_UNIT_NOTE)
+
+
+def _key_of(stated: str, units: Mapping[str, float]) -> str:
+    """A stated unit by the name that recording.toml has for it; "" where it is none of these."""
+    factor = units.get(stated)
+    return "" if factor is None else next(unit for unit, one in units.items() if one == factor)
+
+
+#: Words in names of columns of times, and of counters.
+_TIME_WORD = re.compile(
+    r"time|zeit|temps|tiempo|tempo|stamp|epoc|elapsed"
+    r"|(?:^|[^a-z])(?:t|seconds?|sec|clock|millis|micros)(?=$|[^a-z])"
+)
+_COUNTER = re.compile(
+    r"(?:^|[^a-z])(?:counter|count|packet\w*|sample\w*|index|frame\w*|no|n|seq\w*|row)(?=$|[^a-z])"
+)
+
+
+def _guess_times(table: Table, guess: Guess, used: set[int]) -> tuple[FloatArray | None, float | None]:
+    """Set the column of times or counts and its unit; the times in s, or the rate."""
+    plain = [label.replace("_", " ") for label in table.labels] or [""] * table.width
+    free = [column for column in range(table.width) if column not in used]
+    best = time_column(table)
+    by_word = (at for at in free if _TIME_WORD.search(plain[at]))
+    timed = [at for at in dict.fromkeys((best, *by_word)) if at is not None and at in free]
+    counted = [at for at in free if _COUNTER.search(plain[at])]
+    for at in timed:
+        unit, why = _time_unit(table, at, 0.3 if table.labels else 0.95)
+        if unit:
+            return _set_time(table, guess, at, unit, why), None
+    others = {table.name(at).removeprefix("column "): at for at in free if at not in (*timed, *counted)}
+    numeric = {name: table.numbers(at) for name, at in others.items() if table.is_numeric(at)}
+    try:
+        name, unit = time_among(numeric, SENSOR_RATES, table.path, table.notes)
+        if name:
+            return _set_time(table, guess, others[name], unit, "it alone rises evenly"), None
+    except RecordingError as error:
+        guess.unsure.append(str(error))
+    rate = stated_rate(table)
+    for at in counted:
+        if table.is_numeric(at) and np.median(np.diff(table.numbers(at))) >= 1:
+            guess.columns["t"] = named(table, at)
+            guess.set("time_unit", "counter", "a counter, and no column of times")
+            break
+    if rate:
+        guess.set("rate_hz", rate, "stated above the table")
+        return None, rate
+    if best is not None:
+        guess.unsure.append(
+            f"The times in {table.name(best)} are not for certain s, ms, us, ns or ticks of 100 ns of a"
+            " sensor at 3 to 2,500 Hz; call the column time_s, time_ms, time_us, time_ns or time_ticks."
+        )
+    guess.set(
+        "rate_hz",
+        100.0,
+        f"{UNKNOWN}: the file has no times and states no rate",
+        f"There is no column of times among {shown(', '.join(table.names), 150)}, and no stated rate: rate_hz"
+        " is a guess, write the rate that the sensor was set to.",
+    )
+    return None, None
+
+
+def _set_time(table: Table, guess: Guess, at: int, unit: str, why: str) -> FloatArray:
+    guess.columns["t"] = named(table, at)
+    guess.set("time_unit", unit, why)
+    values, dates = table.times(at)
+    return values if dates else from_1970(values, unit) * SECONDS[unit]
+
+
+def _time_unit(table: Table, column: int, least: float) -> tuple[str, str]:
+    """Unit of a column of times, and why; "" where it is none, or fewer than `least` of its steps rise."""
+    try:
+        values, dates = table.times(column)
+    except RecordingError:
+        return "", ""
+    if dates:
+        return "iso", "dates"
+    step = np.diff(values[np.isfinite(values)])
+    step = step[step > 0]
+    if not len(step) or len(step) < least * (len(values) - 1):
+        return "", ""
+    stated = stated_time_unit(table, column)
+    unit = time_unit(stated, values) or ""
+    if (unit and unit == stated) or (not unit and stated and table.unit(column)):
+        return unit or stated, f"stated ({table.unit(column) or stated})"
+    typical = float(np.median(step))
+    return unit, unit and f"steps of {typical:g} make {1 / (typical * SECONDS[unit]):.1f} samples per second"
+
+
+def stated_rate(table: Table) -> float | None:
+    """A rate in Hz that the lines above the table state."""
+    lines = (line for line in table.preamble if re.search(r"rate|freq|hz", line, re.IGNORECASE))
+    rates = (float(number[1]) for line in lines if (number := re.search(r"(\d+(?:\.\d+)?)", line)))
+    return next((rate for rate in rates if SENSOR_RATES[0] <= rate <= SENSOR_RATES[1]), None)
+
+
+def guess_skeleton(table: Table, joints: JointColumns) -> Guess:
+    """Guess at a table with one row per frame, whose joints are known by their names."""
+    axes, states, time = joints.axes, joints.confidence, joints.time
+    guess = Guess("skeleton")
+    for joint, columns in axes.items():
+        guess.columns[joint] = [named(table, column) for column in columns]
+        if joint in states:
+            guess.columns[f"{joint}_state"] = named(table, states[joint])
+    guess.reasons["columns"] = "names of joints"
+    if states:
+        cells = sorted({cell for column in states.values() for cell in set(table.texts(column))})[:4]
+        guess.set(
+            "states",
+            dict(zip(cells, ("not_tracked", "inferred", "tracked", "tracked"), strict=False)),
+            f"{UNKNOWN}: the order of the values that occur",
+            "states: what the values of the confidence mean is in the program's manual.",
+        )
+    position = {joint: table.vectors(columns) for joint, columns in axes.items()}
+    unit = unit_by_arm(position)
+    why = "gives plausible arm lengths" if unit else f"{UNKNOWN}: no unit fits"
+    guess.set("position_unit", unit[0] if unit else "m", why)
+    scale, why = ("", "") if time is None else _time_unit(table, time, 0.3)
+    if time is not None and scale:
+        guess.columns["t"] = named(table, time)
+        guess.set("time_unit", scale, why)
+    else:
+        said = "rate_hz is a guess: write the camera's frames per second."
+        guess.set("rate_hz", 30.0, f"{UNKNOWN}: the file has no times", said)
+    downs = {"kinect": (1, -1), "optical": (1, 1), "zup": (2, -1)}
+    arms = [
+        position[f"elbow_{side}"] - position[f"shoulder_{side}"]
+        for side in ("left", "right")
+        if {f"shoulder_{side}", f"elbow_{side}"} <= position.keys()
+    ]
+    score = {
+        name: sum(float(np.nansum(sign * arm[:, axis])) for arm in arms)
+        for name, (axis, sign) in downs.items()
+    }
+    best = max(score, key=lambda name: score[name])
+    said = "frame: the camera's axes; `smooth` reports if gravity contradicts them."
+    guess.set("frame", best, "upper arms hang down so" if score[best] > 0 else UNKNOWN, said)
+    return guess
+
+
+# ------------------------------------------------------------------------------ tables with exactly our names
+
+#: Bytes at the end of a file that contain its last rows.
+_TAIL = 1 << 14
+#: A cell that is nothing but cut off is one of a column with at least this many rows.
+_FEWEST_CUT = 20
+Exact = tuple[dict[str, FloatArray], dict[str, list[str]]]
+
+
+def read_exact(
+    path: str | os.PathLike[str],
+    required: Sequence[str],
+    optional: Sequence[str] = (),
+    *,
+    words: Sequence[str] = (),
+    empty: Sequence[str] = (),
+) -> Exact:  # numbers dict of (n,), texts
+    """The named columns of a comma-separated file whose first line is a header; a wrong cell is refused."""
+    path = Path(path)
+    check_input(path, RecordingError)
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            header = [cell.strip() for cell in next(csv.reader(file, skipinitialspace=True), [])]
+        _check_header(header, path, required)
+        with open(path, "rb") as raw:
+            raw.seek(max(path.stat().st_size - _TAIL, 0))
+            lines = raw.read().split(b"\n")[1:]  # behind the header, or a line that is not whole
+        cells = [line.rsplit(b",", 1)[-1].decode(errors="replace") for line in lines[-ROWS_BEFORE:]]
+        if cells and cells[-1].strip() and is_cut_number(cells, _FEWEST_CUT):
+            raise RecordingError(
+                f"{path} ends within a number of its last line; copy it again, or delete the line."
+            )
+        place = {name: header.index(name) for name in (*required, *optional) if name in header}
+        return _fast(path, len(header), place, words, empty) or _careful(path, place, words, empty)
+    except FileNotFoundError:
+        raise RecordingError(f"{path} does not exist; add it, or correct the name.") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise RecordingError(
+            f"{path} cannot be read as comma-separated text: {shown(str(reason))}."
+        ) from error
+
+
+def _check_header(header: list[str], path: Path, required: Sequence[str]) -> None:
+    if not any(header):
+        raise RecordingError(f"{path} is empty; its first line must be the header {', '.join(required)}.")
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        mark = "semicolons" if ";" in header[0] else "tabs"
+        raise RecordingError(
+            f"{path} is separated by {mark}; export it with commas, and points as decimal marks."
+        )
+    missing = [name for name in required if name not in header]
+    if not missing:
+        return
+    what = f"has no column {', '.join(missing)}; its columns are {shown(', '.join(header))}."
+    if len(missing) == len(required):  # another kind of file, whose first line may be private
+        what = f"has none of the columns {', '.join(required)} in its first line; name the right file."
+    raise RecordingError(f"{path} {what} `unocclude import describe {path}` helps with other layouts.")
+
+
+def _fast(
+    path: Path, width: int, place: dict[str, int], words: Sequence[str], empty: Sequence[str]
+) -> Exact | None:
+    """The columns of a file as programs write it; None where there is anything else in it."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    word = pa.dictionary(pa.int32(), pa.string())
+    kinds = {str(at): word if name in words else pa.float64() for name, at in place.items()}
+    try:
+        table = arrow_csv.read_csv(
+            path,
+            arrow_csv.ReadOptions(skip_rows=1, column_names=[str(at) for at in range(width)]),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=kinds, include_columns=list(kinds), null_values=["", " "]
+            ),
+        ).unify_dictionaries()
+    except pa.ArrowException:
+        return None
+    numbers, texts = {}, {}
+    for name, at in place.items():
+        column = table[str(at)].combine_chunks()
+        if name in words:
+            spelled = [cell.strip() for cell in column.dictionary.to_pylist()]
+            if any('"' in cell for cell in spelled):  # a quote behind a space, say, is none to Arrow
+                return None
+            texts[name] = [spelled[code] for code in column.indices.to_numpy().tolist()]
+        elif column.null_count and name not in empty:
+            return None
+        else:
+            numbers[name] = column.to_numpy(zero_copy_only=False, writable=True)
+    return (numbers, texts) if len(table) else None
+
+
+def _careful(path: Path, place: dict[str, int], words: Sequence[str], empty: Sequence[str]) -> Exact:
+    """The same with quotes and blanks, cell by cell; what cannot be read is named by its line."""
+    numbers: dict[str, list[float]] = {name: [] for name in place if name not in words}
+    texts: dict[str, list[str]] = {name: [] for name in place if name in words}
+    with open(path, encoding="utf-8-sig", newline="") as file:
+        rows = csv.reader(file, skipinitialspace=True)
+        width = len(next(rows))
+        for cells in rows:
+            if len(cells) != width:
+                if not any(cell.strip() for cell in cells):
+                    continue
+                raise RecordingError(
+                    f"{path}, line {rows.line_num}: {len(cells)} cells where the header has {width}; correct"
+                    " the line."
+                )
+            for name, text in texts.items():
+                text.append(cells[place[name]].strip())
+            for name, values in numbers.items():
+                cell = plain_minus(cells[place[name]].strip())
+                try:
+                    values.append(float(cell or ("nan" if name in empty else "")))
+                except ValueError:
+                    wrong = f"'{shown(cell, 40)}' in column {name} is not a number"
+                    what = wrong if cell else f"column {name} is empty"
+                    raise RecordingError(f"{path}, line {rows.line_num}: {what}; correct the cell.") from None
+    if not any([*numbers.values(), *texts.values()]):
+        raise RecordingError(f"{path} has a header and no rows; export it again.")
+    return {name: np.array(values) for name, values in numbers.items()}, texts
+
+
+def stacked(columns: dict[str, FloatArray], *names: str) -> FloatArray:
+    """Columns side by side, (n, number of names)."""
+    return np.stack([columns[name] for name in names], axis=1)
+
+
+def exact_imu(path: str | os.PathLike[str]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
+    """Times (n,), specific force, angular velocity and magnetic field (n, 3), in the file's units."""
+    columns, _ = read_exact(path, ("t_s", *IMU_COLUMNS[1:7]), IMU_COLUMNS[7:], empty=IMU_COLUMNS[7:])
+    acc, gyro = (stacked(columns, *(letter + axis for axis in "xyz")) for letter in "ag")
+    mag = stacked(columns, *IMU_COLUMNS[7:]) if set(IMU_COLUMNS[7:]) <= columns.keys() else None
+    return columns["t_s"], acc, gyro, mag
+
+
+def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
+    """Read `t_s, ax, ay, az, gx, gy, gz [, mx, my, mz]`: s, m/s^2, rad/s, any unit for the field."""
+    if not os.path.isfile(path):
+        raise RecordingError(f"{path} does not exist; check the name.")
+    t_s, acc, gyro, mag = exact_imu(path)
+    if len(t_s) < 2 or not (np.diff(t_s) > 0).all():
+        raise RecordingError(f"{path}: t_s must increase from row to row and have at least two rows.")
+    if np.median(np.linalg.norm(acc, axis=1)) < 3:
+        raise RecordingError(f"{path}: the specific force is near 1, not near 9.81; give it in m/s^2.")
+    return ImuStream(name, t_s, acc, gyro, mag if mag is not None and np.isfinite(mag).all() else None)

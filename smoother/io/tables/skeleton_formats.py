@@ -1,10 +1,14 @@
-"""Plain tables of skeletons with a header, one row per frame: a row of `SKELETON_FORMATS` each."""
+"""Tables of skeletons: with joints in the header, with one row per joint, or with joints by number.
+
+Tables with a header and one row per frame are a row of `SKELETON_FORMATS` each.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,19 +17,37 @@ from numpy.typing import NDArray
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
+from ...measurements.timestamps import begins_frames
 from ...recording import CameraFrame, JointState
-from .columns import time_among
-from .joint_columns import JointColumns, find_joint_columns, words_of
-from .protocol import FileHead, SkeletonTable
-from .raw_skeleton import Conventions, RawSkeleton, unit_by_arm
-from .table_layout import layout_of
-from .text_table import Sheet, read_sheet
+from .joints import (
+    AZURE,
+    BLAZEPOSE,
+    BODY_WORDS,
+    FRAME_WORDS,
+    KINECT_V2,
+    POINT_SETS,
+    TIME_WORDS,
+    JointColumns,
+    column_named,
+    find_joint_columns,
+    joint_name,
+    plain_words,
+    time_unit_of,
+    words_of,
+)
+from .skeletons import Conventions, RawSkeleton, SkeletonTable, camera_time_scale, unit_by_arm
+from .table import FileHead, Format, Table, begins, read_table, table_of
+from .times import time_among
 from .units import CAMERA_RATES, SECONDS, TIME, plain_unit
 
 #: States (N,) from the cells of a confidence column, numbers or words made numbers.
 StateReader = Callable[[FloatArray], NDArray[np.int8]]
+AZURE_AXES, KINECT_AXES = Conventions("mm", CameraFrame.OPTICAL), Conventions("m", CameraFrame.KINECT)
+
+# --------------------------------------------------------------------------------------------------- states
+
 #: What exporters write for states, as numbers.
-_WORDS = {
+STATE_WORDS = {
     **dict.fromkeys(("nottracked", "not tracked", "not_tracked", "none", "false"), 0.0),
     **dict.fromkeys(("inferred", "low", "true"), 1.0),
     **dict.fromkeys(("tracked", "medium"), 2.0),
@@ -33,78 +55,26 @@ _WORDS = {
 }
 
 
-def header_of(head: FileHead) -> tuple[str, ...]:
-    """Names of the columns of a file's beginning; none where it is not a table with a header."""
-    layout = layout_of(head.lines) if head.text else None
-    return () if layout is None else layout.names
-
-
-def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[RawSkeleton, JointColumns]:
-    """Read a table with one row per frame and body."""
-    sheet = read_sheet(path, expected)
-    sheet.refuse_nameless()
-    columns = find_joint_columns(sheet.layout.names)
-    raw = RawSkeleton(
-        path,
-        {joint: sheet.vectors(triple) for joint, triple in columns.axes.items()},
-        rest=[(name, sheet.vectors(triple)) for name, triple in columns.rest],
-        time_scale=columns.time_scale,
-    )
-    if columns.time is not None:
-        raw.time, dates = sheet.times(columns.time)
-        if dates:
-            raw.time_scale = 1.0
-        elif raw.time_scale is None:
-            raw.time_scale = TIME.get(plain_unit(sheet.unit(columns.time)))
-        if _counts_frames(raw.time) and raw.time_scale is None:
-            raw.frame, raw.time = raw.time, None
-    elif not _take_time(sheet, columns, raw) and columns.frame is not None:
-        raw.frame = sheet.numbers(columns.frame)
-    if columns.body is not None:
-        raw.body = body_numbers(sheet, columns.body)
-    if states is not None:
-        values = {joint: state_numbers(sheet, column) for joint, column in columns.confidence.items()}
-        raw.state = states_of(values, states)
-    raw.notes += sheet.notes
-    return raw, columns
-
-
-def _take_time(sheet: Sheet, columns: JointColumns, raw: RawSkeleton) -> bool:
-    """Whether a column of no known name is the time; it is the skeleton's then."""
-    used = {columns.frame, columns.body, *columns.confidence.values()}
-    used |= {at for triple in (*columns.axes.values(), *(each for _, each in columns.rest)) for at in triple}
-    free: dict[str, FloatArray] = {}
-    for at, name in enumerate(sheet.layout.names):
-        if at not in used:
-            with suppress(RecordingError):  # of words, not of times
-                free[name] = sheet.times(at)[0]
-    name, unit = time_among(free, CAMERA_RATES, sheet.path, raw.notes)
-    if not name:
-        return False
-    raw.time, raw.time_scale = free[name], SECONDS[unit]
-    return True
-
-
-def state_numbers(sheet: Sheet, column: int) -> FloatArray:
-    """A column of confidences or states; words as `_WORDS` has them, also behind a prefix."""
-    cells = sheet.texts(column)
+def state_numbers(table: Table, column: int) -> FloatArray:
+    """A column of confidences or states; words as `STATE_WORDS` has them, also behind a prefix."""
+    cells = table.texts(column)
     sample = next((cell for cell in cells if cell), "")
     if not any(character.isalpha() for character in sample) or sample.lower() == "nan":
-        return sheet.numbers(column)
+        return table.numbers(column)
     code = {
-        cell: _WORDS.get(cell.lower(), _WORDS.get(cell.lower().rpartition("_")[2], np.nan))
+        cell: STATE_WORDS.get(cell.lower(), STATE_WORDS.get(cell.lower().rpartition("_")[2], np.nan))
         for cell in set(cells)
     }
     return np.array([code[cell] for cell in cells])
 
 
-def body_numbers(sheet: Sheet, column: int) -> FloatArray:
+def body_numbers(table: Table, column: int) -> FloatArray:
     """A column of the bodies' numbers; names are numbered in their order, no body (-1, 2^32 - 1) is nan."""
-    cells = sheet.texts(column)
+    cells = table.texts(column)
     if any(character.isalpha() for cell in cells[:50] for character in cell if cell.lower() != "nan"):
         order = {cell: float(number) for number, cell in enumerate(dict.fromkeys(cells)) if cell}
         return np.array([order.get(cell, np.nan) for cell in cells])
-    numbers = sheet.numbers(column).copy()
+    numbers = table.numbers(column).copy()
     numbers[(numbers < 0) | (numbers == 2**32 - 1)] = np.nan
     return numbers
 
@@ -122,6 +92,13 @@ def kinect_states(confidence: FloatArray) -> NDArray[np.int8]:
     return azure_states(confidence)
 
 
+def share_states(confidence: FloatArray) -> NDArray[np.int8]:
+    """States of a visibility or score from 0 to 1: inferred up to one half, tracked above."""
+    state = np.full(len(confidence), JointState.TRACKED, np.int8)
+    state[confidence <= 0.5] = JointState.INFERRED
+    return state
+
+
 def states_of(
     confidence: dict[str, FloatArray],  # dict of (N,)
     states: StateReader,
@@ -131,13 +108,6 @@ def states_of(
     if states is not azure_states and largest <= 1.0:
         states = share_states
     return {joint: states(values) for joint, values in confidence.items()}
-
-
-def share_states(confidence: FloatArray) -> NDArray[np.int8]:
-    """States of a visibility or score from 0 to 1: inferred up to one half, tracked above."""
-    state = np.full(len(confidence), JointState.TRACKED, np.int8)
-    state[confidence <= 0.5] = JointState.INFERRED
-    return state
 
 
 def inferred_throughout(raw: RawSkeleton) -> None:
@@ -155,11 +125,7 @@ def inferred_throughout(raw: RawSkeleton) -> None:
         )
 
 
-def _counts_frames(time: FloatArray) -> bool:
-    """Whether a column of times is a count of frames: whole numbers, the next one at nearly every row."""
-    step = np.diff(time[np.isfinite(time)])
-    return bool(len(step) > 2 and (step == 1).mean() > 0.5 and np.isin(step, np.arange(100)).all())
-
+# ----------------------------------------------------------------------------------- landmarks of BlazePose
 
 #: World landmarks have the middle of the hips within this of their origin, m.
 _ABOUT_HIPS_M = 0.06
@@ -217,37 +183,75 @@ def _in_image(raw: RawSkeleton) -> bool:
     return bool(len(points) and inside.mean() > 0.9)
 
 
-@dataclass(frozen=True)
-class SkeletonFormat:
-    """An importer of a table with a header, one row per frame and body; see `DeviceFormat`."""
+# ---------------------------------------------------------------------------------------- one row per frame
 
-    key: str  # As in `DeviceFormat`
-    title: str  # As in `DeviceFormat`
-    recognised_by: str  # As in `DeviceFormat`
-    expected: str  # What a file should be, for messages
-    # Whether a table that names an elbow and a wrist of one side is of this format, by its columns' names and
-    # what they are
-    fits: Callable[[Sequence[str], JointColumns], bool]
+
+@dataclass(frozen=True)
+class _Wide:
+    """How a table with joints in its header is read."""
+
     states: StateReader  # Makes states of the numbers of a joint's confidence
     # What the format settles; or makes the skeletons in a way of its own
     conventions: Conventions | Callable[[RawSkeleton, JointColumns], list[SkeletonTable]]
     guesses: bool = False  # Joints that are never tracked are treated as inferred
-    kind: str = "skeleton"  # As in `DeviceFormat`
 
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the header names an elbow and a wrist of one side, as this format does."""
-        names = header_of(head)
-        columns = find_joint_columns(names)
-        return columns.has_arm() and self.fits(names, columns)
 
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read all bodies."""
-        raw, columns = read_wide(path, self.states, self.expected)
-        if self.guesses:
-            inferred_throughout(raw)
-        if callable(self.conventions):
-            return self.conventions(raw, columns)
-        return raw.skeletons(self.conventions)
+def _header_of(head: FileHead) -> tuple[str, ...]:
+    return () if head.table is None else head.table.names
+
+
+def _read_wide(path: Path, wide: _Wide) -> list[SkeletonTable]:
+    """Read all bodies of a table with one row per frame and body."""
+    table = read_table(path, "a table of joints")
+    table.refuse_nameless()
+    columns = find_joint_columns(table.names)
+    raw = RawSkeleton(
+        path,
+        {joint: table.vectors(triple) for joint, triple in columns.axes.items()},
+        rest=[(name, table.vectors(triple)) for name, triple in columns.rest],
+        time_scale=columns.time_scale,
+    )
+    if columns.time is not None:
+        raw.time, dates = table.times(columns.time)
+        if dates:
+            raw.time_scale = 1.0
+        elif raw.time_scale is None:
+            raw.time_scale = TIME.get(plain_unit(table.unit(columns.time)))
+        if raw.time_scale is None and _counts_frames(raw.time):
+            raw.frame, raw.time = raw.time, None
+    elif not _take_time(table, columns, raw) and columns.frame is not None:
+        raw.frame = table.numbers(columns.frame)
+    if columns.body is not None:
+        raw.body = body_numbers(table, columns.body)
+    values = {joint: state_numbers(table, column) for joint, column in columns.confidence.items()}
+    raw.state = states_of(values, wide.states)
+    raw.notes += table.notes
+    if wide.guesses:
+        inferred_throughout(raw)
+    if isinstance(wide.conventions, Conventions):
+        return raw.skeletons(wide.conventions)
+    return wide.conventions(raw, columns)
+
+
+def _counts_frames(time: FloatArray) -> bool:
+    """Whether a column of times is a count of frames: whole numbers, the next one at nearly every row."""
+    step = np.diff(time[np.isfinite(time)])
+    return bool(len(step) > 2 and (step == 1).mean() > 0.5 and np.isin(step, np.arange(100)).all())
+
+
+def _take_time(table: Table, columns: JointColumns, raw: RawSkeleton) -> bool:
+    """Whether a column of no known name is the time; it is the skeleton's then."""
+    used = {columns.frame, columns.body, *columns.confidence.values()}
+    used |= {at for triple in (*columns.axes.values(), *(each for _, each in columns.rest)) for at in triple}
+    free: dict[str, FloatArray] = {}
+    for at, name in enumerate(table.names):
+        if at not in used:
+            with suppress(RecordingError):  # of words, not of times
+                free[name] = table.times(at)[0]
+    name, unit = time_among(free, CAMERA_RATES, table.path, raw.notes)
+    if name:
+        raw.time, raw.time_scale = free[name], SECONDS[unit]
+    return bool(name)
 
 
 def _words(names: Sequence[str]) -> set[str]:
@@ -270,56 +274,346 @@ def _is_mediapipe(names: Sequence[str], columns: JointColumns) -> bool:
     return columns.numbered or columns.world or bool(_words(names) & {"pinky", "mouth", "visibility"})
 
 
+def _wide(
+    key: str,
+    title: str,
+    recognised_by: str,
+    fits: Callable[[Sequence[str], JointColumns], bool],
+    wide: _Wide,
+) -> Format:
+    def recognises(head: FileHead) -> bool:
+        columns = find_joint_columns(_header_of(head))
+        return columns.has_arm() and fits(_header_of(head), columns)
+
+    return Format(key, title, "skeleton", recognised_by, recognises, partial(_read_wide, wide=wide))
+
+
 #: Where two recognise a table, the upper one has it.
 SKELETON_FORMATS = (
     # Positions in mm in the depth camera's axes, times in us. Confidence 2 and 3 is tracked, 1 (occluded,
     # guessed) inferred, 0 (out of range) not tracked. Orbbec's wrapper of this SDK writes the same joints.
-    SkeletonFormat(
-        key="azure-kinect",
-        title="Azure Kinect or Orbbec body tracking, table",
-        recognised_by=(
-            "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)"
-        ),
-        expected="a table of an Azure Kinect's joints",
-        fits=_is_azure,
-        states=azure_states,
-        conventions=Conventions("mm", CameraFrame.OPTICAL),
-        guesses=True,
+    _wide(
+        "azure-kinect",
+        "Azure Kinect or Orbbec body tracking, table",
+        "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)",
+        _is_azure,
+        _Wide(azure_states, AZURE_AXES, guesses=True),
     ),
     # Positions in m, x left, y up, z forward; tracking states 0, 1, 2 or in words where there are any.
-    SkeletonFormat(
-        key="kinect-v2",
-        title="Kinect v2 joints, table",
-        recognised_by=(
-            "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)"
-        ),
-        expected="a table of a Kinect's joints",
-        fits=_is_kinect_v2,
-        states=kinect_states,
-        conventions=Conventions("m", CameraFrame.KINECT),
+    _wide(
+        "kinect-v2",
+        "Kinect v2 joints, table",
+        "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)",
+        _is_kinect_v2,
+        _Wide(kinect_states, KINECT_AXES),
     ),
     # BlazePose's 33 landmarks by number or name; world landmarks are metres about the hips.
-    SkeletonFormat(
-        key="mediapipe",
-        title="MediaPipe world landmarks, table",
-        recognised_by=(
-            "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left"
+    _wide(
+        "mediapipe",
+        "MediaPipe world landmarks, table",
+        "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left",
+        _is_mediapipe,
+        _Wide(
+            share_states,
+            lambda raw, columns: landmarks_in_metres(raw, columns.world, columns.normalised),
         ),
-        expected="a table of MediaPipe's landmarks",
-        fits=_is_mediapipe,
-        states=share_states,
-        conventions=lambda raw, columns: landmarks_in_metres(raw, columns.world, columns.normalised),
     ),
     # The unit is found by the arms' lengths, up by how the body stands.
-    SkeletonFormat(
-        key="joint-table",
-        title="table of joints by name (FreeMoCap, Pose2Sim and others)",
-        recognised_by=(
-            "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X"
-        ),
-        expected="a table of joints",
-        fits=lambda names, columns: True,
-        states=kinect_states,
-        conventions=Conventions(),
+    _wide(
+        "joint-table",
+        "table of joints by name (FreeMoCap, Pose2Sim and others)",
+        "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X",
+        lambda names, columns: True,
+        _Wide(kinect_states, Conventions()),
     ),
 )
+
+# ---------------------------------------------------------------------------------------- one row per joint
+
+_JOINT = (
+    *("joint", "jointid", "joint id", "joint name", "jointname", "joint type", "jointtype", "landmark"),
+    *("landmark id", "landmark name", "landmark index", "landmark idx", "keypoint", "keypoint id", "point"),
+    *("marker", "body part", "bodypart", "name", "keypoint name", "joint index", "landmark no"),
+)
+_STATE = (
+    *("state", "tracking state", "trackingstate", "confidence", "confidence level", "visibility", "conf"),
+    "score",
+)
+_AXES = tuple(
+    (axis, f"position {axis}", f"pos {axis}", f"world {axis}", f"{axis} world", f"{axis} position")
+    for axis in "xyz"
+)
+
+
+def _joint_columns(names: tuple[str, ...]) -> dict[str, int]:
+    """Columns by what they are; {} where the table has no row per joint."""
+    wanted = dict(zip("xyz", _AXES, strict=True)) | {
+        "joint": _JOINT,
+        "time": TIME_WORDS,
+        "frame": FRAME_WORDS,
+        "body": BODY_WORDS,
+        "state": _STATE,
+    }
+    found = {what: at for what, words in wanted.items() if (at := column_named(names, words)) is not None}
+    return found if {"joint", *"xyz"} <= found.keys() and {"time", "frame"} & found.keys() else {}
+
+
+def _read_joint_rows(path: Path) -> list[SkeletonTable]:
+    """One row per joint, joints by name or by their number in a Kinect v2, an Azure Kinect or BlazePose."""
+    table = read_table(path, "a table with one row per joint")
+    columns = _joint_columns(table.names)
+    if not columns:
+        raise RecordingError(
+            f"{path} has no columns for joint, x, y, z and a time or frame; export one row per joint with"
+            " these."
+        )
+    names, kind = _joints(table, columns["joint"])
+    raw = _gathered(table, columns, names, azure_states if kind == "azure" else kinect_states)
+    if kind == "blazepose":
+        world = any("world" in plain_words(table.names[columns[axis]]) for axis in "xyz")
+        return landmarks_in_metres(raw, world=world)
+    return raw.skeletons({"azure": AZURE_AXES, "kinect": KINECT_AXES}.get(kind, Conventions()))
+
+
+JOINT_ROWS = Format(
+    key="joint-rows",
+    title="table with one row per joint",
+    kind="skeleton",
+    recognised_by="columns for joint (or landmark), x, y, z, and a time or frame number",
+    recognises=lambda head: bool(_joint_columns(_header_of(head))),
+    read=_read_joint_rows,
+)
+#: Parts of names, in small letters without signs, that show whose joints they are.
+_TELLTALES = (
+    ("azure", ("navel", "clavicle")),
+    ("kinect", ("spinebase", "spineshoulder", "jointtype")),
+    ("blazepose", ("pinky", "mouth")),
+)
+
+
+def _joints(table: Table, column: int) -> tuple[list[str], str]:
+    """Name of the joint of every row, and whose joints they are."""
+    cells = table.texts(column)
+    different = set(cells)
+    if not all(cell.isdigit() for cell in different):
+        lower = {"".join(c for c in cell.lower() if c.isalnum()) for cell in different}
+        kinds = (kind for kind, parts in _TELLTALES if any(part in cell for cell in lower for part in parts))
+        return cells, next(kinds, "")
+    last = max(int(cell) for cell in different)
+    for order, kind in ((KINECT_V2, "kinect"), (AZURE, "azure"), (BLAZEPOSE, "blazepose")):
+        if last == len(order) - 1:
+            return [order[int(cell)] for cell in cells], kind
+    raise RecordingError(
+        f"{table.path}: joints are numbered 0 to {last}, which is neither a Kinect v2 (24), an Azure Kinect"
+        " (31) nor BlazePose (32); export their names."
+    )
+
+
+def _gathered(table: Table, columns: dict[str, int], names: list[str], states: StateReader) -> RawSkeleton:
+    """One row per frame and body, out of rows of joints."""
+    raw = RawSkeleton(table.path, notes=table.notes)
+    time: FloatArray | None = None
+    if "time" in columns:
+        time, dates = table.times(columns["time"])
+        raw.time_scale = 1.0 if dates else time_unit_of(table.names[columns["time"]])
+    frame = table.numbers(columns["frame"]) if "frame" in columns else None
+    key = frame if frame is not None else time
+    assert key is not None
+    body = body_numbers(table, columns["body"]) if "body" in columns else np.zeros(len(key))
+    written, joint_of = np.unique(names, return_inverse=True)
+    starts = joint_of + len(joint_of) * np.unique(body, return_inverse=True)[1]
+    forward = (np.diff(key[np.isfinite(key)]) >= 0).all() or begins_frames(key, starts)
+    number = (
+        np.cumsum(np.append(True, key[1:] != key[:-1])) if forward else np.unique(key, return_inverse=True)[1]
+    )
+    first_of: dict[tuple[int, float], int] = {}  # a row of the skeleton is one frame and body
+    pairs = zip(number.tolist(), body.tolist(), strict=True)
+    row = np.array([first_of.setdefault(pair, len(first_of)) for pair in pairs])
+    count, first = len(first_of), np.unique(row, return_index=True)[1]
+    raw.time = None if time is None else time[first]
+    raw.frame = None if frame is None else frame[first]
+    raw.body = body[first] if "body" in columns else None
+    xyz, said = table.vectors([columns[axis] for axis in "xyz"]), None
+    if "state" in columns:
+        said = states_of({"all": state_numbers(table, columns["state"])}, states)["all"]
+    for code, name in enumerate(written.tolist()):
+        mine = np.flatnonzero(joint_of == code)
+        position, state = np.full((count, 3), np.nan), np.zeros(count, np.int8)
+        position[row[mine]] = xyz[mine]
+        if said is not None:
+            state[row[mine]] = said[mine]
+        raw.add(name, position, None if said is None else state)
+    return raw
+
+
+# ----------------------------------------------------------------------------------------- joints by number
+
+#: Numbers a joint: position; with a state; with a quaternion; with both.
+_PER_JOINT = (3, 4, 7, 8)
+#: Columns in front of the joints at most: a time and a body's number.
+_LEADING = 2
+#: Left and right arms are equally long within this share.
+_SAME = 0.25
+
+
+@dataclass(frozen=True)
+class _Order:
+    """How the numbers of a row follow each other."""
+
+    joints: tuple[str, ...]
+    per_joint: int
+    leading: int
+    state_first: bool = False
+
+    def position(self, rows: FloatArray, number: int) -> FloatArray:
+        start = self.leading + number * self.per_joint + int(self.state_first)
+        return rows[:, start : start + 3]
+
+    def state(self, rows: FloatArray, number: int) -> FloatArray | None:
+        if self.per_joint not in (4, 8):
+            return None
+        start = self.leading + number * self.per_joint
+        return rows[:, start if self.state_first else start + self.per_joint - 1]
+
+    def fits(self, rows: FloatArray) -> bool:
+        """Whether states are codes from 0 to 3 or shares of one, and both arms an arm's length."""
+        columns = [self.state(rows, number) for number in range(len(self.joints))]
+        states = np.concatenate([column for column in columns if column is not None] or [np.zeros(1)])
+        states = states[np.isfinite(states)]
+        is_code = (states % 1 == 0) & (states <= 3)
+        if not ((states >= 0) & (is_code | (states <= 1))).all():
+            return False
+        names = {n.joint: at for at, each in enumerate(self.joints) if (n := joint_name(each)) and n.joint}
+        lengths = []
+        for side in ("left", "right"):
+            arm = {joint: self.position(rows, at) for joint, at in names.items() if joint.endswith(side)}
+            unit = unit_by_arm(arm)
+            if unit is None:
+                return False
+            length = np.linalg.norm(arm[f"shoulder_{side}"] - arm[f"elbow_{side}"], axis=1)
+            lengths.append(float(np.nanmedian(length)) * unit[1])
+        return min(lengths) > 0 and abs(lengths[0] - lengths[1]) < _SAME * max(lengths)
+
+
+def _are_kinect_numbers(head: FileHead) -> bool:
+    """Whether rows have this many numbers, and both arms an arm's length in them."""
+    if not head.text:
+        return False
+    try:
+        table = table_of(head.path, "\n".join(head.lines[:40]) + "\n")
+        if table.names or not len(table):
+            return False
+        rows = table.vectors(range(table.width))
+        return any(_order_of(each) is not None for each in (rows, _filled(rows)))
+    except RecordingError:
+        return False
+
+
+def _read_kinect_numbers(path: Path) -> list[SkeletonTable]:
+    """32 or 25 joints of 3, 4, 7 or 8 numbers, with or without a time and a body's number in front."""
+    table = read_table(path, "rows of numbers of a Kinect's joints")
+    rows = _filled(table.vectors(range(table.width)))
+    order = _order_of(rows)
+    if order is None:
+        raise RecordingError(
+            f"{path}: {rows.shape[1]} numbers per row are not 32 joints of an Azure Kinect or 25 of a"
+            " Kinect v2 in their SDK's order; export the table with a header."
+        )
+    raw = RawSkeleton(path, notes=list(table.notes))
+    is_azure = len(order.joints) == len(AZURE)
+    confidence: dict[str, FloatArray] = {}
+    for number, written in enumerate(order.joints):
+        raw.add(written, order.position(rows, number))
+        name, state = joint_name(written), order.state(rows, number)
+        if name is not None and name.joint and state is not None:
+            confidence[name.joint] = state
+    raw.state = states_of(confidence, azure_states if is_azure else kinect_states)
+    for column in rows[:, : order.leading].T:  # time and body in front of the joints: what rises is the time
+        step = np.diff(column)
+        if raw.time is None and len(step) and (step >= 0).all() and (step > 0).any():
+            if np.isin(step, (0, 1)).all() and (column % 1 == 0).all():
+                raw.frame = column
+            elif camera_time_scale(column, None) is not None:
+                raw.time = column
+        elif raw.body is None and (column % 1 == 0).all():
+            raw.body = column
+    inferred_throughout(raw)
+    device = "32 joints of an Azure Kinect" if is_azure else "25 joints of a Kinect v2"
+    raw.notes.append(f"Rows assumed to be {device}, {order.per_joint} numbers each, in the SDK's order.")
+    return raw.skeletons(AZURE_AXES if is_azure else KINECT_AXES)
+
+
+KINECT_NUMBERS = Format(
+    key="kinect-numbers",
+    title="Azure Kinect or Kinect v2 joints without a header",
+    kind="skeleton",
+    recognised_by="no header, and 32 or 25 joints of 3, 4, 7 or 8 numbers whose arms are as long as arms",
+    recognises=_are_kinect_numbers,
+    read=_read_kinect_numbers,
+)
+
+
+def _filled(rows: FloatArray) -> FloatArray:
+    """Rows (N, width) without the empty column that a separator at the end of the line makes."""
+    return rows if np.isfinite(rows[:, -1]).any() else rows[:, :-1]
+
+
+def _order_of(rows: FloatArray) -> _Order | None:
+    """The order that fits the width of rows (N, width), and makes two arms of an arm's length."""
+    for joints in (AZURE, KINECT_V2):
+        for per_joint in _PER_JOINT:
+            leading = rows.shape[1] - per_joint * len(joints)
+            for state_first in (False, True) if per_joint == 4 else (False,):
+                order = _Order(tuple(joints), per_joint, leading, state_first)
+                if 0 <= leading <= _LEADING and order.fits(rows):
+                    return order
+    return None
+
+
+def _read_joint_array(path: Path) -> list[SkeletonTable]:
+    """An array of frames, points and x, y, z (and a score); points are identified by their number."""
+    array = _array(path)
+    names = POINT_SETS[array.shape[1]]
+    raw = RawSkeleton(path)
+    for at, name in enumerate(names):
+        raw.add(name, array[:, at, :3].copy(), share_states(array[:, at, 3]) if array.shape[2] == 4 else None)
+    raw.notes.append(f"{array.shape[1]} points per frame, assumed in the order {names[0]} .. {names[-1]}.")
+    if names is BLAZEPOSE:
+        return landmarks_in_metres(raw, world=False)
+    return raw.skeletons(AZURE_AXES if names is AZURE else Conventions())
+
+
+JOINT_ARRAY = Format(
+    key="joint-array",
+    title="array of joints, npy (FreeMoCap)",
+    kind="skeleton",
+    recognised_by="numpy's npy file of an array of frames x points x 3 (or 4)",
+    recognises=begins(b"\x93NUMPY"),
+    read=_read_joint_array,
+)
+
+
+def _array(path: Path) -> NDArray[np.float64]:
+    """The array, (frames, points, 3 or 4)."""
+    try:
+        array = np.load(path, allow_pickle=False)
+    except Exception as error:  # whatever a damaged header leads numpy into
+        raise RecordingError(
+            f"{path} is not an array of numbers that numpy can read ({str(error)[:80]}); save it again with"
+            " numpy.save."
+        ) from error
+    if array.dtype.kind not in "fiu":
+        raise RecordingError(
+            f"{path} contains {array.dtype} and not numbers; save an array of frames x points x 3."
+        )
+    if array.ndim == 2:
+        widths = (w for w in (3, 4) if array.shape[1] % w == 0 and array.shape[1] // w in POINT_SETS)
+        if width := next(widths, 0):
+            array = array.reshape(len(array), -1, width)
+    if array.ndim != 3 or array.shape[2] not in (3, 4) or array.shape[1] not in POINT_SETS or not len(array):
+        shape = " x ".join(map(str, array.shape))
+        known = ", ".join(map(str, sorted(POINT_SETS)))
+        raise RecordingError(
+            f"{path} is an array of {shape}; joints are frames x points x 3, of {known} points."
+        )
+    return array.astype(float)

@@ -4,60 +4,58 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 
 from ...array_types import FloatArray
-from ...errors import RecordingError
-from ...units import GRAVITY, STANDARD_GRAVITY
+from ...units import STANDARD_GRAVITY
 
-#: m/s^2 in one unit, by the unit in its plain form (see `plain_unit`).
-ACCELERATION = {
-    **dict.fromkeys(
-        ("m/s^2", "m/s2", "m/(s^2)", "m/(sec^2)", "m/s/s", "ms^-2", "m.s^-2", "m*s^-2", "m/s**2"), 1.0
-    ),
-    **dict.fromkeys(("mps2", "ms2", "m_s2", "ms-2", "mps^2"), 1.0),
-    **dict.fromkeys(("g", "gs", "gn", "gravity"), STANDARD_GRAVITY),
-    **dict.fromkeys(("mg", "milli-g"), STANDARD_GRAVITY / 1000),
-    **dict.fromkeys(("cm/s^2", "cm/s2", "gal"), 0.01),
-    **dict.fromkeys(("mm/s^2", "mm/s2"), 0.001),
-}
+
+def _factors(**units: tuple[float, str]) -> dict[str, float]:
+    return {name: factor for factor, names in units.values() for name in names.split()}
+
+
+#: m/s^2 in one unit, by the unit in its plain form (see `plain_unit`); the first name is recording.toml's.
+ACCELERATION = _factors(
+    si=(1.0, "m/s^2 m/s2 m/(s^2) m/(sec^2) m/s/s ms^-2 m.s^-2 m*s^-2 m/s**2 mps2 ms2 m_s2 ms-2 mps^2"),
+    g=(STANDARD_GRAVITY, "g gs gn gravity"),
+    mg=(STANDARD_GRAVITY / 1000, "mg milli-g"),
+    cm=(0.01, "cm/s^2 cm/s2 gal"),
+    mm=(0.001, "mm/s^2 mm/s2"),
+)
 #: rad/s in one unit.
-ANGULAR_VELOCITY = {
-    **dict.fromkeys(("rad/s", "rads/s", "radian/s", "radians/s", "rad*s^-1", "rad.s^-1", "rads^-1"), 1.0),
-    **dict.fromkeys(("rads", "rad_s", "radps", "r/s"), 1.0),
-    **dict.fromkeys(
-        ("deg/s", "degs/s", "degree/s", "degrees/s", "dps", "deg*s^-1", "deg.s^-1"), math.pi / 180
+ANGULAR_VELOCITY = _factors(
+    si=(1.0, "rad/s rads/s radian/s radians/s rad*s^-1 rad.s^-1 rads^-1 rads rad_s radps r/s"),
+    degrees=(
+        math.pi / 180,
+        "deg/s degs/s degree/s degrees/s dps deg*s^-1 deg.s^-1 deg_s degs d/s degps",
     ),
-    **dict.fromkeys(("deg_s", "degs", "d/s", "degps"), math.pi / 180),
-    **dict.fromkeys(("mdps", "mdeg/s"), math.pi / 180_000),
-}
+    milli=(math.pi / 180_000, "mdps mdeg/s"),
+)
 #: s in one unit.
-TIME = {
-    **dict.fromkeys(("s", "seconds", "second"), 1.0),
-    **dict.fromkeys(("ms", "milliseconds", "msec", "msecs", "millis"), 1e-3),
-    **dict.fromkeys(("us", "usec", "microseconds", "micros"), 1e-6),
-    **dict.fromkeys(("ns", "nsec", "nanoseconds", "nanos"), 1e-9),
-    **dict.fromkeys(("100ns", "ticks", "ticksof100ns"), 1e-7),
-}
+TIME = _factors(
+    s=(1.0, "s seconds second"),
+    ms=(1e-3, "ms milliseconds msec msecs millis"),
+    us=(1e-6, "us usec microseconds micros"),
+    ns=(1e-9, "ns nsec nanoseconds nanos"),
+    ticks=(1e-7, "100ns ticks ticksof100ns"),
+)
 TICKS = "ticks of 100 ns"
 #: s in one unit, by the unit in sentences, in the order in which they are tried.
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, TICKS: 1e-7}
 #: Metres in a unit, by the names that files use.
-METRES = {
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-    **dict.fromkeys(("dm", "decimeters", "decimetres"), 0.1),
-    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetres"), 0.01),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetres"), 0.001),
-    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
-}
-_OTHERS = (
-    *("ut", "t", "nt", "mt", "gauss", "ga", "mgauss", "au", "a.u.", "arbitrary", "local_flux", "flux"),
-    *("mv", "v", "kpa", "pa", "hpa", "mbar", "bar", "degc", "c", "celsius", "degreecelsius"),
-    *("k", "%", "lux", "m", "mm", "cm", "deg", "degree", "degrees", "rad", "radians", "hz", "no_units"),
-    *("nounits", "counts", "count", "lsb", "raw", "adc", "quaternion", "unitless", "none", "n/a", "-"),
-    *("degreescelsius", "yyyy-mm-dd", "hh:mm:ss"),
+METRES = _factors(
+    m=(1.0, "m meter meters metre metres"),
+    dm=(0.1, "dm decimeters decimetres"),
+    cm=(0.01, "cm centimeter centimeters centimetres"),
+    mm=(0.001, "mm millimeter millimeters millimetres"),
+    inch=(0.0254, "in inch inches"),
+)
+_OTHERS = _factors(
+    field=(1.0, "ut t nt mt gauss ga mgauss au a.u. arbitrary local_flux flux"),
+    others=(1.0, "mv v kpa pa hpa mbar bar degc c celsius degreecelsius degreescelsius k % lux hz"),
+    place=(1.0, "m mm cm deg degree degrees rad radians quaternion"),
+    none=(1.0, "no_units nounits counts count lsb raw adc unitless none n/a - yyyy-mm-dd hh:mm:ss"),
 )
 _UNITS = frozenset((*ACCELERATION, *ANGULAR_VELOCITY, *TIME, *_OTHERS))
 _BRACKETED = re.compile(r"\s*[\(\[]([^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)[\)\]]\s*$")
@@ -100,18 +98,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 #: Rates that a sensor may have, Hz: times are of the unit that gives one of these.
 SENSOR_RATES = (3.0, 2500.0)
-#: Sizes that are gravity in m/s^2, in g and in mg.
-_IS_GRAVITY, _IS_ONE_G, _IS_1000_MG = (8.0, 12.0), (0.85, 1.15), (700.0, 1300.0)
 #: Sizes at rest, when no motion adds to them, by the unit that they are gravity in.
 _AT_REST = {"g": (0.7, 1.4), "mg": (700.0, 1400.0), "mm/s^2": (7000.0, 14000.0)}
-#: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
-_FAST = 40.0
-#: A field of 15 to 120 uT whose middle half lies within a quarter is the earth's.
-_FIELD, _FIELD_SPREAD = (15.0, 120.0), 0.25
-#: A size that varies by less is the system's estimate of gravity, not a sensor.
-_EXACT = 1e-4
-
-
 #: Frame rates of cameras, Hz.
 CAMERA_RATES = (4.0, 260.0)
 #: The years 1990 and 2100 since 1970, s.
@@ -167,51 +155,3 @@ def from_1970(times: FloatArray, unit: str) -> FloatArray:
 def unit_of_rest(size: float) -> str:
     """Unit in which a specific force of that size at rest is gravity, if it is another one than m/s^2."""
     return next((unit for unit, (low, high) in _AT_REST.items() if low < size < high), "")
-
-
-def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str:  # values (n, 3)
-    """Unit of an accelerometer (n, 3) that states none: m/s^2 as on Android, or g where gravity is 1."""
-    size = np.linalg.norm(values, axis=1)
-    median = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-    if _IS_ONE_G[0] < median < _IS_ONE_G[1]:
-        notes.append("The accelerometer states no unit; gravity is 1, so it is in g.")
-        return "g"
-    if _IS_1000_MG[0] < median < _IS_1000_MG[1]:
-        notes.append("The accelerometer states no unit; gravity is 1000, so it is in mg.")
-        return "mg"
-    if not 0.35 < median / GRAVITY < 2:
-        raise RecordingError(
-            f"{source} states no unit of acceleration, and its usual size of {median:.3g} is neither 9.81"
-            " m/s^2 nor 1 g; export calibrated acceleration with gravity, or describe it in a recording.toml."
-        )
-    notes.append("The accelerometer states no unit; gravity is 9.8, so it is in m/s^2.")
-    return "m/s^2"
-
-
-def turning_unit(values: FloatArray, notes: list[str]) -> str:
-    """Unit of a gyroscope (n, 3) that states none: rad/s as on Android, deg/s where it is too fast."""
-    finite = np.abs(values[np.isfinite(values)])
-    unit = "deg/s" if len(finite) and float(np.percentile(finite, 99)) > _FAST else "rad/s"
-    notes.append(f"The gyroscope states no unit; by the size of its values it is in {unit}.")
-    return unit
-
-
-def unit_by_size(values: FloatArray, source: Path) -> str:  # values (n, 3)
-    """Unit, and with it the sensor, of a vector that states neither."""
-    size = np.linalg.norm(values, axis=1)
-    low, median, high = np.percentile(size[np.isfinite(size)], (25, 50, 75))
-    if _IS_GRAVITY[0] < median < _IS_GRAVITY[1]:
-        if high - low < _EXACT * median:
-            raise RecordingError(
-                f"{source} contains gravity as the system estimates it, not an accelerometer; log the raw"
-                " accelerometer."
-            )
-        return "m/s^2"
-    if _IS_ONE_G[0] < median < _IS_ONE_G[1] and high - low < 0.3:
-        return "g"
-    if _FIELD[0] < median < _FIELD[1] and high - low < _FIELD_SPREAD * median:
-        raise RecordingError(
-            f"{source} looks like a magnetometer (its size is {median:.0f} throughout); name the files of the"
-            " accelerometer and the gyroscope."
-        )
-    return "deg/s" if float(np.percentile(size[np.isfinite(size)], 99)) > _FAST else "rad/s"

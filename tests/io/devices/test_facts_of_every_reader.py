@@ -23,13 +23,11 @@ from library_files import ZERO
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import open_csv, open_recording, read_recording
-from smoother.io.devices.described import describe_file
-from smoother.io.devices.files import ImuFiles, import_files
-from smoother.io.devices.registry import FileReader, recognise, unknown_file
+from smoother.io.files import ImuFiles, import_files
 from smoother.io.recording.keypoints import TOPIC
-from smoother.io.tables.protocol import read_head
-from smoother.io.tables.table_layout import LONGEST_LINE, MOST_COLUMNS, layout_of
-from smoother.io.tables.text_table import read_sheet
+from smoother.io.registry import FileReader, recognise, unknown_file
+from smoother.io.tables.describe import describe_file
+from smoother.io.tables.table import LONGEST_LINE, MOST_COLUMNS, layout_of, read_head, read_table
 from smoother.units import STANDARD_GRAVITY
 
 T, ACC, GYRO = turning(1000, 100.0)
@@ -316,8 +314,8 @@ def test_limits_have_a_sentence_and_little_memory(tmp_path: Path, limit: str) ->
     write, said = LIMITS[limit]
     path = write(tmp_path)
     code = (
-        "import sys; from pathlib import Path; from smoother.io.devices.described import *\n"
-        "from smoother.io.devices.registry import FileReader; path = Path(sys.argv[1])\n"
+        "import sys; from pathlib import Path; from smoother.io.tables.describe import *\n"
+        "from smoother.io.registry import FileReader; path = Path(sys.argv[1])\n"
         "print(describe_file(path, FileReader()).error)\n"
         "try: guessed_table(path, FileReader())\nexcept Exception as error: print(error)\n"
         # the kernel's peak of this program alone; ru_maxrss begins with that of the program that started it
@@ -338,7 +336,7 @@ def test_a_long_table_is_described_by_its_beginning(tmp_path: Path, monkeypatch:
     whole = describe_file(path, FileReader())
     for raw in (path.read_bytes(), path.read_text().encode("utf-16-le")):
         path.write_bytes(raw)
-        monkeypatch.setattr("smoother.io.devices.described._BEGINNING", len(raw) // 2)
+        monkeypatch.setattr("smoother.io.tables.describe._BEGINNING", len(raw) // 2)
         short = describe_file(path, FileReader())
         assert not short.error and short.format == whole.format
         assert 0.4 < short.streams[0].count / whole.streams[0].count < 0.6
@@ -348,7 +346,7 @@ def test_a_long_table_is_described_by_its_beginning(tmp_path: Path, monkeypatch:
 def test_a_workbook_of_any_length(tmp_path: Path) -> None:
     rows: list[list[object]] = [["time_s", "acc_x", "acc_y", "acc_z"]]
     rows += [[at / 100, 0.123456789, 9.87654321, at * 0.001] for at in range(4000)]
-    sheet = read_sheet(workbook(tmp_path / "a.xlsx", rows))  # some 150,000 characters
+    sheet = read_table(workbook(tmp_path / "a.xlsx", rows))  # some 150,000 characters
     assert len(sheet) == 4000 and sheet.numbers(3)[-1] == pytest.approx(3.999)
 
 

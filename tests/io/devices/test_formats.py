@@ -14,13 +14,11 @@ from importers import tables
 from imu_files import rows
 
 from smoother.errors import RecordingError
-from smoother.io.devices.files import import_files
-from smoother.io.devices.folder import sort_files
-from smoother.io.devices.registry import FileReader, format_named, formats, unknown_file
+from smoother.io.files import import_files, sort_files
 from smoother.io.recording.streams import RecordingFile
-from smoother.io.tables.imu_columns import ImuFormat
-from smoother.io.tables.protocol import decode, read_head, shown
-from smoother.io.tables.text_table import read_sheet
+from smoother.io.registry import FileReader, format_named, formats, unknown_file
+from smoother.io.tables.imu_formats import Device, imu_format
+from smoother.io.tables.table import decode, read_head, read_table, shown
 
 ROOT = Path(__file__).parents[3]
 
@@ -57,8 +55,8 @@ def test_heads(tmp_path: Path):
 
 def test_the_example_of_contributing(tmp_path: Path):
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(ImuFormat\(.*?\n\))\n```", text, re.DOTALL)
-    importer = eval(code, {"ImuFormat": ImuFormat})
+    (code,) = re.findall(r"```python\n(Device\(.*?\n\))\n```", text, re.DOTALL)
+    importer = imu_format(eval(code, {"Device": Device}))
     body = rows(np.arange(made.COUNT), made.ACC / made.GRAVITY * 1000, made.DEG)
     path = tmp_path / "acme.csv"
     path.write_text("\n".join(["tick,acc_x,acc_y,acc_z,rot_x,rot_y,rot_z", *body, ""]))
@@ -86,7 +84,7 @@ def test_workbooks_archives_and_headers_alone(tmp_path: Path, raw: bytes, said: 
     path.write_bytes(raw)
     assert said in str(unknown_file(read_head(path)))
     with pytest.raises(RecordingError, match=said):
-        read_sheet(path)
+        read_table(path)
 
 
 MUTANTS = 600

@@ -17,7 +17,7 @@ from imu_files import rows
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import open_recording
-from smoother.io.devices.files import ImuFiles, import_files
+from smoother.io.files import ImuFiles, import_files
 
 
 @pytest.fixture
@@ -205,8 +205,8 @@ def test_every_real_file_that_holds_raw_data(datasets: Path):
     for path in sorted((datasets / "devices").iterdir()):
         if path.name == "README.md":
             continue
-        from smoother.io.devices.folder import sort_files
-        from smoother.io.devices.registry import FileReader
+        from smoother.io.files import sort_files
+        from smoother.io.registry import FileReader
 
         if path.name in refused:
             with pytest.raises(RecordingError, match=refused[path.name]):

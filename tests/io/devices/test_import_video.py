@@ -28,8 +28,8 @@ from typer.testing import CliRunner
 from smoother.cli.app import app
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import open_recording
-from smoother.io.devices.video_file import PoseVideo
 from smoother.io.mcap.container import Container
+from smoother.io.tables.video import pose_video
 from smoother.io.wire.schemas import parsed
 from smoother.recording import CameraFrame, JointState
 from smoother.simulation import ArmSimulation, simulate_arm
@@ -67,7 +67,7 @@ def wrist_error_m(table, person: Person) -> np.ndarray:
 
 def test_landmarks_in_space_and_in_pixels(scene):
     folder, person, t_s = scene
-    (table,) = PoseVideo(folder / "pose.task").read(folder / "arm.mp4")
+    (table,) = pose_video(folder / "pose.task").read(folder / "arm.mp4")
     np.testing.assert_allclose(table.t_s, t_s, atol=1e-3)
     assert table.frame is CameraFrame.OPTICAL and table.relative and table.units == "m"
     assert wrist_error_m(table, person).max() < TOLERANCE_M
@@ -95,7 +95,7 @@ def test_a_phone_held_upright(scene, tmp_path: Path, turn: int, back: int, by_fi
     folder, person, _ = scene
     few = Person(person.points[:30], person.seen[:30])
     video = write_video(tmp_path / "turned.mp4", [few], RATE_HZ, turn)
-    camera = PoseVideo(folder / "pose.task", turn_deg=0 if by_file else back)
+    camera = pose_video(folder / "pose.task", turn_deg=0 if by_file else back)
     if by_file:
         (asleep,) = camera.read(video)
         assert any(f"--turn {back}" in note for note in asleep.notes), "who lies is asked about"
@@ -111,10 +111,10 @@ def test_a_mirrored_front_camera(scene, tmp_path: Path):
     """In the mirror the right arm is a left one; `--mirrored` makes it right again."""
     folder, person, _ = scene
     video = write_video(tmp_path / "selfie.mp4", [person], RATE_HZ, turn=-1)
-    (wrong,) = PoseVideo(folder / "pose.task").read(video)
+    (wrong,) = pose_video(folder / "pose.task").read(video)
     moves = {side: np.nanstd(wrong.position[f"wrist_{side}"][:, 1]) for side in ("left", "right")}
     assert moves["left"] > 5 * moves["right"]
-    (table,) = PoseVideo(folder / "pose.task", mirrored=True).read(video)
+    (table,) = pose_video(folder / "pose.task", mirrored=True).read(video)
     assert wrist_error_m(table, person).max() < TOLERANCE_M
     assert any("flipped left to right" in note for note in table.notes)
 
@@ -127,7 +127,7 @@ def test_a_variable_frame_rate(scene, tmp_path: Path):
     rng = np.random.default_rng(3)
     ticks = rng.integers(400, 1600, len(person.points))
     with_steps(video, ticks.tolist())
-    (table,) = PoseVideo(folder / "pose.task").read(video)
+    (table,) = pose_video(folder / "pose.task").read(video)
     ratio = np.diff(table.t_s) / ticks[:-1]
     np.testing.assert_allclose(ratio, ratio[0], rtol=0.05)
     assert any("variable frame rate" in note for note in table.notes)
@@ -141,14 +141,14 @@ def test_two_people_and_who_was_seen_first(scene, tmp_path: Path):
     other.seen[:10] = other.seen[30:40] = False
     write_video(tmp_path / "two.mp4", [near, other], RATE_HZ)
     model = write_model(tmp_path / "two.task", [near, other], t_s)
-    one, two = PoseVideo(model).read(tmp_path / "two.mp4")
+    one, two = pose_video(model).read(tmp_path / "two.mp4")
     assert (one.body, two.body) == (0, 1)
     assert wrist_error_m(one, person).max() < 2 * TOLERANCE_M
     there = np.isfinite(two.image.joints["elbow_right"][:, 0])
     assert there.sum() == 40 and not there[:10].any() and not there[30:40].any()
     assert (two.state["elbow_right"][~there] == JointState.NOT_TRACKED).all()
     assert any("2 people" in note and "--body" in note for note in one.notes)
-    (alone,) = PoseVideo(model, people=1).read(tmp_path / "two.mp4")
+    (alone,) = pose_video(model, people=1).read(tmp_path / "two.mp4")
     assert not any("2 people" in note for note in alone.notes)
 
 
@@ -156,7 +156,7 @@ def test_nobody_in_the_video(scene, tmp_path: Path):
     folder, _, _ = scene
     video = write_video(tmp_path / "empty.mp4", [], RATE_HZ)
     with pytest.raises(RecordingError, match=r"empty\.mp4: no person was found in 30 pictures; record so"):
-        PoseVideo(folder / "pose.task").read(video)
+        pose_video(folder / "pose.task").read(video)
 
 
 def run(*words: object) -> tuple[int, str]:

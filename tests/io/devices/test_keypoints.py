@@ -16,7 +16,7 @@ from smoother.errors import CalibrationError, RecordingError
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.recording.keypoints import lens_from_plain, lens_plain
 from smoother.io.recording.streams import KnownLens
-from smoother.io.tables.joint_columns import BODY_25, COCO_17, joint_name
+from smoother.io.tables.joints import BODY_25, COCO_17, joint_name
 from smoother.recording import CameraFrame, JointState, JointTracks, Recording
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.simulation.camera import FOCAL_PX

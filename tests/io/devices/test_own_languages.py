@@ -11,12 +11,13 @@ from importers import tables
 from imu_files import GRAVITY, motion
 
 from smoother.errors import RecordingError
-from smoother.io.devices.describe_table import guess_sensor
-from smoother.io.devices.files import ImuFiles, import_files
-from smoother.io.devices.registry import FileReader, recognise
-from smoother.io.tables.joint_columns import joint_name
-from smoother.io.tables.protocol import ImuTable, SkeletonTable, read_head
-from smoother.io.tables.text_table import read_sheet
+from smoother.io.files import ImuFiles, import_files
+from smoother.io.registry import FileReader, recognise
+from smoother.io.tables.columns import guess_sensor
+from smoother.io.tables.imu import ImuTable
+from smoother.io.tables.joints import joint_name
+from smoother.io.tables.skeletons import SkeletonTable
+from smoother.io.tables.table import read_head, read_table
 
 COUNT = 400
 ACC, GYRO = motion(COUNT)
@@ -130,11 +131,16 @@ def test_what_is_not_known_is_not_made_up(tmp_path: Path):
     heads = [*(f"K {a} [m/s^2]" for a in "xyz"), *(f"D {a} [rad/s]" for a in "xyz")]
     good = written(tmp_path / "c.csv", ["t_s", *heads], [T_S, *ACC.T, *GYRO.T], ".")
     known = recognise(read_head(good))
-    assert known is not None and known.key == "imu-table"
-    path = written(tmp_path / "a.csv", heads, [*ACC.T, *GYRO.T], ".")
-    assert recognise(read_head(path)) is None, "it has no times"
-    still = written(tmp_path / "b.csv", ["t_s", *heads], [T_S, *(0.01 * ACC).T, *GYRO.T], ".")
-    assert recognise(read_head(still)) is None, "it shows no gravity"
+    assert known is not None and known.key == "android"
+    for name, columns, said in (
+        (heads, [*ACC.T, *GYRO.T], "no column of times"),
+        (["t_s", *heads], [T_S, *(0.01 * ACC).T, *GYRO.T], "without gravity"),
+    ):
+        path = written(tmp_path / "a.csv", name, columns, ".")
+        importer = recognise(read_head(path))
+        assert importer is not None
+        with pytest.raises(RecordingError, match=said):
+            importer.read(path)
 
 
 GERMAN = ("Gyroskop", "Drehrate", "Drehgeschwindigkeit", "Winkelgeschwindigkeit")
@@ -155,6 +161,6 @@ def test_german_headers(tmp_path: Path, turning: str, units: bool) -> None:
     path.write_text("\n".join([";".join(header), *rows, ""]), encoding="utf-8")
     (table,) = tables(path, "phyphox" if units else "android")
     assert np.allclose(table.t_s, np.arange(300) / 100) and np.allclose(table.gyro, gyro, atol=1e-6)
-    guess = guess_sensor(read_sheet(path))
+    guess = guess_sensor(read_table(path))
     assert guess.columns["t"] == f"Zeit{second}" and guess.keys["time_unit"] == "s"
     assert guess.columns["gx"] == f"{turning} x{rate}"

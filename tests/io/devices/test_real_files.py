@@ -13,9 +13,9 @@ import pytest
 from importers import tables
 from numpy.testing import assert_allclose, assert_array_equal
 
-from smoother.io.devices.registry import format_named, recognise
-from smoother.io.tables.joint_columns import KINECT_V2
-from smoother.io.tables.protocol import read_head
+from smoother.io.registry import format_named, recognise
+from smoother.io.tables.joints import KINECT_V2
+from smoother.io.tables.table import read_head
 from smoother.recording import CameraFrame
 
 pytestmark = pytest.mark.real

@@ -19,8 +19,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
 from smoother.io import open_recording
-from smoother.io.tables.columns import find_sensors
-from smoother.io.tables.joint_columns import AZURE, KINECT_V2
+from smoother.io.tables.imu import find_sensors
+from smoother.io.tables.joints import AZURE, KINECT_V2
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 60
@@ -252,7 +252,7 @@ def test_xdf_without_units(tmp_path: Path, unit: tuple[str, str]) -> None:
     _, (imu,) = streams(path, "xdf")
     assert_allclose(imu.gyro, turning(1000, 100.0)[2], atol=1e-9)
     assert imu.units == ", ".join(unit)
-    assert any("it then turns as gravity does" in note for note in imu.notes)
+    assert any("for the gyroscope (it then rotates as gravity does" in note for note in imu.notes)
 
 
 def test_xdf_in_which_nothing_shows_the_unit(tmp_path: Path) -> None:

@@ -11,11 +11,10 @@ import pytest
 import skeleton_files
 
 from smoother.errors import RecordingError
-from smoother.io.devices.files import ImuFiles, import_files
-from smoother.io.devices.repair import Timed, count_from_zero, repaired_imu, repaired_skeleton, shifts
-from smoother.io.tables.columns import missing_axes, missing_axes_words
-from smoother.io.tables.imu_checks import paired
-from smoother.io.tables.protocol import ImuTable, SkeletonTable
+from smoother.io.files import ImuFiles, import_files
+from smoother.io.tables.imu import ImuTable, missing_axes, missing_axes_words, paired
+from smoother.io.tables.skeletons import SkeletonTable
+from smoother.io.tables.times import Timed, count_from_zero, repaired_imu, repaired_skeleton, shifts
 
 N = 2000
 T = np.arange(N) / 100.0

@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
-from smoother.io.devices.registry import FileReader, recognise
-from smoother.io.plain.folder import open_csv
-from smoother.io.plain.table import read_table
-from smoother.io.tables.protocol import ImuTable, read_head
-from smoother.io.tables.text_table import read_sheet, seconds_of_dates, sheet_of_text
+from smoother.io.registry import FileReader, recognise
+from smoother.io.tables.columns import read_exact as read_strict
+from smoother.io.tables.imu import ImuTable
+from smoother.io.tables.recording_toml import open_csv
+from smoother.io.tables.table import read_head, read_table, seconds_of_dates, table_of
 from smoother.io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
 
 NAMES = ("Time", "Acc X", "Acc Y", "Acc Z")
@@ -37,7 +37,7 @@ def table(
 
 
 def read(text: str):
-    return sheet_of_text(Path("file.csv"), text)
+    return table_of(Path("file.csv"), text)
 
 
 def values(sheet) -> np.ndarray:
@@ -65,9 +65,9 @@ def test_any_dress(separator, comma, trailing, sep_line, preamble, units, header
     lines = [line for line in (sep_line, *preamble) if line or preamble] + lines
     sheet = read(newline.join(lines) + (newline if last else ""))
     assert np.array_equal(values(sheet), ROWS)
-    assert sheet.layout.names[:4] == (names if header else ())
+    assert sheet.names[:4] == (names if header else ())
     if units and header:
-        assert [plain_unit(u) for u in sheet.layout.units[:4]] == ["s", "m/(s^2)", "m/s^2", "m/s^2"]
+        assert [plain_unit(u) for u in sheet.units[:4]] == ["s", "m/(s^2)", "m/s^2", "m/s^2"]
     assert len(sheet.notes) == (not last) and all("without a line break" in note for note in sheet.notes)
 
 
@@ -92,16 +92,16 @@ def test_encodings(tmp_path: Path, encoding: str):
     lines = table(";", comma=True)
     lines[0] = "Time (µs);Acc X (m/s²);Acc Y (m/s²);Acc Z (°/s)"
     path.write_bytes("\r\n".join(lines).encode(encoding))
-    sheet = read_sheet(path)
+    sheet = read_table(path)
     assert np.array_equal(values(sheet), ROWS)
-    assert [plain_unit(unit) for unit in sheet.layout.units] == ["us", "m/s^2", "m/s^2", "deg/s"]
-    assert sheet.layout.labels == ("time", "acc x", "acc y", "acc z")
+    assert [plain_unit(unit) for unit in sheet.units] == ["us", "m/s^2", "m/s^2", "deg/s"]
+    assert sheet.labels == ("time", "acc x", "acc y", "acc z")
 
 
 def test_quoted_cells_with_decimal_commas_between_commas():
     text = "\n".join(['"Time","Acc, X"'] + [f'"{k},25","-{k},5"' for k in range(5)])
     sheet = read(text)
-    assert sheet.layout.names == ("Time", "Acc, X")
+    assert sheet.names == ("Time", "Acc, X")
     assert np.array_equal(sheet.numbers(0), np.arange(5) + 0.25)
     assert np.array_equal(sheet.numbers(1), -(np.arange(5) + 0.5))
 
@@ -130,7 +130,7 @@ def test_first_rows_without_most_sensors_are_rows():
         ["t,ax,ay,az,gx,gy,gz"] + ["0.0,,,,,,", "0.1,1,2,3,,,"] + [f"0.{k},1,2,3,4,5,6" for k in range(2, 9)]
     )
     sheet = read("\n".join(lines))
-    assert len(sheet) == 9 and sheet.layout.labels[1] == "ax"
+    assert len(sheet) == 9 and sheet.labels[1] == "ax"
     assert np.isnan(sheet.numbers(4)[:2]).all() and sheet.numbers(4)[2] == 4
 
 
@@ -139,7 +139,7 @@ def test_what_is_no_table_is_one_short_sentence(tmp_path: Path, text: str):
     path = tmp_path / "a.csv"
     path.write_text(text)
     with pytest.raises(RecordingError) as error:
-        read_sheet(path)
+        read_table(path)
     assert str(path) in str(error.value) and len(str(error.value)) < 400 + len(str(path))
     assert str(error.value).isprintable()
 
@@ -195,10 +195,10 @@ def test_typographic_minus_signs(tmp_path: Path, minus: str, encoding: str):
     path = tmp_path / "a.csv"
     lines = ["t;gain 2\u20133;b", *(f"{k};{minus}{k},5;{minus}1e{minus}2" for k in range(1, 60)), ""]
     path.write_bytes("\n".join(lines).encode(encoding))
-    sheet = read_sheet(path)
-    assert not sheet.notes and sheet.layout.names[1] == "gain 2\u20133"
+    sheet = read_table(path)
+    assert not sheet.notes and sheet.names[1] == "gain 2\u20133"
     assert (sheet.numbers(1) == -np.arange(1, 60) - 0.5).all() and (sheet.numbers(2) == -0.01).all()
-    table, _ = read_table(_comma(tmp_path, minus), ("t_s", "ax"))
+    table, _ = read_strict(_comma(tmp_path, minus), ("t_s", "ax"))
     assert table["ax"].tolist() == [-1.5, 2.0]
 
 
@@ -214,7 +214,7 @@ def test_more_than_a_twentieth_of_no_numbers_is_refused(tmp_path: Path, wrong: i
     path.write_text(
         "\n".join(["t,x", *(f"{k},{'#WERT!' if 3 <= k < 3 + wrong else k}" for k in range(100)), ""])
     )
-    sheet = read_sheet(path)
+    sheet = read_table(path)
     if refused:
         with pytest.raises(RecordingError, match=r"line 5: '#WERT!' in column x .* 6 of its 100 cells"):
             sheet.numbers(1)
@@ -265,7 +265,7 @@ def test_dates_in_cells(tmp_path: Path):
     for k in range(20):
         book.active.append([datetime(2026, 3, 12, 9, 30) + timedelta(milliseconds=10 * k), k, 0.5])
     book.save(tmp_path / "a.xlsx")
-    times, dates = read_sheet(tmp_path / "a.xlsx").times(0)
+    times, dates = read_table(tmp_path / "a.xlsx").times(0)
     assert dates and np.allclose(np.diff(times), 0.01, atol=1e-3)
 
 
@@ -293,7 +293,7 @@ def test_without_openpyxl_the_sentence_says_what_to_install(tmp_path: Path, monk
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     assert recognise(read_head(path)) is None
     with pytest.raises(RecordingError, match=r"pip install '\.\[xlsx\]'.*or save it as CSV"):
-        read_sheet(path)
+        read_table(path)
 
 
 def test_a_damaged_workbook_is_one_sentence(tmp_path: Path):
@@ -303,5 +303,5 @@ def test_a_damaged_workbook_is_one_sentence(tmp_path: Path):
     for cut in (200, len(raw) // 2, len(raw) - 10):
         path.write_bytes(raw[:cut])
         with pytest.raises(RecordingError, match=r"cannot be read|is an archive"):
-            read_sheet(path)
+            read_table(path)
         assert recognise(read_head(path)) is None

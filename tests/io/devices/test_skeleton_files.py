@@ -12,7 +12,7 @@ from importers import tables
 from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
-from smoother.io.tables.joint_columns import AZURE, BLAZEPOSE, BODY_25, JointName, joint_name
+from smoother.io.tables.joints import AZURE, BLAZEPOSE, BODY_25, JointName, joint_name
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 30
@@ -84,7 +84,7 @@ def test_world_landmarks(tmp_path: Path, layout: str) -> None:
     else:
         write(path, values[layout])
     if layout == "arrays":  # no name in it: asked for by --skeleton-format
-        from smoother.io.devices.registry import format_named
+        from smoother.io.registry import format_named
 
         (table,) = format_named("pose-json").read(path)
     else:

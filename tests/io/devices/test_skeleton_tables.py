@@ -11,10 +11,10 @@ from importers import tables
 from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
-from smoother.io.devices.registry import recognise
-from smoother.io.devices.repair import repaired_skeleton
-from smoother.io.tables.joint_columns import AZURE, BLAZEPOSE, KINECT_V2
-from smoother.io.tables.protocol import read_head
+from smoother.io.registry import recognise
+from smoother.io.tables.joints import AZURE, BLAZEPOSE, KINECT_V2
+from smoother.io.tables.table import read_head
+from smoother.io.tables.times import repaired_skeleton
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 40

@@ -11,11 +11,11 @@ import pytest
 from imu_files import motion
 
 from smoother.errors import RecordingError
-from smoother.io.devices.registry import FileReader
-from smoother.io.devices.repair import repaired_imu, repaired_skeleton
 from smoother.io.recording.clean import clean_imu
 from smoother.io.recording.streams import ImuSamples
-from smoother.io.tables.protocol import ImuTable
+from smoother.io.registry import FileReader
+from smoother.io.tables.imu import ImuTable
+from smoother.io.tables.times import repaired_imu, repaired_skeleton
 
 ROWS = 400
 ACC, GYRO = motion(ROWS)

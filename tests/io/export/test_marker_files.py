@@ -146,7 +146,7 @@ def test_c3d_has_the_gaps_as_events(tmp_path):
 
 
 def test_own_readers_read_them(tmp_path):
-    from smoother.io.markers import read_markers
+    from smoother.io.tables.markers import read_markers
 
     recovery = without_answer(made(), 9.5, 10.5)
     for name, limit in (("a.trc", TRC_M), ("a.c3d", C3D_M)):

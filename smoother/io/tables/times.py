@@ -1,10 +1,13 @@
-"""Times of device tables repaired, and clocks that have nothing in common brought together."""
+"""Times of tables: which column they are, repaired, and clocks brought together that share nothing."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,7 +23,104 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from ..tables.protocol import ImuTable, SkeletonTable, amount
+from .imu import ImuTable
+from .joints import words_of
+from .skeletons import SkeletonTable
+from .table import Table, amount, shown
+from .units import SECONDS, TIME, from_1970, plain_unit, time_unit, unit_of_step
+
+#: Labels of a column of times, the best first; units behind them (time_ms) are taken off already.
+TIMES = (
+    *("epoch", "epoc"),  # MetaMotion's dates beside it are of a time zone
+    *("timestamp", "time", "t", "sensor_timestamp", "sensortimestamp", "event_timestamp", "eventtimestamp"),
+    *("timestamp_nano", "unix_time", "unixtime", "seconds_elapsed", "seconds", "elapsed", "ts"),
+    *("elapsedrealtime", "elapsedrealtimenanos", "elapsed_realtime_nanos", "time since start in ms"),
+    *("datetime", "date", "milliseconds", "nanoseconds", "systemtime", "system_time", "phone_time"),
+    *("time_in", "time in", "unix", "unix timestamp", "unix_timestamp", "kinect_time", "kinecttime"),
+    *("host_time", "hosttime", "captured_at", "capturedat", "capture_time", "timespan", "tick", "ticks"),
+    *("time_in_ms", "time_in_us", "time_in_ns", "time_in_s", "filetime"),
+    *("zeit", "zeitstempel", "temps", "tiempo", "tempo"),
+)
+#: Units that a label ends with, where they are not taken off.
+_SUFFIX = re.compile(r"(?:_|\s|\b)(ns|nano\w*|us|micro\w*|ms|milli\w*|s|sec\w*)$")
+#: This share of the steps of a column of times rises, and lies within these parts of the usual one.
+_RISES, _EVEN, _EVEN_SHARE = 0.95, (0.3, 3.0), 0.8
+#: Fewer rows than these rise by chance.
+_FEWEST = 8
+
+
+def time_column(table: Table) -> int | None:
+    """The column that is the time by its name; without names the first."""
+    if not table.labels:
+        return 0
+    exact = table.find(*TIMES)
+    if exact is not None:
+        return exact
+    return 0 if table.labels[0].startswith(("time", "timestamp", "elapsed", "epoch")) else None
+
+
+def stated_time_unit(table: Table, column: int) -> str:
+    """The unit that a column of times states, in brackets or behind its name; "" where it states none."""
+    stated = TIME.get(plain_unit(table.unit(column)))
+    suffix = _SUFFIX.search(table.labels[column] if table.labels else "")
+    letters = suffix.group(1) if suffix else ""
+    said = (
+        "us"
+        if letters.startswith("micro")
+        else {"n": "ns", "u": "us", "m": "ms", "s": "s"}.get(letters[:1], "")
+    )
+    return next((unit for unit, seconds in SECONDS.items() if seconds == stated), said)
+
+
+def seconds(table: Table, column: int | None, unit: str = "s") -> FloatArray | None:
+    """Times of a column, (n,) in s, dates since 1970; None for no column or one without times."""
+    if column is None or not any(table.texts(column)[:2000]):
+        return None
+    times, dates = table.times(column)
+    if not np.isfinite(times).any():
+        return None
+    if dates:
+        return times
+    stated = next((u for u, s in SECONDS.items() if s == TIME.get(plain_unit(table.unit(column)))), unit)
+    fits = time_unit(stated, times) or stated
+    note = f"Times are in {fits}, by the rate or the date that they give, not in {stated}."
+    if fits != stated and note not in table.notes:
+        table.notes.append(note)
+    return from_1970(times, fits) * SECONDS[fits]
+
+
+def time_among(
+    columns: Mapping[str, FloatArray], rates_hz: tuple[float, float], source: Path, notes: list[str]
+) -> tuple[str, str]:
+    """The column that is the time, and its unit, among those (n,) that nothing else is known of."""
+    for name, values in columns.items():
+        if {"x", "y", "z", "w"} & set(words_of(name)):
+            continue
+        step = np.diff(values[np.isfinite(values)])
+        moved = step[step != 0]
+        if len(values) < _FEWEST or len(moved) < 0.3 * (len(values) - 1) or not (moved > 0).mean() > _RISES:
+            continue
+        usual = float(np.median(moved))
+        unit = unit_of_step(usual, rates_hz, "", float(np.nanmedian(values)))
+        if usual == 1 and (values % 1 == 0)[np.isfinite(values)].all() and np.nanmax(values) < 1e11:
+            notes.append(f"The column {shown(name, 60)} counts rows or packets and is not the time.")
+            continue
+        even = ((step > _EVEN[0] * usual) & (step < _EVEN[1] * usual)).mean() > _EVEN_SHARE
+        if unit is None and not even:
+            continue
+        if unit is None or not even or not (step > 0).all() or not np.isfinite(values).all():
+            raise RecordingError(
+                f"{source} has no time by its name, and its column {shown(name, 60)} rises like one, but it"
+                " is not certain that it is, or in which unit; call it time_s, time_ms, time_us, time_ns or"
+                f" time_ticks, or describe it in a recording.toml (`unocclude import describe {source}`)."
+            )
+        notes.append(
+            f"The column {shown(name, 60)} was taken for the time, in {unit}: it alone rises evenly, with"
+            f" {1 / (usual * SECONDS[unit]):.4g} rows per second."
+        )
+        return name, unit
+    return "", ""
+
 
 #: Rows at the start with a stamp of zero are not times where the next stamp is this much later, s.
 _FAR_S = 3600.0
@@ -36,55 +136,74 @@ _LOST = 0.2
 _OWN_STAMPS = 0.25
 
 
+Stream = TypeVar("Stream", ImuTable, SkeletonTable)
+
+
 def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     """An IMU's samples with times that increase."""
-    table = _rows(table, ~_silent_start(table), "rows of zeros at the start were left out")
-    finite = np.ones(_length(table), bool)
-    for values in (table.acc, table.gyro):
-        finite &= True if values is None else np.isfinite(values).all(axis=1)
-    table = _rows(table, finite, "samples that are not numbers were left out")
+    vectors = [values for values in (table.acc, table.gyro) if values is not None]
+    sends = np.logical_or.reduce([values.any(axis=1) for values in vectors])
+    table = _kept(table, np.maximum.accumulate(sends), "rows of zeros at the start were left out")
+    finite = [np.isfinite(values).all(axis=1) for values in (table.acc, table.gyro) if values is not None]
+    table = _kept(table, np.logical_and.reduce(finite), "samples that are not numbers were left out")
     if table.t_s is not None:
-        table = _rows(table, _timed(table.t_s), "samples without a time were left out")
-    if _length(table) < 2:
+        table = _kept(table, _timed(table.t_s), "samples without a time were left out")
+    if len(table) < 2:
         raise RecordingError(
-            f"{source} has too few usable samples ({_length(table)}); record or export it again."
+            f"{source} has too few usable samples ({len(table)}); record or export it again."
         )
-    table = _rows(table, ~_repeated(table), "rows that repeat the one before were left out")
-    if table.t_s is not None:
-        t_s, notes = strayed(table.t_s, "samples")
-        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
-        table = _rows(table, np.isfinite(t_s), "samples far from all others were left out")
-    if table.t_s is not None:
-        t_s, notes = _unwrapped(table.t_s)
-        t_s, more = _unwrap_resets(t_s, table.acc if table.acc is not None else table.gyro, "samples")
-        table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
-        order = _order(t_s)
-        table = table if order is None else _rows(table, order, "")
+    table = _kept(table, ~_repeated(table), "rows that repeat the one before were left out")
+    table = _on_one_clock(table, table.acc if table.acc is not None else table.gyro, "samples")
     number, notes = _number(table)
-    t_s, more = _times(table.t_s, number, table.rate_hz, source, "samples", _length(table))
-    table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
-    return _rows(table, _increasing(t_s, source), "samples whose stamps repeat or go back were left out")
+    table = replace(table, notes=table.notes + notes)
+    return _with_times(table, number, source, "samples")
 
 
 def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
     """A body's frames with times that increase; parameters, returns and raises as `repaired_imu`."""
     if table.t_s is not None:
-        table = _frames(table, _timed(table.t_s), "frames without a time were left out")
-    if not _frame_count(table):
+        table = _kept(table, _timed(table.t_s), "frames without a time were left out")
+    if not len(table):
         raise RecordingError(f"{source} has no usable frames; record or export it again.")
-    if table.t_s is not None:
-        t_s, notes = strayed(table.t_s, "frames")
-        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
-        table = _frames(table, np.isfinite(t_s), "frames far from all others were left out")
-    if table.t_s is not None:
-        t_s, notes = _unwrapped(table.t_s)
-        t_s, more = _unwrap_resets(t_s, next(iter(table.position.values())), "frames")
-        table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
-        order = _order(t_s)
-        table = table if order is None else _frames(table, order, "")
-    t_s, notes = _times(table.t_s, None, table.rate_hz, source, "frames", _frame_count(table))
-    table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
-    return _frames(table, _increasing(t_s, source), "frames whose stamps repeat or go back were left out")
+    table = _on_one_clock(table, next(iter(table.position.values())), "frames")
+    return _with_times(table, None, source, "frames")
+
+
+def _on_one_clock(table: Stream, values: FloatArray | None, what: str) -> Stream:
+    """Rows whose stamps stray, restart, were set back or stand out of order, put right."""
+    if table.t_s is None:
+        return table
+    stamps, strays = strayed(table.t_s, what)
+    there = np.isfinite(stamps)
+    table = replace(table, t_s=stamps, notes=table.notes + strays)
+    table = _kept(table, there, f"{what} far from all others were left out")
+    assert table.t_s is not None
+    t_s, wraps = unwrapped(table.t_s)
+    notes = [f"The device's clock restarted {_times_message(wraps)}; it was continued."] if wraps else []
+    # before rows are put in order, which would mix what was apart
+    t_s, steps = clock_resets(t_s, None if values is None else values[there])
+    notes += [resets_message(steps, what)] if steps else []
+    table = replace(table, t_s=t_s, notes=table.notes + notes)
+    order = _order(t_s)
+    if order is None:
+        return table
+    moved = int((order != np.arange(len(order))).sum())
+    said = f"{moved} rows were out of order and were put in the order of their stamps."
+    return replace(table.select(order), notes=[*table.notes, said])
+
+
+def _with_times(table: Stream, number: IntArray | None, source: str, what: str) -> Stream:
+    t_s, notes = _times(table.t_s, number, table.rate_hz, source, what, len(table))
+    table = replace(table, t_s=t_s, notes=table.notes + notes)
+    return _kept(table, _increasing(t_s, source), f"{what} whose stamps repeat or go back were left out")
+
+
+def _kept(table: Stream, keep: BoolArray, why: str) -> Stream:
+    """The rows to keep, and a sentence on those that were left out."""
+    lost = int((~keep).sum())
+    if not lost:
+        return table
+    return replace(table.select(keep), notes=[*table.notes, f"{lost} {why if lost > 1 else _one(why)}."])
 
 
 def _times(
@@ -156,18 +275,6 @@ def _follows(t_s: FloatArray, number: IntArray) -> bool:
     return bool(np.quantile(np.abs(ticks / np.median(ticks) - 1.0), 0.99) < _OWN_STAMPS)
 
 
-def _unwrapped(t_s: FloatArray) -> tuple[FloatArray, list[str]]:
-    t_s, wraps = unwrapped(t_s)
-    said = f"The device's clock restarted {_times_message(wraps)}; it was continued."
-    return t_s, [said] if wraps else []
-
-
-def _unwrap_resets(t_s: FloatArray, values: FloatArray | None, what: str) -> tuple[FloatArray, list[str]]:
-    """Times of a clock that was set back; before rows are put in order, which would mix what was apart."""
-    t_s, steps = clock_resets(t_s, values)
-    return t_s, [resets_message(steps, what)] if steps else []
-
-
 def _order(t_s: FloatArray) -> IntArray | None:
     """The order of rows that were written out of it: in order their stamps are even. None to leave it."""
     dt = np.diff(t_s)
@@ -194,20 +301,11 @@ def _timed(t_s: FloatArray) -> BoolArray:
     return np.asarray(timed)
 
 
-def _silent_start(table: ImuTable) -> BoolArray:
-    """Rows before the first in which the sensor sends anything."""
-    silent = np.ones(_length(table), bool)
-    for values in (table.acc, table.gyro):
-        silent &= True if values is None else ~values.any(axis=1)
-    first = len(silent) if silent.all() else int(np.argmin(silent))
-    return np.asarray(np.arange(len(silent)) < first)
-
-
 def _repeated(table: ImuTable) -> BoolArray:
     """Rows whose time (or count) and values are those of the row before."""
     mark = table.t_s if table.t_s is not None else table.counter
     if mark is None:
-        return np.zeros(_length(table), bool)
+        return np.zeros(len(table), bool)
     same = np.append(False, np.diff(mark) == 0)
     for values in (table.acc, table.gyro):
         if values is not None:
@@ -226,46 +324,6 @@ def _increasing(t_s: FloatArray, source: str) -> BoolArray:
             " to be counted instead; export the sensor's own stamps, or its packet counter."
         )
     return keep
-
-
-def _length(table: ImuTable) -> int:
-    return next((len(v) for v in (table.acc, table.gyro, table.t_s) if v is not None), 0)
-
-
-def _frame_count(table: SkeletonTable) -> int:
-    return next((len(values) for values in table.position.values()), 0)
-
-
-def _rows(table: ImuTable, keep: BoolArray | IntArray, why: str) -> ImuTable:
-    """The samples to keep (or all in another order), and a sentence on what was done."""
-    if keep.dtype == bool and keep.all():
-        return table
-    columns: dict[str, Any] = {
-        name: None if getattr(table, name) is None else getattr(table, name)[keep]
-        for name in ("t_s", "acc", "gyro", "mag", "counter")
-    }
-    return replace(table, **columns, notes=[*table.notes, _message(keep, why)])
-
-
-def _frames(table: SkeletonTable, keep: BoolArray | IntArray, why: str) -> SkeletonTable:
-    if keep.dtype == bool and keep.all():
-        return table
-    return replace(
-        table,
-        t_s=None if table.t_s is None else table.t_s[keep],
-        position={joint: values[keep] for joint, values in table.position.items()},
-        state={joint: values[keep] for joint, values in table.state.items()},
-        notes=[*table.notes, _message(keep, why)],
-        image=None if table.image is None else table.image.select(keep),
-    )
-
-
-def _message(keep: BoolArray | IntArray, why: str) -> str:
-    if keep.dtype == bool:
-        count = int((~keep).sum())
-        return f"1 {_one(why)}." if count == 1 else f"{count} {why}."
-    moved = int((keep != np.arange(len(keep))).sum())
-    return f"{moved} rows were out of order and were put in the order of their stamps."
 
 
 def _one(why: str) -> str:

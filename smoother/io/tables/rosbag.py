@@ -1,10 +1,7 @@
-"""Recordings of messages: ROS 1 bags, MCAP of others, XDF of the Lab Streaming Layer."""
+"""Recordings of messages: MCAP of this program and others, ROS 1 bags."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,12 +16,10 @@ from ..mcap.messages import nanoseconds, seconds
 from ..recording.inertial import LEFT_OUT, settle_imus
 from ..recording.read import open_recording
 from ..recording.streams import ArmFrames, ImuSamples, RecordingFile
-from ..tables.columns import find_sensors, imu_of, joint_label, stem_of, with_halves_joined
-from ..tables.joint_columns import AZURE, JointName, find_joint_columns, joint_name, words_of
-from ..tables.protocol import FileFormat, ImuTable, SkeletonTable, begins, shown
-from ..tables.raw_skeleton import Conventions, RawSkeleton
-from ..tables.skeleton_formats import kinect_states, states_of
-from ..tables.units import METRES
+from .imu import ImuTable
+from .joints import AZURE
+from .skeletons import Conventions, RawSkeleton, SkeletonTable
+from .table import Format, begins, shown
 
 
 def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
@@ -51,7 +46,7 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
     return tables
 
 
-MCAP = FileFormat(
+MCAP = Format(
     key="mcap",
     title="MCAP recording",
     kind="recording",
@@ -89,10 +84,6 @@ _MARKERS = "visualization_msgs/msg/MarkerArray"
 _FIELD = "sensor_msgs/msg/MagneticField"
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _ADD = 0  # Marker.ADD
-#: Joints of the arms, and what shows how the body stands, by their number in the SDK.
-_NUMBERED: dict[int, JointName] = {
-    number: name for number, written in enumerate(AZURE) if (name := joint_name(written)) is not None
-}
 
 
 @dataclass
@@ -126,7 +117,7 @@ def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
         ) from error
 
 
-ROSBAG1 = FileFormat(
+ROSBAG1 = Format(
     key="rosbag1",
     title="ROS 1 bag",
     kind="recording",
@@ -218,7 +209,7 @@ def _add_bodies(rows: _Rows, message: Any, log_ns: int) -> None:
         body, joint = divmod(int(marker.id), 100)
         if not 0 <= joint < len(AZURE) or body < 0:
             rows.foreign += 1
-        elif joint in _NUMBERED:
+        else:
             by_body.setdefault(body, {})[joint] = _xyz(marker.pose.position)
     for number, points in by_body.items() or [(None, {})]:
         rows.time.append(stamp)
@@ -231,196 +222,9 @@ def _skeletons(topic: str, rows: _Rows, path: Path) -> list[SkeletonTable]:
     count = sum(map(len, rows.points))
     if not count or rows.foreign > 0.05 * count:
         return []
-    raw = RawSkeleton(path, {}, time=np.array(rows.time), time_scale=1.0, body=np.array(rows.body))
+    raw = RawSkeleton(path, time=np.array(rows.time), time_scale=1.0, body=np.array(rows.body))
     nothing = (float("nan"),) * 3
-    for number, name in _NUMBERED.items():
-        position = np.array([points.get(number, nothing) for points in rows.points], dtype=float)
-        if name.joint:
-            raw.position[name.joint] = position
-        else:
-            raw.rest.append((name, position))
+    for number, name in enumerate(AZURE):
+        raw.add(name, np.array([points.get(number, nothing) for points in rows.points], dtype=float))
     raw.notes.append(f"Bodies are of the topic {topic}.")
     return raw.skeletons(Conventions("m", CameraFrame.OPTICAL))
-
-
-@dataclass(frozen=True)
-class _Stream:
-    """One stream with numbers."""
-
-    name: str
-    kind: str
-    rate_hz: float | None
-    labels: list[str]
-    types: list[str]
-    units: list[str]
-    t_s: np.ndarray
-    values: np.ndarray
-
-
-def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
-    """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied."""
-    streams = [stream for entry in _loaded(path) if (stream := _stream(entry)) is not None]
-    skeletons = [table for stream in streams for table in _xdf_skeletons(stream, path)]
-    imus, reasons = _imus(streams, path)
-    if not skeletons and not imus:
-        listed = (
-            "; ".join(f"{s.name} ({s.kind}, {len(s.labels)} channels)" for s in streams)
-            or "none with numbers"
-        )
-        why = f"; {reasons[0]}" if reasons else ""
-        raise RecordingError(
-            f"{path} has no stream of an accelerometer, a gyroscope or joints by its channels' labels"
-            f" (streams: {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x,"
-            " WristRight_X and units."
-        )
-    for reason in reasons:
-        (imus or skeletons)[0].notes.append(f"A stream was left out: {reason}.")
-    for number, table in enumerate(skeletons):
-        table.body = number if len({other.body for other in skeletons}) < len(skeletons) else table.body
-    return [*skeletons, *imus]
-
-
-XDF = FileFormat(
-    key="xdf",
-    title="XDF recording (Lab Streaming Layer)",
-    kind="recording",
-    recognised_by="the first bytes XDF:",
-    recognises=begins(b"XDF:"),
-    read=read_xdf,
-)
-
-
-def _loaded(path: Path) -> list[dict[str, Any]]:
-    try:
-        import pyxdf
-    except ImportError:
-        raise RecordingError(
-            f"{path}: XDF files are read by the library pyxdf; install it with: pip install pyxdf"
-        ) from None
-    try:
-        with _silent("pyxdf"):
-            streams, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
-    except Exception as error:  # whatever a damaged file leads the library into
-        raise RecordingError(
-            f"{path} is damaged and pyxdf cannot read it ({shown(str(error), 80)}); copy it again."
-        ) from error
-    return list(streams)
-
-
-@contextmanager
-def _silent(name: str) -> Iterator[None]:
-    """Keep a library's warnings off the terminal."""
-    logger = logging.getLogger(name)
-    before, logger.propagate = logger.propagate, False
-    handler = logging.NullHandler()
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.propagate = before
-
-
-def _stream(entry: dict[str, Any]) -> _Stream | None:
-    """A stream with numbers and stamps; None for markers in words, and for what is empty."""
-    info = entry.get("info", {})
-    values = entry.get("time_series")
-    t_s = np.asarray(entry.get("time_stamps", ()), dtype=float)
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or len(t_s) != len(values) or len(t_s) < 2:
-        return None
-    if values.dtype.kind not in "fiu" or values.shape[1] < 3:
-        return None
-    channels = _channels(info, values.shape[1])
-    rate = _rate(_text(info, "nominal_srate"))
-    return _Stream(
-        _text(info, "name"),
-        _text(info, "type"),
-        rate,
-        [_text(channel, "label") or _text(channel, "name") for channel in channels],
-        [_text(channel, "type") for channel in channels],
-        [_text(channel, "unit") for channel in channels],
-        t_s,
-        values,
-    )
-
-
-def _channels(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
-    """The file's description of each channel; a joint's name and its axis are put together as the label."""
-    try:
-        channels = [dict(channel) for channel in info["desc"][0]["channels"][0]["channel"]]
-    except (KeyError, IndexError, TypeError, ValueError):
-        channels = []
-    channels = (channels + [{}] * count)[:count]
-    for channel in channels:
-        marker = _text(channel, "marker") or _text(channel, "object")
-        if label := joint_label(marker, _text(channel, "type")):
-            channel["label"] = [label]
-    return channels
-
-
-def _text(entry: Any, key: str) -> str:
-    value = entry.get(key) if isinstance(entry, dict) else None
-    value = value[0] if isinstance(value, list) and value else value
-    return str(value) if isinstance(value, str | int | float) else ""
-
-
-def _rate(text: str) -> float | None:
-    try:
-        rate = float(text)
-    except ValueError:
-        return None
-    return rate if 0 < rate < 1e5 else None
-
-
-def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
-    """Bodies of a stream whose labels name joints."""
-    columns = find_joint_columns(stream.labels)
-    if not columns.has_arm():
-        return []
-    values = stream.values.astype(float)
-    raw = RawSkeleton(
-        path,
-        {joint: values[:, triple] for joint, triple in columns.axes.items()},
-        states_of({joint: values[:, column] for joint, column in columns.confidence.items()}, kinect_states),
-        time=stream.t_s,
-        time_scale=1.0,
-        body=None
-        if columns.body is None
-        else np.where(values[:, columns.body] > 0, values[:, columns.body], np.nan),
-        rest=[(name, values[:, triple]) for name, triple in columns.rest],
-    )
-    if raw.body is not None and not np.isfinite(raw.body).any():
-        raw.body = None
-    raw.notes.append(f"Joints are of the stream {stream.name} ({stream.kind}).")
-    words = {word for label in stream.labels for word in words_of(label)}
-    frame = (
-        CameraFrame.OPTICAL if words & {"navel", "clavicle"}
-        else CameraFrame.KINECT if "spine" in words and words & {"base", "mid"}
-        else None
-    )  # fmt: skip
-    stated = stream.units[next(iter(columns.axes.values()))[0]].strip().lower()
-    unit = {1.0: "m", 0.01: "cm", 0.001: "mm"}.get(METRES.get(stated, 0.0), "")
-    return raw.skeletons(Conventions(unit, frame))
-
-
-def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:
-    """Sensors of all streams, and why some were left out; halves of a sensor are put together."""
-    whole: list[ImuTable] = []
-    halves: list[ImuTable] = []
-    reasons: list[str] = []
-    for stream in streams:
-        if find_joint_columns(stream.labels).has_arm():
-            continue
-        for sensor in find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}"):
-            name = "_".join(part for part in (stream.name, sensor.name.replace(" ", "_")) if part)
-            table, why = imu_of(name, stream.t_s, stream.values, sensor, stream.units, stream.rate_hz)
-            if table is None:
-                reasons.append(why)
-            elif table.acc is not None and table.gyro is not None:
-                whole.append(table)
-            else:
-                halves.append(table)
-    joined, _, alone = with_halves_joined(halves, str(path))
-    for table in joined:
-        table.name = stem_of(table.name).replace(" ", "_") or "imu"
-    return whole + joined, reasons + alone

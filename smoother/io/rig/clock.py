@@ -5,7 +5,6 @@ Sound tracks: a WAV file, or an audio topic of an MCAP recording.
 
 from __future__ import annotations
 
-import csv
 import os
 import struct
 import warnings
@@ -23,9 +22,10 @@ from ...runtime.inputs import check_input
 from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
 from ..recording.write import write_recording
+from ..tables.columns import read_exact
 from ..wire.cdr import CdrReader
 from ..wire.schemas import parsed
-from .panel_files import writing_folder
+from .panel import writing_folder
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
 JUMP_PART = 0.5
@@ -175,45 +175,29 @@ MISSED = ("", "nan", "na", "n/a", "none", "null", "-")
 def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Receptions:
     """Read who received which broadcast when."""
     path = Path(path)
-    check_input(path, RecordingError)
+    _, texts = read_exact(path, COLUMNS, words=COLUMNS)
     rounds: dict[str, int] = {}
-    line_of: dict[tuple[int, str], int] = {}
+    row_of: dict[tuple[int, str], int] = {}
     event, node, t = [], [], []
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            rows = csv.DictReader(stream, skipinitialspace=True)
-            missing = [name for name in COLUMNS if name not in (rows.fieldnames or [])]
-            if missing:
-                raise RecordingError(
-                    f"{path} lacks the column {', '.join(missing)}; its first line must be round,node,t_s."
-                )
-            for row in rows:
-                line = rows.line_num
-                name, text = (row["node"] or "").strip(), (row["t_s"] or "").strip()
-                if text.lower() in MISSED and name:
-                    continue  # not received
-                try:
-                    time = float(text)
-                except ValueError:
-                    time = float("nan")
-                if not name or not np.isfinite(time) or not (row["round"] or "").strip():
-                    raise RecordingError(
-                        f"{path}, line {line}: round, node and a time in seconds are needed."
-                    )
-                number = rounds.setdefault(row["round"].strip(), len(rounds))
-                if (number, name) in line_of:
-                    raise RecordingError(
-                        f"{path}, line {line}: {name} has a second time in round {row['round'].strip()} (the"
-                        f" first is in line {line_of[number, name]}); keep the first reception of each round."
-                    )
-                line_of[number, name] = line
-                event.append(number)
-                node.append(name)
-                t.append(time)
-    except FileNotFoundError as error:
-        raise RecordingError(f"{path} does not exist; check the name.") from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{path} cannot be read as CSV: {error}.") from error
+    for row, (of_round, name, text) in enumerate(zip(*(texts[each] for each in COLUMNS), strict=True), 1):
+        if text.lower() in MISSED and name:
+            continue  # not received
+        try:
+            time = float(text)
+        except ValueError:
+            time = float("nan")
+        if not name or not np.isfinite(time) or not of_round:
+            raise RecordingError(f"{path}, row {row}: round, node and a time in seconds are needed.")
+        number = rounds.setdefault(of_round, len(rounds))
+        if (number, name) in row_of:
+            raise RecordingError(
+                f"{path}, row {row}: {name} has a second time in round {of_round} (the first is in row"
+                f" {row_of[number, name]}); keep the first reception of each round."
+            )
+        row_of[number, name] = row
+        event.append(number)
+        node.append(name)
+        t.append(time)
     if len(set(node)) < 2:
         raise RecordingError(f"{path} contains the times of {len(set(node))} node; two or more are needed.")
     sigma = np.full(len(t), resolution_s / np.sqrt(12))  # stamps are rounded to their step

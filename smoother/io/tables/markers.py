@@ -1,25 +1,43 @@
 """Marker trajectories of a motion capture: TRC, C3D (by the library ezc3d) and tables, by a file's ending.
 
-TRC is read with the habits of the programs that write it; of a still object one mean position a marker.
+TRC is read with the habits of the programs that write it; of a still object one mean position a marker. Files
+whose markers are named as joints are skeletons.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..array_types import FloatArray
-from ..errors import RecordingError
-from ..runtime.inputs import check_input, crashes_in_subprocess
-from .plain.table import read_table
-from .tables.protocol import decode, plain_minus, shown
-from .tables.units import METRES
+from ...array_types import FloatArray
+from ...errors import RecordingError
+from ...recording import CameraFrame
+from ...runtime.inputs import check_input, crashes_in_subprocess
+from .columns import read_exact, stacked
+from .joints import JointName, joint_name
+from .skeletons import (
+    SkeletonTable,
+    axis_words,
+    down_of,
+    frame_of,
+    half_arm,
+    require_arm,
+    tracked_where_finite,
+    unit_by_arm,
+    up_axis,
+    without_origin,
+)
+from .table import FileHead, Format, decode, plain_minus, shown
+from .units import METRES
+
+#: Files of marker trajectories that can be read.
+MARKER_FORMATS = (".c3d", ".trc")
 
 
 @dataclass(frozen=True)
@@ -44,7 +62,18 @@ class Markers:
         return np.asarray(np.isfinite(self.position).all(axis=2).mean(axis=0))
 
 
-def metres_in(unit: str, path: Path) -> float:
+def read_markers(path: str | os.PathLike[str]) -> Markers:
+    """Read a `.c3d` or `.trc` file."""
+    path = Path(path)
+    if path.suffix.lower() not in MARKER_FORMATS:
+        raise RecordingError(f"{path}: markers are read from {' or '.join(MARKER_FORMATS)}")
+    check_input(path, RecordingError)
+    if not path.is_file():
+        raise RecordingError(f"{path}: there is no such file")
+    return read_trc(path) if path.suffix.lower() == ".trc" else read_c3d(path)
+
+
+def _metres_in(unit: str, path: Path) -> float:
     """Metres in a unit of length as a file names it."""
     try:
         return METRES[unit.strip().strip('"').lower()]
@@ -55,12 +84,7 @@ def metres_in(unit: str, path: Path) -> float:
         ) from None
 
 
-def without_origin(position: FloatArray) -> FloatArray:
-    """Positions (..., 3) in which all of (0, 0, 0), as many programs write a lost marker, is nan."""
-    return np.where((position == 0).all(axis=-1, keepdims=True), np.nan, position)
-
-
-def told_apart(names: list[str]) -> tuple[tuple[str, ...], list[str]]:
+def _told_apart(names: list[str]) -> tuple[tuple[str, ...], list[str]]:
     """Names without spaces around and none twice (`name_2` ..), and the names that were."""
     result: list[str] = []
     twice: list[str] = []
@@ -79,6 +103,8 @@ def told_apart(names: list[str]) -> tuple[tuple[str, ...], list[str]]:
     return tuple(result), twice
 
 
+# ------------------------------------------------------------------------------------------------------ TRC
+
 #: Spellings of "no number", beyond those that `float` reads: Windows' and spreadsheets' ones.
 _NOTHING = re.compile(
     r"[-+]?(nan\(.*\)|1\.?#(ind|qnan|snan|inf).*|#n/a|n/?a|null|none|missing|-+|\*+|inf(inity)?)",
@@ -91,7 +117,12 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d*([eEdD][-+]?\d+)?")
 
 def read_trc(path: Path) -> Markers:
     """Read a TRC file."""
-    lines = _lines(path)
+    check_input(path, RecordingError)
+    lines = decode(path.read_bytes()).splitlines()
+    if not lines:
+        raise RecordingError(
+            f"{path}: not a TRC file: it has no text; is it a C3D file with a wrong extension?"
+        )
     place = next((k for k, line in enumerate(lines) if _starts(line, "frame#", "frame", "#frame")), None)
     if place is None:
         raise RecordingError(
@@ -99,7 +130,7 @@ def read_trc(path: Path) -> Markers:
         )
     header = _header(lines[:place])
     mark = _mark(lines[place])
-    names, twice = told_apart([cell for cell in _cells(lines[place], mark)[2:] if cell.strip()])
+    names, twice = _told_apart([cell for cell in _cells(lines[place], mark)[2:] if cell.strip()])
     if not names:
         raise RecordingError(f"{path}: the line with Frame# names no marker; export the file again")
     # the line of X1 Y1 Z1 .. may be missing
@@ -118,9 +149,12 @@ def read_trc(path: Path) -> Markers:
     unit = header.get("units", "")
     if not unit:
         raise RecordingError(f"{path}: the header states no Units; add mm or m on its third line")
-    position = without_origin(table[:, 2:].reshape(len(table), -1, 3)) * metres_in(unit, path)
+    position = without_origin(table[:, 2:].reshape(len(table), -1, 3)) * _metres_in(unit, path)
     position[~np.isfinite(position).all(axis=2)] = np.nan
-    rate = _rate(header)
+    try:
+        rate = float(header.get("datarate", "").replace(",", "."))
+    except ValueError:
+        rate = float("nan")
     t_s, notes = _times(path, table, rate)
     if twice:
         notes.append(f"{path.name}: several markers are called {', '.join(dict.fromkeys(twice))}; numbered.")
@@ -133,16 +167,6 @@ def read_trc(path: Path) -> Markers:
             " cut off."
         )
     return Markers(names, t_s, position, rate, unit, source=str(path), notes=tuple(notes))
-
-
-def _lines(path: Path) -> list[str]:
-    check_input(path, RecordingError)
-    text = decode(path.read_bytes())
-    if not text:
-        raise RecordingError(
-            f"{path}: not a TRC file: it has no text; is it a C3D file with a wrong extension?"
-        )
-    return text.splitlines()
 
 
 def _starts(line: str, *words: str) -> bool:
@@ -188,12 +212,10 @@ def _numbers(path: Path, rows: list[tuple[int, str]], mark: str | None, width: i
     try:
         return np.array([[cell or "nan" for cell in row] for row in parts], dtype=np.float64)
     except ValueError:
-        pass
-    table = np.empty((len(parts), width))
-    for k, row in enumerate(parts):
-        for column, cell in enumerate(row):
-            table[k, column] = _number(cell, path, rows[k][0], column)
-    return table
+        named = zip(rows, parts, strict=True)
+        return np.array(
+            [[_number(cell, path, row[0], at) for at, cell in enumerate(cells)] for row, cells in named]
+        )
 
 
 def _number(cell: str, path: Path, line: int, column: int) -> float:
@@ -212,13 +234,6 @@ def _number(cell: str, path: Path, line: int, column: int) -> float:
         raise RecordingError(
             f"{path}, line {line}: '{shown(cell, 40)}' in column {column + 1} is not a number; correct it"
         ) from None
-
-
-def _rate(header: dict[str, str]) -> float:
-    try:
-        return float(header.get("datarate", "").replace(",", "."))
-    except ValueError:
-        return float("nan")
 
 
 def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list[str]]:
@@ -247,6 +262,9 @@ def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list
     return t_s, [f"{path.name}: DataRate states {rate:g} Hz and the times make {real:g} Hz; the times count."]
 
 
+# ------------------------------------------------------------------------------------------------------ C3D
+
+
 def read_c3d(path: Path) -> Markers:
     """Read the points of a C3D file."""
     check_input(path, RecordingError)
@@ -256,62 +274,55 @@ def read_c3d(path: Path) -> Markers:
         raise RecordingError(f"{path}: not a C3D file (its second byte is not 0x50); export it again")
     data, parameters = _load(path)
     point = parameters.get("POINT", {})
-    _whole(path, point)
+    _refuse_cut_off(path, point)
     position = np.moveaxis(np.asarray(data["points"], dtype=np.float64)[:3], (0, 1, 2), (2, 1, 0))
-    if not position.shape[0] or not position.shape[1]:
-        what = "no frame" if position.shape[1] else "no point"
+    frames, count = position.shape[:2]
+    if not frames or not count:
+        what = "no frame" if count else "no point"
         raise RecordingError(f"{path}: the C3D file has {what}; export the markers with it")
-    unit = _first(point, "UNITS", "")
-    if not str(unit).strip():
+    unit = str(_first(point, "UNITS", "")).strip()
+    if not unit:
         raise RecordingError(f"{path}: the parameter POINT:UNITS is missing; export the file in mm or m")
-    scale = metres_in(str(unit), path)
-    residual = _residuals(data, position.shape[:2])
+    scale = _metres_in(unit, path)
+    residual = np.asarray(data["meta_points"]["residuals"], dtype=np.float64)
+    residual = (
+        residual.reshape(count, frames).T if residual.size == frames * count else np.zeros((frames, count))
+    )
+    residual = np.where(np.isfinite(residual), residual, -1.0)
     position = without_origin(position)
     position[(residual < 0) | ~np.isfinite(position).all(axis=2)] = np.nan
     rate = float(_first(point, "RATE", np.nan))
     if not (np.isfinite(rate) and rate > 0):
         raise RecordingError(f"{path}: the parameter POINT:RATE is missing, so the frames have no times")
-    names, notes = _names(point, position.shape[1], path)
-    first = int(data["first_frame"])
+    names, notes = _names(point, count, path)
     return Markers(
         names,
-        (first + np.arange(len(position))) / rate,
+        (int(parameters["first_frame"]) + np.arange(frames)) / rate,
         position * scale,
         rate,
-        str(unit).strip(),
+        unit,
         np.where(np.isfinite(position[..., 0]), residual, np.nan) * scale,
         str(path),
         tuple(notes),
     )
 
 
-def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Points, residuals and first frame; and the parameters by group and name."""
+def _load(path: Path) -> tuple[Any, dict[str, Any]]:
+    """The data, and the parameters by group and name (and `first_frame`)."""
     import ezc3d
 
-    if would_crash(path):
+    if crashes_in_subprocess(path, lambda file: ezc3d.c3d(str(file))):
         raise RecordingError(f"{path}: a damaged C3D file; export it again")
     try:
         file = ezc3d.c3d(str(path))
-        data = {
-            "points": file["data"]["points"],
-            "residuals": file["data"]["meta_points"]["residuals"],
-            "first_frame": file["header"]["points"]["first_frame"],
-        }
+        parameters = {group: dict(file["parameters"][group]) for group in file["parameters"]}
+        return file["data"], {**parameters, "first_frame": file["header"]["points"]["first_frame"]}
     except Exception as error:  # whatever the library throws at a damaged file
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(f"{path}: a damaged C3D file ({reason}); export it again") from error
-    return data, {group: dict(file["parameters"][group]) for group in file["parameters"]}
+        raise RecordingError(f"{path}: a damaged C3D file ({shown(reason, 80)}); export it again") from error
 
 
-def would_crash(path: Path) -> bool:
-    """Whether the library would end the process on this file, or never end itself."""
-    import ezc3d
-
-    return crashes_in_subprocess(path, lambda file: ezc3d.c3d(str(file)))
-
-
-def _whole(path: Path, point: dict[str, Any]) -> None:
+def _refuse_cut_off(path: Path, point: dict[str, Any]) -> None:
     """Refuse a file that ends before the last frame that its header counts; the library makes frames up."""
     with open(path, "rb") as file:
         header = file.read(512)
@@ -335,14 +346,6 @@ def _first(group: dict[str, Any], name: str, default: Any) -> Any:
     return value[0] if len(value) else default
 
 
-def _residuals(data: dict[str, Any], shape: tuple[int, ...]) -> np.ndarray:
-    residual = np.asarray(data["residuals"], dtype=np.float64)
-    if residual.size != shape[0] * shape[1]:
-        return np.zeros(shape)
-    residual = residual.reshape(shape[1], shape[0]).T
-    return np.where(np.isfinite(residual), residual, -1.0)
-
-
 def _names(point: dict[str, Any], count: int, path: Path) -> tuple[tuple[str, ...], list[str]]:
     """A name for every point; labels go on in LABELS2, LABELS3 .."""
     labels: list[str] = [str(name) for name in point.get("LABELS", {}).get("value", [])]
@@ -354,26 +357,13 @@ def _names(point: dict[str, Any], count: int, path: Path) -> tuple[tuple[str, ..
     if len(labels) < count:
         notes.append(f"{path.name}: {count - len(labels)} of {count} points have no name.")
         labels += [""] * (count - len(labels))
-    names, twice = told_apart(labels[:count])
+    names, twice = _told_apart(labels[:count])
     if twice:
         notes.append(f"{path.name}: several points are called {', '.join(dict.fromkeys(twice))}; numbered.")
     return names, notes
 
 
-#: Files of marker trajectories that can be read.
-MARKER_FORMATS = (".c3d", ".trc")
-
-
-def read_markers(path: str | os.PathLike[str]) -> Markers:
-    """Read a `.c3d` or `.trc` file."""
-    path = Path(path)
-    if path.suffix.lower() not in MARKER_FORMATS:
-        raise RecordingError(f"{path}: markers are read from {' or '.join(MARKER_FORMATS)}")
-    check_input(path, RecordingError)
-    if not path.is_file():
-        raise RecordingError(f"{path}: there is no such file")
-    return read_trc(path) if path.suffix.lower() == ".trc" else read_c3d(path)
-
+# ------------------------------------------------------------------------------- positions of a still object
 
 #: A marker that strays farther than this from its mean was not still, m (rms).
 STILL_M = 0.003
@@ -389,9 +379,9 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
-    numbers, words = read_table(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
-    rows = np.column_stack([numbers[axis] for axis in "xyz"])
-    names, _ = told_apart(words["marker"])
+    numbers, words = read_exact(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
+    rows = stacked(numbers, *"xyz")
+    names, _ = _told_apart(words["marker"])
     known = np.asarray(np.isfinite(rows).all(axis=1), bool)
     if not known.any():
         raise RecordingError(f"{path} has no marker; give marker,x,y,z in metres, one row per marker.")
@@ -417,3 +407,197 @@ def _still(markers: Markers) -> dict[str, FloatArray]:
     if not means:
         raise RecordingError(f"{markers.source} has no marker that was seen for long enough.")
     return means
+
+
+# ------------------------------------------------------------------------------------ markers named as joints
+
+#: A position farther away is a damaged number.
+_FARTHEST_M = 1e6
+#: What is used as a joint if there are several, the best first.
+_ORDER = ("centre", "joint", "skin")
+
+
+def _skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
+    """The arms that a file of markers shows."""
+    in_reach = (np.abs(markers.position) < _FARTHEST_M).all(axis=2, keepdims=True)
+    markers = replace(markers, position=np.where(in_reach, markers.position, np.nan))
+    named = [(joint_name(name), column) for column, name in enumerate(markers.names)]
+    points = [(name, markers.position[:, column]) for name, column in named if name is not None]
+    by_joint: dict[str, list[tuple[JointName, int]]] = {}
+    for name, column in named:
+        if name is not None and name.joint:
+            by_joint.setdefault(name.joint, []).append((name, column))
+    position, sentences, skin = {}, [], False
+    for joint in sorted(by_joint):
+        rows, words, is_skin = _taken(by_joint[joint], markers)
+        if np.isfinite(rows).all(axis=1).any():
+            position[joint] = rows
+            sentences.append(f"{joint} is {words}")
+            skin |= is_skin
+    require_arm(position, path, "markers", list(markers.names))
+    notes = [*markers.notes, "; ".join(sentences) + "."]
+    if skin:
+        notes.append(
+            "Skin markers are 1 to 4 cm from the joint centre: expect lengths that differ from the bones'."
+        )
+    notes += _in_metres(position, markers.unit, path)
+    is_camera = any("k4abt" in name.lower() for name in markers.names)
+    frame, down, words = _axes(points, y_up, is_camera)
+    notes.append(words)
+    state = {joint: tracked_where_finite(rows) for joint, rows in position.items()}
+    rate = markers.rate_hz if np.isfinite(markers.rate_hz) else None
+    return SkeletonTable(0, markers.t_s, position, state, frame, down, rate, units=markers.unit, notes=notes)
+
+
+def _in_metres(position: dict[str, FloatArray], unit: str, path: Path) -> list[str]:
+    """Correct positions whose unit is not the one that the header states; what is to be said of it."""
+    length = half_arm(position)
+    if not np.isfinite(length):
+        return []
+    fits = unit_by_arm(position)
+    if fits is None:
+        raise RecordingError(
+            f"{path}: upper arms and forearms are {length:.3g} m long in the unit that the file states"
+            f" ({unit}); export it again, with lengths in m or mm."
+        )
+    if fits[1] != 1.0:
+        for joint in position:
+            position[joint] = position[joint] * fits[1]
+        return [
+            f"The file states {unit}, and half an arm would be {length:.3g} m long: positions were multiplied"
+            f" by {fits[1]:g}, which makes it {length * fits[1]:.2f} m."
+        ]
+    return []
+
+
+def _taken(candidates: list[tuple[JointName, int]], markers: Markers) -> tuple[FloatArray, str, bool]:
+    """Positions (F, 3) of a joint, words for what they are, whether they are on the skin."""
+    for kind in _ORDER:
+        of_kind = [(name, column) for name, column in candidates if name.kind == kind]
+        first = {name.pair: column for name, column in reversed(of_kind)}
+        if "a" in first and "b" in first:
+            a, b = first["a"], first["b"]
+            middle = 0.5 * (markers.position[:, a] + markers.position[:, b])
+            return middle, f"the middle of {markers.names[a]} and {markers.names[b]}", True
+        if first:
+            column = next(iter(first.values()))
+            what = {"centre": "the joint centre", "joint": "the marker", "skin": "the skin marker"}[kind]
+            return markers.position[:, column], f"{what} {markers.names[column]}", kind == "skin"
+    raise ValueError("no candidate")
+
+
+def _axes(
+    points: list[tuple[JointName, FloatArray]], y_up: bool, camera: bool
+) -> tuple[CameraFrame | None, FloatArray | None, str]:
+    """Convention of the axes, direction of down, and a sentence."""
+    upright = up_axis(points)
+    if upright is not None:
+        said = f"Assumed axes: {axis_words(*upright)} (the body is then upright in most frames)."
+        return frame_of(*upright, camera), down_of(*upright), said
+    unseen = "the body does not show them."
+    if camera:
+        return CameraFrame.OPTICAL, None, f"Assumed axes: the depth camera's (y down); {unseen}"
+    if y_up:
+        return None, down_of(1, 1), f"Assumed axes: y up, as usual in this format; {unseen}"
+    unknown = "Which axis is up is not known: the file does not state it and the body does not show it."
+    return None, None, unknown
+
+
+#: What the origin of a segment is, by the segment's name without side.
+_ORIGINS = {
+    **dict.fromkeys(("uarm", "upperarm", "humerus"), "shoulder"),
+    **dict.fromkeys(("larm", "forearm", "lowerarm", "radius"), "elbow"),
+    "hand": "wrist",
+    "pelvis": "pelvis",
+    "head": "head",
+    **dict.fromkeys(("thigh", "uleg"), "hip"),
+    "foot": "ankle",
+}
+_SEGMENT = re.compile(r"(?:([lr])(?:eft|ight)?_)?([a-z]+?)(?:_([lr]))?(?:_4x4)?", re.IGNORECASE)
+#: The group's name lies among the parameters, at the file's beginning.
+_PARAMETER_BYTES = 262_144
+
+
+def _read_segment_origins(path: Path) -> Markers | None:
+    """Origins of the arms' segments: shoulder is the upper arm's, elbow the forearm's, wrist the hand's."""
+    check_input(path, RecordingError)
+    with open(path, "rb") as file:
+        if b"ROTATION" not in file.read(_PARAMETER_BYTES):
+            return None
+    data, parameters = _load(path)
+    group, point = parameters.get("ROTATION", {}), parameters.get("POINT", {})
+    try:
+        labels = [str(label) for label in group["LABELS"]["value"]]
+        poses = np.asarray(data["rotations"], dtype=float)
+    except (KeyError, ValueError) as error:
+        raise RecordingError(f"{path}: a damaged C3D file ({error}); export it again") from error
+    joints = (_joint_of(label) for label in labels[: poses.shape[2]])
+    named = {at: name for at, name in enumerate(joints) if name is not None}
+    if not any("elbow" in name for name in named.values()):
+        return None
+    rates = (float(_first(each, "RATE", np.nan)) for each in (group, point))
+    rate = next((rate for rate in rates if np.isfinite(rate) and rate > 0), None)
+    if rate is None:
+        raise RecordingError(f"{path}: neither ROTATION:RATE nor POINT:RATE gives the frames' times")
+    unit = str(_first(point, "UNITS", "mm")).strip().lower()
+    position = np.moveaxis(poses[:3, 3][:, list(named)], (0, 1, 2), (2, 1, 0)) * METRES.get(unit, 0.001)
+    used = shown(", ".join(labels[at] for at in named), 120)
+    note = f"{path.name}: joints are the origins of the segments {used}."
+    t_s = np.arange(len(position)) / rate
+    names = tuple(named.values())
+    return Markers(names, t_s, without_origin(position), rate, unit, source=str(path), notes=(note,))
+
+
+def _joint_of(label: str) -> str | None:
+    """The joint's centre at a segment's origin (`r_uarm_4X4` is `r_shoulder_center`); None for others."""
+    match = _SEGMENT.fullmatch(label.strip())
+    joint = _ORIGINS.get(match.group(2).lower()) if match else None
+    if match is None or joint is None:
+        return None
+    side = (match.group(1) or match.group(3) or "").lower()
+    if joint in ("pelvis", "head"):
+        return joint
+    return f"{side}_{joint}_center" if side and joint in ("shoulder", "elbow", "wrist") else f"{side}_{joint}"
+
+
+#: Processor types of a C3D file's parameters: Intel, DEC, SGI.
+_PROCESSORS = (84, 85, 86)
+
+
+def _is_c3d(head: FileHead) -> bool:
+    """Whether the file begins as a C3D file does."""
+    if len(head.raw) < 512 or head.raw[1] != 0x50 or head.raw[0] < 2:
+        return False
+    parameters = head.raw[512 * (head.raw[0] - 1) :][:4]
+    return len(parameters) < 4 or parameters[3] in _PROCESSORS
+
+
+def _read_c3d_skeleton(path: Path) -> list[SkeletonTable]:
+    markers = _read_segment_origins(path) or read_c3d(path)
+    return [_skeleton_of(markers, path, y_up=False)]
+
+
+C3D_SKELETON = Format(
+    key="c3d",
+    title="C3D model markers or Theia3D segments",
+    kind="skeleton",
+    recognised_by="the second byte 0x50, and a block of parameters where the first byte points",
+    recognises=_is_c3d,
+    read=_read_c3d_skeleton,
+)
+
+
+def _is_trc(head: FileHead) -> bool:
+    """Whether a line of markers' names is among the first ones."""
+    first = [line.strip(' \t,;"').lower() for line in head.lines[:12]]
+    return any(line.startswith("frame#") for line in first)
+
+
+TRC_SKELETON = Format(
+    key="trc",
+    title="TRC (OpenCap, Pose2Sim, Theia)",
+    kind="skeleton",
+    recognised_by="a line that begins with Frame#, above the names of markers",
+    recognises=_is_trc,
+    read=lambda path: [_skeleton_of(read_trc(path), path, y_up=True)],  # as OpenSim has it
+)

@@ -1,4 +1,4 @@
-"""A recording of files as devices write them: read, times corrected, clocks brought together."""
+"""A recording of files as devices write them: sorted, read, times corrected, clocks brought together."""
 
 from __future__ import annotations
 
@@ -8,26 +8,29 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.intrinsics import CameraFile
 
-from ...array_types import FloatArray, IntArray
-from ...errors import RecordingError
-from ...linalg import median_rate_hz
-from ...recording import JOINTS, CameraFrame, JointState
-from ..mcap.messages import nanoseconds
-from ..recording.camera_streams import CAMERA_TOPIC
-from ..recording.clean import clean_arm, clean_imu
-from ..recording.decode import JointRows, joint_code
-from ..recording.inertial import scale_to_si, shown_units
-from ..recording.keypoints import NAMED_TOPIC, TOPIC, states_of_scores
-from ..recording.names import named_side, role
-from ..recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
-from ..tables.imu_checks import paired
-from ..tables.protocol import DeviceFormat, ImuTable, SkeletonTable
-from .image_keypoints import PIXELS
-from .registry import FileReader
-from .repair import Timed, check_one_session, count_from_zero, repaired_imu, repaired_skeleton, shifts
+from ..array_types import FloatArray, IntArray
+from ..errors import RecordingError
+from ..linalg import median_rate_hz
+from ..recording import JOINTS, CameraFrame, JointState
+from .mcap.messages import nanoseconds
+from .recording.camera_streams import CAMERA_TOPIC
+from .recording.clean import clean_arm, clean_imu
+from .recording.decode import JointRows, joint_code
+from .recording.inertial import scale_to_si, shown_units
+from .recording.keypoints import NAMED_TOPIC, TOPIC, states_of_scores
+from .recording.names import named_side, role
+from .recording.read import open_recording
+from .recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
+from .registry import FileReader, keys, unknown_file
+from .tables.imu import ImuTable, paired
+from .tables.markers import MARKER_FORMATS, read_markers
+from .tables.skeletons import PIXELS, SkeletonTable
+from .tables.table import Format, first_rows, read_head
+from .tables.times import Timed, check_one_session, count_from_zero, repaired_imu, repaired_skeleton, shifts
 
 
 @dataclass(frozen=True)
@@ -238,7 +241,7 @@ def _named(
     return named
 
 
-def _report(reports: list[FileReport], path: Path, importer: DeviceFormat) -> FileReport:
+def _report(reports: list[FileReport], path: Path, importer: Format) -> FileReport:
     report = FileReport(str(path), importer.key, "")
     reports.append(report)
     return report
@@ -271,16 +274,7 @@ def add_skeleton(
     frames = np.unique(np.concatenate(stamps))
     rows = JointRows()
     for table, stamp in zip(tables, stamps, strict=True):
-        frame = np.searchsorted(frames, stamp)
-        body = np.full(len(stamp), table.body, np.int64)
-        for name, position in table.position.items():
-            code = joint_code(name)
-            if code is None:
-                continue
-            side, joint = (np.full(len(stamp), value, np.int64) for value in code)
-            state = table.state[name].astype(np.int64)
-            state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
-            rows.add_joints(frame, body, side, joint, state, np.array(position, dtype=float))
+        _add_joints(rows, frames, stamp, table.body, table.position, table.state)
     first = tables[0]
     arms = rows.arms(frames, topic, camera, first.frame)
     if first.units == PIXELS and known is None:
@@ -301,6 +295,24 @@ def add_skeleton(
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
 
 
+def _add_joints(
+    rows: JointRows,
+    frames: IntArray,
+    stamp: IntArray,
+    body: int,
+    position: Mapping[str, FloatArray],
+    states: Mapping[str, NDArray[np.int8]],
+) -> None:
+    """Put the joints of one body, (F, 3) by name, to the frames of all."""
+    frame = np.searchsorted(frames, stamp)
+    for name, values in position.items():
+        if (code := joint_code(name)) is not None:
+            number, side, joint = (np.full(len(stamp), value, np.int64) for value in (body, *code))
+            lost = ~np.isfinite(values).all(axis=1)
+            state = np.where(lost, JointState.NOT_TRACKED, states[name]).astype(np.int64)
+            rows.add_joints(frame, number, side, joint, state, np.array(values, dtype=float))
+
+
 def _add_image_points(
     file: RecordingFile,
     tables: list[SkeletonTable],
@@ -311,16 +323,11 @@ def _add_image_points(
     """The same joints in the pictures, where the file has them: for a camera model that uses pixels."""
     rows, topic = JointRows(), TOPIC if camera == "camera" else NAMED_TOPIC.format(camera)
     for table, stamp in zip(tables, stamps, strict=True):
-        if table.image is None:
-            continue
-        frame = np.searchsorted(frames, stamp)
-        body = np.full(len(stamp), table.body, np.int64)
-        file.image_sizes[topic] = (table.image.width, table.image.height)
-        for name, points in table.image.joints.items():
-            if (code := joint_code(name)) is not None:
-                side, joint = (np.full(len(stamp), value, np.int64) for value in code)
-                state = states_of_scores(points[:, 2]).astype(np.int64)
-                rows.add_joints(frame, body, side, joint, state, points.copy())
+        if table.image is not None:
+            file.image_sizes[topic] = (table.image.width, table.image.height)
+            points = table.image.joints
+            state = {name: states_of_scores(each[:, 2]) for name, each in points.items()}
+            _add_joints(rows, frames, stamp, table.body, points, state)
     if topic in file.image_sizes:
         file.image_points += rows.arms(frames, topic, camera, CameraFrame.OPTICAL)
 
@@ -350,3 +357,107 @@ def times_of(table: ImuTable | SkeletonTable) -> FloatArray:
     """Times of a table that was corrected."""
     assert table.t_s is not None
     return table.t_s
+
+
+# ---------------------------------------------------------------------- folders, and a truth beside the files
+
+
+def sort_files(
+    paths: list[Path], reader: FileReader, output: Path | None = None
+) -> tuple[list[Path], list[ImuFiles], list[str]]:
+    """Device files among paths, by what is in them."""
+    skeletons: list[Path] = []
+    imus: list[ImuFiles] = []
+    halves: dict[str, list[Path]] = {"acc": [], "gyro": []}
+    passed_over: list[str] = []
+    refused: list[RecordingError] = []
+    files = files_meant(paths, output)
+    for path in files:
+        importer = reader.recognised(path)
+        if importer is None:
+            head = read_head(path)
+            passed_over.append(
+                f"{path.name} has an unknown format and was skipped; it begins: {first_rows(head, 100)}."
+            )
+            continue
+        try:
+            tables = reader.read(path, importer)
+        except RecordingError as error:
+            if path in paths:
+                raise
+            refused.append(error)
+            continue
+        if any(isinstance(table, SkeletonTable) for table in tables):
+            skeletons.append(path)
+        sensors = [table for table in tables if isinstance(table, ImuTable)]
+        if any(table.acc is not None and table.gyro is not None for table in sensors):
+            imus.append(ImuFiles((path,)))
+        elif sensors:
+            halves["acc" if sensors[0].acc is not None else "gyro"].append(path)
+    imus += _joined(halves)
+    if refused and not (skeletons and imus):
+        raise refused[0]
+    passed_over += [f"passed over: {error}" for error in refused]
+    if paths and not skeletons and not imus:
+        if len(files) == 1:
+            raise unknown_file(read_head(files[0]))
+        seen = " ".join(passed_over[:2]) or "It is empty."
+        raise RecordingError(f"{paths[0]} has no file of a known format ({keys()}). {seen}")
+    return skeletons, imus, passed_over
+
+
+def _joined(halves: dict[str, list[Path]]) -> list[ImuFiles]:
+    if not halves["acc"] and not halves["gyro"]:
+        return []
+    if len(halves["acc"]) == len(halves["gyro"]) == 1:
+        return [ImuFiles((halves["acc"][0], halves["gyro"][0]))]
+    listed = ", ".join(path.name for path in (*halves["acc"], *halves["gyro"]))
+    raise RecordingError(
+        f"{listed} contain accelerometers or gyroscopes only; name those that belong together:"
+        " --imu NAME=ACC_FILE,GYRO_FILE."
+    )
+
+
+def files_meant(paths: list[Path], output: Path | None) -> list[Path]:
+    """The files that are meant; hidden ones, results and empty ones in folders are not."""
+    listed: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            listed.append(path)
+            continue
+        for inner in sorted(path.iterdir()):
+            is_output = output is not None and inner.resolve() == output.resolve()
+            if inner.is_file() and not inner.name.startswith(".") and not is_output and inner.stat().st_size:
+                listed.append(inner)
+    return list(dict.fromkeys(listed))
+
+
+def add_truth(file: RecordingFile, path: Path) -> FileReport:
+    """Put poses of the forearm IMU into a recording; markers stay a file of their own."""
+    from .tables.recording_toml import read_pose_table
+
+    kind = path.suffix.lower()
+    if kind in MARKER_FORMATS:
+        markers = read_markers(path)
+        sentence = (
+            f"{path.name}: {len(markers.names)} markers, {markers.rate_hz:.1f} Hz, {len(markers):,} frames;"
+            f" they stay there: unocclude validate RESULT.mcap --truth {path} --markers MAP.toml"
+        )
+        return FileReport(str(path), kind[1:], sentence, count=len(markers), rate_hz=markers.rate_hz)
+    if kind == ".mcap":
+        poses = open_recording(path).poses
+        if len(poses) != 1:
+            raise RecordingError(f"{path} contains {len(poses)} topics of poses; one is needed for --truth.")
+        truth = poses[0]
+    else:
+        truth = read_pose_table(path)
+    first, last = int(truth.stamp_ns.min()), int(truth.stamp_ns.max())
+    if file.imus and not any(i.stamp_ns[0] < last and first < i.stamp_ns[-1] for i in file.imus):
+        raise RecordingError(
+            f"{path}: the poses (from {first / 1e9:.3f} s on) do not overlap with the IMU (from"
+            f" {file.imus[0].stamp_ns[0] / 1e9:.3f} s on); write their times on the clock that the IMU has in"
+            " the recording, or compare afterwards with `unocclude validate --truth --align`."
+        )
+    file.poses.append(truth)
+    sentence = f"{path.name}: poses of the truth, {len(truth.stamp_ns):,} rows"
+    return FileReport(str(path), "poses", sentence, [truth.topic], count=len(truth.stamp_ns))

@@ -55,74 +55,61 @@ POINT_SETS = {
     75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE,
 }  # fmt: skip
 
+
+def _meanings(**words: str) -> dict[str, str]:
+    """What words mean, of the words of each meaning."""
+    return {word: meaning for meaning, listed in words.items() for word in listed.split()}
+
+
 #: Words that do not identify a joint.
-_NOISE = {
-    *(
-        "k",
-        "4",
-        "abt",
-        "k4abt",
-        "joint",
-        "joints",
-        "type",
-        "body",
-        "pose",
-        "landmark",
-        "landmarks",
-        "keypoint",
-    ),
-    *("world", "marker", "pos", "position", "skeleton", "lm", "kp", "kpt", "bone", "global", "filtered"),
-    *("mm", "cm", "m", "meter", "meters", "metre", "metres"),
-    *("unfiltered", "3d", "3", "d", "rigid", "tracked", "coords", "coordinate", "coordinates"),
-}
-_SIDES = {
-    **dict.fromkeys(("l", "left", "lt"), "left"),
-    **dict.fromkeys(("r", "right", "rt"), "right"),
-    **dict.fromkeys(
-        ("links", "linke", "linker", "linkes", "gauche", "izquierda", "izquierdo", "izq"), "left"
-    ),
-    **dict.fromkeys(("rechts", "rechte", "rechter", "rechtes", "droit", "droite"), "right"),
-    **dict.fromkeys(("derecha", "derecho"), "right"),
-}
+_NOISE = set(
+    _listed(
+        "k 4 abt k4abt joint joints type body pose landmark landmarks keypoint world marker pos position"
+        " skeleton"
+        " lm kp kpt bone global filtered mm cm m meter meters metre metres unfiltered 3d 3 d rigid tracked"
+        " coords"
+        " coordinate coordinates"
+    )
+)
+_SIDES = _meanings(
+    left="l left lt links linke linker linkes gauche izquierda izquierdo izq",
+    right="r right rt rechts rechte rechter rechtes droit droite derecha derecho",
+)
 #: German, French and Spanish words of joints, without accents.
-_TRANSLATED = {
-    **dict.fromkeys(("schulter", "schultergelenk", "epaule", "hombro"), "shoulder"),
-    **dict.fromkeys(("ellbogen", "ellenbogen", "ellbogengelenk", "coude", "codo"), "elbow"),
-    **dict.fromkeys(("handgelenk", "poignet", "muneca"), "wrist"),
-    **dict.fromkeys(("main", "mano"), "hand"),
-    **dict.fromkeys(("kopf", "tete", "cabeza"), "head"),
-    **dict.fromkeys(("nacken", "hals", "cou", "cuello"), "neck"),
-    **dict.fromkeys(("huefte", "hufte", "becken", "hanche", "bassin", "cadera"), "hip"),
-    **dict.fromkeys(("knoechel", "knochel", "sprunggelenk", "cheville", "tobillo"), "ankle"),
-    **dict.fromkeys(("fuss", "pied", "pie"), "foot"),
-    **dict.fromkeys(("knie", "genou", "rodilla"), "knee"),
-}
+_TRANSLATED = _meanings(
+    shoulder="schulter schultergelenk epaule hombro",
+    elbow="ellbogen ellenbogen ellbogengelenk coude codo",
+    wrist="handgelenk poignet muneca",
+    hand="main mano",
+    head="kopf tete cabeza",
+    neck="nacken hals cou cuello",
+    hip="huefte hufte becken hanche bassin cadera",
+    ankle="knoechel knochel sprunggelenk cheville tobillo",
+    foot="fuss pied pie",
+    knee="knie genou rodilla",
+)
 _CENTRE_WORDS = {"center", "centre", "jc", "cj", "jcs", "cor"}
 #: Short names of joint centres (Visual3D, OpenSim; Vicon's Plug-in Gait calls origins of its segments so).
-_CENTRES = {
-    **dict.fromkeys(("sjc", "shjc", "gh", "gjc", "ghjc", "clo"), "shoulder"),
-    **dict.fromkeys(("ejc", "huo"), "elbow"),
-    **dict.fromkeys(("wjc", "rao"), "wrist"),
-}
+_CENTRES = _meanings(shoulder="sjc shjc gh gjc ghjc clo", elbow="ejc huo", wrist="wjc rao")
 #: Skin markers by their short names: joint, and which of a pair ("" = alone).
 _SKIN = {
-    **dict.fromkeys(("sho", "acr", "acrom", "acromion", "ac", "sae"), ("shoulder", "")),
-    **dict.fromkeys(("elb", "lel", "lelb", "elbl", "elblat", "hle", "lep", "epl", "lelbow"), ("elbow", "a")),
-    **dict.fromkeys(("mel", "melb", "elbm", "elbmed", "hme", "mep", "epm", "melbow"), ("elbow", "b")),
-    **dict.fromkeys(("wra", "rad", "radius", "rsp", "rs", "lwrist", "wrr", "wrl", "rst"), ("wrist", "a")),
-    **dict.fromkeys(("wrb", "uln", "ulna", "usp", "us", "mwrist", "wru", "wrm", "ust"), ("wrist", "b")),
-    "fin": ("hand", ""),
+    word: (*meaning.split("_"), "")[:2]
+    for word, meaning in _meanings(
+        shoulder="sho acr acrom acromion ac sae",
+        elbow_a="elb lel lelb elbl elblat hle lep epl lelbow",
+        elbow_b="mel melb elbm elbmed hme mep epm melbow",
+        wrist_a="wra rad radius rsp rs lwrist wrr wrl rst",
+        wrist_b="wrb uln ulna usp us mwrist wru wrm ust",
+        hand="fin",
+    ).items()
 }
-_PAIR = {
-    **dict.fromkeys(("lat", "lateral", "radius", "radial", "rad", "thumb", "outer"), "a"),
-    **dict.fromkeys(("med", "medial", "ulna", "ulnar", "uln", "pinky", "inner"), "b"),
-}
+_PAIR = _meanings(a="lat lateral radius radial rad thumb outer", b="med medial ulna ulnar uln pinky inner")
 #: Parts of the body by which upright and the middle of the hips are found.
-_OTHER = {
-    **dict.fromkeys(("head", "nose", "neck", "c7", "cv7", "clav", "strn", "sternum"), "top"),
-    **dict.fromkeys(("hip", "hips", "pelvis", "midhip", "asis", "psis", "asi", "psi", "hjc"), "hip"),
-    **dict.fromkeys(("ankle", "heel", "foot", "calc", "toe", "ank", "hee", "knee", "bigtoe", "ajc"), "foot"),
-}
+_OTHER = _meanings(
+    top="head nose neck c7 cv7 clav strn sternum",
+    hip="hip hips pelvis midhip asis psis asi psi hjc",
+    foot="ankle heel foot calc toe ank hee knee bigtoe ajc",
+)
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 
@@ -199,60 +186,53 @@ def _is_part(word: str) -> bool:
 
 
 _AXES = {"x": 0, "y": 1, "z": 2, "posx": 0, "posy": 1, "posz": 2, "tx": 0, "ty": 1, "tz": 2}
-_CONFIDENCE = {
-    *("c", "conf", "confidence", "state", "tracking", "tracked", "trackingstate", "visibility", "vis", "v"),
-    *("score", "presence", "likelihood", "status", "level"),
-}
+_CONFIDENCE = set(
+    _listed(
+        "c conf confidence state tracking tracked trackingstate visibility vis v score presence likelihood"
+        " status"
+        " level"
+    )
+)
 #: Columns with one of these words are not positions.
-_ELSE = {
-    *("rot", "rotation", "orientation", "orient", "ori", "quat", "quaternion", "qx", "qy", "qz", "qw", "w"),
-    *("euler", "roll", "pitch", "yaw", "depth", "color", "colour", "screen", "pixel", "px", "image", "img"),
-    *("proj", "projected", "angle", "velocity", "vel", "acc", "speed", "residual", "reprojection", "error"),
-    *("uncertainty", "sigma", "std", "cov", "q"),
-}
+_ELSE = set(
+    _listed(
+        "rot rotation orientation orient ori quat quaternion qx qy qz qw w euler roll pitch yaw depth color"
+        " colour"
+        " screen pixel px image img proj projected angle velocity vel acc speed residual reprojection error"
+        " uncertainty sigma std cov q"
+    )
+)
 _NORMALISED = {"norm", "normalized", "normalised"}
-_BODY = (
-    *("body idx", "body id", "bodyid", "bodyidx", "body", "tracking id", "trackingid", "person", "person id"),
-    *("skeleton id", "skeletonid", "user id", "userid", "user", "player", "player id", "subject", "track id"),
-    *("body index", "body num", "pose id", "pose index", "pose idx", "id"),
+
+
+def _phrases(listed: str) -> tuple[str, ...]:
+    return tuple(phrase.strip() for phrase in listed.split(","))
+
+
+#: Names of columns in plain words (see `plain_words`), the best first.
+BODY_WORDS = _phrases(
+    "body idx, body id, bodyid, bodyidx, body, tracking id, trackingid, person, person id, skeleton id,"
+    " skeletonid, user id, userid, user, player, player id, subject, track id, body index, body num, pose id,"
+    " pose index, pose idx, id"
 )
-_TIME = (
-    *(
-        "timestamp",
-        "time stamp",
-        "timestamps",
-        "times",
-        "ts",
-        "date",
-        "time",
-        "t",
-        "seconds",
-        "device",
-        "device timestamp",
-        "relative time",
-    ),
-    *(
-        "zeit",
-        "zeitstempel",
-        "zeitpunkt",
-        "temps",
-        "horodatage",
-        "tiempo",
-        "marca de tiempo",
-        "fecha",
-        "datum",
-    ),
-    *("elapsed", "elapsed time", "datetime", "date time", "clock", "ticks", "system timestamp", "frame time"),
-    *("time in", "unix", "unix time", "unix timestamp", "epoch", "epoch time", "kinect time", "host time"),
-    *("host timestamp", "system time", "sensor time", "tick", "captured at", "capture time", "time span"),
+TIME_WORDS = _phrases(
+    "timestamp, time stamp, timestamps, times, ts, date, time, t, seconds, device, device timestamp,"
+    " relative time, zeit, zeitstempel, zeitpunkt, temps, horodatage, tiempo, marca de tiempo, fecha, datum,"
+    " elapsed, elapsed time, datetime, date time, clock, ticks, system timestamp, frame time, time in, unix,"
+    " unix time, unix timestamp, epoch, epoch time, kinect time, host time, host timestamp, system time,"
+    " sensor time, tick, captured at, capture time, time span"
 )
-_FRAME = ("frame", "frame number", "frame no", "frame index", "frame idx", "frame id", "framenumber", "index")
+FRAME_WORDS = _phrases("frame, frame number, frame no, frame index, frame idx, frame id, framenumber, index")
 _UNIT_WORDS = {
-    **dict.fromkeys(("us", "usec", "usecs", "microsecond", "microseconds", "micros"), 1e-6),
-    **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds", "millis"), 1e-3),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosecond", "nanoseconds", "nanos"), 1e-9),
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
-    **dict.fromkeys(("ticks", "100ns"), 1e-7),
+    word: float(seconds)
+    for seconds, words in (
+        ("1e-6", "us usec usecs microsecond microseconds micros"),
+        ("1e-3", "ms msec msecs millisecond milliseconds millis"),
+        ("1e-9", "ns nsec nsecs nanosecond nanoseconds nanos"),
+        ("1", "s sec secs second seconds"),
+        ("1e-7", "ticks 100ns"),
+    )
+    for word in words.split()
 }
 
 
@@ -266,9 +246,9 @@ class JointColumns:
     rest: list[tuple[JointName, tuple[int, int, int]]] = field(default_factory=list)
     # Column of the confidence or state by joint and side
     confidence: dict[str, int] = field(default_factory=dict)
-    time: int | None = None  # Columns of the time, of the frame's number, of the body's number
-    frame: int | None = None  # Columns of the time, of the frame's number, of the body's number
-    body: int | None = None  # Columns of the time, of the frame's number, of the body's number
+    time: int | None = None  # Column of the time
+    frame: int | None = None  # Column of the frame's number
+    body: int | None = None  # Column of the body's number
     time_scale: float | None = None  # Seconds in a unit of the time, where its name states it
     world: bool = False  # Columns that are named "world" were taken, beside others that are not
     normalised: bool = False  # Columns are named as normalised image coordinates
@@ -388,8 +368,8 @@ def _bookkeeping(names: Sequence[str], result: JointColumns) -> None:
     """Columns of time, frame and body, which belong to no joint."""
     used = {at for triple in result.axes.values() for at in triple}
     free = [name if at not in used else "" for at, name in enumerate(names)]
-    result.time = column_named(free, _TIME)
-    result.frame = column_named(free, _FRAME)
-    result.body = column_named(free, _BODY)
+    result.time = column_named(free, TIME_WORDS)
+    result.frame = column_named(free, FRAME_WORDS)
+    result.body = column_named(free, BODY_WORDS)
     if result.time is not None:
         result.time_scale = time_unit_of(names[result.time])

@@ -3,20 +3,71 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array_types import FloatArray, IntArray
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, JointState
-from ..markers import without_origin
-from .joint_columns import JointName
-from .protocol import SkeletonTable, shown
+from .joints import JointName, joint_name
+from .table import shown
 from .units import CAMERA_RATES, METRES, SECONDS, from_1970, unit_of_step
 
+
+@dataclass
+class ImagePoints:
+    """One body's joints in the pictures of a camera."""
+
+    width: int  # Of the pictures, pixels
+    height: int  # Of the pictures, pixels
+    joints: dict[str, FloatArray]  # dict of (F, 3)
+
+    def select(self, keep: BoolArray | IntArray) -> ImagePoints:
+        """Some of the frames."""
+        return ImagePoints(self.width, self.height, {name: rows[keep] for name, rows in self.joints.items()})
+
+
+@dataclass
+class SkeletonTable:
+    """One body's joints as a file has them, in metres, times not yet repaired."""
+
+    body: int  # The file's number of the body
+    t_s: FloatArray | None  # (F,) s: frame times as written, on the camera's clock
+    # dict of (F, 3) m: By joint and side (`wrist_left`, `shoulder_right`, ..); nan where there is none
+    position: dict[str, FloatArray]
+    state: dict[str, NDArray[np.int8]]  # int (F,): `JointState` values of the same joints
+    frame: CameraFrame | None = None  # Where the format settles the axes
+    gravity_hint: FloatArray | None = None  # (3,)
+    rate_hz: float | None = None  # Rate that the file or its format states
+    relative: bool = False  # Positions are relative to the body (about the hips)
+    units: str = ""  # As written in the file ("mm")
+    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
+    image: ImagePoints | None = None  # The same joints in the pictures, where the file has them
+
+    def __len__(self) -> int:
+        return next(map(len, self.position.values()), 0)
+
+    def select(self, keep: BoolArray | IntArray) -> SkeletonTable:
+        """Some of the frames, or all in another order."""
+        return replace(
+            self,
+            t_s=None if self.t_s is None else self.t_s[keep],
+            position={joint: values[keep] for joint, values in self.position.items()},
+            state={joint: values[keep] for joint, values in self.state.items()},
+            image=None if self.image is None else self.image.select(keep),
+        )
+
+
+def without_origin(position: FloatArray) -> FloatArray:
+    """Positions (..., 3) in which all of (0, 0, 0), as many programs write a lost marker, is nan."""
+    return np.where((position == 0).all(axis=-1, keepdims=True), np.nan, position)
+
+
+#: What positions count in where a table contains u, v and the score instead of places.
+PIXELS = "pixels"
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.
 ARM_M = (0.09, 0.6)
 #: What is larger is not a position in any unit, but a cell that was damaged.
@@ -131,20 +182,15 @@ class BodyRows:
             for joint in self.position:
                 position[joint][frame[rows]] = self.position[joint][rows]
                 state[joint][frame[rows]] = self.state[joint][rows]
-            tables.append(
-                SkeletonTable(
-                    int(number) if fits else count,
-                    None if t_s is None else t_s.copy(),
-                    position,
-                    state,
-                    pattern.frame,
-                    pattern.gravity_hint,
-                    pattern.rate_hz,
-                    pattern.relative,
-                    pattern.units,
-                    notes,
-                )
+            own = replace(
+                pattern,
+                body=int(number) if fits else count,
+                t_s=None if t_s is None else t_s.copy(),
+                position=position,
+                state=state,
+                notes=notes,
             )
+            tables.append(own)
         return tables
 
 
@@ -205,7 +251,8 @@ class RawSkeleton:
     """Numbers of a file as written, one row per frame and body."""
 
     path: Path  # The file
-    position: dict[str, FloatArray]  # dict of (N, 3): by joint and side, in the file's unit
+    # dict of (N, 3): by joint and side, in the file's unit
+    position: dict[str, FloatArray] = field(default_factory=dict)
     # int (N,): `JointState` values where the file has them
     state: dict[str, NDArray[np.int8]] = field(default_factory=dict)
     time: FloatArray | None = None  # (N,): as written
@@ -215,6 +262,18 @@ class RawSkeleton:
     rest: list[tuple[JointName, FloatArray]] = field(default_factory=list)  # (N, 3) ): hips, feet and head
     rate_hz: float | None = None  # As the file states it
     notes: list[str] = field(default_factory=list)  # What was decided in reading
+
+    def add(self, name: str, rows: FloatArray, state: NDArray[np.int8] | None = None) -> None:
+        """Put in the positions (N, 3) of a joint or marker by its name, if it is one that counts."""
+        meaning = joint_name(name)
+        if meaning is None or (meaning.joint and meaning.kind == "skin"):
+            return
+        if not meaning.joint:
+            self.rest.append((meaning, rows))
+            return
+        self.position[meaning.joint] = rows
+        if state is not None:
+            self.state[meaning.joint] = state
 
     def skeletons(self, conventions: Conventions) -> list[SkeletonTable]:
         """One skeleton a body."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ParseError, iterparse
+from xml.etree.ElementTree import ParseError, iterparse
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,11 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import crashes_in_subprocess
 from ...units import STANDARD_GRAVITY
-from ..tables.imu_checks import holds_gravity, size_notes
-from ..tables.protocol import FileFormat, FileHead, ImuTable, amount, begins, shown
+from .imu import ImuTable, holds_gravity, size_notes
+from .table import FileHead, Format, amount, begins, shown
 
 
-def read_apdm_hdf(path: Path) -> list[ImuTable]:
+def _read_apdm_hdf(path: Path) -> list[ImuTable]:
     """Each sensor one IMU: m/s^2, rad/s, time in us since 1970."""
     try:
         import h5py
@@ -42,18 +42,16 @@ def read_apdm_hdf(path: Path) -> list[ImuTable]:
         raise RecordingError(
             f"{path} has no raw sensors of an Opal; export 'raw data' as HDF5, or CSV, from the APDM program."
         )
-    for table in tables:
-        table.notes += size_notes(table)
-    return tables
+    return [_noted(table) for table in tables]
 
 
-APDM_HDF = FileFormat(
+APDM_HDF = Format(
     key="apdm-hdf5",
     title="APDM Opal HDF5",
     kind="imu",
     recognised_by="HDF5 with Sensors/<id>/Accelerometer or <id>/Calibrated/Accelerometers",
     recognises=begins(b"\x89HDF\r\n\x1a\n"),
-    read=read_apdm_hdf,
+    read=_read_apdm_hdf,
 )
 
 
@@ -119,31 +117,16 @@ def _text(value: Any) -> str:
 
 
 #: A data block: 512 bytes, little-endian (Open Movement, "AX3/AX6 technical documentation", CWA data blocks).
-_BLOCK = np.dtype(
-    [
-        ("mark", "S2"),
-        ("length", "<u2"),
-        ("fraction", "<u2"),
-        ("session", "<u4"),
-        ("sequence", "<u4"),
-        ("time", "<u4"),
-        ("light", "<u2"),
-        ("temperature", "<u2"),
-        ("events", "u1"),
-        ("battery", "u1"),
-        ("rate", "u1"),
-        ("axes", "u1"),
-        ("offset", "<i2"),
-        ("count", "<u2"),
-        ("data", "<i2", 240),
-        ("checksum", "<u2"),
-    ]
+_FIELDS = (
+    "S2 mark, <u2 length, <u2 fraction, <u4 session, <u4 sequence, <u4 time, <u2 light, <u2 temperature,"
+    " u1 events, u1 battery, u1 rate, u1 axes, <i2 offset, <u2 count, 240<i2 data, <u2 checksum"
 )
+_BLOCK = np.dtype([(name, kind) for kind, name in map(str.split, _FIELDS.split(","))])
 #: Gyroscope's range where the block states none, deg/s.
 _USUAL_RANGE = 2000.0
 
 
-def read_axivity(path: Path) -> list[ImuTable]:
+def _read_axivity(path: Path) -> list[ImuTable]:
     """Gyroscope in deg/s and accelerometer in g, 16 bits, in blocks with a time stamp each."""
     try:
         raw = path.read_bytes()
@@ -167,13 +150,13 @@ def read_axivity(path: Path) -> list[ImuTable]:
     return [_table(usable, len(data) - len(usable), cut)]
 
 
-AXIVITY = FileFormat(
+AXIVITY = Format(
     key="axivity",
     title="Axivity AX6 (CWA)",
     kind="imu",
     recognised_by="a binary header that begins with MD, and blocks that begin with AX",
     recognises=begins(b"MD\xfc\x03", b"AX\xfc\x01"),
-    read=read_axivity,
+    read=_read_axivity,
 )
 
 
@@ -233,13 +216,11 @@ def _even(t_s: FloatArray, blocks: NDArray[np.void]) -> FloatArray:
 
 def _sums(blocks: NDArray[np.void]) -> NDArray[np.uint16]:
     """Sums of each block's 16-bit words: 0 where its checksum is right."""
-    if not len(blocks):
-        return np.zeros(0, np.uint16)
     words = np.ascontiguousarray(blocks).view("<u2").reshape(len(blocks), 256)
     return words.sum(axis=1, dtype=np.uint64).astype(np.uint16)
 
 
-_VALUES = ("sensorAcceleration", "sensorAngularVelocity", "sensorMagneticField")
+_ACC, _GYRO, _MAG = "sensorAcceleration", "sensorAngularVelocity", "sensorMagneticField"
 _EXPORT = "export it again with sensor data 'acceleration' and 'angular velocity' (calibrated sensor data) on"
 
 
@@ -248,12 +229,12 @@ def _is_mvnx(head: FileHead) -> bool:
     return bool(re.match(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", head.text[:4000], re.DOTALL))
 
 
-def read_mvnx(path: Path) -> list[ImuTable]:
+def _read_mvnx(path: Path) -> list[ImuTable]:
     """Sensors of a suit, each one IMU: m/s^2 and rad/s in the sensor's axes."""
-    rows: dict[str, list[str]] = {key: [] for key in _VALUES}
+    rows: dict[str, list[str]] = {_ACC: [], _GYRO: [], _MAG: []}
     names: list[str] = []
-    times: list[str] = []
-    rate, other = None, ""
+    times: list[float] = []
+    rate, is_free = None, False
     try:
         for event, element in iterparse(path, events=("start", "end")):
             tag = element.tag.rpartition("}")[2]
@@ -262,96 +243,78 @@ def read_mvnx(path: Path) -> list[ImuTable]:
                     rate = _number(element.get("frameRate"))
                 elif tag == "sensor":
                     names.append(element.get("label", ""))
-                continue
-            if tag == "frame":
+            elif tag == "frame":
                 if element.get("type", "normal") == "normal":
-                    other = _read_frame(element, rows, times) or other
+                    times.append(_number(element.get("time")) or 0.0)
+                    for child in element:
+                        tag = child.tag.rpartition("}")[2]
+                        is_free |= tag == "sensorFreeAcceleration"
+                        if tag in rows:
+                            rows[tag].append(child.text or "")
                 element.clear()
     except ParseError as error:
         raise RecordingError(f"{path} is damaged MVNX: {shown(str(error), 80)}; export it again.") from error
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path} cannot be read as MVNX: {shown(str(error), 80)}.") from error
-    return _tables(path, names, rows, times, rate, other)
-
-
-MVNX = FileFormat(
-    key="mvnx",
-    title="Xsens MVNX",
-    kind="imu",
-    recognised_by="XML whose root is mvnx",
-    recognises=_is_mvnx,
-    read=read_mvnx,
-)
-
-
-def _read_frame(element: Element, rows: dict[str, list[str]], times: list[str]) -> str:
-    """Take a frame's sensors; the name of free acceleration where that is all there is."""
-    other = ""
-    for child in element:
-        tag = child.tag.rpartition("}")[2]
-        if tag in rows:
-            rows[tag].append(child.text or "")
-        elif tag == "sensorFreeAcceleration":
-            other = tag
-    times.append(element.get("time", ""))
-    return other
-
-
-def _tables(
-    path: Path,
-    names: list[str],
-    rows: dict[str, list[str]],
-    times: list[str],
-    rate: float | None,
-    other: str,
-) -> list[ImuTable]:
-    if not rows["sensorAcceleration"] or not rows["sensorAngularVelocity"]:
-        has = "free acceleration and orientation only" if other else "no raw sensors"
+    if not rows[_ACC] or not rows[_GYRO]:
+        has = "free acceleration and orientation only" if is_free else "no raw sensors"
         raise RecordingError(f"{path} is an {MVNX.title} that contains {has}; {_EXPORT}.")
-    values = {}
-    for key, texts in rows.items():
-        if len(texts) != len(times):
-            if key != "sensorMagneticField":
-                raise RecordingError(f"{path} has {key} in {len(texts)} of {len(times)} frames; {_EXPORT}.")
-            continue
-        values[key] = _vectors(path, key, texts)
-    acc, gyro, mag = (values.get(key) for key in _VALUES)
-    assert acc is not None and gyro is not None
+    for key in (_ACC, _GYRO):
+        if len(rows[key]) != len(times):
+            raise RecordingError(f"{path} has {key} in {len(rows[key])} of {len(times)} frames; {_EXPORT}.")
+    acc, gyro = _vectors(path, _ACC, rows[_ACC]), _vectors(path, _GYRO, rows[_GYRO])
+    mag = _vectors(path, _MAG, rows[_MAG]) if len(rows[_MAG]) == len(times) else None
     count = acc.shape[1]
     if gyro.shape[1] != count:
         raise RecordingError(f"{path} has {count} accelerometers and {gyro.shape[1]} gyroscopes; {_EXPORT}.")
     if not holds_gravity(acc.reshape(-1, 3)):
         raise RecordingError(f"{path} contains acceleration without gravity; {_EXPORT}.")
-    stamps = np.array([_number(text) or 0.0 for text in times]) * 1e-3
+    stamps = np.array(times) * 1e-3
     stamped = bool((np.diff(stamps) > 0).any())
-    tables = []
-    for at in range(count):
-        table = ImuTable(
-            name=names[at] if at < len(names) else f"sensor {at + 1}",
-            t_s=stamps.copy() if stamped else None,
-            acc=acc[:, at],
-            gyro=gyro[:, at],
-            mag=None if mag is None or mag.shape[1] != count else mag[:, at],
-            rate_hz=rate,
-            units="m/s^2, rad/s",
+    names += [f"sensor {at + 1}" for at in range(len(names), count)]
+    return [
+        _noted(
+            ImuTable(
+                names[at],
+                stamps.copy() if stamped else None,
+                acc[:, at],
+                gyro[:, at],
+                None if mag is None or mag.shape[1] != count else mag[:, at],
+                rate,
+                units="m/s^2, rad/s",
+            )
         )
-        table.notes += size_notes(table)
-        tables.append(table)
-    return tables
+        for at in range(count)
+    ]
 
 
-def _vectors(path: Path, key: str, texts: list[str]) -> np.ndarray:
+MVNX = Format(
+    key="mvnx",
+    title="Xsens MVNX",
+    kind="imu",
+    recognised_by="XML whose root is mvnx",
+    recognises=_is_mvnx,
+    read=_read_mvnx,
+)
+
+
+def _noted(table: ImuTable) -> ImuTable:
+    table.notes += size_notes(table)
+    return table
+
+
+def _vectors(path: Path, key: str, texts: list[str]) -> FloatArray:
     """Vectors of all sensors, shape (frames, sensors, 3)."""
-    lengths = {text.count(" ") for text in map(str.strip, texts)}
+    counts = {len(text.split()) for text in texts}
     try:
-        values = np.array(" ".join(texts).split(), dtype=float).reshape(len(texts), -1, 3)
+        if len(counts) == 1:
+            return np.array(" ".join(texts).split(), dtype=float).reshape(len(texts), -1, 3)
     except ValueError:
-        raise RecordingError(
-            f"{path}: {key} is not three numbers per sensor in every frame; export it again."
-        ) from None
-    if len(lengths) > 1 and len({len(text.split()) for text in texts}) > 1:
-        raise RecordingError(f"{path}: {key} has unequally many numbers in its frames; export it again.")
-    return values
+        pass
+    raise RecordingError(
+        f"{path}: {key} is not three numbers per sensor in every frame, and equally many in all; export it"
+        " again."
+    )
 
 
 def _number(text: str | None) -> float | None:

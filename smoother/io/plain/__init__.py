@@ -1,1 +1,0 @@
-"""Recordings from plain files, and tables of sensors."""

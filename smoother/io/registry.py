@@ -1,0 +1,181 @@
+"""All formats of files, which of them a file belongs to, and files read, each once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from ..errors import RecordingError, UnoccludeError
+from .tables.imu import ImuTable, MissingAxis, missing_axes, missing_axes_words
+from .tables.imu_formats import IMU_FORMATS, NAMED_IMU
+from .tables.joints import find_joint_columns
+from .tables.table import HEAD_BYTES, FileHead, Format, Tables, first_rows, no_table, read_head, shown
+
+
+@cache
+def formats() -> tuple[Format, ...]:
+    """All formats; where two recognise a file, the earlier one has it."""
+    from .tables import binary, markers, rosbag, skeleton_json, xdf
+    from .tables.skeleton_formats import JOINT_ARRAY, JOINT_ROWS, KINECT_NUMBERS, SKELETON_FORMATS
+
+    of_imus: list[Format] = []
+    #: Files that are not plain tables, listed behind a row of `IMU_FORMATS`.
+    behind = {"xsens-dot": binary.MVNX, "apdm": binary.APDM_HDF, "phyphox": binary.AXIVITY}
+    for row in IMU_FORMATS:
+        of_imus += [row, behind[row.key]] if row.key in behind else [row]
+    return (
+        *(xdf.XDF, rosbag.ROSBAG1, rosbag.MCAP),
+        *(JOINT_ARRAY, markers.C3D_SKELETON, markers.TRC_SKELETON),
+        *(skeleton_json.KINECT_JSON, skeleton_json.POSE_JSON, *SKELETON_FORMATS, JOINT_ROWS, KINECT_NUMBERS),
+        *(*of_imus, NAMED_IMU),
+    )
+
+
+def format_named(key: str) -> Format:
+    """The format of that key."""
+    found = next((each for each in formats() if each.key == key.strip().lower()), None)
+    if found is None:
+        raise RecordingError(f"{key} is not a format; formats are {keys()}.")
+    return found
+
+
+def keys() -> str:
+    """Keys of all formats, for messages."""
+    return ", ".join(each.key for each in formats())
+
+
+def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> Format | None:
+    """The format of a file by what is in it; those of the kinds first."""
+    ordered = sorted(formats(), key=lambda each: bool(kinds) and each.kind not in kinds)
+    return next((each for each in ordered if each.recognises(head)), None)
+
+
+def unknown_file(head: FileHead) -> RecordingError:
+    """The sentence about a file that no format recognises."""
+    from .tables.video import is_video
+
+    if is_video(head.raw):
+        return RecordingError(
+            f"{head.path} is a video; `unocclude import video {head.path} --model FILE.task` takes it as the"
+            " camera, and `smooth --video` shows it in the report."
+        )
+    if head.trouble:
+        return RecordingError(head.trouble)
+    if what := no_table(head.raw, head.text if len(head.raw) < HEAD_BYTES else ""):
+        return RecordingError(f"{head.path} {what}")
+    names = [name for name in head.table.names if name] if head.table is not None else []
+    why = f" (none of its columns {shown(', '.join(names), 120)} is recognised)" if names else ""
+    if missing := missing_axes(names):
+        why = f" (it has {missing_axes_words(missing)})"
+    return RecordingError(
+        f"{head.path} has an unknown format{why}; it begins with: {first_rows(head)}. Known are"
+        f" {keys()} (`unocclude import formats`); for any other table `unocclude import describe {head.path}`"
+        " prints a recording.toml."
+    )
+
+
+class FileReader:
+    """Reads files, each once."""
+
+    def __init__(
+        self,
+        imu_format: str | None = None,
+        skeleton_format: str | None = None,
+        templates: Sequence[Format] = (),
+    ) -> None:
+        self._named = {"imu": imu_format, "skeleton": skeleton_format}
+        self._templates = templates
+        self._tables: dict[tuple[Path, str], Tables] = {}
+        self._formats: dict[Path, Format | None] = {}
+
+    def format_of(self, path: Path, kind: str) -> Format:
+        """The format of a file that is to be an "imu" or a "skeleton" (or "" for either)."""
+        if (key := self._named.get(kind)) is not None:
+            return format_named(key)
+        found = self.recognised(path, (kind, "recording") if kind else ())
+        if found is None:
+            raise unknown_file(read_head(path))
+        if kind and found.kind not in (kind, "recording"):
+            other = "--skeleton" if found.kind == "skeleton" else "--imu"
+            raise RecordingError(f"{path} is recognised as {found.title}; name it with {other}.")
+        return found
+
+    def recognised(self, path: Path, kinds: tuple[str, ...] = ()) -> Format | None:
+        """The format of a file, looked for once; those of the kinds first."""
+        known = self._formats.get(path)
+        if known is None or (kinds and known.kind not in kinds):
+            head = read_head(path)
+            own = (each for each in self._templates if each.recognises(head))
+            known = self._formats[path] = next(own, None) or recognise(head, kinds)
+        return known
+
+    def read(self, path: Path, of: Format) -> Tables:
+        """All tables of a file."""
+        key = (path, of.key)
+        if key not in self._tables:
+            self._tables[key] = self._read(path, of)
+        return self._tables[key]
+
+    def forget(self, path: Path) -> None:
+        """Drop the tables of a file, which may be many."""
+        self._tables = {key: tables for key, tables in self._tables.items() if key[0] != path}
+
+    def _read(self, path: Path, of: Format) -> Tables:
+        try:
+            tables = of.read(path)
+        except RecordingError as error:
+            if missing := _missing(path, of.kind):
+                raise _lacks(path, of, missing) from error
+            # What the user names is not overruled.
+            tables = _by_names(path, of, error) if self._formats.get(path) is of else []
+            if not tables:
+                raise
+            return tables
+        except UnoccludeError:  # a package or a model that is not there is no fault of the file
+            raise
+        except Exception as error:  # a damaged file fails anywhere, in libraries too
+            raise RecordingError(
+                f"{path} was recognised as {of.title}, but is damaged ({type(error).__name__}); export or"
+                " copy it again."
+            ) from error
+        if not tables:
+            raise RecordingError(f"{path} ({of.title}) has no rows; export it again.")
+        if of not in self._templates and (missing := _missing(path, of.kind)):  # those name their columns
+            halves = [t for t in tables if isinstance(t, ImuTable) and (t.acc is None or t.gyro is None)]
+            if of.kind == "skeleton" or halves:
+                raise _lacks(path, of, missing)
+            tables[0].notes.append(f"There is {missing_axes_words(missing)}: this vector was not read.")
+        return tables
+
+
+def _by_names(path: Path, of: Format, error: RecordingError) -> list[ImuTable]:
+    """A table that its format refuses and whose columns suffice; [] where they do not."""
+    if of.kind != "imu" or of is NAMED_IMU or not NAMED_IMU.recognises(read_head(path)):
+        return []
+    try:
+        tables = NAMED_IMU.read(path)
+    except RecordingError:
+        return []
+    whole = [t for t in tables if isinstance(t, ImuTable) and t.acc is not None and t.gyro is not None]
+    for table in whole:
+        table.notes.append(f"It was read by its columns: as {of.title} it cannot be ({error})")
+    return whole
+
+
+def _missing(path: Path, kind: str) -> list[MissingAxis]:
+    """Columns of a table's sensors, or of its arms' joints, that are not there while their siblings are."""
+    table = read_head(path).table
+    if table is None:
+        return []
+    missing = missing_axes(table.names)
+    if kind == "skeleton":
+        incomplete = find_joint_columns(table.names).incomplete
+        return [each for each in missing if set(each.present) & incomplete]
+    return [each for each in missing if each.is_of_sensor]
+
+
+def _lacks(path: Path, of: Format, missing: list[MissingAxis]) -> RecordingError:
+    return RecordingError(
+        f"{path} ({of.title}) has {missing_axes_words(missing)}; export it again with all three axes."
+    )

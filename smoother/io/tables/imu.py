@@ -1,0 +1,499 @@
+"""Inertial sensors in tables: which columns are one, its units, and two halves put together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...array_types import BoolArray, FloatArray, IntArray
+from ...errors import RecordingError
+from ...linalg import interpolate, median_rate_hz
+from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
+from ...units import STANDARD_GRAVITY
+from .joints import words_of
+from .table import amount, shown
+from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
+
+Columns = tuple[int, int, int]
+
+
+@dataclass
+class ImuTable:
+    """One inertial sensor as a file has it, in SI units, times not yet repaired."""
+
+    name: str  # What the file calls the sensor ("" where it does not say)
+    t_s: FloatArray | None  # (N,) s: stamps as written, on the device's clock
+    acc: FloatArray | None  # (N, 3) m/s^2; None where the file contains only the other of the two
+    gyro: FloatArray | None  # (N, 3) rad/s; as `acc`
+    mag: FloatArray | None = None  # (N, 3): in the sensor's own unit
+    rate_hz: float | None = None  # Rate that the file states, or that its counter counts
+    counter: NDArray[np.int64] | None = None  # (N,): packet counter, where there is one
+    counter_wraps: int = 0  # 0 = it does not wrap
+    units: str = ""  # As written in the file, for the line that is said of it ("m/s^2, deg/s")
+    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
+    # The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may settle it
+    gyro_unit_assumed: bool = False
+    made_of: tuple[str, ...] = ()  # Streams of the file that contain a half each
+
+    def __len__(self) -> int:
+        return next((len(each) for each in (self.acc, self.gyro, self.t_s) if each is not None), 0)
+
+    def select(self, keep: BoolArray | IntArray) -> ImuTable:
+        """Some of the samples, or all in another order."""
+        arrays: dict[str, Any] = {
+            name: None if (rows := getattr(self, name)) is None else rows[keep]
+            for name in ("t_s", "acc", "gyro", "mag", "counter")
+        }
+        return replace(self, **arrays)
+
+
+# ------------------------------------------------------------------------- which columns are a sensor's axes
+
+#: All in lower case; English first.
+ACCELERATION_WORDS = (
+    *("acceleration", "accelerometer", "beschleunigung", "beschleunigungssensor", "aceleracion"),
+    "accelerazione",
+)
+TURNING_WORDS = (
+    *("gyroscope", "gyroskop", "drehrate", "drehgeschwindigkeit", "winkelgeschwindigkeit", "giroscopio"),
+    *("angular", "angolare", "angulaire"),
+)
+_ACC = {"acc", "accel", "accelerations", "acce", "accelero", *ACCELERATION_WORDS}
+_GYRO = {
+    *("gyr", "gyro", "gyroscopes", "angvel", "omega", "rotationrate", "gyration", "turn", "gyros", "ang"),
+    *TURNING_WORDS,
+}
+_MAG = {"mag", "magn", "magnetometer", "magnetic", "magfield"}
+_LETTERS = {"a": "acc", "g": "gyro", "w": "gyro", "m": "mag"}
+#: Words of columns that are not a raw signal of a sensor.
+_DERIVED = {
+    *("free", "linear", "lineare", "lineaire", "lineal", "linearacceleration", "linacc", "user", "gravity"),
+    *("quat", "quaternion", "euler", "orientation", "angle", "norm", "magnitude", "bias", "mat", "roll"),
+    *("pitch", "yaw"),
+}
+_NOISE = {
+    *("velocity", "rate", "field", "x", "y", "z", "channel", "ch", "cal", "calibrated", "raw", "wr", "ln"),
+    *("data", "stream", "lsl", "ms", "s", "deg", "rad", "g", "imu", "sensor", "total", "value", "values"),
+}
+
+
+@dataclass(frozen=True)
+class SensorChannels:
+    """Channels (from 0) of one sensor."""
+
+    name: str  # What the labels call it, "" where they do not
+    axes: dict[str, Columns]  # Columns of x, y, z of `acc`, `gyro`, `mag`
+
+
+def kind_of(words: Sequence[str]) -> str:
+    """What words speak of: `acc`, `gyro`, `mag`, or ""."""
+    present = set(words)
+    if present & _DERIVED or ("rotation" in present and not present & {"rate"}):
+        return ""
+    for kind, names in (("gyro", _GYRO), ("acc", _ACC), ("mag", _MAG)):
+        if present & names or (kind == "gyro" and {"rotation", "rate"} <= present):
+            return kind
+    return ""
+
+
+def kind_of_unit(unit: str) -> str:
+    """What a unit is of: `acc`, `gyro`, or "" for others."""
+    plain = plain_unit(unit)
+    return "acc" if plain in ACCELERATION else "gyro" if plain in ANGULAR_VELOCITY else ""
+
+
+def find_sensors(
+    labels: Sequence[str], types: Sequence[str] = (), stream: str = "", units: Sequence[str] = ()
+) -> list[SensorChannels]:
+    """Sensors among the channels of a stream, or the columns of a table."""
+    groups: dict[str, dict[str, dict[str, int]]] = {}
+    of_stream, count = kind_of(words_of(stream)), len(labels)
+    for at, label in enumerate(labels):
+        words, type_words = words_of(label), words_of(types[at]) if types else []
+        if set(words) & _DERIVED or set(type_words) & _DERIVED:
+            continue
+        by_unit = kind_of_unit(units[at]) if units else ""
+        kind = kind_of(words) or _of_letters(words) or kind_of(type_words) or by_unit
+        axis = next((w[-1] for w in reversed([*type_words, *words]) if _is_axis(w)), "")
+        if units:  # columns of a table may be numbered
+            axis = axis or next((w for w in reversed(words) if w in ("0", "1", "2", "3")), "")
+        if not kind and axis in ("x", "y", "z") and count in (3, 4):
+            kind = of_stream
+        if not kind and count == 3 and of_stream and not any(labels):
+            kind, axis = of_stream, "xyz"[at]
+        if kind and axis and by_unit in ("", kind):
+            by_letter = {*_LETTERS} if not kind_of(words) and _of_letters(words) else set()
+            name = " ".join(w for w in words if not _says_what(w) and w != axis and w not in by_letter)
+            groups.setdefault(name, {}).setdefault(kind, {}).setdefault(axis, at)
+    found = []
+    for name, kinds in groups.items():
+        axes = {kind: three for kind, by_axis in kinds.items() if (three := _three(by_axis)) is not None}
+        if axes.keys() & {"acc", "gyro"}:
+            found.append(SensorChannels(name, axes))
+    return found
+
+
+def _three(by_axis: dict[str, int]) -> Columns | None:
+    signs = next((signs for signs in ("xyz", "012", "123") if set(signs) <= by_axis.keys()), None)
+    return None if signs is None else (by_axis[signs[0]], by_axis[signs[1]], by_axis[signs[2]])
+
+
+def joint_label(marker: str, kind: str) -> str:
+    """A channel's label of a marker (or object) and the channel's type in the MoCap meta-data of XDF."""
+    kind = kind.lower()
+    if marker and kind.startswith("position") and kind[-1:] in "xyz":
+        return f"{marker}_{kind[-1]}"
+    return f"{marker}_{kind}" if marker and kind in ("confidence", "trackingstate") else ""
+
+
+def stem_of(name: str) -> str:
+    """A stream's name without accelerometer or gyroscope, to find what belongs together."""
+    return " ".join(word for word in words_of(name) if not _says_what(word))
+
+
+def _says_what(word: str) -> bool:
+    known = _ACC | _GYRO | _MAG | _NOISE
+    return word in known or (word[:-1] in known and word[-1:] in "xyz") or _of_letters([word]) != ""
+
+
+def _is_axis(word: str) -> bool:
+    return word[-1:] in tuple("xyz") and (len(word) == 1 or word[:-1] in _ACC | _GYRO | _MAG | {*_LETTERS})
+
+
+def _of_letters(words: Sequence[str]) -> str:
+    """Kind of `ax`, `gy`, `mz`, or of `a_x`; "" for others."""
+    pairs = [*words, *("".join(words[at : at + 2]) for at in range(len(words) - 1))]
+    return next((_LETTERS[w[0]] for w in pairs if len(w) == 2 and w[0] in _LETTERS and w[1] in "xyz"), "")
+
+
+#: The axis letter in a column's name: between signs, a capital behind a word, or the last letter.
+_AXIS = re.compile(r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])|(?<=[a-z])[XYZ](?![a-z])|(?<=[A-Za-z])[xyzXYZ]$")
+#: Of several incomplete vectors this many are named.
+_MOST = 3
+
+
+@dataclass(frozen=True)
+class MissingAxis:
+    """Two columns of a vector without the third."""
+
+    missing: str  # Name of the column that is not there, spelled as the others are
+    present: tuple[str, str]  # Names of the two that are
+
+    @property
+    def is_of_sensor(self) -> bool:
+        """Whether it is of an accelerometer or a gyroscope, or of nothing that its name says ("x-axis")."""
+        words = words_of(re.split(r"[(\[]", self.missing)[0])
+        if len(words) == 1 and len(words[0]) == 2:  # ax, gy
+            return words[0][0] in "agw"
+        words = [word for word in words if word != "rotation"]  # of a gyroscope, or beside one of its words
+        kind = kind_of([*words, *(word[:-1] for word in words if word[-1:] in "xyz")])
+        return kind in ("acc", "gyro") or set(words) <= {"x", "y", "z", "axis"}
+
+
+def missing_axes(names: Sequence[str]) -> list[MissingAxis]:
+    """Vectors among the columns of a table of which two axes are there and one is not."""
+    there = set(names)
+    found: dict[str, MissingAxis] = {}
+    for name in names:
+        for match in reversed(list(_AXIS.finditer(name))):  # the last letter that has a sibling counts
+            axes = "XYZ" if match[0].isupper() else "xyz"
+            triple = [name[: match.start()] + axis + name[match.end() :] for axis in axes]
+            present = [each for each in triple if each in there]
+            if len(present) == 2:
+                missing = next(each for each in triple if each not in there)
+                found.setdefault(missing, MissingAxis(missing, (present[0], present[1])))
+            if len(present) > 1:
+                break
+    return list(found.values())
+
+
+def missing_axes_words(missing: Sequence[MissingAxis]) -> str:
+    """What is missing, for a sentence: "no column Gyr_Z beside Gyr_X and Gyr_Y"."""
+    said = [
+        f"no column {shown(each.missing, 60)} beside {shown(' and '.join(each.present), 120)}"
+        for each in missing[:_MOST]
+    ]
+    more = f" (and {len(missing) - _MOST} more like it)" if len(missing) > _MOST else ""
+    return " and ".join(said) + more
+
+
+# ------------------------------------------------------------------------------------------------- the units
+
+#: A median below this part of gravity has no gravity, and above the other is none in m/s^2.
+_NO_GRAVITY, _MOST_GRAVITY = 0.35, 2.0
+#: A median between these parts of gravity is gravity.
+_GRAVITY = (0.6, 1.7)
+#: The fastest gyroscopes measure 4000 deg/s; more in one sample of a hundred is another unit, rad/s.
+_FASTEST = 70.0
+#: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
+_FAST = 40.0
+#: Rotation is compared with gravity's over this time, s.
+_OVER_S = 0.4
+#: A unit is wrong by 57.3 where the scale lies beyond this factor; fast motion lowers it to 0.2.
+WRONG_SCALE = 7.5
+#: The comparison counts from this correlation on.
+_CLEAR = 0.5
+
+
+def usual_size(values: FloatArray) -> float:
+    """Median length of vectors (n, 3); 0 where there are none."""
+    size = np.linalg.norm(values, axis=1)
+    return float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+
+
+def gravity_unit(size: float, low: float = 0.7, high: float = 1.4) -> str:
+    """The unit in which a size is about gravity; "" where in none."""
+    sizes = {"m/s^2": STANDARD_GRAVITY, "g": 1.0, "mg": 1000.0}
+    return next((unit for unit, one in sizes.items() if low < size / one < high), "")
+
+
+def acceleration_unit(values: FloatArray) -> str:
+    """Unit of an accelerometer (n, 3) that states none, by gravity in it; "" where it shows none."""
+    size = usual_size(values)
+    in_si = _NO_GRAVITY < size / STANDARD_GRAVITY < _MOST_GRAVITY
+    return gravity_unit(size) or ("m/s^2" if in_si else "")
+
+
+def turning_unit(
+    gyro: FloatArray, acc: FloatArray | None = None, t_s: FloatArray | None = None, rate: float | None = None
+) -> tuple[str, str]:
+    """Unit of a gyroscope (n, 3) that states none, and why; it is by its size alone where that is ""."""
+    if unit := _unit_by_resolution(gyro):
+        return unit, "its smallest step is that of a 16-bit sensor in this unit"
+    scale = turn_scale(ImuTable("", t_s, acc, gyro, rate_hz=rate))
+    if scale is not None:
+        return (
+            "deg/s" if scale < 1 / WRONG_SCALE else "rad/s"
+        ), "it then rotates as gravity does in the accelerometer"
+    finite = np.abs(gyro[np.isfinite(gyro)])
+    return ("deg/s" if len(finite) and float(np.percentile(finite, 99)) > _FAST else "rad/s"), ""
+
+
+def _unit_by_resolution(gyro: FloatArray) -> str:
+    """The unit in which the smallest step of the values is a common range's 16-bit step; "" where in none."""
+    steps = np.diff(np.unique(gyro[np.isfinite(gyro).all(axis=1)].ravel()))
+    steps = steps[steps > 1e-7 * max(float(np.nanmax(np.abs(gyro), initial=0.0)), 1e-9)]
+    if len(steps) < 10:
+        return ""
+    smallest = float(np.quantile(steps, 0.1))
+    if not np.mean(np.abs(steps / smallest - np.rint(steps / smallest)) < 0.02) > 0.9:
+        return ""  # no grid: calibrated or filtered values
+    for unit, per_degree in (("deg/s", 1.0), ("rad/s", np.pi / 180)):
+        for most in (125, 250, 500, 1000, 2000, 4000):
+            if abs(smallest / (most / 32768 * per_degree) - 1) < 0.01:
+                return unit
+    return ""
+
+
+def size_notes(table: ImuTable) -> list[str]:
+    """Sentences on values that do not fit the unit they are in; none where all is well."""
+    return [*(_gravity_notes(table.acc) if table.acc is not None else []), *turn_notes(table)]
+
+
+def _gravity_notes(acc: FloatArray) -> list[str]:
+    median = usual_size(acc)
+    if not np.isfinite(acc).all(axis=1).any() or _GRAVITY[0] < median / STANDARD_GRAVITY < _GRAVITY[1]:
+        return []
+    if _GRAVITY[0] < median < _GRAVITY[1]:
+        return ["The accelerometer's usual size is 1, not 9.81 m/s^2: it is probably in g; check the export."]
+    what = (
+        f"{median:.2g} m/s^2: it has no gravity; export raw acceleration."
+        if median < _NO_GRAVITY * STANDARD_GRAVITY
+        else f"{median:.3g} m/s^2, not 9.81; check its unit and calibration."
+    )
+    return [f"The accelerometer's usual size is {what}"]
+
+
+def turn_notes(table: ImuTable) -> list[str]:
+    """A sentence where the gyroscope does not turn as gravity does in its sensor, by 57.3; else none."""
+    if table.gyro is None or not np.isfinite(table.gyro).any():
+        return []
+    fast = float(np.nanpercentile(np.abs(table.gyro), 99))
+    scale = turn_scale(table)
+    if fast > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
+        how, stated, probable = "larger", "rad/s", "deg/s"
+    elif scale is not None and scale > WRONG_SCALE:
+        how, stated, probable = "smaller", "deg/s", "rad/s"
+    else:
+        return []
+    return [
+        f"The gyroscope is some 57 times {how} than the accelerometer turns with it: the file's {stated} are"
+        f" probably {probable}; check the export."
+    ]
+
+
+def with_settled_unit(table: ImuTable) -> ImuTable:
+    """An IMU whose gyroscope's unit, where it was assumed, is the one in which gravity turns with it."""
+    scale = turn_scale(table) if table.gyro_unit_assumed else None
+    if scale is None or table.gyro is None or 1 / WRONG_SCALE < scale < WRONG_SCALE:
+        return table
+    unit, other, factor = ("deg/s", "rad/s", np.pi / 180) if scale < 1 else ("rad/s", "deg/s", 180 / np.pi)
+    said = f"The accelerometer turns with the gyroscope only if that is in {unit}, so that unit counts."
+    return replace(
+        table,
+        gyro=table.gyro * factor,
+        units=table.units.replace(other, unit),
+        notes=[*table.notes, said],
+        gyro_unit_assumed=False,
+    )
+
+
+def holds_gravity(acc: FloatArray) -> bool:
+    """Whether accelerations (n, 3) in m/s^2 can be specific force: most are not near zero."""
+    return usual_size(acc) > _NO_GRAVITY * STANDARD_GRAVITY
+
+
+def turn_scale(table: ImuTable) -> float | None:
+    """How much faster gravity turns in the sensor's axes than its gyroscope says."""
+    rate = _rate(table)
+    if table.acc is None or table.gyro is None or rate is None:
+        return None
+    width = max(round(_OVER_S * rate), 2)
+    finite = np.isfinite(table.acc).all(axis=1) & np.isfinite(table.gyro).all(axis=1)
+    acc, gyro = table.acc[finite], table.gyro[finite]
+    count = len(acc) // width
+    if len(acc) < 8 * width:
+        return None
+    acc, gyro = (each[: count * width].reshape(count, width, 3).mean(axis=1) for each in (acc, gyro))
+    turned = np.cross(acc[1:-1], gyro[1:-1])
+    changed = (acc[2:] - acc[:-2]) / (2 * width / rate)
+    power, common = float((turned**2).sum()), float((turned * changed).sum())
+    both = np.sqrt(power * float((changed**2).sum()))
+    return common / power if both > 0 and common / both > _CLEAR else None
+
+
+def _rate(table: ImuTable) -> float | None:
+    if table.rate_hz:
+        return table.rate_hz
+    if table.t_s is None or len(table.t_s) < 10:
+        return None
+    dt = np.diff(table.t_s)
+    dt = dt[np.isfinite(dt) & (dt > 0)]
+    if not len(dt):
+        return None
+    # Repeated stamps are samples too, pauses are short ones.
+    rate = len(table.t_s) / float(np.minimum(dt, 10 * np.median(dt)).sum())
+    return rate if 1 < rate < 1e5 else None
+
+
+# --------------------------------------------------------------------------------- two halves put together
+
+#: How a note on what was not taken begins.
+UNUSED = "Not used:"
+
+
+def with_halves_joined(
+    tables: Sequence[ImuTable], source: str
+) -> tuple[list[ImuTable], list[ImuTable], list[str]]:
+    """IMUs of halves whose names differ in the sensor alone; the halves left over, and why."""
+    joined: list[ImuTable] = []
+    alone: list[ImuTable] = []
+    stems = [" ".join(word for word in stem_of(table.name).split() if word != "linear") for table in tables]
+    for stem in dict.fromkeys(stems):
+        mine = [table for table, each in zip(tables, stems, strict=True) if each == stem]
+        acc, gyro = ([t for t in mine if getattr(t, part) is not None] for part in ("acc", "gyro"))
+        if len(acc) == len(gyro) == 1:
+            table = paired(mine, source)
+            table.notes.insert(0, f"{acc[0].name} and {gyro[0].name} were taken as one IMU.")
+            table.made_of = acc[0].name, gyro[0].name
+            joined.append(table)
+        else:
+            alone += mine
+    only = ["an accelerometer" if table.acc is not None else "a gyroscope" for table in alone]
+    why = [f"{t.name} is {what} alone, and both are needed" for t, what in zip(alone, only, strict=True)]
+    return joined, alone, why
+
+
+def paired(tables: list[ImuTable], source: str) -> ImuTable:
+    """One IMU of tables that each contain a part of it, on the gyroscope's times."""
+    if len(tables) == 1 and tables[0].acc is not None and tables[0].gyro is not None:
+        return tables[0]
+    acc, gyro = (_only(tables, part, name, source) for part, name in _PARTS)
+    if acc is gyro:
+        raise RecordingError(f"{source}: one file contains the whole sensor already; name it alone.")
+    assert acc.t_s is not None and gyro.t_s is not None and acc.acc is not None
+    first, last = max(acc.t_s[0], gyro.t_s[0]), min(acc.t_s[-1], gyro.t_s[-1])
+    if not last > first:
+        raise RecordingError(
+            f"{source}: accelerometer and gyroscope do not overlap in time, they are {first - last:.1f} s"
+            " apart; export both from the same recording."
+        )
+    at = gyro.t_s
+    keep = (at >= first) & (at <= last) & ~_in_a_pause(acc.t_s, at)
+    if keep.sum() < 2:
+        raise RecordingError(
+            f"{source}: accelerometer and gyroscope share too few samples; export both from the same"
+            " recording."
+        )
+    mag = next((t for t in tables if t.mag is not None and t.t_s is not None), None)
+    notes = [note for table in tables for note in table.notes]
+    notes.append(
+        f"The accelerometer ({median_rate_hz(acc.t_s):.1f} Hz) was interpolated to the gyroscope's times"
+        f" ({median_rate_hz(at):.1f} Hz)."
+    )
+    if not keep.all():
+        count = int((~keep).sum())
+        samples = amount(
+            count,
+            "sample of the gyroscope has no accelerometer and was",
+            "samples of the gyroscope have no accelerometer and were",
+        )
+        notes.append(f"{samples} left out.")
+    table = replace(
+        gyro,
+        name=gyro.name or acc.name,
+        t_s=at[keep],
+        acc=interpolate(acc.t_s, acc.acc, at[keep]),
+        gyro=None if gyro.gyro is None else gyro.gyro[keep],
+        mag=None if mag is None else _at(mag.t_s, mag.mag, at[keep]),
+        counter=None,
+        units=", ".join(dict.fromkeys(unit for unit in (acc.units, gyro.units) if unit)),
+        notes=notes,
+    )
+    table = with_settled_unit(table)
+    table.notes.extend(note for note in turn_notes(table) if note not in table.notes)
+    return table
+
+
+_PARTS = (("acc", "accelerometer"), ("gyro", "gyroscope"))
+
+
+def _only(tables: list[ImuTable], part: str, name: str, source: str) -> ImuTable:
+    having = [table for table in tables if getattr(table, part) is not None]
+    if len(having) == 1:
+        return having[0]
+    if not having:
+        said = dict.fromkeys(note for table in tables for note in table.notes if note.startswith(UNUSED))
+        unused = f" ({' '.join(said).rstrip('.')})" if said else ""
+        raise RecordingError(
+            f"{source} has no {name} that is recognised{unused}; export it as well and name both files:"
+            " --imu forearm_right=acc.csv,gyro.csv."
+        )
+    names = ", ".join(table.name for table in having)
+    one = f"{source}#{_first(tables, 'acc')},#{_first(tables, 'gyro')}"
+    command = f": --imu forearm_right={one}" if ", " not in source else ""
+    raise RecordingError(
+        f"{source} has {len(having)} {name}s ({names}); name one accelerometer and one gyroscope{command}."
+    )
+
+
+def _first(tables: list[ImuTable], part: str) -> str:
+    return next((table.name for table in tables if getattr(table, part) is not None), "")
+
+
+def _in_a_pause(t_s: FloatArray, at: FloatArray) -> BoolArray:
+    """Times (M,) that are in a pause of samples at `t_s` (N,)."""
+    dt = np.diff(t_s)
+    pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
+    row = np.clip(np.searchsorted(t_s, at, side="right") - 1, 0, max(len(dt) - 1, 0))
+    exact = at == t_s[np.clip(np.searchsorted(t_s, at), 0, len(t_s) - 1)]
+    return np.asarray((dt[row] > pause_s) & ~exact if len(dt) else np.zeros(len(at), bool))
+
+
+def _at(t_s: FloatArray | None, values: FloatArray | None, at: FloatArray) -> FloatArray | None:
+    return None if t_s is None or values is None else interpolate(t_s, values, at)

@@ -1,0 +1,572 @@
+"""A recording from plain files: a folder with `recording.toml` and the tables that it names.
+
+A template describes one layout of a laboratory's own tables, with the keys of recording.toml, and recognises
+it by the table's columns:
+
+    [template]
+    title = "Our wrist sensor"
+    names = ["Zeit", "aX", "aY", "aZ", "wX", "wY", "wZ"]   # the header; [] with width = 7 where there is none
+    [imu]                       # or [camera]
+    time_unit = "ms"
+    accelerometer_unit = "g"
+    gyroscope_unit = "deg/s"
+    [imu.columns]
+    t = "Zeit"
+    ax = "aX"
+"""
+
+from __future__ import annotations
+
+import codecs
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, Unpack
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from ...array_types import FloatArray, IntArray
+from ...errors import RecordingError
+from ...linalg import unit
+from ...measurements.timestamps import begins_frames, clock_resets, resets_message, strayed
+from ...recording import JointState, Recording
+from ...runtime.inputs import check_input, inside, marked_encoding, read_toml
+from ..files import add_imu, add_skeleton, rate_note, times_of
+from ..mcap.messages import nanoseconds
+from ..recording.camera_streams import CAMERA_TOPIC
+from ..recording.choose import Selection
+from ..recording.decode import JointRows, frames_of, joint_code
+from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
+from ..recording.read import select_recording
+from ..recording.streams import (
+    ArmFrames,
+    CameraStream,
+    ImuSamples,
+    KnownLens,
+    PoseSamples,
+    RecordingFile,
+    TopicInfo,
+)
+from ..registry import FileReader, recognise
+from .columns import (
+    LAYOUT_KEYS,
+    STATES,
+    CameraKeys,
+    ImuKeys,
+    TableKeys,
+    exact_imu,
+    read_exact,
+    read_imu_columns,
+    read_keypoint_columns,
+    read_skeleton_columns,
+    stacked,
+)
+from .imu import ImuTable, paired
+from .skeletons import SkeletonTable
+from .table import HEAD_BYTES, FileHead, Format, Tables, is_data, read_head, shown
+from .times import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
+from .units import ACCELERATION, ANGULAR_VELOCITY, METRES
+
+_LAST_S = 9.2e9  # beyond it, nanoseconds do not fit into 64 bits
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class _Truth(_Strict):
+    file: str
+
+
+class _Description(_Strict):
+    camera: CameraKeys | None = None
+    cameras: dict[str, CameraKeys] = Field(default_factory=dict)
+    imu: Annotated[dict[str, ImuKeys], Field(min_length=1)]
+    truth: _Truth | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _cameras_apart(cls, values: Any) -> Any:
+        """`[camera.NAME]` are further cameras; without a `[camera]` of its own the first of them is it."""
+        camera = values.get("camera") if isinstance(values, dict) else None
+        if not isinstance(camera, dict):
+            return values
+        own = {key: each for key, each in camera.items() if key in CameraKeys.model_fields}
+        named = {key: each for key, each in camera.items() if key not in own and isinstance(each, dict)}
+        own |= {key: each for key, each in camera.items() if key not in named and key not in own}
+        if not own and named:
+            own = named.pop(next(iter(named)))
+        rest = {key: each for key, each in values.items() if key != "cameras"}
+        return {**rest, "camera": own, "cameras": named}
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def _checked(path: Path, model: type[Model], values: dict[str, Any], section: str = "") -> Model:
+    """Values of a TOML file as a model's; what is wrong is one sentence."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = section + ".".join(str(part) for part in first["loc"])
+        what = {"extra_forbidden": "is not known here", "missing": "is missing"}.get(
+            first["type"],
+            f"is {shown(repr(first['input']), 60)}, but: {first['msg'][:1].lower()}{first['msg'][1:]}",
+        )
+        raise RecordingError(f"{path}: {where} {what}; correct it.") from error
+
+
+def _toml(path: Path, lacks: str) -> dict[str, Any]:
+    """What a TOML file contains; `lacks` goes on behind the name of one that does not exist."""
+    check_input(path, RecordingError)
+    try:
+        return read_toml(path)
+    except FileNotFoundError:
+        raise RecordingError(f"{path} does not exist{lacks}") from None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:  # also a number of thousands of digits
+        raise RecordingError(f"{path} is not readable TOML: {error}.") from error
+
+
+# ------------------------------------------------------------------------------------------------ templates
+
+
+class _About(_Strict):
+    title: str = ""
+    names: list[str] = []
+    width: int | None = None
+
+
+class _Written(_Strict):
+    template: _About
+    imu: dict[str, Any] | None = None
+    camera: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class TableTemplate(Format):
+    """The format of one layout, as a template describes it."""
+
+    path: Path  # The template
+    keys: dict[str, Any]  # Of recording.toml's section, without the file
+
+
+def read_templates(paths: Sequence[Path]) -> list[TableTemplate]:
+    """The templates of files."""
+    return [_template(path) for path in paths]
+
+
+def _template(path: Path) -> TableTemplate:
+    written = _checked(path, _Written, _toml(path, "; check the name."))
+    if (written.imu is None) == (written.camera is None):
+        raise RecordingError(f"{path}: a template describes one table: give [imu] or [camera].")
+    keys = written.camera if written.imu is None else written.imu
+    assert keys is not None
+    about, names = written.template, tuple(written.template.names)
+    width = len(names) if about.width is None else about.width
+    if width < 1 or (names and width != len(names)):
+        raise RecordingError(f"{path}: [template] names lists the table's columns, or width counts them.")
+
+    def imu_keys(file: str) -> ImuKeys:
+        return _checked(path, ImuKeys, {**keys, "file": file}, "imu.")
+
+    def camera_keys(file: str) -> CameraKeys:
+        return _checked(path, CameraKeys, {**keys, "skeleton": file}, "camera.")
+
+    def recognises(head: FileHead) -> bool:
+        return head.table is not None and head.table.names == names and head.table.width == width
+
+    def read(file: Path) -> Tables:
+        if written.imu is not None:
+            return read_imu_columns(file.parent, imu_keys(file.name))
+        return read_skeleton_columns(file, camera_keys(file.name))
+
+    imu_keys("") if written.imu is not None else camera_keys("")  # refused now rather than at the first file
+    return TableTemplate(
+        f"template:{path.stem}",
+        about.title or path.stem,
+        "skeleton" if written.imu is None else "imu",
+        f"the columns {shown(', '.join(names), 120)}" if names else f"{width} columns",
+        recognises,
+        read,
+        path,
+        keys,
+    )
+
+
+Keys = TypeVar("Keys", ImuKeys, CameraKeys)
+
+
+def _with_template(keys: Keys, folder: Path, templates: Sequence[TableTemplate]) -> Keys:
+    """A section of recording.toml without its table's columns, with a template for that table."""
+    kind, name = ("imu", keys.file) if isinstance(keys, ImuKeys) else ("skeleton", keys.skeleton)
+    if not templates or not isinstance(name, str) or not keys.is_plain:
+        return keys
+    head = read_head(folder / name)
+    own = next((each for each in templates if each.kind == kind and each.recognises(head)), None)
+    if own is None:
+        return keys
+    section = "imu." if kind == "imu" else "camera."
+    return _checked(own.path, type(keys), {**own.keys, **keys.model_dump(exclude_unset=True)}, section)
+
+
+def template_text(
+    title: str, kind: str, names: Sequence[str], width: int, columns: dict[str, Any], keys: dict[str, Any]
+) -> str:
+    """A template's file."""
+    import tomlkit
+
+    section = "imu" if kind == "imu" else "camera"
+    about = {"title": title, "names": list(names), "width": width}
+    return tomlkit.dumps({"template": about, section: {**keys, "columns": columns}})
+
+
+# ----------------------------------------------------------------------------------------------- the folder
+
+
+def import_csv(
+    folder: str | os.PathLike[str], *, prefer_side: str | None = None, **selection: Unpack[Selection]
+) -> Recording:
+    """Read one arm from a folder of plain files; options and errors as in `read_recording`."""
+    return select_recording(open_csv(folder), prefer_side=prefer_side, **selection)
+
+
+def open_csv(
+    folder: str | os.PathLike[str], *, outside: bool = False, templates: Sequence[TableTemplate] = ()
+) -> RecordingFile:
+    """Read all streams of a folder of plain files, for `write_recording` or `select_recording`."""
+    folder = Path(folder)
+    if folder.name == "recording.toml" and folder.is_file():  # as shells complete it
+        folder = folder.parent
+    description = read_description(folder)
+    _check_places(folder, description, outside)
+    imus = {name: _with_template(keys, folder, templates) for name, keys in description.imu.items()}
+    camera = description.camera and _with_template(description.camera, folder, templates)
+    file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
+    if camera is not None and camera.gravity is not None:
+        file.gravity_hint = _down(camera.gravity, folder, "camera")
+    if camera is not None and _is_plain_camera(camera, folder):
+        _plain_skeleton(file, folder / str(camera.skeleton), METRES[camera.position_unit])
+        camera = None
+    for name, keys in list(imus.items()):
+        if keys.is_plain and _is_plain_text(folder / str(keys.file)):
+            _plain_imu(file, folder / str(keys.file), name, keys)
+            del imus[name]
+    _add_columns(file, folder, camera, imus)
+    for name, further in description.cameras.items():
+        _add_camera(file, folder, name, further)
+    if description.truth is not None:
+        file.poses.append(read_pose_table(folder / description.truth.file))
+    for topic, schema, stamp in [
+        *((i.topic, "unocclude.Imu", i.stamp_ns) for i in file.imus),
+        *((topic, _schema(arm), arm.stamp_ns) for topic, arm in {a.topic: a for a in file.arms}.items()),
+        *((p.topic, "foxglove.PoseInFrame", p.stamp_ns) for p in file.poses),
+    ]:
+        file.topics.append(TopicInfo(topic, schema, "csv", len(stamp), int(stamp.min()), int(stamp.max())))
+    return file
+
+
+def read_description(folder: Path) -> _Description:
+    """What a folder's recording.toml states."""
+    path = folder / "recording.toml"
+    there = "the folder does not exist" if not folder.is_dir() else "it describes the files of a recording"
+    lacks = f" ({there}); `unocclude import csv --help` shows one."
+    return _checked(path, _Description, _toml(path, lacks))
+
+
+def _schema(arm: ArmFrames) -> str:
+    return "unocclude.Skeleton" if arm.lens is None else "unocclude.Keypoints2D"
+
+
+def _check_places(folder: Path, description: _Description, outside: bool) -> None:
+    """Refuse files elsewhere, and what is not a file."""
+    toml = folder / "recording.toml"
+    cameras = [each for each in (description.camera, *description.cameras.values()) if each is not None]
+    names = [camera.file for camera in cameras if camera.file is not None]
+    for section in description.imu.values():
+        names += [section.file] if isinstance(section.file, str) else section.file
+    names += [] if description.truth is None else [description.truth.file]
+    for name in names:
+        if "\0" in name:
+            raise RecordingError(f"{toml} names {shown(repr(name), 60)}, which is not a file's name.")
+        if not outside and inside(folder, name) is None:
+            raise RecordingError(
+                f"{toml} names {shown(name, 120)}, which lies outside its folder; copy it into the folder, or"
+                " give --outside if you trust the recording."
+            )
+        check_input(folder / name, RecordingError)
+
+
+def _down(gravity: list[float], folder: Path, section: str) -> FloatArray:
+    """The direction of down that a section of recording.toml states."""
+    direction = unit(np.array(gravity))
+    if not (np.isfinite(gravity).all() and abs(np.linalg.norm(direction) - 1) < 1e-6):
+        raise RecordingError(
+            f"{folder / 'recording.toml'}: [{section}] gravity is zero or no numbers; give the direction of"
+            " down."
+        )
+    return np.asarray(direction)
+
+
+def _add_camera(file: RecordingFile, folder: Path, name: str, keys: CameraKeys) -> None:
+    """A further camera's skeleton, on its own clock and in its own frame."""
+    toml, section = folder / "recording.toml", f"camera.{name}"
+    if keys.file is None:
+        raise RecordingError(
+            f"{toml}: [{section}] names no skeleton; give skeleton = a file, or keypoints = a file and"
+            " intrinsics."
+        )
+    if not name or any(mark in name for mark in "/\\ "):
+        raise RecordingError(
+            f"{toml}: [camera.{shown(name, 40)}] is not a camera's name; use letters and digits."
+        )
+    path, topic = folder / keys.file, f"{CAMERA_TOPIC}{name}"
+    hint = None if keys.gravity is None else _down(keys.gravity, folder, section)
+    if _is_plain_camera(keys, folder):
+        _plain_skeleton(file, path, METRES[keys.position_unit], topic, name)
+    else:
+        known = _known_lens(keys, folder, section)
+        if known is not None:
+            topic = NAMED_TOPIC.format(name)
+            file.lenses[topic] = known
+        add_skeleton(file, _bodies(file, path, keys), str(folder), topic, 0.0, name, known)
+    file.cameras[topic] = CameraStream(name, keys.frame, hint)
+
+
+def _add_columns(
+    file: RecordingFile, folder: Path, camera: CameraKeys | None, imus: dict[str, ImuKeys]
+) -> None:
+    """Tables of other layouts, their times corrected, on one clock with the rest."""
+    if camera is None and not imus:
+        return
+    bodies: list[SkeletonTable] = []
+    if camera is not None and camera.file is not None:  # IMUs alone can still be calibrated
+        bodies = _bodies(file, folder / camera.file, camera)
+    sensors = {}
+    for name, keys in imus.items():
+        source = f"[imu.{name}] of {folder / 'recording.toml'}"
+        sensors[name] = paired([repaired_imu(each, source) for each in _sensors(folder, name, keys)], source)
+        file.notes += [f"imu.{name}: {note}" for note in sensors[name].notes]
+    streams = [Timed(arm.topic, arm.stamp_ns / 1e9, False) for arm in file.arms[:1]]
+    streams += [Timed(table.units, times_of(table), False) for table in bodies]
+    streams += [Timed(imu.topic, imu.stamp_ns / 1e9, True) for imu in file.imus]
+    streams += [Timed(f"imu.{name}", times_of(table), True) for name, table in sensors.items()]
+    shift, sentences = shifts(streams)
+    file.notes += sentences
+    own_starts = count_from_zero(streams) and not of_one_length(streams)
+    if own_starts:
+        file.notes.append(
+            "Camera and IMU both count from about zero and differ in length, so only the motion shows their"
+            " offset and whether they belong together."
+        )
+    # what is counted at a rate has no clock at all
+    counted = any(keys.rate_hz is not None for keys in (*imus.values(), *([camera] if camera else [])))
+    file.clocks_unrelated = bool(sentences) or own_starts or counted
+    moved = iter(shift)
+    if file.arms:
+        shift_ns = round(next(moved) * 1e9)
+        for arm in file.arms:
+            arm.stamp_ns = arm.stamp_ns + shift_ns
+    skeleton_shift = [next(moved) for _ in bodies]
+    for imu in file.imus:
+        imu.stamp_ns = imu.stamp_ns + round(next(moved) * 1e9)
+    if camera is not None and bodies:
+        known = _known_lens(camera, folder, "camera")
+        if known is not None:
+            file.lenses[TOPIC] = known
+        topic = "/skeleton" if known is None else TOPIC
+        add_skeleton(file, bodies, str(folder), topic, skeleton_shift[0], known=known)
+    for name, table in sensors.items():
+        add_imu(file, f"/imu/{name}", table, str(folder), next(moved))
+
+
+def _sensors(folder: Path, name: str, keys: ImuKeys) -> list[ImuTable]:
+    """The tables of a section, whose units count for files of other kinds as well."""
+    files = [folder / file for file in ([keys.file] if isinstance(keys.file, str) else keys.file)]
+    if not any(map(_is_container, files)):
+        return read_imu_columns(folder, keys)
+    parts: list[ImuTable] = []
+    for path in files:
+        tables = [table for table in _contained(path, "imu", keys) if isinstance(table, ImuTable)]
+        named = [table for table in tables if name == table.name.rpartition("/")[2]]
+        if len(tables) > 1 and len(named) != 1:
+            listed = ", ".join(table.name for table in tables)
+            raise RecordingError(
+                f"{path} contains {len(tables)} sensors ({listed}); take one with `unocclude import files"
+                f" --imu {name}={path}#{tables[0].name}`."
+            )
+        parts += named if len(tables) > 1 else tables
+    for table in parts:
+        units = table.units.split(", ")
+        if table.acc is not None and "accelerometer_unit" in keys.model_fields_set:
+            table.acc = table.acc * (ACCELERATION[keys.accelerometer_unit] / ACCELERATION[units[0]])
+        if table.gyro is not None and "gyroscope_unit" in keys.model_fields_set:
+            table.gyro = table.gyro * (ANGULAR_VELOCITY[keys.gyroscope_unit] / ANGULAR_VELOCITY[units[-1]])
+    return parts
+
+
+def _bodies(file: RecordingFile, path: Path, keys: CameraKeys) -> list[SkeletonTable]:
+    """The bodies of a section's file with corrected times, in metres; of keypoints u, v and score."""
+    if keys.keypoints is not None:
+        tables = read_keypoint_columns(path, keys)
+    elif not _is_container(path):
+        tables = read_skeleton_columns(path, keys)
+    else:
+        tables = [table for table in _contained(path, "skeleton", keys) if isinstance(table, SkeletonTable)]
+        if not tables:
+            raise RecordingError(f"{path} has no skeleton; name the camera's file.")
+        for table in tables:
+            if "position_unit" in keys.model_fields_set:
+                factor = METRES[keys.position_unit] / METRES.get(table.units, 1.0)
+                table.position = {joint: place * factor for joint, place in table.position.items()}
+            table.frame = keys.frame
+    tables = [repaired_skeleton(table, str(path)) for table in tables]
+    file.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
+    return tables
+
+
+def _known_lens(keys: CameraKeys, folder: Path, section: str) -> KnownLens | None:
+    """The lens of a section with keypoints."""
+    if keys.keypoints is None:
+        return None
+    try:
+        return KnownLens(lens_from_plain(keys.intrinsics or {}))
+    except (ValueError, TypeError, KeyError) as error:
+        raise RecordingError(
+            f"{folder / 'recording.toml'}: [{section}] intrinsics are not whole ({error}); keypoints need"
+            " intrinsics = {width, height, fx, fy, cx, cy [, k1, k2, p1, p2, k3]}."
+        ) from error
+
+
+def _is_container(path: Path) -> bool:
+    """Whether a file is binary and of a known format."""
+    return path.is_file() and not (head := read_head(path)).text and recognise(head) is not None
+
+
+def _contained(path: Path, kind: str, keys: TableKeys) -> Tables:
+    reader = FileReader()
+    of = reader.format_of(path, kind)
+    if layout := keys.model_fields_set & LAYOUT_KEYS:
+        raise RecordingError(f"{path} is no table ({of.title}); leave out {', '.join(sorted(layout))}.")
+    return reader.read(path, of)
+
+
+# ------------------------------------------------------------------------- tables with this program's columns
+
+
+def _is_plain_camera(keys: CameraKeys, folder: Path) -> bool:
+    return keys.is_plain and keys.skeleton is not None and _is_plain_text(folder / keys.skeleton)
+
+
+def _is_plain_text(path: Path) -> bool:
+    """Whether a file begins with UTF-8 and rows right below the names, as this program writes tables."""
+    if not path.is_file():
+        return True  # what is missing is said where it is read
+    with path.open("rb") as file:
+        raw = file.read(HEAD_BYTES)
+    if marked_encoding(raw) not in (None, "utf-8-sig") or b"\0" in raw:
+        return False
+    try:
+        text = codecs.getincrementaldecoder("utf-8")().decode(raw)
+    except UnicodeDecodeError:
+        return False
+    lines = [line for line in text.splitlines() if line.strip()]
+    below = lines[1].split(",") if len(lines) > 2 else []
+    return len(below) < 2 or not any(below) or any(is_data(cell.strip()) for cell in below)
+
+
+def _plain_imu(file: RecordingFile, path: Path, name: str, keys: ImuKeys) -> None:
+    t_s, acc, gyro, mag = exact_imu(path)
+    times, strays = strayed(t_s, "samples")
+    file.notes += [f"{path.name}: {note}" for note in strays]
+    there = np.isfinite(times)
+    acc, gyro, mag = acc[there], gyro[there], None if mag is None else mag[there]
+    t_s, steps = clock_resets(times[there], acc)
+    if steps:
+        file.notes.append(f"{path.name}: {resets_message(steps, 'samples')}")
+    acc, gyro = acc * ACCELERATION[keys.accelerometer_unit], gyro * ANGULAR_VELOCITY[keys.gyroscope_unit]
+    file.imus.append(ImuSamples(f"/imu/{name}", name, _stamps(t_s, path), acc, gyro, mag))
+    file.notes += rate_note(file.imus[-1])
+
+
+def _plain_skeleton(
+    file: RecordingFile, path: Path, metres: float, topic: str = "/skeleton", camera: str = "camera"
+) -> None:
+    columns, words = ("t_s", "joint", "x", "y", "z", "state"), ("joint", "state")
+    numbers, texts = read_exact(path, columns, ("body",), words=words, empty=("x", "y", "z"))
+    codes = {name: joint_code(name) for name in set(texts["joint"])}
+    states = {name: STATES.get(name.lower()) for name in set(texts["state"])}
+    for column, known, allowed in (
+        ("joint", codes, "shoulder, elbow, wrist, hand or strap, with _left or _right where there are both"),
+        ("state", states, "tracked, inferred or not_tracked"),
+    ):
+        unknown = (row for row, cell in enumerate(texts[column]) if known[cell] is None)
+        if (row := next(unknown, None)) is not None:
+            raise RecordingError(
+                f"{path}, line {row + 2}: {column} '{shown(texts[column][row], 40)}' is not known; it is"
+                f" {allowed}."
+            )
+    pairs = np.array([codes[name] for name in texts["joint"]], np.int64)
+    state = np.array([states[name] for name in texts["state"]], np.int64)
+    body = numbers.get("body", np.zeros(len(pairs)))
+    if not (np.isfinite(body).all() and (body >= 0).all() and (body == np.rint(body)).all()):
+        raise RecordingError(f"{path}: column body must contain whole numbers from 0; correct it.")
+    position = stacked(numbers, *"xyz") * metres
+    kind = (body * 100 + pairs[:, 0] * 10 + pairs[:, 1]).astype(np.int64)
+    stamp = _stamps(_frame_times(file, path, numbers["t_s"], kind), path)
+    bare = (state != JointState.NOT_TRACKED) & ~np.isfinite(position).all(axis=1)
+    frames, frame = frames_of(stamp)
+    rows = JointRows()
+    frame = np.arange(len(stamp)) if frame is None else frame
+    rows.add_joints(frame, body.astype(np.int64), pairs[:, 0], pairs[:, 1], state, position)
+    file.arms += rows.arms(frames, topic, camera, file.camera_frame if topic == "/skeleton" else None)
+    if bare.any():
+        file.notes.append(
+            f"{path.name}: {int(bare.sum())} rows that are tracked or inferred have no position, the first "
+            f"at {numbers['t_s'][bare][0]:.3f} s."
+        )
+    key = np.stack([stamp, kind])
+    repeated = len(stamp) - np.unique(key, axis=1).shape[1] if len(stamp) < 3_000_000 else 0
+    if repeated:
+        file.notes.append(
+            f"{path.name}: {repeated} rows repeat a joint and time; the last of each was taken."
+        )
+
+
+def _frame_times(file: RecordingFile, path: Path, t_s: FloatArray, kind: IntArray) -> FloatArray:
+    """Times of the rows; behind a clock that was set back they go on, with a note."""
+    is_new = np.append(True, t_s[1:] != t_s[:-1])[: len(t_s)]
+    times, strays = strayed(t_s[is_new], "frames")
+    if strays and np.isfinite(times).all():  # others are left out with the stamps that are far from all
+        file.notes += [f"{path.name}: {note}" for note in strays]
+        t_s = times[np.cumsum(is_new) - 1]
+    if not begins_frames(t_s, kind):
+        return t_s
+    times, steps = clock_resets(t_s[is_new])
+    if steps:
+        file.notes.append(f"{path.name}: {resets_message(steps, 'frames')}")
+    return times[np.cumsum(is_new) - 1]
+
+
+def read_pose_table(path: Path) -> PoseSamples:
+    """Read poses from `t_s, x, y, z [, qw, qx, qy, qz]`; errors as in `read_exact`."""
+    turn = ("qw", "qx", "qy", "qz")
+    columns, _ = read_exact(path, ("t_s", "x", "y", "z"), turn, empty=("x", "y", "z", *turn))
+    position = stacked(columns, *"xyz")
+    whole = set(turn) <= columns.keys()
+    quaternion = stacked(columns, *turn) if whole else np.full((len(position), 4), np.nan)
+    return PoseSamples("/truth", "camera", _stamps(columns["t_s"], path), position, quaternion)
+
+
+def _stamps(t_s: FloatArray, path: Path) -> IntArray:
+    usable = np.isfinite(t_s) & (np.abs(t_s) < _LAST_S)
+    if not usable.all():
+        row = int(np.flatnonzero(~usable)[0])
+        raise RecordingError(
+            f"{path}: t_s is {t_s[row]} in row {row + 1}, which is not a time in seconds; correct it."
+        )
+    return nanoseconds(t_s, 0)

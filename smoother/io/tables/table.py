@@ -1,0 +1,837 @@
+"""Tables in text and workbooks as devices and spreadsheets write them, read fast and forgivingly.
+
+A file's beginning, by which its format is recognised, and how it is shown in a message.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime, time, timedelta, timezone
+from functools import cached_property, lru_cache
+from itertools import islice
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from ...array_types import FloatArray
+from ...errors import RecordingError, UnoccludeError
+from ...runtime.inputs import check_input, marked_encoding
+from ...runtime.packages import extra_module
+from .units import is_unit, split_unit
+
+if TYPE_CHECKING:
+    from .imu import ImuTable
+    from .skeletons import SkeletonTable
+
+#: What a file holds: sensors, skeletons, or both.
+Tables: TypeAlias = "list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]"
+#: So much of a file is read to recognise it, bytes; this many rows of a workbook.
+HEAD_BYTES, HEAD_ROWS = 65_536, 500
+#: So much of a file is shown in a message at most, characters.
+SHOWN_CHARACTERS = 200
+#: Separators in the order in which they are believed where two fit; the last is any number of blanks.
+SEPARATORS = (";", "\t", "|", ",", " ")
+#: This many lines at the beginning settle the layout.
+LAYOUT_LINES = 400
+#: How columns put stem and axis together.
+AXIS_FORMS = ("{} {}", "{}_{}", "{}{}", "{}.{}", "{}-{}", "{}[{}]", "{}({})", "{}/{}", "{} {}-axis")
+#: Cells without a value, in lower case.
+MISSING = ("", "nan", "na", "n/a", "none", "null", "-", "--", "#n/a", "+nan", "-nan")
+#: More columns are no table of a sensor or a skeleton's; a longer line, characters, is no row of one.
+MOST_COLUMNS, LONGEST_LINE = 10_000, 1 << 20
+CUT = "The last line is cut off and was left out."
+#: Rows at the end of a text that show how numbers are written.
+ROWS_BEFORE = 50
+
+
+@dataclass(frozen=True)
+class FileHead:
+    """What is seen of a file to recognise its format."""
+
+    path: Path  # The file; its name is for messages only and recognises nothing
+    raw: bytes  # Its first 64 kB
+    text: str  # The same decoded (UTF-8, UTF-16, a byte-order mark taken off), or a workbook's first rows
+    lines: tuple[str, ...]  # The text's whole lines
+    trouble: str = ""  # Why a workbook cannot be read; "" where it can
+
+    @cached_property
+    def table(self) -> Table | None:
+        """The table at its beginning; None where there is none."""
+        return layout_of(self.lines, self.path) if self.text else None
+
+
+@dataclass(frozen=True)
+class Format:
+    """A layout of files: how a file of it is recognised, and read."""
+
+    key: str  # Its name on the command line (`xsens-dot`)
+    title: str  # Its name in sentences ("Xsens DOT export")
+    kind: str  # What it contains: "imu", "skeleton" or "recording" (both)
+    recognised_by: str  # What in a file gives it away, for `unocclude import formats`
+    recognises: Callable[[FileHead], bool]  # Never raises
+    read: Callable[[Path], Tables]  # Reads the whole file
+
+
+def begins(*marks: bytes) -> Callable[[FileHead], bool]:
+    """Recognises files by their first bytes: one of these."""
+    return lambda head: head.raw.startswith(marks)
+
+
+def read_head(path: Path) -> FileHead:
+    """Read a file's beginning."""
+    check_input(path, RecordingError)
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(HEAD_BYTES)
+    except FileNotFoundError:
+        raise RecordingError(f"{path} does not exist; check the name.") from None
+    except IsADirectoryError:
+        raise RecordingError(f"{path} is a folder; name the file in it.") from None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    if not raw:
+        raise RecordingError(f"{path} is empty; export or copy it again.")
+    if is_workbook(raw):
+        text, trouble = "", ""
+        try:
+            text = workbook_text(path, HEAD_ROWS)
+        except RecordingError as error:  # other files of its folder can be of use
+            trouble = str(error)
+        return FileHead(path, raw, text, tuple(text.splitlines()), trouble)
+    text = decode(raw)
+    whole = text if len(raw) < HEAD_BYTES else text[: text.rfind("\n") + 1] or text
+    return FileHead(path, raw, text, tuple(whole.splitlines()))
+
+
+#: Among the first characters, more of these than one in this many are not text.
+_CONTROL_SHARE = 0.02
+#: Dashes that are used as a minus: before a number or the digits of an exponent, not between two numbers.
+_DASH = re.compile(r"(?:(?<!\w)|(?<=\d[eE]))[\u2012\u2013](?=[.,]?\d)")
+
+
+def decode(raw: bytes) -> str:
+    """A file's bytes as text without byte-order mark, with plain minus signs; "" where they are not text."""
+    encoding = marked_encoding(raw)
+    if encoding is None and len(raw) >= 4:  # UTF-16 without a mark: every other byte of plain text is zero
+        even, odd = raw[0:400:2].count(0), raw[1:400:2].count(0)
+        half = len(raw[:400]) // 2
+        encoding = (
+            "utf-16-le" if odd > 0.8 * half and not even else
+            "utf-16-be" if even > 0.8 * half and not odd else None
+        )  # fmt: skip
+    if encoding is None and b"\0" in raw:
+        return ""
+    try:
+        # The last character may be cut in two by the end of the head.
+        text = codecs.getincrementaldecoder(encoding or "utf-8")().decode(raw)
+    except UnicodeDecodeError:
+        text = raw.decode("cp1252", errors="replace")
+    start = text[:4000]
+    control = sum(1 for character in start if ord(character) < 32 and character not in "\t\r\n\f")
+    return "" if control > _CONTROL_SHARE * len(start) else plain_minus(text)
+
+
+def plain_minus(text: str) -> str:
+    """Text in which typographic minus signs, and dashes before a number, are the plain minus."""
+    text = text.replace("\u2212", "-")
+    return _DASH.sub("-", text) if "\u2012" in text or "\u2013" in text else text
+
+
+def no_table(raw: bytes, text: str) -> str:
+    """What is plainly no table to read, and what to do: goes behind the file's name; "" for others."""
+    if raw.startswith(b"\xd0\xcf\x11\xe0"):
+        return "is an Excel workbook of the old kind; save it as .xlsx or CSV."
+    if raw.startswith(b"PK\x03\x04") and not is_workbook(raw):
+        return "is an archive (zip, or a spreadsheet); unpack it, or save it as CSV."
+    lines = [line for line in text.splitlines() if line.strip()]
+    names = r"[^\d;,\t][^;,\t]*([;,\t]\s*[^\d\s;,\t+.-][^;,\t]*)+"
+    is_header = len(lines) == 1 and re.fullmatch(names, lines[0])
+    return "has a header and has no rows; export it again." if is_header else ""
+
+
+def amount(count: int, one: str, many: str) -> str:
+    """A count with the words behind it: of one, or of many."""
+    return f"{count} {one if count == 1 else many}"
+
+
+def shown(text: str, characters: int = SHOWN_CHARACTERS) -> str:
+    """Text as a message can show it: no control characters, no more than this many characters."""
+    plain = " ".join("".join(c if c.isprintable() else " " for c in text[: 8 * characters]).split())
+    return plain if len(plain) <= characters else plain[: characters - 2] + ".."
+
+
+def first_rows(head: FileHead, characters: int = SHOWN_CHARACTERS) -> str:
+    """The first rows of a file for a message, or its first bytes where it is not text."""
+    if not head.text:
+        return f"bytes {head.raw[:16].hex(' ')} .."
+    return shown(" | ".join(line for line in head.lines[:4] if line.strip()), characters)
+
+
+# ------------------------------------------------------------------------------------------------- the table
+
+
+@dataclass(eq=False)
+class Table:
+    """A table of a text: where it is, its columns, and their cells when they are asked for."""
+
+    path: Path
+    separator: str  # One of `SEPARATORS`
+    preamble: tuple[str, ...]  # Lines above the header, without `sep=` and blank lines
+    names: tuple[str, ...]  # Column names as written, `width` of them ("" = none); () without a header
+    units: tuple[str, ...]  # By column, from the line of units or from brackets behind the name
+    labels: tuple[str, ...]  # Names for comparing: without bracketed units, lower case, single blanks
+    header: int  # Index of the header's line; -1 where there is none
+    first_row: int  # Index of the first line of data
+    width: int  # Number of columns
+    lines: Sequence[str] = ()  # Of the text, until the cells are read
+    notes: list[str] = field(default_factory=list)  # What was dropped, one sentence each
+    _numbers: dict[int, FloatArray] = field(default_factory=dict)
+    _line_numbers: Sequence[int] = ()
+
+    @cached_property
+    def cells(self) -> Any:
+        """An Arrow table of text."""
+        rows, self._line_numbers, notes = even_rows(list(self.lines), self)
+        self.notes += notes
+        self.lines = ()
+        if not rows:
+            raise RecordingError(f"{self.path} has no rows below its header; export it again.")
+        return _parse(self.path, rows, self)
+
+    def __len__(self) -> int:
+        return self.cells.num_rows
+
+    def find(self, *labels: str) -> int | None:
+        """Number of the first column (from 0) that has one of these labels; the first label first."""
+        return next((self.labels.index(label) for label in labels if label in self.labels), None)
+
+    def axes(self, *stems: str, signs: Sequence[str] = ("xyz",)) -> tuple[int, int, int] | None:
+        """Columns of a vector by labels of one of these stems and the axes' signs (`{}` is the axis)."""
+        for stem in stems:
+            for form in (stem,) if "{}" in stem else (each.format(stem, "{}") for each in AXIS_FORMS):
+                for sign in signs:
+                    columns = [self.find(form.format(axis).strip()) for axis in sign]
+                    if None not in columns:
+                        return columns[0], columns[1], columns[2]  # type: ignore[return-value]
+        return None
+
+    def stated(self, *subjects: str) -> str:
+        """The preamble's value of a subject ("120Hz" behind "OutputRate:"), "" where it has none."""
+        for line in self.preamble:
+            plain = line.strip().lstrip("/#%").strip().strip('"')
+            for subject in subjects:
+                if plain.lower().startswith(subject):
+                    return plain[len(subject) :].strip(' :=,;\t"')
+        return ""
+
+    def stated_number(self, *subjects: str) -> float | None:
+        """The number that the preamble states of a subject; None where it states none above zero."""
+        number = re.match(r"\d+(?:[.,]\d+)?", self.stated(*subjects))
+        value = float(number.group().replace(",", ".")) if number else 0.0
+        return value if value > 0 else None
+
+    def unit(self, column: int) -> str:
+        """Unit of a column as the file states it, "" where it does not."""
+        return self.units[column] if column < len(self.units) else ""
+
+    def name(self, column: int) -> str:
+        """Name of a column for messages."""
+        written = self.names[column] if self.names else ""
+        return f"column {written or column + 1}"
+
+    def line(self, row: int) -> int:
+        """Line of the file (from 1) in which a row stands."""
+        return self._line_numbers[row] + 1
+
+    def texts(self, column: int) -> list[str]:
+        """Cells of a column as text, without blanks around them."""
+        return self._trimmed(column).to_pylist()
+
+    def vectors(self, columns: Sequence[int]) -> FloatArray:
+        """Columns of numbers side by side, shape (n, number of columns)."""
+        return np.stack([self.numbers(column) for column in columns], axis=1)
+
+    def times(self, column: int) -> tuple[FloatArray, bool]:  # -> times (n,), dates
+        """A column of numbers, or of dates."""
+        cells = self.texts(column)
+        sample = [cell for cell in cells[:50] if cell]
+        if not any(re.search(r"\d[-/.:]\d+[-/.:]\d", cell) for cell in sample):
+            return self.numbers(column), False
+        seconds = seconds_of_dates(cells)
+        filled = np.array([cell.lower() not in MISSING for cell in cells])
+        wrong = np.flatnonzero(filled & ~np.isfinite(seconds))
+        self._refuse_many(column, wrong, int(np.count_nonzero(filled)), "time")
+        return seconds, True
+
+    def is_numeric(self, column: int) -> bool:
+        """Whether most cells of a column are numbers."""
+        try:
+            return bool(np.isfinite(self.numbers(column)).mean() > 0.5)
+        except RecordingError:
+            return False
+
+    def numbers(self, column: int) -> FloatArray:  # -> (n,)
+        """A column of numbers; empty cells, and few that are no numbers, are nan."""
+        if column not in self._numbers:
+            self._numbers[column] = self._read_numbers(column)
+        return self._numbers[column]
+
+    def refuse_nameless(self, most: int = 0) -> None:
+        """Refuse a header with fewer names than the rows have cells: whose are the names then?"""
+        named = max((at + 1 for at, name in enumerate(self.names) if name), default=0)
+        nameless = range(named, self.width) if self.names else range(0)
+        filled = sum(1 for column in nameless if any(self.texts(column)[:20]))
+        if filled > most:
+            raise RecordingError(
+                f"{self.path}: the header (line {self.header + 1}) names {named} columns, and the rows"
+                f" have {self.width}; export the file again, or describe it in a recording.toml."
+            )
+
+    def _trimmed(self, column: int) -> Any:
+        import pyarrow.compute as pc
+
+        return pc.utf8_trim_whitespace(self.cells.column(column).combine_chunks())
+
+    def _read_numbers(self, column: int) -> FloatArray:
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        text, nothing = self._trimmed(column), pa.scalar(None, pa.string())
+        empty = pc.is_in(pc.utf8_lower(text), value_set=pa.array(MISSING))
+        text = pc.if_else(empty, nothing, text)
+        try:
+            numbers = pc.cast(text, pa.float64())
+        except pa.ArrowException:
+            comma = pc.match_substring_regex(text, _WITH_COMMA)
+            text = pc.if_else(comma, pc.replace_substring(text, ",", ".", max_replacements=1), text)
+            numbers = pc.cast(pc.if_else(pc.match_substring_regex(text, _PLAIN), text, nothing), pa.float64())
+        values = np.array(numbers.to_numpy(zero_copy_only=False), dtype=float)
+        filled = ~empty.to_numpy(zero_copy_only=False)
+        wrong = np.flatnonzero(filled & ~np.isfinite(values))
+        if len(wrong):
+            values[wrong] = np.nan
+            self._refuse_many(column, wrong, int(np.count_nonzero(filled)), "number")
+            self.notes.append(
+                f"{amount(len(wrong), 'cell', 'cells')} of {shown(self.name(column), 60)}"
+                f" {'is' if len(wrong) == 1 else 'are'} not a number and treated as missing"
+                f" ('{self._cell(column, int(wrong[0]))}' in line {self.line(int(wrong[0]))})."
+            )
+        return values
+
+    def _cell(self, column: int, row: int) -> str:
+        return shown(self.cells.column(column)[row].as_py(), 40)
+
+    def _refuse_many(self, column: int, wrong: np.ndarray, filled: int, what: str) -> None:
+        if len(wrong) > max(_WRONG * filled, 1):
+            first = int(wrong[0])
+            raise RecordingError(
+                f"{self.path}, line {self.line(first)}: '{self._cell(column, first)}' in"
+                f" {shown(self.name(column), 60)} is not a {what}, like {len(wrong):,} of its {filled:,}"
+                " cells, too many to leave out; correct the cells, or export the file again."
+            )
+
+
+#: A column with a larger share of cells that are not numbers is refused.
+_WRONG = 0.05
+_PLAIN = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?$"
+_WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
+
+
+def file_text(path: Path) -> str:
+    """The text of a file, or the rows of a workbook; "" where it is neither."""
+    check_input(path, RecordingError)
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    text = workbook_text(path) if is_workbook(raw[:HEAD_BYTES]) else decode(raw)
+    if refused := no_table(raw[:HEAD_BYTES], text if len(text) < HEAD_BYTES else ""):
+        raise RecordingError(f"{path} {refused}")
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def read_table(path: Path, expected: str = "a table", quote: bool = True) -> Table:
+    """Read a delimited text file, or an Excel workbook."""
+    text = file_text(path)
+    if not text.strip():
+        what = "is not text" if path.stat().st_size else "is empty"
+        raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
+    return table_of(path, text, expected, quote)
+
+
+def table_of(path: Path, text: str, expected: str = "a table", quote: bool = True) -> Table:
+    """The table in a text."""
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    lines = text.split("\n")
+    check_lines(path, lines)
+    table = layout_of(lines, path)
+    if table is None:
+        seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
+        begins = f"; it begins: {seen}" if quote else "; name the right file."
+        raise RecordingError(f"{path} should be {expected}, but no rows of numbers were found{begins}")
+    len(table)  # reads the cells, and drops the lines
+    return table
+
+
+def _parse(path: Path, rows: list[str], table: Table) -> Any:
+    """An Arrow table of text columns."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    mark = "\t" if table.separator == " " else table.separator
+    names = [str(at) for at in range(max(table.width, separators_in(rows[0], mark) + 1))]
+    data = "\n".join(rows).encode("utf-8", errors="replace")
+    try:
+        return arrow_csv.read_csv(
+            pa.BufferReader(data),
+            arrow_csv.ReadOptions(
+                column_names=names, block_size=max(1 << 20, len(data) + 1), use_threads=False
+            ),
+            arrow_csv.ParseOptions(delimiter=mark, invalid_row_handler=lambda _: "skip"),
+            arrow_csv.ConvertOptions(
+                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False
+            ),
+        )
+    except pa.ArrowException as error:
+        raise RecordingError(f"{path} cannot be read as a table: {shown(str(error), 120)}.") from error
+
+
+_QUOTED = re.compile(r'"[^"]*"')
+
+
+def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int], list[str]]:
+    """Rows with equally many cells, the lines they stand in, and what was done."""
+    whole_end = not lines[-1].strip()
+    first, width = table.first_row, table.width
+    end = len(lines)
+    while end > first and not lines[end - 1].strip():
+        end -= 1
+    rows = lines[first:end]
+    mark = table.separator
+    if mark == " ":
+        mark, rows = "\t", ["\t".join(row.replace('"', "").split()) for row in rows]
+    counts = [separators_in(row, mark) for row in rows]
+    usual = Counter(counts).most_common(1)[0][0] if counts else 0
+    header = lines[table.header].strip() if table.header >= 0 else None
+    notes = [] if whole_end else _end_notes(rows, counts, usual, mark, end)
+    if notes == [CUT]:
+        rows, counts = rows[:-1], counts[:-1]
+    # Separators behind the last column make empty columns, which do no harm.
+    if usual >= width - 1 and counts.count(usual) == len(rows) and header not in rows:
+        return rows, range(first, first + len(rows)), notes
+    even, indices, short, long, repeated = [], [], 0, 0, 0
+    for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
+        if not row.strip(mark + " "):
+            continue
+        if row.strip() == header or (header and row.startswith(header[:40]) and row.strip()[:1].isalpha()):
+            repeated += 1
+            continue
+        if count < width - 1:
+            short += count < usual
+            row += mark * (width - 1 - count)
+        elif count > width - 1:
+            cells = split_line(row, mark)
+            if any(cells[width:]):
+                long += 1
+                continue
+            row = mark.join(cell.replace(mark, " ") for cell in cells[:width])
+        even.append(row)
+        indices.append(first + at)
+    lacks = "shorter than the others; what is lacking is treated as missing."
+    what = "with more cells than columns"
+    said = (
+        (repeated, "repeated header among the rows was", "repeated headers among the rows were", "left out."),
+        (short, "row is", "rows are", lacks),
+        (long, f"row {what} was", f"rows {what} were", "left out."),
+    )
+    notes += [f"{amount(count, one, many)} {end}" for count, one, many, end in said if count]
+    return even, indices, notes
+
+
+def _end_notes(rows: list[str], counts: list[int], usual: int, mark: str, line: int) -> list[str]:
+    """What is to be said of a text that does not end with a line's end."""
+    if not rows:
+        return []
+    cells = [row.rsplit(mark, 1)[-1] for row in rows[-ROWS_BEFORE:]]
+    if counts[-1] < usual or is_cut_number(cells):
+        return [CUT]
+    return [
+        f"The file ends without a line break; if it was cut off, what came behind line {line} is missing."
+    ]
+
+
+def is_cut_number(cells: Sequence[str], fewest: int = 3) -> bool:
+    """Whether the last of a column's cells has fewer decimals than all before it, which have equally many."""
+    *before, last = [cell.strip().strip('"').replace(",", ".").partition(".")[2] for cell in cells]
+    decimals = {len(digits) for digits in before if digits.isdigit()}
+    return len(before) >= fewest and len(decimals) == 1 and all(before) and len(last) < min(decimals)
+
+
+def separators_in(row: str, mark: str) -> int:
+    """How many separators a row has outside quotes."""
+    return (_QUOTED.sub("", row) if '"' in row else row).count(mark)
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """The cells of one line, without blanks and quotes around them."""
+    if separator == " ":
+        return line.replace('"', "").split()
+    if '"' in line:
+        try:
+            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+        except csv.Error:
+            cells = line.split(separator)
+        return [cell.strip().strip('"').strip() for cell in cells]
+    return [cell.strip() for cell in line.split(separator)]
+
+
+# ------------------------------------------------------------------------------------ where in a text it is
+
+_NUMBER = re.compile(
+    r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf(inity)?|null", re.IGNORECASE
+)
+_STAMP = re.compile(
+    r"\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d(:\d\d([.,:_]\d+)?)?"
+)
+#: This many lines may be between the names and the rows; cells of them that state no unit.
+_BELOW_NAMES, _NO_UNIT = 3, ("", "-", "--", "n/a", "none", "no_units", "nounits", "unitless")
+_SEP_LINE = re.compile(r'"?sep=.{0,3}', re.IGNORECASE)
+
+
+def is_data(cell: str) -> bool:
+    """Whether a cell is a number or a time."""
+    return bool(_NUMBER.fullmatch(cell) or _STAMP.fullmatch(cell))
+
+
+def plain_label(text: str) -> str:
+    """A column's name for comparing: in lower case, with single blanks."""
+    return " ".join(text.lower().split())
+
+
+def layout_of(lines: Sequence[str], path: Path = Path()) -> Table | None:
+    """Find the table in a text; its cells are not read yet."""
+    start = tuple(lines[:LAYOUT_LINES])
+    filled = [line for line in start if line.strip()]
+    sample = filled[len(filled) // 2 :][-60:]
+    separator = _separator(sample)
+    if separator is None:
+        return None
+    counts = [_count(split_line(line, separator)) for line in sample]
+    typical_data, typical_text = median(c[0] for c in counts), median(c[1] for c in counts)
+    width = Counter(len(split_line(line, separator)) for line in sample).most_common(1)[0][0]
+
+    def is_row(line: str) -> bool:
+        data, text = _count(split_line(line, separator))
+        return data > typical_data / 2 and text <= typical_text + max(1, width // 4)
+
+    first = _first_row(start, is_row)
+    if first is None:
+        return None
+    # Rows in which most sensors have no value yet stand between the header and the first full row.
+    while first > 0 and _is_sparse_row(split_line(start[first - 1], separator), width):
+        first -= 1
+    header, units_line = _header(start, first, separator, width)
+    if header >= 0 and _is_numbering(split_line(start[first], separator)):
+        first = next((at for at in range(first + 1, len(start)) if start[at].strip()), first)
+    written = _stripped(split_line(start[header], separator)) if header >= 0 else []
+    if written:
+        written[0] = re.sub(r"^(#+|%+|//+)\s*", "", written[0])
+        if separator == " " and not written[0]:  # "# t ax ay": the mark stood alone
+            written = written[1:]
+    if not all(cell or separator != " " for cell in _stripped(split_line(start[first], separator))):
+        return None
+    data_width = len(_stripped(split_line(start[first], separator), len(written)))
+    width = max(len(written), min(width, data_width) if written else width)
+    names = tuple(written + [""] * (width - len(written))) if written else ()
+    under = split_line(start[units_line], separator) if units_line >= 0 else []
+    under = ["" if cell.lower() in _NO_UNIT else cell for cell in under] + [""] * (width - len(under))
+    parts = [split_unit(name) for name in names]
+    return Table(
+        path,
+        separator,
+        tuple(line for line in start[: max(header, 0) if names else first] if _is_preamble(line)),
+        names,
+        tuple(below or behind for (_, behind), below in zip(parts, under, strict=False)) or ("",) * width,
+        tuple(plain_label(label) for label, _ in parts),
+        header,
+        first,
+        width,
+        lines,
+    )
+
+
+def _separator(sample: list[str]) -> str | None:
+    """The separator that makes most lines equally wide rows of numbers."""
+    best, best_score = None, 0.3
+    for separator in SEPARATORS:
+        rows = [split_line(line, separator) for line in sample]
+        widths = Counter(len(row) for row in rows if len(row) > 1)
+        if not widths:
+            continue
+        width = widths.most_common(1)[0][0]
+        shares = [data / max(data + text, 1) for data, text in (_count(r) for r in rows if len(r) == width)]
+        score = sum(shares) / len(rows)
+        if score > best_score + 1e-9:
+            best, best_score = separator, score
+    return best
+
+
+def _count(cells: list[str]) -> tuple[int, int]:
+    """Number of cells with data, and with other text."""
+    filled = [cell for cell in cells if cell]
+    data = sum(map(is_data, filled))
+    return data, len(filled) - data
+
+
+def _first_row(lines: tuple[str, ...], is_row: Callable[[str], bool]) -> int | None:
+    """Index of the first line of data that another follows, or that is the last one."""
+    filled = [at for at, line in enumerate(lines) if line.strip()]
+    for at, following in zip(filled, [*filled[1:], None], strict=True):
+        if is_row(lines[at]) and (following is None or is_row(lines[following])):
+            return at
+    return None
+
+
+def _is_sparse_row(cells: list[str], width: int) -> bool:
+    data, text = _count(cells)
+    return data >= 1 and text == 0 and len(cells) >= width
+
+
+def _header(lines: tuple[str, ...], first: int, separator: str, width: int) -> tuple[int, int]:
+    """Indices of the header and of the line of units; -1 where there is none."""
+    rows = ((at, split_line(lines[at], separator)) for at in range(first - 1, -1, -1))
+    above = list(islice(((at, cells) for at, cells in rows if any(cells)), 1 + _BELOW_NAMES))
+    headers = [at for at, cells in above if _is_header(cells, width) and not _is_units_line(cells)]
+    units = -1
+    for at, cells in above if len(above) > 1 else ():
+        if _is_units_line(cells):
+            is_blank = units >= 0 and all(c.lower() in _NO_UNIT for c in split_line(lines[units], separator))
+            units = at if units < 0 or is_blank else units
+        elif at not in headers or not (_repeats(cells) and at != headers[-1]):
+            return (at if at in headers else -1), units
+    if units >= 0 or not above:
+        return -1, units
+    return (above[0][0] if _is_header(above[0][1], width) else -1), -1
+
+
+def _repeats(cells: list[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return len(filled) >= 4 and 2 * len(set(filled)) <= len(filled)
+
+
+def _is_numbering(cells: list[str]) -> bool:
+    """Whether a line counts the columns."""
+    counted = [str(at) for at in range(len(cells) + 1)]
+    return len(cells) >= 4 and cells in (counted[:-1], counted[1:])
+
+
+def _is_units_line(cells: list[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return bool(filled) and sum(map(is_unit, filled)) > len(filled) / 2
+
+
+def _is_header(cells: list[str], width: int) -> bool:
+    data, text = _count(cells)
+    return text >= 2 and text > 4 * data and len(cells) >= width / 2 and not _SEP_LINE.fullmatch(cells[0])
+
+
+def _is_preamble(line: str) -> bool:
+    return bool(line.strip()) and not _SEP_LINE.fullmatch(line.strip().strip('"'))
+
+
+def _stripped(cells: list[str], least: int = 0) -> list[str]:
+    """Without the empty cells behind the last one, but no fewer than that."""
+    end = len(cells)
+    while end > least and not cells[end - 1]:
+        end -= 1
+    return cells[:end]
+
+
+def check_lines(path: Path, lines: Sequence[str]) -> None:
+    """Refuse lines that no table has, before they are parted: a million columns would take all memory."""
+    longest = max(map(len, lines), default=0)
+    if longest > LONGEST_LINE:
+        raise RecordingError(
+            f"{path} has a line of {longest:,} characters, and rows of tables with up to {LONGEST_LINE:,} are"
+            " read; export it with one row per line."
+        )
+    for line in lines if longest > MOST_COLUMNS else ():
+        columns = max(1 + max(line.count(mark) for mark in SEPARATORS[:-1]), len(line.split()))
+        if columns > MOST_COLUMNS:
+            raise RecordingError(
+                f"{path} has a row of {columns:,} columns, and tables with up to {MOST_COLUMNS:,} are read;"
+                " export the columns of the sensor or the skeleton alone."
+            )
+
+
+# ---------------------------------------------------------------------------------------------------- dates
+
+_DATE = re.compile(
+    r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)[-/.](\d{4}))[ T_]+"
+    r"(\d\d?)[:.](\d\d)[:.](\d\d)(?:[.,:_](\d+))?\s*([AaPp][Mm])?\s*"
+    r"(?:Z|UTC|GMT)?\s*(?:([+-])(\d\d?):?(\d\d)?)?"
+)
+#: To the way of writing that Arrow reads: from 2026/01/31, 10:11:12,5, and a blank before +0100.
+_PLAINER = (
+    (r"^(\d{4})[/.](\d\d)[/.](\d\d)", r"\1-\2-\3"),
+    (r"(:\d\d),(\d{1,9})", r"\1.\2"),
+    (r"\s+([+-]\d\d:?\d\d|Z)$", r"\1"),
+)
+_TIME_OF_DAY = re.compile(r"(\d\d?):(\d\d):(\d\d)(?:[.,:_](\d+))?")
+_DAY_S = 86_400.0
+
+
+def seconds_of_dates(cells: Sequence[str]) -> FloatArray:  # -> (n,) s
+    """Times of dates (`2026-01-31T10:11:12.5Z`, with or without a zone) or of times of day (`10:11:12.5`)."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    text = pa.array(cells, pa.string())
+    for pattern, plain in _PLAINER:
+        text = pc.replace_substring_regex(text, pattern, plain)
+    for zone in (None, "UTC"):
+        try:
+            stamps = pc.cast(pc.cast(text, pa.timestamp("ns", zone)), pa.int64())
+        except pa.ArrowException:
+            continue
+        whole = stamps.to_numpy(zero_copy_only=False)
+        return whole // 1_000_000_000 + (whole % 1_000_000_000) * 1e-9
+    seconds = np.array([_seconds(cell.strip()) for cell in cells], dtype=float)
+    if np.nanmax(seconds, initial=0.0) < 2 * _DAY_S:  # times of day: midnight passes
+        steps = np.diff(seconds, prepend=seconds[:1])
+        seconds = seconds + _DAY_S * np.cumsum(np.nan_to_num(steps) < -_DAY_S / 2)
+    return seconds
+
+
+def _seconds(cell: str) -> float:
+    if of_day := _TIME_OF_DAY.fullmatch(cell):
+        hours, minutes, seconds, fraction = of_day.groups()
+        return int(hours) * 3600 + int(minutes) * 60 + int(seconds) + float(f"0.{fraction or 0}")
+    written = _DATE.fullmatch(cell)
+    if written is None:
+        return float("nan")
+    y, m, d, one, mark, two, year, hours, minutes, seconds, fraction, noon, sign, zone_h, zone_m = (
+        written.groups()
+    )
+    if y is None:
+        y, m, d = (year, one, two) if mark == "/" else (year, two, one)
+    hour = int(hours) % 12 + 12 * (noon.lower() == "pm") if noon else int(hours)
+    offset = timedelta(hours=int(zone_h), minutes=int(zone_m or 0)) if sign else timedelta()
+    try:
+        zone = timezone(-offset if sign == "-" else offset) if sign else UTC
+        whole = datetime(int(y), int(m), int(d), hour, int(minutes), int(seconds), tzinfo=zone)
+    except ValueError:
+        return float("nan")
+    return whole.timestamp() + float(f"0.{fraction or 0}")
+
+
+# ------------------------------------------------------------------------------------------------ workbooks
+
+#: Rows at a sheet's beginning by which it is chosen.
+_LOOKED_AT = 60
+#: Bytes that a workbook may have when it is unpacked, and this many times its own beyond the next: a sheet
+#: of Excel's last row with ten columns has 370 MB, packed to a tenth; a file of some kB can claim any number.
+_LARGEST, _MOST_PACKED, _SMALL = 400_000_000, 100, 10_000_000
+#: Bytes of the parts that are kept in memory: texts of cells, and the rest but sheets and pictures.
+_MOST_TEXTS, _MOST_OTHERS = 40_000_000, 10_000_000
+#: A zip's entry of a workbook: its name is some 26 bytes behind the mark.
+_OF_WORKBOOK = re.compile(rb"PK\x03\x04.{6,26}(?:xl/|\[Content_Types\])", re.DOTALL)
+
+
+def is_workbook(raw: bytes) -> bool:
+    """Whether a file's beginning is that of an Excel workbook (.xlsx)."""
+    return raw.startswith(b"PK\x03\x04") and bool(_OF_WORKBOOK.search(raw))
+
+
+def workbook_text(path: Path, rows: int | None = None) -> str:
+    """The rows of a workbook's table as lines of text, its cells parted by tabs."""
+    about = path.stat()
+    return _workbook_text(path, rows, about.st_mtime_ns, about.st_size)
+
+
+@lru_cache(maxsize=4)
+def _workbook_text(path: Path, rows: int | None, mtime_ns: int, size: int) -> str:
+    try:
+        openpyxl = extra_module("openpyxl", "openpyxl", "xlsx")
+    except UnoccludeError as error:
+        raise RecordingError(f"{path} is an Excel workbook; {error}, or save it as CSV") from error
+    try:
+        _check_size(path, size)
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        try:
+            sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
+            if not sheets:
+                raise RecordingError(f"{path} is a workbook without a sheet of cells; save it as CSV.")
+            for sheet in sheets:
+                sheet.reset_dimensions()  # some programs state the wrong ones
+            sheet = max(sheets, key=_count_numbers)
+            lines = (_line(path, row) for row in islice(sheet.iter_rows(values_only=True), rows))
+            return "\n".join(lines) + "\n"
+        finally:
+            book.close()
+    except RecordingError:
+        raise
+    except Exception as error:  # a damaged workbook fails anywhere
+        raise RecordingError(
+            f"{path} is an Excel workbook that cannot be read ({type(error).__name__}); save it again, or as"
+            " CSV."
+        ) from error
+
+
+def unpacked_size(path: Path) -> int:
+    """Bytes of a workbook's parts as its directory states them, which no part exceeds when it is read."""
+    return sum(_sizes(path).values())
+
+
+def _sizes(path: Path) -> dict[str, int]:
+    with zipfile.ZipFile(path) as parts:
+        return {part.filename.lstrip("/"): part.file_size for part in parts.infolist()}
+
+
+def _check_size(path: Path, packed: int) -> None:
+    sizes = _sizes(path)
+    texts = sum(size for name, size in sizes.items() if name.endswith("sharedStrings.xml"))
+    loose = ("xl/worksheets/", "xl/media/", "xl/drawings/", "xl/charts/")
+    others = sum(size for name, size in sizes.items() if not name.startswith(loose)) - texts
+    total = sum(sizes.values())
+    if total > min(_LARGEST, _SMALL + _MOST_PACKED * packed) or texts > _MOST_TEXTS or others > _MOST_OTHERS:
+        raise RecordingError(
+            f"{path} is a workbook of {total / 1e6:,.0f} MB unpacked (from {packed / 1e6:,.1f} MB), which is"
+            " more than is read; save the sheet with the measurements as CSV."
+        )
+
+
+def _count_numbers(sheet: Any) -> int:
+    """How many numbers the first rows of a sheet contain."""
+    rows = islice(sheet.iter_rows(values_only=True), _LOOKED_AT)
+    return sum(isinstance(value, int | float) for row in rows for value in row)
+
+
+def _line(path: Path, row: tuple[Any, ...]) -> str:
+    line = "\t".join(_stripped([_cell(value) for value in row]))
+    check_lines(path, [line])
+    return line
+
+
+def _cell(value: Any) -> str:
+    """A cell as text."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(int(value))
+    if isinstance(value, float):
+        return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+    if isinstance(value, datetime):
+        return value.isoformat(" ")
+    if isinstance(value, date | time):
+        return value.isoformat()
+    return " ".join(str(value).split())

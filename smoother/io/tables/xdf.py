@@ -1,0 +1,242 @@
+"""XDF of the Lab Streaming Layer: streams whose channels are a sensor's axes or joints."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import CameraFrame
+from .imu import (
+    ImuTable,
+    SensorChannels,
+    find_sensors,
+    gravity_unit,
+    joint_label,
+    stem_of,
+    turning_unit,
+    usual_size,
+    with_halves_joined,
+)
+from .joints import find_joint_columns, words_of
+from .skeleton_formats import kinect_states, states_of
+from .skeletons import Conventions, RawSkeleton, SkeletonTable
+from .table import Format, begins, shown
+from .units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
+
+#: What is larger is not a measurement in any unit.
+_DAMAGED = 1e9
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """One stream with numbers."""
+
+    name: str
+    kind: str
+    rate_hz: float | None
+    labels: list[str]
+    types: list[str]
+    units: list[str]
+    t_s: np.ndarray
+    values: np.ndarray
+
+
+def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
+    """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied."""
+    streams = [stream for entry in _loaded(path) if (stream := _stream(entry)) is not None]
+    skeletons = [table for stream in streams for table in _xdf_skeletons(stream, path)]
+    imus, reasons = _imus(streams, path)
+    if not skeletons and not imus:
+        listed = (
+            "; ".join(f"{s.name} ({s.kind}, {len(s.labels)} channels)" for s in streams)
+            or "none with numbers"
+        )
+        why = f"; {reasons[0]}" if reasons else ""
+        raise RecordingError(
+            f"{path} has no stream of an accelerometer, a gyroscope or joints by its channels' labels"
+            f" (streams: {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x,"
+            " WristRight_X and units."
+        )
+    for reason in reasons:
+        (imus or skeletons)[0].notes.append(f"A stream was left out: {reason}.")
+    for number, table in enumerate(skeletons):
+        table.body = number if len({other.body for other in skeletons}) < len(skeletons) else table.body
+    return [*skeletons, *imus]
+
+
+XDF = Format(
+    key="xdf",
+    title="XDF recording (Lab Streaming Layer)",
+    kind="recording",
+    recognised_by="the first bytes XDF:",
+    recognises=begins(b"XDF:"),
+    read=read_xdf,
+)
+
+
+def _loaded(path: Path) -> list[dict[str, Any]]:
+    try:
+        import pyxdf
+    except ImportError:
+        raise RecordingError(
+            f"{path}: XDF files are read by the library pyxdf; install it with: pip install pyxdf"
+        ) from None
+    try:
+        with _silent("pyxdf"):
+            streams, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
+    except Exception as error:  # whatever a damaged file leads the library into
+        raise RecordingError(
+            f"{path} is damaged and pyxdf cannot read it ({shown(str(error), 80)}); copy it again."
+        ) from error
+    return list(streams)
+
+
+@contextmanager
+def _silent(name: str) -> Iterator[None]:
+    """Keep a library's warnings off the terminal."""
+    logger = logging.getLogger(name)
+    before, logger.propagate = logger.propagate, False
+    handler = logging.NullHandler()
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = before
+
+
+def _stream(entry: dict[str, Any]) -> _Stream | None:
+    """A stream with numbers and stamps; None for markers in words, and for what is empty."""
+    info = entry.get("info", {})
+    values = entry.get("time_series")
+    t_s = np.asarray(entry.get("time_stamps", ()), dtype=float)
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or len(t_s) != len(values) or len(t_s) < 2:
+        return None
+    if values.dtype.kind not in "fiu" or values.shape[1] < 3:
+        return None
+    channels = _channels(info, values.shape[1])
+    rate = _rate(_text(info, "nominal_srate"))
+    return _Stream(
+        _text(info, "name"),
+        _text(info, "type"),
+        rate,
+        [_text(channel, "label") or _text(channel, "name") for channel in channels],
+        [_text(channel, "type") for channel in channels],
+        [_text(channel, "unit") for channel in channels],
+        t_s,
+        values,
+    )
+
+
+def _channels(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
+    """The file's description of each channel; a joint's name and its axis are put together as the label."""
+    try:
+        channels = [dict(channel) for channel in info["desc"][0]["channels"][0]["channel"]]
+    except (KeyError, IndexError, TypeError, ValueError):
+        channels = []
+    channels = (channels + [{}] * count)[:count]
+    for channel in channels:
+        marker = _text(channel, "marker") or _text(channel, "object")
+        if label := joint_label(marker, _text(channel, "type")):
+            channel["label"] = [label]
+    return channels
+
+
+def _text(entry: Any, key: str) -> str:
+    value = entry.get(key) if isinstance(entry, dict) else None
+    value = value[0] if isinstance(value, list) and value else value
+    return str(value) if isinstance(value, str | int | float) else ""
+
+
+def _rate(text: str) -> float | None:
+    try:
+        rate = float(text)
+    except ValueError:
+        return None
+    return rate if 0 < rate < 1e5 else None
+
+
+def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
+    """Bodies of a stream whose labels name joints."""
+    columns = find_joint_columns(stream.labels)
+    if not columns.has_arm():
+        return []
+    values = stream.values.astype(float)
+    raw = RawSkeleton(
+        path,
+        {joint: values[:, triple] for joint, triple in columns.axes.items()},
+        states_of({joint: values[:, column] for joint, column in columns.confidence.items()}, kinect_states),
+        time=stream.t_s,
+        time_scale=1.0,
+        body=None
+        if columns.body is None
+        else np.where(values[:, columns.body] > 0, values[:, columns.body], np.nan),
+        rest=[(name, values[:, triple]) for name, triple in columns.rest],
+    )
+    if raw.body is not None and not np.isfinite(raw.body).any():
+        raw.body = None
+    raw.notes.append(f"Joints are of the stream {stream.name} ({stream.kind}).")
+    words = {word for label in stream.labels for word in words_of(label)}
+    frame = (
+        CameraFrame.OPTICAL if words & {"navel", "clavicle"}
+        else CameraFrame.KINECT if "spine" in words and words & {"base", "mid"}
+        else None
+    )  # fmt: skip
+    stated = stream.units[next(iter(columns.axes.values()))[0]].strip().lower()
+    unit = {1.0: "m", 0.01: "cm", 0.001: "mm"}.get(METRES.get(stated, 0.0), "")
+    return raw.skeletons(Conventions(unit, frame))
+
+
+def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:
+    """Sensors of all streams, and why some were left out; halves of a sensor are put together."""
+    whole: list[ImuTable] = []
+    halves: list[ImuTable] = []
+    reasons: list[str] = []
+    for stream in streams:
+        if find_joint_columns(stream.labels).has_arm():
+            continue
+        for sensor in find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}"):
+            table, why = _imu(stream, sensor)
+            if why:
+                reasons.append(why)
+            else:
+                (halves if table.acc is None or table.gyro is None else whole).append(table)
+    joined, _, alone = with_halves_joined(halves, str(path))
+    for table in joined:
+        table.name = stem_of(table.name).replace(" ", "_") or "imu"
+    return whole + joined, reasons + alone
+
+
+def _imu(stream: _Stream, sensor: SensorChannels) -> tuple[ImuTable, str]:
+    """A sensor's samples in SI units; or why its units are not known."""
+    name = "_".join(part for part in (stream.name, sensor.name.replace(" ", "_")) if part)
+    values = np.where(np.abs(stream.values) < _DAMAGED, stream.values, np.nan)
+    vectors = {kind: values[:, columns].astype(float) for kind, columns in sensor.axes.items()}
+    unit = {kind: plain_unit(stream.units[columns[0]]) for kind, columns in sensor.axes.items()}
+    table = ImuTable(name, stream.t_s, None, None, vectors.get("mag"), stream.rate_hz)
+    if "acc" in vectors:
+        if unit["acc"] not in ACCELERATION:
+            unit["acc"] = gravity_unit(usual_size(vectors["acc"]))
+            if not unit["acc"]:
+                return table, f"{name}: the accelerometer's unit is not stated, and no gravity shows it"
+            table.notes.append(
+                f"{name}: assumed {unit['acc']} for the accelerometer (it then shows gravity)."
+            )
+        table.acc = vectors["acc"] * ACCELERATION[unit["acc"]]
+    if "gyro" in vectors:
+        if unit["gyro"] not in ANGULAR_VELOCITY:
+            unit["gyro"], why = turning_unit(vectors["gyro"], table.acc, table.t_s, table.rate_hz)
+            if not why and unit["gyro"] == "rad/s":
+                return table, f"{name}: the gyroscope's unit is not stated, and the motion does not show it"
+            why = why or "it is too fast in rad/s"
+            table.notes.append(f"{name}: assumed {unit['gyro']} for the gyroscope ({why}).")
+        table.gyro = vectors["gyro"] * ANGULAR_VELOCITY[unit["gyro"]]
+    table.units = ", ".join(unit[kind] for kind in ("acc", "gyro") if kind in unit)
+    return table, ""
