@@ -132,7 +132,7 @@ def smooth(
     clock_given_s = None if clock is None else (clock.mean_s, clock.sigma_s)
     found = replace(recovery.estimates, pairing=pairing, clock_given_s=clock_given_s)
     recovery = replace(recovery, estimates=found)
-    steps, anatomy = (best.steps_before, best.evidence.steps), config.arm.anatomy
+    steps, anatomy = tuple(best.steps()), config.arm.anatomy
     recovery = with_verdict(
         recovery, recording, anatomy, best.misfits, best.open_questions, steps, clock, coarse_clock
     )

@@ -24,9 +24,11 @@ from ..measurements.segment import Segment
 from ..measurements.visibility import MISSING_S, Rejection
 from ..recording import JOINTS, JointState, Recording
 from ..result import Pairing, Recovery
+from ..result.verdict import Sign
 from ..selfcal.pairing import find_pairing
 from ..window.solution import BlockShift, Step
 from .camera_faults import camera_faults
+from .change_signs import changed_for_good
 from .self_check import HiddenStretch
 from .solve_section import SolvedSection
 
@@ -98,6 +100,14 @@ class Solved:
     open_questions: tuple[str, ...] = ()  # What self-calibration took with little margin
     excluded: Excluded | None = None  # Samples that it was made without; None before anything was left out
     steps_before: Sequence[Step] = ()  # What may have changed for good, before anything was left out
+
+    def steps(self) -> Iterator[Sign]:
+        """What changed for good, by all samples and by those that were not left out."""
+        if self.excluded is None:
+            yield from changed_for_good(self.evidence.steps)
+        else:
+            left_out_s = np.asarray(self.recovery.arm.t_s)[self.excluded.frames]
+            yield from changed_for_good(self.steps_before, self.evidence.steps, left_out_s)
 
     def paired(self, pairing: Pairing | None, recording: Recording, given: Clock | None) -> Pairing | None:
         """The pairing by what is used: without what the camera alone shows to be wrong, and a few blocks."""

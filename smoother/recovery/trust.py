@@ -23,8 +23,7 @@ from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, JointTracks, Record
 from ..result import Recovery, SelfCheck
 from ..result.verdict import EVER, Sign, gap_verdicts
 from ..selfcal.pairing import doubtful, unproved
-from ..window.solution import Step
-from .change_signs import changed_for_good, imu_lies_still, skeleton_filled
+from .change_signs import imu_lies_still, skeleton_filled
 from .imu_signs import (
     PLATEAU_SHARE,
     SLOW_HZ,
@@ -170,7 +169,7 @@ def with_verdict(
     anatomy: Anatomy,
     misfits: tuple[str, ...] = (),
     open_questions: tuple[str, ...] = (),
-    steps: tuple[Sequence[Step], Sequence[Step]] = ((), ()),
+    steps: Sequence[Sign] = (),
     measured: Clock | None = None,
     moved: Clock | None = None,
 ) -> Recovery:
@@ -179,7 +178,7 @@ def with_verdict(
     # what was found is a remark, or contradicts some times, or the whole recording
     found = replace(recovery.estimates, reasons=()).with_signs(
         [
-            *changed_for_good(*steps),
+            *steps,
             *lost_samples(recovery, recording),
             *imu_lies_still(recovery, recording, _gyroscope_bias(recovery)),
             *(Sign(each, EVER) for each in _anatomy(recovery.calibration, anatomy)),

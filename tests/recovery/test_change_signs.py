@@ -1,4 +1,4 @@
-"""What changes while a recording runs: strap, camera, skeleton; and the answer against its gyroscope."""
+"""What changes while a recording runs: strap, camera, skeleton."""
 
 from __future__ import annotations
 
@@ -7,26 +7,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scenes import ALONE, there
+from scenes import ALONE
 from scipy.spatial.transform import Rotation
 
 from smoother import Recording
 from smoother.config import Anatomy
-from smoother.io import import_broad
 from smoother.measurements.outliers import interpolated
-from smoother.recording import JOINTS, ImuStream, JointState
-from smoother.recovery.change_signs import (
-    JUMP_DEG,
-    OVER_S,
-    _all_jumps,
-    changes,
-    down_jumps,
-    gyroscope_drift,
-    strap_slipped,
-)
+from smoother.recording import JOINTS, JointState
 from smoother.recovery.trust import with_verdict
 from smoother.result import Recovery
-from smoother.result.frame_residuals import BATCH_ROWS
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 
@@ -34,11 +23,6 @@ from smoother.smoothing import smooth
 @cache
 def made(seed: int = 1, preset: str = "realistic") -> SimulatedArm:
     return simulate_arm(ArmSimulation.preset(preset, protocol="random", duration_s=40.0), seed)
-
-
-def said(imu: ImuStream) -> list[str]:
-    """What the IMU alone shows."""
-    return list(strap_slipped(_all_jumps(imu, np.zeros(3))))
 
 
 def slipped(arm: SimulatedArm, degrees: float) -> Recording:
@@ -71,40 +55,36 @@ def filled(arm: SimulatedArm) -> Recording:
     return replace(arm.recording, arm=replace(tracks, position=position, state=state), truth=None)
 
 
-@pytest.mark.parametrize(("seed", "preset"), [(1, "realistic"), (4, "azure"), (8, "white")])
-def test_a_strap_that_slips_is_told_and_dated(seed: int, preset: str):
-    arm = made(seed, preset)
-    assert not said(arm.recording.imu)
-    recording = slipped(arm, 15.0)
-    (sentence,) = said(recording.imu)
-    middle_s = float(np.mean(recording.imu.t_s[[0, -1]]))
-    assert abs(float(sentence.split("about ")[1].split(" s")[0]) - middle_s) < 2.0
-    assert "the strap slipped" in sentence
+def in_one_frame(recovery: Recovery) -> bool:
+    """No reason says that positions before and after a moment are not."""
+    return not any("not in one frame" in reason for reason in recovery.estimates.reasons)
 
 
-def test_a_long_recording_in_batches_and_a_pause():
-    """Three arms one after the other with a pause between: no jump at the pause, the slip is found."""
-    sound, wrong = made().recording.imu, slipped(made(), 15.0).imu
-    length_s = float(np.ptp(sound.t_s)) + 5.0
-
-    def joined(imus: list) -> object:
-        return replace(
-            sound,
-            t_s=np.concatenate([imu.t_s + k * length_s for k, imu in enumerate(imus)]),
-            acc=np.concatenate([imu.acc for imu in imus]),
-            gyro=np.concatenate([imu.gyro for imu in imus]),
-        )
-
-    assert not said(joined([sound, sound, sound]))
-    (sentence,) = said(joined([sound, sound, wrong]))
-    assert float(sentence.split("about ")[1].split(" s")[0]) > 2 * length_s
+@pytest.mark.parametrize(
+    ("seed", "preset", "duration_s"),
+    [
+        (1, "realistic", 40.0),
+        (4, "azure", 40.0),
+        (8, "white", 40.0),
+        # 47, 56 and 10 cm off in short recordings
+        (14, "white", 12.0),
+        (14, "azure", 12.0),
+        (15, "white", 16.0),
+        # an upright forearm, on which down hardly jumps
+        (1489077380, "realistic", 25.1),
+    ],
+)
+def test_a_strap_that_slips_is_not_trusted(seed: int, preset: str, duration_s: float):
+    arm = simulate_arm(ArmSimulation.preset(preset, protocol="random", duration_s=duration_s), seed)
+    sound = smooth(replace(arm.recording, truth=None), config=ALONE)
+    assert sound.estimates.trusted and in_one_frame(sound)
+    assert smooth(slipped(arm, 15.0), config=ALONE).estimates.trusted is False
 
 
 def test_a_camera_that_is_pushed_is_not_trusted():
     assert solved().estimates.trusted and not solved().estimates.untrusted
     recovery = smooth(pushed(made(), 6.0), config=ALONE)
-    assert recovery.estimates.trusted is False
-    assert any("was the camera pushed" in reason for reason in recovery.estimates.reasons)
+    assert recovery.estimates.trusted is False and not in_one_frame(recovery)
 
 
 def test_a_filled_skeleton_counts_as_not_seen():
@@ -138,16 +118,6 @@ def test_no_sign_without_noise():
     assert not interpolated(t, np.column_stack([t, t**2, 0 * t]), np.ones(len(t), bool)).any()
 
 
-@pytest.mark.real
-@pytest.mark.parametrize(
-    "trial", ["07_undisturbed_fast_rotation_B.mat", "14_undisturbed_slow_translation_with_breaks_B.mat"]
-)
-def test_a_real_sensor_never_jumps(trial: str):
-    imu = import_broad(there("broad", trial)).imu
-    assert not said(imu)
-    assert down_jumps(imu.select(slice(0, 5000)), np.zeros(3))[:, 1].max() < 9.0
-
-
 def judged_with(**changes: object) -> tuple[bool | None, str]:
     """The verdict on a sound recovery of an arm whose calibration or IMU is another."""
     recording = replace(made().recording, truth=None)
@@ -175,11 +145,6 @@ def test_a_hand_called_the_wrist_is_asked_for():
     assert "hand labelled as the wrist" in judged_with(calibration=swapped)[1]
 
 
-def test_no_answer_is_trusted_over_a_slip():
-    trusted, verdict = judged_with(imu=slipped(made(), 15.0).imu)
-    assert trusted is False and "without a rotation measured by its gyroscope" in verdict
-
-
 @pytest.mark.parametrize(("limit", "trusted", "words"), [(13.0, True, "less certain"), (9.0, False, "wider")])
 def test_a_range_that_is_too_small(limit: float, trusted: bool, words: str):
     imu = made().recording.imu
@@ -190,90 +155,8 @@ def test_a_range_that_is_too_small(limit: float, trusted: bool, words: str):
     assert verdict[0] is trusted and words in verdict[1]
 
 
-@pytest.mark.parametrize(
-    ("seed", "preset", "duration_s"), [(14, "white", 12.0), (14, "azure", 12.0), (15, "white", 16.0)]
-)
-def test_a_slip_in_a_short_recording(seed: int, preset: str, duration_s: float):
-    """The answers are 47, 56 and 10 cm off; with so few moments elsewhere nothing is usual."""
-    arm = simulate_arm(ArmSimulation.preset(preset, protocol="random", duration_s=duration_s), seed)
-    assert smooth(replace(arm.recording, truth=None), config=ALONE).estimates.trusted
-    recovery = smooth(slipped(arm, 15.0), config=ALONE)
-    assert recovery.estimates.trusted is False
-    assert any("the strap slipped" in reason for reason in recovery.estimates.reasons)
-
-
 def test_scale_errors_of_the_gyroscope_are_no_slip():
     config = ArmSimulation.preset("realistic", protocol="random", duration_s=30.0)
     arm = simulate_arm(config.model_copy(update={"imu_scale": 0.03}), 81)
     recovery = smooth(replace(arm.recording, truth=None), config=ALONE)
-    assert not list(changes(recovery, arm.recording, np.asarray(recovery.estimates.gyroscope_bias)))
-
-
-@pytest.fixture(scope="module")
-def answer() -> tuple[Recovery, ImuStream]:
-    """A recovery whose orientations are exactly what its gyroscope adds up to, over more than a batch."""
-    arm = simulate_arm(ArmSimulation(protocol="random", duration_s=20.0), 2)
-    recovery = smooth(replace(arm.recording, truth=None), arm.calibration, ALONE)
-    count = BATCH_ROWS + 2000
-    rng = np.random.default_rng(0)
-    t = np.arange(count) / 80.0
-    gyro = np.cumsum(rng.normal(0, 0.05, (count, 3)), axis=0)
-    gyro -= np.linspace(0, 1, count)[:, None] * gyro[-1]
-    turns = Rotation.from_rotvec(0.5 * (gyro[1:] + gyro[:-1]) * np.diff(t)[:, None])
-    R = [Rotation.identity()]
-    for turn in turns:
-        R.append(R[-1] * turn)
-    quaternion = Rotation.concatenate(R).as_quat(scalar_first=True)
-    rows = np.arange(count) % len(recovery)
-    long = replace(recovery.rows(rows), t_s=t, quaternion=quaternion)
-    return long, ImuStream("imu", t, np.zeros((count, 3)), gyro)
-
-
-def test_an_answer_that_follows_its_gyroscope_does_not_drift(answer: tuple[Recovery, ImuStream]):
-    recovery, imu = answer
-    drift = gyroscope_drift(recovery, imu, np.zeros(3))
-    assert len(drift.at_s) > 100 and drift.angle_deg.max() < 1e-6
-    # a bias of 0.01 rad/s that the answer did not have: 4 s of it, turned about by the motion
-    biased = gyroscope_drift(recovery, imu, np.array([0.01, 0.0, 0.0]))
-    assert 0 < biased.angle_deg.max() <= np.degrees(0.01 * OVER_S) * (1 + 1e-9)
-
-
-def test_a_turn_that_was_not_felt_is_found_in_its_place(answer: tuple[Recovery, ImuStream]):
-    recovery, imu = answer
-    row = BATCH_ROWS  # the first of a batch
-    turn = Rotation.from_rotvec([0.0, 12.0, 0.0], degrees=True)
-    quaternion = recovery.quaternion.copy()
-    late = Rotation.from_quat(quaternion[row:], scalar_first=True) * turn
-    quaternion[row:] = late.as_quat(scalar_first=True)
-    imu = replace(imu, gyro=np.vstack([imu.gyro[:row], turn.inv().apply(imu.gyro[row:])]))
-    drift = gyroscope_drift(replace(recovery, quaternion=quaternion), imu, np.zeros(3))
-    near = np.abs(drift.at_s - imu.t_s[row]) < 0.5 * OVER_S - 0.5
-    assert drift.angle_deg[near] == pytest.approx(12.0, abs=0.5)  # a little of it passes for scale errors
-    assert drift.angle_deg[np.abs(drift.at_s - imu.t_s[row]) > 0.5 * OVER_S + 0.5].max() < 0.5
-    # over a pause nothing is added: nobody knows what the sensor felt meanwhile
-    keep = np.ones(len(imu.t_s), bool)
-    keep[row - 40 : row + 40] = False
-    paused = replace(recovery, quaternion=quaternion).rows(np.flatnonzero(keep))
-    there = ImuStream("imu", imu.t_s[keep], imu.acc[keep], imu.gyro[keep])
-    assert gyroscope_drift(paused, there, np.zeros(3)).angle_deg.max() < 1e-6
-
-
-def test_a_strap_that_slips_on_an_upright_forearm_is_told():
-    """Down hardly jumps there; the answer was 18 cm off in a gap with a sigma of 4, and called usable."""
-    arm = simulate_arm(ArmSimulation.preset("realistic", protocol="random", duration_s=25.1), 1489077380)
-    sound = smooth(replace(arm.recording, truth=None), config=ALONE)
-    assert sound.estimates.trusted
-    drift = gyroscope_drift(sound, arm.recording.imu, np.asarray(sound.estimates.gyroscope_bias))
-    assert drift.angle_deg.max() < 4.0
-    sentences = []
-    for degrees in (-15.0, 15.0):
-        recording = slipped(arm, degrees)
-        turned, recovery = recording.imu, smooth(recording, config=ALONE)
-        bias = np.asarray(recovery.estimates.gyroscope_bias)
-        if down_jumps(turned, bias)[:, 1].max() < JUMP_DEG:
-            assert not list(strap_slipped(_all_jumps(turned, bias)))
-        sentences += list(changes(recovery, recording, bias))
-        assert recovery.estimates.trusted is False
-    assert len(sentences) == 2 and all(
-        "strap slipped" in text or "turned on the arm" in text for text in sentences
-    )
+    assert in_one_frame(recovery)
