@@ -605,7 +605,9 @@ def _kind_by_size(table: Table, columns: Columns) -> str:
             f"{table.path} contains gravity as the system estimates it, not an accelerometer; log the raw"
             " accelerometer."
         )
-    if unit == "m/s^2" or ((size > _ABOUT_1_G[0]) & (size < _ABOUT_1_G[1])).mean() > 0.5:
+    if (unit == "m/s^2" and spread < median) or (
+        (size > _ABOUT_1_G[0]) & (size < _ABOUT_1_G[1])
+    ).mean() > 0.5:
         return "acc"
     if _FIELD[0] < median < _FIELD[1] and spread < _FIELD_SPREAD * median:
         raise RecordingError(
@@ -709,6 +711,9 @@ def _guess_times(table: Table, guess: Guess, used: set[int]) -> tuple[FloatArray
         if unit:
             return _set_time(table, guess, at, unit, why), None
     others = {table.name(at).removeprefix("column "): at for at in free if at not in (*timed, *counted)}
+    for at in others.values():
+        if _time_unit(table, at, 0.95)[0] == "iso":
+            return _set_time(table, guess, at, "iso", "dates"), None
     numeric = {name: table.numbers(at) for name, at in others.items() if table.is_numeric(at)}
     try:
         name, unit = time_among(numeric, SENSOR_RATES, table.path, table.notes)

@@ -274,7 +274,7 @@ def _is_mediapipe(names: Sequence[str], columns: JointColumns) -> bool:
     return columns.numbered or columns.world or bool(_words(names) & {"pinky", "mouth", "visibility"})
 
 
-def _wide(
+def _wide_format(
     key: str,
     title: str,
     recognised_by: str,
@@ -292,7 +292,7 @@ def _wide(
 SKELETON_FORMATS = (
     # Positions in mm in the depth camera's axes, times in us. Confidence 2 and 3 is tracked, 1 (occluded,
     # guessed) inferred, 0 (out of range) not tracked. Orbbec's wrapper of this SDK writes the same joints.
-    _wide(
+    _wide_format(
         "azure-kinect",
         "Azure Kinect or Orbbec body tracking, table",
         "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)",
@@ -300,7 +300,7 @@ SKELETON_FORMATS = (
         _Wide(azure_states, AZURE_AXES, guesses=True),
     ),
     # Positions in m, x left, y up, z forward; tracking states 0, 1, 2 or in words where there are any.
-    _wide(
+    _wide_format(
         "kinect-v2",
         "Kinect v2 joints, table",
         "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)",
@@ -308,7 +308,7 @@ SKELETON_FORMATS = (
         _Wide(kinect_states, KINECT_AXES),
     ),
     # BlazePose's 33 landmarks by number or name; world landmarks are metres about the hips.
-    _wide(
+    _wide_format(
         "mediapipe",
         "MediaPipe world landmarks, table",
         "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left",
@@ -319,7 +319,7 @@ SKELETON_FORMATS = (
         ),
     ),
     # The unit is found by the arms' lengths, up by how the body stands.
-    _wide(
+    _wide_format(
         "joint-table",
         "table of joints by name (FreeMoCap, Pose2Sim and others)",
         "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X",

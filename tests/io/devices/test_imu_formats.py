@@ -406,6 +406,15 @@ def test_other_plain_tables(tmp_path: Path, header: str, units: str):
         check(table, printed(ACC), printed(GYRO), NANOS * 1e-9)
 
 
+def test_a_log_with_a_magnetometer_in_any_order_of_sensors(tmp_path: Path):
+    names = [f"{sensor}_{axis}" for sensor in ("gyro", "mag", "acc") for axis in "xyz"]
+    field = 30.0 + ACC
+    header = ",".join(["timestamp", *names])
+    (table,) = tables(written(tmp_path, header, *rows(NANOS, GYRO, field, ACC)), "android")
+    check(table, printed(ACC), printed(GYRO), NANOS * 1e-9)
+    np.testing.assert_allclose(table.mag, printed(field), rtol=1e-12)
+
+
 def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
     from smoother.io.tables.imu import paired
 
