@@ -54,7 +54,7 @@ def cut(
     images too; camera calibrations and transforms that were recorded once are copied into every part.
     Leave some seconds of visible arm before and after each gap: a part is recovered without the rest.
     """
-    from ..io.mcap.cut_container import Part as PartOfFile
+    from ..io.recording.cut_file import Part as PartOfFile
     from ..io.recording.cut_file import cut_file, read_trials
     from ..runtime.disk_store import DiskStore
 

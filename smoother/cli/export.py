@@ -230,16 +230,15 @@ def _check(format_name: str, frame: str | None, rate: float | None, origin: str 
         raise typer.BadParameter(
             f"the format '{format_name}' is not available; formats: {', '.join(FORMATS)}"
         )
-    if frame not in (None, *FRAMES):
-        raise typer.BadParameter(f"--frame is {' or '.join(FRAMES)}, not '{frame}'")
-    if frame is not None and format_name not in WITH_FRAME:
-        raise typer.BadParameter(f"--frame is for {' and '.join(WITH_FRAME)}, not for {format_name}")
-    if origin not in (None, *ORIGINS):
-        raise typer.BadParameter(f"--origin is {' or '.join(ORIGINS)}, not '{origin}'")
-    if origin is not None and format_name not in WITH_FRAME:
-        raise typer.BadParameter(f"--origin is for {' and '.join(WITH_FRAME)}, not for {format_name}")
-    if rate is not None and format_name not in WITH_RATE:
-        raise typer.BadParameter(f"--rate is for {', '.join(WITH_RATE)}, not for {format_name}")
+    for option, value, values, formats in (
+        ("--frame", frame, FRAMES, WITH_FRAME),
+        ("--origin", origin, ORIGINS, WITH_FRAME),
+        ("--rate", rate, (rate,), WITH_RATE),
+    ):
+        if value is not None and value not in values:
+            raise typer.BadParameter(f"{option} is {' or '.join(map(str, values))}, not '{value}'")
+        if value is not None and format_name not in formats:
+            raise typer.BadParameter(f"{option} is for {', '.join(formats)}, not for {format_name}")
     if rate is not None and not 1 <= rate <= 10_000:
         raise typer.BadParameter(f"--rate is between 1 and 10000 Hz, not {rate:g}")
 

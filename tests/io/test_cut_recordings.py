@@ -13,8 +13,7 @@ from mcap.reader import make_reader
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import read_recording, write_recording
-from smoother.io.mcap.cut_container import CUT
-from smoother.io.recording.cut_file import read_trials
+from smoother.io.recording.cut_file import CUT, read_trials
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, simulate_arm
 

@@ -12,10 +12,9 @@ from ...body import SEGMENTS, BodySegment
 from ...result import Recovery
 from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ...result.untrusted import usable
-from ...runtime.outputs import writing
 from ..mcap.messages import nanoseconds
+from .rows import write_rows
 
-_ROWS = 20_000
 _JOINTS = ("elbow", "wrist", "shoulder")
 
 
@@ -35,18 +34,10 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
     marks = 2 * recovery.trusted.astype(np.uint8) + usable(recovery)
     words = np.array(["0,0", "0,1", "1,0", "1,1"] if recovery.has_verdict else [",0", ",1"] * 2)
     stamp = nanoseconds(recovery.t_s, recovery.origin_ns)
-    occluded = recovery.occluded.astype(int)
+    whole, rest = np.divmod(np.abs(stamp), 1_000_000_000)
     line = "%s%d.%09d,%d" + ",%.9f" * values.shape[1] + ",%s\n"
-    with writing(path, force) as temporary, open(temporary, "w", encoding="ascii", newline="") as file:
-        file.write(",".join(header) + "\n")
-        for start in range(0, len(stamp), _ROWS):
-            part = slice(start, start + _ROWS)
-            whole, rest = np.divmod(np.abs(stamp[part]), 1_000_000_000)
-            sign = np.where(stamp[part] < 0, "-", "").tolist()
-            heads = zip(sign, whole.tolist(), rest.tolist(), occluded[part].tolist(), strict=True)
-            rows = zip(heads, values[part].tolist(), words[marks[part]].tolist(), strict=True)
-            text = "".join([line % (*head, *row, last) for head, row, last in rows])
-            file.write(text.replace("nan", ""))
+    columns = [np.where(stamp < 0, "-", ""), whole, rest, recovery.occluded, values, words[marks]]
+    write_rows(path, ",".join(header) + "\n", line, columns, force)
 
 
 def csv_columns(recovery: Recovery) -> tuple[list[str], FloatArray]:

@@ -21,10 +21,10 @@ from ...result import Recovery
 from ...result.untrusted import untrusted_sentences, usable
 from ...runtime.outputs import locked, writing
 from .grid import Grid, at_grid, constant_step, frames_at_grid, nearest
+from .rows import write_rows
 
 #: Millimetres in the file, with this many decimals: a nanometre.
 UNIT, PER_METRE, DECIMALS = "mm", 1000.0, 6
-_ROWS = 20_000
 _COLUMNS = ["DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units"]
 _COLUMNS += ["OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"]
 
@@ -49,17 +49,9 @@ def write_trc(
     ]
     # A tab ends every row: OpenSim drops an empty cell at the end of a line.
     line = "%d\t%.9f" + f"\t%.{DECIMALS}f" * (3 * len(names)) + "\t\n"
-    with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        file.write("".join("\t".join(cells) + "\n" for cells in head) + "\n")
-        for start in range(0, len(t_s), _ROWS):
-            part = slice(start, start + _ROWS)
-            values = blank(PER_METRE * position[part]).reshape(-1, 3 * len(names)).tolist()
-            times = t_s[part].tolist()
-            rows = [
-                line % (start + number + 1, time, *row)
-                for number, (time, row) in enumerate(zip(times, values, strict=True))
-            ]
-            file.write("".join(rows).replace("nan", ""))
+    values = blank(PER_METRE * position).reshape(len(t_s), -1)
+    text = "".join("\t".join(cells) + "\n" for cells in head) + "\n"
+    write_rows(path, text, line, [np.arange(1, len(t_s) + 1), t_s, values], force)
 
 
 def blank(position: FloatArray) -> FloatArray:

@@ -14,11 +14,9 @@ from ...linalg import median_rate_hz
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...rotation import Rotation
-from ...runtime.outputs import writing
 from .grid import Grid, at_grid, constant_step, nearest, unbroken
 from .markers import opensim_axes
-
-_ROWS = 20_000
+from .rows import write_rows
 
 
 @dataclass(frozen=True)
@@ -109,12 +107,7 @@ def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery,
     values = np.column_stack(list(table.angles.values()))
     flags = np.column_stack(list(marks.values())).astype(int)
     line = "%.9f" + "\t%.9f" * values.shape[1] + "\t%d" * flags.shape[1] + "\n"
-    with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        file.write("\n".join(head) + "\n")
-        for start in range(0, len(values), _ROWS):
-            part = slice(start, start + _ROWS)
-            rows = zip(table.t_s[part].tolist(), values[part].tolist(), flags[part].tolist(), strict=True)
-            file.write("".join([line % (time, *row, *flag) for time, row, flag in rows]))
+    write_rows(path, "\n".join(head) + "\n", line, [table.t_s, values, flags], force)
 
 
 def _trust_lines(recovery: Recovery) -> list[str]:
@@ -225,12 +218,8 @@ def write_sto(table: OrientationTable, path: str | os.PathLike[str], force: bool
     head = [f"DataRate={table.rate_hz:.6f}", "DataType=Quaternion", "version=3", "endheader"]
     columns = "\t".join(["time", *table.quaternion])
     line = "%.9f" + "\t%.9f,%.9f,%.9f,%.9f" * len(table.quaternion) + "\n"
-    values = np.concatenate([table.t_s[:, None], *table.quaternion.values()], axis=1)
-    with writing(path, force) as temporary, open(temporary, "w", encoding="ascii", newline="") as file:
-        file.write("\n".join([*head, columns]) + "\n")
-        for start in range(0, len(values), _ROWS):
-            rows = values[start : start + _ROWS].tolist()
-            file.write("".join([line % tuple(row) for row in rows]))
+    text = "\n".join([*head, columns]) + "\n"
+    write_rows(path, text, line, [table.t_s, *table.quaternion.values()], force)
 
 
 def _continuous(quaternion: FloatArray) -> FloatArray:

@@ -431,7 +431,7 @@ def _pair_by_motion(scene: _Scene, pairs: Sequence[Pair]) -> tuple[Pair, str]:
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
     if best < _ENOUGH or best - second < _LEAD:
-        raise RecordingError(f"{scene.file.path} has {_what_is_open(scene.file, pairs)}.")
+        raise RecordingError(_what_is_open(scene.file, pairs))
     pair, (_, shift_s, far) = left[order[0]], found[order[0]]
     apart = f", with the clocks {abs(shift_s):.1f} s apart" if far else ""
     further = [
@@ -448,7 +448,8 @@ def _what_is_open(file: RecordingFile, pairs: Sequence[Pair]) -> str:
     sides = {_worn_on(imu) for imu, _ in pairs}
     if "" not in sides and len(sides) == len(pairs):  # names show which IMU is on which arm
         return (
-            f"an IMU on each of several arms ({_listing(file)}), and one is wanted here; choose with --side"
+            f"{file.path} has an IMU on each of several arms ({_listing(file)}), and one is wanted here;"
+            " choose with --side."
         )
     kinds: dict[str, set[object]] = {
         "--imu": {id(imu) for imu, _ in pairs},
@@ -457,7 +458,10 @@ def _what_is_open(file: RecordingFile, pairs: Sequence[Pair]) -> str:
         "--body": {(arm.topic, arm.body) for _, arm in pairs},
     }
     needed = " and ".join(option for option, values in kinds.items() if len(values) > 1)
-    return f"{_listing(file)}, and their motion does not show which belong together; choose with {needed}"
+    return (
+        f"{file.path} has {_listing(file)}, and their motion does not show which belong together; choose with"
+        f" {needed}."
+    )
 
 
 def _by_motion(scene: _Scene, arms: Sequence[ArmFrames], side: str | None) -> list[StreamChoice]:

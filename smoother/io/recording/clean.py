@@ -15,7 +15,7 @@ from ...recording import JOINTS, JointState
 from ...runtime.store import Store, batches, sampled
 from ...units import STANDARD_GRAVITY
 from ..tables.units import unit_of_rest
-from .streams import ArmFrames, ImuSamples, PoseSamples, kept
+from .streams import ArmFrames, ImuSamples, PoseSamples, kept, rows_of
 
 #: Names of two causes.
 ZERO, FROZEN = "all zero", "frozen"
@@ -157,13 +157,7 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
             usable &= ~causes[cause]
     _check_units(stream, usable, source)  # values beyond any range may be due to a wrong unit
     keep, notes = _keep(stream.stamp_ns, finite, causes, stream.topic, source, "samples")
-    cleaned = replace(
-        stream,
-        stamp_ns=kept(stream.stamp_ns, keep, store),
-        acc=kept(stream.acc, keep, store),
-        gyro=kept(stream.gyro, keep, store),
-        mag=None if stream.mag is None else kept(stream.mag, keep, store),
-    )
+    cleaned = rows_of(stream, keep, store)
     if len(cleaned.stamp_ns) < 2:
         raise RecordingError(
             f"{source}: {stream.topic} has {len(cleaned.stamp_ns)} usable samples, too few; record it again."
@@ -229,23 +223,13 @@ def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSam
     keep = increasing(poses.stamp_ns)
     dropped = int((~keep).sum())
     notes = [f"{poses.topic}: {dropped} poses with repeated or backward stamps dropped."] if dropped else []
-    score = None if poses.score is None else poses.score[keep]
-    position, quaternion = kept(poses.position, keep, store), kept(poses.quaternion, keep, store)
-    turned = np.empty(len(quaternion), bool)
-    for part in batches(len(quaternion)):
-        length = np.linalg.norm(quaternion[part], axis=1)
+    poses = rows_of(poses, keep, store)
+    turned = np.empty(len(poses.quaternion), bool)
+    for part in batches(len(turned)):
+        length = np.linalg.norm(poses.quaternion[part], axis=1)
         turned[part] = np.isfinite(length) & (length > 0.5)
-    return (
-        replace(
-            poses,
-            stamp_ns=kept(poses.stamp_ns, keep, store),
-            position=_without(position, ~_finite(position), store),
-            quaternion=_without(quaternion, ~turned, store),
-            score=score,
-            joints={name: kept(values, keep, store) for name, values in poses.joints.items()},
-        ),
-        notes,
-    )
+    position = _without(poses.position, ~_finite(poses.position), store)
+    return replace(poses, position=position, quaternion=_without(poses.quaternion, ~turned, store)), notes
 
 
 def _finite(values: FloatArray) -> BoolArray:

@@ -65,7 +65,6 @@ def _only_sensor(imu: ImuSamples) -> str:
 def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile, store: Store) -> ImuTable:
     """One sensor of an IMU as a table, with increasing times."""
     stream = without_outlying(imu, file.notes, store)
-    assert isinstance(stream, ImuSamples)
     keep = increasing(stream.stamp_ns)
     if (~keep).mean() > _MOST_BACK:
         raise RecordingError(
