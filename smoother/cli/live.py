@@ -16,7 +16,7 @@ import typer
 
 from .app import GroupedCommand
 from .live_arms import check_arms, further_streams, receivers_of, sides_of, streams_of_arms, together
-from .live_lines import Aside, Lines
+from .live_lines import Lines
 from .options import Calibration, ConfigFile, Force, Json, Side, one_side
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
 
@@ -159,11 +159,8 @@ def run_sessions(sessions: Sequence[LiveSession], stop_request: StopRequest) -> 
 
     if sys.stdout.isatty():
         say("q ends, s ends and smooths" if stop_request.has_keys else "Ctrl-C ends")
-    lines = Lines()
-    if not sessions[0].source.speed:
+    with Lines() as lines:
         return [each.figures() for each in run_together(sessions, stop_request, lines.show)]
-    with Aside(lines) as aside:
-        return [each.figures() for each in run_together(sessions, stop_request, aside.show)]
 
 
 def print_source(source: Source, calibration: SessionCalibration) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,7 +68,7 @@ def further_streams(given: Sequence[str], sides: Sequence[str | None]) -> dict[s
 
 def check_arms(infos: Sequence[SourceInfo], replay: Path | None) -> None:
     """Refuse two arms of which one stream is to be both."""
-    names = [name for info in infos for name in (info.imu, *info.further.values())]
+    names = [name for info in infos for name in info.imus.values()]
     if replay is not None and len(set(names)) < len(names):
         raise UnoccludeError(
             f"{replay}: which IMU is on which arm does not show by the topics' names; give --imu right=TOPIC"
@@ -83,10 +84,8 @@ def receivers_of(
     stack: ExitStack,
 ) -> list[list[Receiver]]:
     """Who is sent the answers of each arm, and where they are found."""
-    from ..streams.session import OneArmReceiver, SharedReceiver
-
     info, *others = infos
-    shared: list[SharedReceiver] = []
+    receivers: list[list[Receiver]] = [[] for _ in infos]
     if foxglove is not None:
         from ..streams.foxglove import FoxgloveServer
 
@@ -94,18 +93,17 @@ def receivers_of(
         stack.callback(server.close)
         say(f"Foxglove: open connection, Foxglove WebSocket, {server.address}; layout:"
             " docs/unocclude.foxglove-layout.json")  # fmt: skip
-        shared.append(server)
-    receivers: list[list[Receiver]] = [
-        [OneArmReceiver(each, number) for each in shared] for number in range(len(infos))
-    ]
+        for number, of_arm in enumerate(receivers):
+            of_arm.append(partial(server.send, number=number))
     if lsl_out is not None:
         from ..streams.lsl import LslOutlet
         from ..streams.lsl_local import LocalLslOutlet
 
         for of_arm, each in zip(receivers, infos, strict=True):
             name = f"{lsl_out}_{each.side}" if others else lsl_out
-            of_arm.append((LslOutlet if lsl_network else LocalLslOutlet)(name, each))
-            stack.callback(of_arm[-1].close)
+            outlet = (LslOutlet if lsl_network else LocalLslOutlet)(name, each)
+            stack.callback(outlet.close)
+            of_arm.append(outlet.send)
             who = "all computers of this network" if lsl_network else "this computer"
             say(f"LSL: streams {name} and {name}_settled, for {who}")
     return receivers

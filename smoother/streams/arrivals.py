@@ -6,104 +6,90 @@ Steps of a stream's clock while it runs: found by when samples arrive, and taken
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import FloatArray, IntArray
+from ..body import FOREARM
 from ..recording import JOINTS, CameraFrame
 
+Rows = TypeVar("Rows", bound="StreamRows")
+
+
+class StreamRows:
+    """What a stream sent, in the order in which it came; each column has a row for everything that came."""
+
+    t_s: FloatArray
+    arrival_s: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def select(self: Rows, rows: IntArray | slice) -> Rows:
+        """Some of the rows."""
+        return type(self)(**{k: None if column is None else column[rows] for k, column in vars(self).items()})
+
+    def stamped(self: Rows, t_s: FloatArray) -> Rows:
+        """The same rows with other stamps (n,), s."""
+        return type(self)(**{**vars(self), "t_s": t_s})
+
+    @classmethod
+    def joined(cls: type[Rows], rows: Sequence[Rows]) -> Rows:
+        """One after the other, with the columns that all of them have."""
+        columns = {name: [vars(one)[name] for one in rows] for name in vars(cls())}
+        known = {name: each for name, each in columns.items() if not any(c is None for c in each)}
+        return cls(**{name: np.concatenate(each) for name, each in known.items()}) if rows else cls()
+
+
+def _none(*row: int, dtype: type = float) -> Callable[[], NDArray]:
+    """Makes a column without a row."""
+    return partial(np.empty, (0, *row), dtype)
+
 
 @dataclass(frozen=True)
-class ImuRows:
-    """Samples of the IMU in the order in which they came."""
+class ImuRows(StreamRows):
+    """Samples of the IMU."""
 
-    t_s: FloatArray  # (n,) s: stamps
-    acc: FloatArray  # (n, 3) m/s^2: specific force in {A}
-    gyro: FloatArray  # (n, 3) rad/s: angular velocity in {A}
-    arrival_s: FloatArray  # (n,) s: when they came, on the session's clock
+    t_s: FloatArray = field(default_factory=_none())  # (n,) s: stamps
+    acc: FloatArray = field(default_factory=_none(3))  # (n, 3) m/s^2: specific force in {A}
+    gyro: FloatArray = field(default_factory=_none(3))  # (n, 3) rad/s: angular velocity in {A}
+    # (n,) s: when they came, on the session's clock
+    arrival_s: FloatArray = field(default_factory=_none())
     mag: FloatArray | None = None  # (n, 3): magnetic field in the sensor's unit
 
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-    def select(self, rows: IntArray | slice) -> ImuRows:
-        """Some of the samples."""
-        mag = None if self.mag is None else self.mag[rows]
-        return ImuRows(self.t_s[rows], self.acc[rows], self.gyro[rows], self.arrival_s[rows], mag)
-
-    def stamped(self, t_s: FloatArray) -> ImuRows:
-        """The same samples with other stamps (n,), s."""
-        return replace(self, t_s=t_s)
-
-    @classmethod
-    def joined(cls, rows: Sequence[ImuRows]) -> ImuRows:
-        """One after the other."""
-        mags = [one.mag for one in rows if one.mag is not None]
-        mag = np.concatenate(mags) if len(mags) == len(rows) else None
-        return cls(
-            np.concatenate([one.t_s for one in rows]),
-            np.concatenate([one.acc for one in rows]),
-            np.concatenate([one.gyro for one in rows]),
-            np.concatenate([one.arrival_s for one in rows]),
-            mag,
-        )
-
-    @classmethod
-    def none(cls) -> ImuRows:
-        """No sample."""
-        return cls(np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
-
 
 @dataclass(frozen=True)
-class FrameRows:
-    """Frames of the camera in the order in which they came."""
+class FrameRows(StreamRows):
+    """Frames of the camera."""
 
-    t_s: FloatArray  # (n,) s: stamps
-    position: FloatArray  # (n, 5, 3) m: joints in the order of `JOINTS`, in {K}; nan where there is none
-    state: NDArray[np.int8]  # int (n, 5): `JointState` values
-    arrival_s: FloatArray  # (n,) s: when they came, on the session's clock
-
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-    def select(self, rows: IntArray | slice) -> FrameRows:
-        """Some of the frames."""
-        return FrameRows(self.t_s[rows], self.position[rows], self.state[rows], self.arrival_s[rows])
-
-    def stamped(self, t_s: FloatArray) -> FrameRows:
-        """The same frames with other stamps (n,), s."""
-        return replace(self, t_s=t_s)
-
-    @classmethod
-    def joined(cls, rows: Sequence[FrameRows]) -> FrameRows:
-        """One after the other."""
-        return cls(
-            np.concatenate([one.t_s for one in rows]),
-            np.concatenate([one.position for one in rows]),
-            np.concatenate([one.state for one in rows]),
-            np.concatenate([one.arrival_s for one in rows]),
-        )
-
-    @classmethod
-    def none(cls) -> FrameRows:
-        """No frame."""
-        shape = (0, len(JOINTS))
-        return cls(np.empty(0), np.empty((*shape, 3)), np.empty(shape, np.int8), np.empty(0))
+    t_s: FloatArray = field(default_factory=_none())  # (n,) s: stamps
+    # (n, 5, 3) m: joints in the order of `JOINTS`, in {K}; nan where there is none
+    position: FloatArray = field(default_factory=_none(len(JOINTS), 3))
+    # int (n, 5): `JointState` values
+    state: NDArray[np.int8] = field(default_factory=_none(len(JOINTS), dtype=np.int8))
+    # (n,) s: when they came, on the session's clock
+    arrival_s: FloatArray = field(default_factory=_none())
 
 
 @dataclass(frozen=True)
 class Arrivals:
     """What came since the last look."""
 
-    imu: ImuRows = field(default_factory=ImuRows.none)
-    frames: FrameRows = field(default_factory=FrameRows.none)
+    imu: ImuRows = field(default_factory=ImuRows)
+    frames: FrameRows = field(default_factory=FrameRows)
     events: tuple[str, ...] = ()  # What was done to their stamps, a sentence each
     # Of IMUs on segments beyond the forearm, by the segment's name
     further: Mapping[str, ImuRows] = field(default_factory=dict)
+
+    @property
+    def imus(self) -> dict[str, ImuRows]:
+        """Of every IMU by the segment's name, the forearm's first."""
+        return {FOREARM.name: self.imu, **self.further}
 
 
 @dataclass(frozen=True)
@@ -122,6 +108,11 @@ class SourceInfo:
     notes: tuple[str, ...] = ()  # How it was decided, and what is assumed, one sentence each
     # Names of the streams of IMUs on segments beyond the forearm, by the segment's name
     further: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def imus(self) -> dict[str, str]:
+        """Names of the IMUs' streams by the segment's name, the forearm's first."""
+        return {FOREARM.name: self.imu, **self.further}
 
     @property
     def down(self) -> FloatArray | None:
@@ -158,8 +149,6 @@ class Source(Protocol):
     def close(self) -> None:
         """Let the streams go."""
 
-
-Rows = TypeVar("Rows", ImuRows, FrameRows)
 
 #: A sample may come this much later than its neighbours, s: more than the 0.5 s that streams are allowed.
 LATE_S = 0.6

@@ -77,7 +77,7 @@ class ImuHalves:
             kind: StampSteps[ImuRows](name, STEP_OF_IMU_S, STEP_OF_IMU_S)
             for kind, name in (("acc", acc_name), ("gyro", gyro_name))
         }
-        self._acc, self._gyro = ImuRows.none(), ImuRows.none()
+        self._acc, self._gyro = ImuRows(), ImuRows()
 
     def joined(self, acc: ImuRows, gyro: ImuRows) -> tuple[ImuRows, tuple[str, ...]]:
         """What both halves reach, and what was done to stamps."""
@@ -88,7 +88,7 @@ class ImuHalves:
         events = (*said_acc, *said_gyro)
         if not len(self._acc) or not len(self._gyro):
             self._forget()
-            return ImuRows.none(), events
+            return ImuRows(), events
         t = self._acc.t_s
         stop = int(np.searchsorted(self._gyro.t_s, t[-1], "right"))
         due, self._gyro = self._gyro.select(slice(0, stop)), self._gyro.select(slice(stop, None))

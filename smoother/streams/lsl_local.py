@@ -144,7 +144,7 @@ def main() -> None:
     try:
         with suppress(EOFError):
             while True:
-                outlet.send(pickle.load(stream), FrameRows.none(), None, ())
+                outlet.send(pickle.load(stream), FrameRows(), None, ())
     finally:
         outlet.close()
 

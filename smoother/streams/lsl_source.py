@@ -167,20 +167,21 @@ class LslSource:
         frame_batches = (self._beside or self)._frame_batches
         events = tuple(text for inlet in self._own_inlets for text in inlet.events())
         further = {
-            segment: _joined([self._imu(self._further_channels[segment], batch) for batch in inlet.samples()])
+            segment: ImuRows.joined(
+                [self._imu(self._further_channels[segment], batch) for batch in inlet.samples()]
+            )
             for segment, inlet in self._further.items()
         }
         frames = [self._frames(skeleton_channels, batch) for batch in frame_batches]
         if isinstance(imu_channels, ImuChannels):
-            imu = _joined([self._imu(imu_channels, batch) for batch in imu_batches])
+            imu = ImuRows.joined([self._imu(imu_channels, batch) for batch in imu_batches])
         else:
             acc_channels, gyro_channels, halves = imu_channels
-            acc = _joined([self._half(acc_channels, batch) for batch in imu_batches])
-            gyro = _joined([self._half(gyro_channels, batch) for batch in gyro_batches[0]])
+            acc = ImuRows.joined([self._half(acc_channels, batch) for batch in imu_batches])
+            gyro = ImuRows.joined([self._half(gyro_channels, batch) for batch in gyro_batches[0]])
             imu, said = halves.joined(acc, gyro)
             events += said
-        joined = FrameRows.joined(frames) if frames else FrameRows.none()
-        return Arrivals(imu, joined, events, further)
+        return Arrivals(imu, FrameRows.joined(frames), events, further)
 
     def close(self) -> None:
         """Let the streams go."""
@@ -246,8 +247,3 @@ class LslSource:
             f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on the network:"
             f" {there}"
         )
-
-
-def _joined(rows: list[ImuRows]) -> ImuRows:
-    """One after the other, or none."""
-    return ImuRows.joined(rows) if rows else ImuRows.none()

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 from calib.file import CalibrationFile, read_calibration, sigma_factors_of
 from calib.imu.sensor import SensorCalibration, sensor_of
@@ -21,8 +21,11 @@ from ..measurements.visibility import Gap
 from ..recording import ImuStream
 from ..window.priors import with_measured_noise
 from .arrivals import STEP_OF_IMU_S, Arrivals, FrameRows, ImuRows, Source, SourceInfo, StampSteps
-from .session_figures import SessionFigures, SessionView, StreamHealth
+from .session_figures import SessionFigures
 from .session_recording import Recorder
+
+if TYPE_CHECKING:
+    from ..live.smoother import LiveSmoother
 
 
 @dataclass(frozen=True)
@@ -30,33 +33,29 @@ class SessionCalibration:
     """What is known before a session."""
 
     arm: ArmCalibration | None = None  # Of the arm
-    sensor: SensorCalibration | None = None  # Of the IMU: taken off what is used, not off what is recorded
+    # Of IMUs by segment: taken off what is used, not off what is recorded
+    sensors: Mapping[str, SensorCalibration] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # What of it is used, one sentence each
-    # Likewise of IMUs beyond the forearm, by segment
-    further: Mapping[str, SensorCalibration] = field(default_factory=dict)
 
     @classmethod
     def of(cls, file: CalibrationFile | None, info: SourceInfo) -> SessionCalibration:
         """Of a file, for a session; nothing without one."""
         if file is None:
             return cls()
-        topic = imu_topic(info.imu, info.side)
-        sensor, factors = sensor_of(file, topic), sigma_factors_of(file)
+        factors, sensors, notes = sigma_factors_of(file), {}, []
         arm = replace(file.arm(info.side), sigma_factors=factors) if file.arms else None
         if arm is None and factors is not None:
             arm = ArmCalibration(info.side, sigma_factors=factors)
-        topics = {segment: imu_topic(name, info.side, segment) for segment, name in info.further.items()}
-        further = {
-            segment: found for segment, name in topics.items() if (found := sensor_of(file, name)) is not None
-        }
-        used = [] if sensor is None else [(topic, sensor)]
-        used += [(topics[segment], each) for segment, each in further.items()]
-        notes = [f"{name}: {', '.join(each.named)} corrected ({file.source})" for name, each in used]
-        return cls(arm, sensor, tuple(notes), further)
+        for segment, name in info.imus.items():
+            topic = imu_topic(name, info.side, segment)
+            if (sensor := sensor_of(file, topic)) is not None:
+                sensors[segment] = sensor
+                notes.append(f"{topic}: {', '.join(sensor.named)} corrected ({file.source})")
+        return cls(arm, sensors, tuple(notes))
 
-    def corrected(self, rows: ImuRows, segment: str = FOREARM.name) -> ImuRows:
+    def corrected(self, rows: ImuRows, segment: str) -> ImuRows:
         """Samples as the sensor should have given them."""
-        sensor = self.sensor if segment == FOREARM.name else self.further.get(segment)
+        sensor = self.sensors.get(segment)
         if sensor is None or not len(rows):
             return rows
         stream = sensor.apply(ImuStream("", rows.t_s, rows.acc, rows.gyro))
@@ -64,10 +63,10 @@ class SessionCalibration:
 
     def config(self, config: Config) -> Config:
         """The settings with the sensor's own noise where it was measured."""
-        if self.sensor is None:
+        sensor, none = self.sensors.get(FOREARM.name), ImuRows()
+        if sensor is None:
             return config
-        none = ImuRows.none()
-        return with_measured_noise(config, self.sensor.apply(ImuStream("", none.t_s, none.acc, none.gyro)))
+        return with_measured_noise(config, sensor.apply(ImuStream("", none.t_s, none.acc, none.gyro)))
 
 
 def prefer_side(file: CalibrationFile | None) -> str | None:
@@ -85,63 +84,8 @@ def read_calibration_file(path: Path | None) -> CalibrationFile | None:
 _WAIT_S, _STEP_S = 0.02, 0.005
 
 
-class Engine(Protocol):
-    """What recovers the arm: `live.smoother.LiveSmoother`."""
-
-    def add_imu(self, batch: ImuBatch) -> None:
-        """Take samples in."""
-
-    def add_further_imu(self, segment: str, batch: ImuBatch) -> None:
-        """Take samples of the IMU on a further segment in."""
-
-    def add_frame(self, frame: SkeletonFrame) -> None:
-        """Take a frame in."""
-
-    def step(self, now_s: float) -> LiveOutput:
-        """Answer for the present."""
-
-
-class Receiver(Protocol):
-    """Who is sent what a session answers."""
-
-    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
-        """Send what a step answered, the frames before it, the gap that it ended, and what happened."""
-
-    def close(self) -> None:
-        """Nothing more will come."""
-
-
-class SharedReceiver(Protocol):
-    """Who is sent what the sessions of both arms answer."""
-
-    def send(
-        self,
-        output: LiveOutput,
-        frames: FrameRows,
-        gap: Gap | None,
-        events: Sequence[str],
-        number: int = 0,
-    ) -> None:
-        """As `Receiver`, and which arm it is of."""
-
-    def close(self) -> None:
-        """Nothing more will come."""
-
-
-@dataclass(frozen=True)
-class OneArmReceiver:
-    """A shared receiver as the session of one arm sees it."""
-
-    shared: SharedReceiver
-    number: int  # Of the arm
-
-    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
-        """As `Receiver`."""
-        self.shared.send(output, frames, gap, events, self.number)
-
-    def close(self) -> None:
-        """As `Receiver`."""
-        self.shared.close()
+#: Is sent what a step answered, the frames before it, the gap that it ended, and what happened.
+Receiver: TypeAlias = Callable[[LiveOutput, FrameRows, Gap | None, Sequence[str]], None]
 
 
 class LiveSession:
@@ -150,7 +94,7 @@ class LiveSession:
     def __init__(
         self,
         source: Source,
-        engine: Engine,
+        engine: LiveSmoother,
         calibration: SessionCalibration | None = None,
         recording: Recorder | None = None,
         receivers: Sequence[Receiver] = (),
@@ -159,24 +103,20 @@ class LiveSession:
         self.source, self.engine, self._arm = source, engine, arm
         self.recording, self.receivers = recording, receivers
         self._calibration = calibration or SessionCalibration()
-        info = source.info
-        self._imu_steps: StampSteps[ImuRows] = StampSteps(info.imu, STEP_OF_IMU_S, STEP_OF_IMU_S)
-        self._frame_steps: StampSteps[FrameRows] = StampSteps(info.skeleton)
-        self._further_steps = {
+        self._frame_steps: StampSteps[FrameRows] = StampSteps(source.info.skeleton)
+        self._imu_steps = {
             segment: StampSteps[ImuRows](name, STEP_OF_IMU_S, STEP_OF_IMU_S)
-            for segment, name in info.further.items()
+            for segment, name in source.info.imus.items()
         }
-        self._healths = StreamHealth(info.imu), StreamHealth(info.skeleton)
-        self._further = {segment: StreamHealth(name) for segment, name in info.further.items()}
-        self.figures = SessionFigures(*self._healths, self._further, info.side)
+        self.figures = SessionFigures(source.info)
         self._last_step = 0.0
 
-    def run(self, stopped: Callable[[], bool], show: Callable[[SessionView], None]) -> SessionFigures:
+    def run(self, stopped: Callable[[], bool], show: Callable[..., None]) -> SessionFigures:
         """Until it is stopped, or the source has ended."""
         return run_together([self], stopped, show)[0]
 
-    def advance(self) -> SessionView:
-        """Take in what arrived, and answer; what is shown of it."""
+    def advance(self) -> None:
+        """Take in what arrived, and answer."""
         arrivals = self._mended(self.source.arrivals())
         if self.recording is not None:
             self.recording.take(arrivals, self._arm)
@@ -188,7 +128,6 @@ class LiveSession:
             self.recording.shown(output, self._arm)
             events += self.recording.events()
         self._answered(output, arrivals.frames, [*events, *output.notes])
-        return self.figures.view(now_s)
 
     def end(self) -> None:
         """Wait for the recording; what its last rows met belongs to the session."""
@@ -205,30 +144,34 @@ class LiveSession:
 
     def _mended(self, arrivals: Arrivals) -> Arrivals:
         """What arrived, with steps of the clocks taken out; as its events state."""
-        imu, imu_events = self._imu_steps.corrected(arrivals.imu)
-        frames, frame_events = self._frame_steps.corrected(arrivals.frames)
-        events, further = [*arrivals.events, *imu_events, *frame_events], {}
-        for segment, rows in arrivals.further.items():
-            further[segment], said = self._further_steps[segment].corrected(rows)
+        imus, events = {}, list(arrivals.events)
+        frames, said_frames = self._frame_steps.corrected(arrivals.frames)
+        for segment, rows in arrivals.imus.items():
+            imus[segment], said = self._imu_steps[segment].corrected(rows)
             events += said
-        return Arrivals(imu, frames, tuple(events), further)
+            if segment == FOREARM.name:
+                events += said_frames
+        return Arrivals(imus.pop(FOREARM.name), frames, tuple(events), imus)
 
     def _counted(self, arrivals: Arrivals) -> list[str]:
         """Count what arrived; sentences on streams that are back."""
-        imu, frames = arrivals.imu, arrivals.frames
-        of_imu, of_camera = self._healths
-        for segment, rows in arrivals.further.items():  # what becomes of it, the smoother says
-            self._further[segment].take(rows.t_s, rows.arrival_s)
-        return [*of_imu.take(imu.t_s, imu.arrival_s), *of_camera.take(frames.t_s, frames.arrival_s)]
+        imus, frames, figures = arrivals.imus, arrivals.frames, self.figures
+        said = {
+            segment: figures.imus[segment].take(rows.t_s, rows.arrival_s) for segment, rows in imus.items()
+        }
+        # what becomes of a further IMU, the smoother says
+        return [*said[FOREARM.name], *figures.skeleton.take(frames.t_s, frames.arrival_s)]
 
     def _add(self, arrivals: Arrivals) -> None:
-        imu: ImuRows = self._calibration.corrected(arrivals.imu)
-        if len(imu):
-            self.engine.add_imu(ImuBatch(imu.t_s, imu.acc, imu.gyro))
-        for segment, came in arrivals.further.items():
+        for segment, came in arrivals.imus.items():
             used = self._calibration.corrected(came, segment)
-            if len(used):
-                self.engine.add_further_imu(segment, ImuBatch(used.t_s, used.acc, used.gyro))
+            if not len(used):
+                continue
+            batch = ImuBatch(used.t_s, used.acc, used.gyro)
+            if segment == FOREARM.name:
+                self.engine.add_imu(batch)
+            else:
+                self.engine.add_further_imu(segment, batch)
         frames = arrivals.frames
         # the smoother follows the camera's clock by itself, with its uncertainty
         t_s = frames.t_s - self._frame_steps.stepped_s
@@ -238,19 +181,17 @@ class LiveSession:
 
     def _look(self, now_s: float) -> list[str]:
         """What became of the streams."""
-        for health in self._further.values():
-            health.look(now_s)
-        return [sentence for health in self._healths for sentence in health.look(now_s)]
+        said = {segment: health.look(now_s) for segment, health in self.figures.imus.items()}
+        return [*said[FOREARM.name], *self.figures.skeleton.look(now_s)]
 
     def _answered(self, output: LiveOutput, frames: FrameRows, events: list[str]) -> None:
         self.figures.event(output.now_s, events)
         gap = self.figures.step(output)
-        for receiver in self.receivers:
-            receiver.send(output, frames.stamped(frames.t_s - self._frame_steps.stepped_s), gap, events)
+        for send in self.receivers:
+            send(output, frames.stamped(frames.t_s - self._frame_steps.stepped_s), gap, events)
         if self.source.speed:
-            done_s = self.source.now_s()
-            for arrival_s in frames.arrival_s.tolist():
-                self.figures.frame_delays.add((done_s - arrival_s) / self.source.speed)
+            delays_s = (self.source.now_s() - frames.arrival_s) / self.source.speed
+            self.figures.frame_delays_s.extend(delays_s.tolist())
 
 
 def run_together(
@@ -259,9 +200,12 @@ def run_together(
     show: Callable[..., None],
 ) -> list[SessionFigures]:
     """Sessions of the arms of one person, step by step side by side, until they are stopped or have ended."""
+    figures = [session.figures for session in sessions]
     while not stopped() and not all(session.source.ended for session in sessions):
         sessions[0].wait()
-        show(*[session.advance() for session in sessions])
+        for session in sessions:
+            session.advance()
+        show(*figures)
     for session in sessions:
         session.end()
-    return [session.figures for session in sessions]
+    return figures

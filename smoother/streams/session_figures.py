@@ -3,57 +3,31 @@
 from __future__ import annotations
 
 import time
+from array import array
 from collections import deque
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import FOREARM
 from ..live.answers import LiveOutput, LiveState
 from ..measurements.visibility import Gap
-
-#: Bins of 0.25 ms up to 2 s; what takes longer is in the last.
-_BIN_S, _BINS = 0.00025, 8000
+from .arrivals import SourceInfo
 
 
-class DelayCounts:
-    """Counts of delays."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.largest_s = float("nan")
-        self._counts = np.zeros(_BINS, np.int64)
-
-    def add(self, delay_s: float) -> None:
-        """Count one."""
-        self.count += 1
-        self.largest_s = float(np.fmax(self.largest_s, delay_s))
-        self._counts[min(max(int(delay_s / _BIN_S), 0), _BINS - 1)] += 1
-
-    def percentile_s(self, percent: float) -> float:
-        """The duration that a share (percent) did not exceed, s; nan without any."""
-        if not self.count:
-            return float("nan")
-        at = int(np.searchsorted(np.cumsum(self._counts), percent / 100 * self.count))
-        return min((at + 1) * _BIN_S, self.largest_s)
-
-    def share_within(self, seconds: float) -> float:
-        """Share of them that took at most this long; nan without any."""
-        if not self.count:
-            return float("nan")
-        return float(self._counts[: round(seconds / _BIN_S)].sum()) / self.count
-
-    def figures(self) -> dict[str, float | int]:
-        """What a summary states of them, ms."""
-        return {
-            "count": self.count,
-            "median_ms": 1e3 * self.percentile_s(50),
-            "percentile_99_ms": 1e3 * self.percentile_s(99),
-            "largest_ms": 1e3 * self.largest_s,
-            "share_within_20_ms": self.share_within(0.020),
-        }
+def delay_figures(delays_s: Sequence[float]) -> dict[str, float | int]:
+    """What a summary states of delays, ms; nan without any."""
+    delays = np.asarray(delays_s if len(delays_s) else [np.nan], float)
+    median, most, largest = (1e3 * np.percentile(delays, (50, 99, 100))).tolist()
+    return {
+        "count": len(delays_s),
+        "median_ms": median,
+        "percentile_99_ms": most,
+        "largest_ms": largest,
+        "share_within_20_ms": float(np.mean(delays <= 0.020)) if len(delays_s) else float("nan"),
+    }
 
 
 #: Rates and delays are those of the last seconds.
@@ -147,52 +121,13 @@ class StreamHealth:
 _MOST_EVENTS = 200
 
 
-@dataclass(frozen=True)
-class StreamView:
-    """A stream as it is shown."""
-
-    name: str
-    rate_hz: float  # Of the last seconds
-    missing: int  # Samples that did not come, and that came after younger ones
-    late: int  # Samples that did not come, and that came after younger ones
-    delay_s: float  # From stamp to arrival
-    is_lost: bool
-
-    @classmethod
-    def of(cls, health: StreamHealth, now_s: float) -> StreamView:
-        """At a moment."""
-        return cls(
-            health.name, health.rate_hz(now_s), health.missing, health.late, health.delay_s, health.is_lost
-        )
-
-
-@dataclass(frozen=True)
-class SessionView:
-    """A session at one moment."""
-
-    seconds: float  # s: since it began
-    imu: StreamView  # The streams
-    skeleton: StreamView  # The streams
-    output: LiveOutput | None  # What the last step answered
-    events: tuple[tuple[float, str], ...]  # The last of what happened: when, and a sentence
-    event_count: int  # How many there were in all
-    load: float  # Processor time of the whole program as a share of one core
-    further: tuple[StreamView, ...] = ()  # Of IMUs beyond the forearm
-    side: str = ""  # Which arm
-
-
 class SessionFigures:
-    """Counts while a session lasts; memory does not grow with it."""
+    """Counts while a session of an arm lasts."""
 
-    def __init__(
-        self,
-        imu: StreamHealth,
-        skeleton: StreamHealth,
-        further: Mapping[str, StreamHealth] | None = None,
-        side: str = "",
-    ):
-        self.imu, self.skeleton, self.further, self.side = imu, skeleton, further or {}, side
-        self.frame_delays = DelayCounts()
+    def __init__(self, info: SourceInfo):
+        self.side, self.skeleton = info.side, StreamHealth(info.skeleton)
+        self.imus = {segment: StreamHealth(name) for segment, name in info.imus.items()}
+        self.frame_delays_s = array("f")
         self.steps = 0
         self.events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
         self.event_count = 0
@@ -201,14 +136,14 @@ class SessionFigures:
         self.longest_gap_s = 0.0
         self.largest_sigma_m = 0.0
         self._gap_start: float | None = None
-        self._first_s = self._last_s = float("nan")
-        self._output: LiveOutput | None = None
+        self._first_s = self.now_s = float("nan")  # s: the session's beginning and its last step
+        self.output: LiveOutput | None = None
         self._wall, self._processor = time.monotonic(), time.process_time()
 
     def event(self, now_s: float, sentences: Iterable[str]) -> None:
         """Remember what happened, by the time since the session's beginning."""
         if np.isnan(self._first_s):
-            self._first_s = self._last_s = now_s
+            self._first_s = self.now_s = now_s
         for sentence in sentences:
             self.events.append((now_s - self._first_s, sentence))
             self.event_count += 1
@@ -217,26 +152,22 @@ class SessionFigures:
         """Count a step; the gap that it ended, if it did."""
         self.steps += 1
         if not self._first_s <= output.now_s:
-            self._first_s = self._last_s = output.now_s
-        self.state_s[output.state] += max(output.now_s - self._last_s, 0.0)
-        self._last_s, self._output = output.now_s, output
+            self._first_s = self.now_s = output.now_s
+        self.state_s[output.state] += max(output.now_s - self.now_s, 0.0)
+        self.now_s, self.output = output.now_s, output
         if output.now is not None:
             self.largest_sigma_m = max(self.largest_sigma_m, output.now.sigma_m)
         return self._gap(output)
 
-    def view(self, now_s: float) -> SessionView:
-        """What is shown."""
-        return SessionView(
-            0.0 if self._output is None else self._last_s - self._first_s,
-            StreamView.of(self.imu, now_s),
-            StreamView.of(self.skeleton, now_s),
-            self._output,
-            tuple(self.events)[-6:],
-            self.event_count,
-            self.load,
-            tuple(StreamView.of(health, now_s) for health in self.further.values()),
-            self.side,
-        )
+    @property
+    def imu(self) -> StreamHealth:
+        """The forearm's."""
+        return self.imus[FOREARM.name]
+
+    @property
+    def seconds(self) -> float:
+        """Since the session began, s."""
+        return 0.0 if self.output is None else self.now_s - self._first_s
 
     @property
     def load(self) -> float:
@@ -245,17 +176,13 @@ class SessionFigures:
 
     def figures(self) -> dict[str, Any]:
         """What `--json` states."""
-        output = self._output
+        output, (imu, *further) = self.output, self.imus
         return {
-            "seconds": 0.0 if output is None else self._last_s - self._first_s,
+            "seconds": self.seconds,
             "steps": self.steps,
-            "imu": self.imu.figures(),
+            "imu": self.imus[imu].figures(),
             "skeleton": self.skeleton.figures(),
-            **(
-                {"further": {segment: health.figures() for segment, health in self.further.items()}}
-                if self.further
-                else {}
-            ),
+            **({"further": {each: self.imus[each].figures() for each in further}} if further else {}),
             "state_s": {str(state): seconds for state, seconds in self.state_s.items()},
             "gaps": self.gaps,
             "longest_gap_s": self.longest_gap_s,
@@ -265,7 +192,7 @@ class SessionFigures:
             "camera_latency_s": None if output is None else output.camera_latency_s,
             "dropped": None if output is None else vars(output.dropped),
             "calibration": None if output is None else output.calibration,
-            "frame_done": self.frame_delays.figures(),
+            "frame_done": delay_figures(self.frame_delays_s),
             "load": self.load,
             "events": [{"t_s": when, "event": sentence} for when, sentence in self.events],
             "event_count": self.event_count,

@@ -42,10 +42,9 @@ class _RecordedArm:
     def __init__(self, info: SourceInfo, several: bool, taken: set[str]):
         self.info, self.shown_s = info, -np.inf
         self.present = [JOINTS.index(joint) for joint in info.joints]
-        self.imu_topic = self._free(imu_topic(info.imu, info.side), taken)
-        self.further_topics = {
+        self.topics = {
             segment: self._free(imu_topic(name, info.side, segment), taken)
-            for segment, name in info.further.items()
+            for segment, name in info.imus.items()
         }
         self.shown_topic = f"{SHOWN_TOPIC}/{info.side}" if several else SHOWN_TOPIC
         self.messages: LiveMessages | None = None
@@ -80,13 +79,12 @@ class SessionRecording:
     def take(self, arrivals: Arrivals, number: int = 0) -> None:
         """Write what arrived of an arm; its events become notes of the recording."""
         self._notes += arrivals.events
-        imu, frames, outgoing = arrivals.imu, arrivals.frames, []
+        frames, outgoing = arrivals.frames, []
         origin, of_arm = self._info.origin_ns, self._arms[number]
-        imus = [(of_arm.imu_topic, imu)]
-        imus += [(of_arm.further_topics[segment], rows) for segment, rows in arrivals.further.items()]
-        for topic, rows in imus:
+        for segment, rows in arrivals.imus.items():
             if not len(rows):
                 continue
+            topic = of_arm.topics[segment]
             stamp = nanoseconds(rows.t_s, origin)
             samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, rows.acc, rows.gyro, rows.mag)
             messages = imu_messages(self._output, samples)
@@ -100,9 +98,8 @@ class SessionRecording:
         if not outgoing:
             return
         self.has_samples = True
-        came = [rows.arrival_s for rows in (imu, *arrivals.further.values())]
-        newest = max(float(arrival_s[-1]) for arrival_s in (frames.arrival_s, *came) if len(arrival_s))
-        self._write(outgoing, newest)
+        came = [rows.arrival_s for rows in (frames, *arrivals.imus.values()) if len(rows)]
+        self._write(outgoing, max(float(arrival_s[-1]) for arrival_s in came))
 
     def shown(self, output: LiveOutput, number: int = 0) -> None:
         """Write what was shown of an arm, some 30 times per second: the pose of the IMU *now*."""

@@ -34,9 +34,11 @@ def test_each_arm_gets_what_it_gets_alone(both):
     assert sources[0].info.origin_ns == sources[1].info.origin_ns
     engines, steps = [CameraEcho(), CameraEcho()], []
     sessions = [LiveSession(*pair, arm=k) for k, pair in enumerate(zip(sources, engines, strict=True))]
-    figures = run_together(sessions, lambda: False, lambda *views: steps.append(views))
-    assert [view.side for view in steps[-1]] == list(SIDES)
-    assert all(abs(a.seconds - b.seconds) < 1e-9 for a, b in steps)
+    figures = run_together(
+        sessions, lambda: False, lambda *arms: steps.append([each.seconds for each in arms])
+    )
+    assert [own.side for own in figures] == list(SIDES)
+    assert all(abs(a - b) < 1e-9 for a, b in steps)
     for side, engine, own in zip(SIDES, engines, figures, strict=True):
         alone = CameraEcho()
         LiveSession(Replay(both, side=side, speed=0.0), alone).run(lambda: False, lambda _: None)

@@ -95,13 +95,12 @@ class Errors:
         )
 
 
-def play(simulation: SimulatedArm, lag_s_: float = 0.2) -> list[LiveOutput]:
+def play(simulation: SimulatedArm) -> list[LiveOutput]:
     """All answers of one recording."""
     recording, outputs = simulation.recording, []
     further, before_s = recording.further_imus, -np.inf
     with LiveSmoother(
         recording.side,
-        lag_s=lag_s_,
         camera_frame=recording.camera_frame,
         calibrator=InlineCalibrator(15),
         further=list(further),
@@ -117,11 +116,6 @@ def play(simulation: SimulatedArm, lag_s_: float = 0.2) -> list[LiveOutput]:
                 live.add_frame(frame)
             outputs.append(live.step(now_s))
     return outputs
-
-
-def step_ms(output: LiveOutput) -> float:
-    """Processor time of its step."""
-    return output.step_ms
 
 
 def memory(simulation: SimulatedArm, hours: float) -> Iterator[str]:
@@ -160,10 +154,7 @@ def live(options: argparse.Namespace) -> Iterator[str]:
     errors = Errors()
     for seed in options.seeds:
         simulation = simulate_arm(config, seed)
-        outputs = play(simulation)
-        for _ in range(1, options.plays):
-            outputs = [min(pair, key=step_ms) for pair in zip(outputs, play(simulation), strict=True)]
-        errors.add(simulation, outputs)
+        errors.add(simulation, play(simulation))
         yield f"seed {seed} done"
     yield from errors.show()
 
@@ -177,12 +168,6 @@ CHECKS = (
             option("--gap-s", type=float, nargs="+", default=[1.0]),
             option("--duration-s", type=float, default=60.0),
             option("--imus", default="wrist", help="where IMUs are worn, as `simulate arm --imus`"),
-            option(
-                "--plays",
-                type=int,
-                default=1,
-                help="play each arm this many times: a step's time is the least, as on a quiet machine",
-            ),
             option(
                 "--hours", type=float, default=0.0, help="play the arm over and over and print the memory"
             ),

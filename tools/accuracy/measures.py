@@ -23,9 +23,7 @@ recovered from its recording and measured; a change is called as `unocclude prog
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import pickle
 import sys
 from collections import defaultdict
 from collections.abc import Collection, Iterator
@@ -61,7 +59,7 @@ from smoother.simulation.body import FLEXION, draw_measures
 from smoother.simulation.motion import draw_stage
 from smoother.simulation.protocol import perform
 from smoother.smoothing import smooth
-from tools.accuracy.check import DRAWS, JSON, Check, option, preset_option, seeds_option
+from tools.accuracy.check import DRAWS, Check, option, preset_option, seeds_option
 
 MEASURED = ("realistic", "azure")
 #: Ends the name of a preset whose arm moves about with a straight elbow, and how far that bends, rad.
@@ -130,28 +128,14 @@ def simulation_of(name: str) -> ArmSimulation:
     return ArmSimulation.preset(preset, protocol="random", flexion_rad=STRAIGHT_RAD)
 
 
-def accuracy(name: str, seeds: range, draws: int, cache: Path | None) -> list[Sample]:
-    """The samples of some seeds; kept in a folder, if one is named."""
+def accuracy(name: str, seeds: range, draws: int) -> list[Sample]:
+    """The samples of some seeds."""
     samples: list[Sample] = []
     for seed in seeds:
         simulated = simulate_arm(simulation_of(name), seed)
-        recovery = kept(simulated, name, seed, draws, cache)
-        samples += samples_of(simulated, recovery, MeasureSettings())
+        samples += samples_of(simulated, recovered(simulated, draws, seed), MeasureSettings())
         print(f"{name} seed {seed}: done", file=sys.stderr, flush=True)
     return samples
-
-
-def kept(simulated: SimulatedArm, name: str, seed: int, draws: int, cache: Path | None) -> Recovery:
-    """What was recovered, from the folder if one is named and has it."""
-    file = None if cache is None else cache / f"{name}_{seed}_{draws}.pickle"
-    if file is not None and file.exists():
-        recovery: Recovery = pickle.loads(file.read_bytes())
-        return recovery
-    recovery = recovered(simulated, draws, seed)
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(pickle.dumps(recovery))
-    return recovery
 
 
 def coverage_table(samples: list[Sample]) -> list[dict[str, object]]:
@@ -279,13 +263,13 @@ def measures(options: argparse.Namespace) -> Iterator[str]:
     seeds = options.seeds
     tables = {}
     for preset in options.presets:
-        samples = accuracy(preset, seeds, options.draws, options.keep_in)
+        samples = accuracy(preset, seeds, options.draws)
         rows = coverage_table(samples)
         tables[preset] = rows
         for scope in ("session", "movement"):
             yield from print_rows(f"{preset}, {scope}", [row for row in rows if row["scope"] == scope])
         yield from sparc_bias(preset, samples)
-        straight = coverage_table(accuracy(preset + STRAIGHT, seeds, options.draws, options.keep_in))
+        straight = coverage_table(accuracy(preset + STRAIGHT, seeds, options.draws))
         straight = [row for row in straight if str(row["key"]).startswith("elbow_flexion")]
         for scope in ("session", "movement"):
             rows_of = [row for row in straight if row["scope"] == scope]
@@ -293,8 +277,6 @@ def measures(options: argparse.Namespace) -> Iterator[str]:
         yield from hidden_range(preset, seeds)
     if options.csv is not None:
         options.csv.write_text(accuracy_csv(tables) + "\n", encoding="utf-8")
-    if options.json is not None:
-        options.json.write_text(json.dumps(tables, indent=1), encoding="utf-8")
 
 
 #: Of the elbow's bending that is left in the third session.
@@ -398,8 +380,6 @@ def progress(options: argparse.Namespace) -> Iterator[str]:
         yield f"person {seed}: {summary(counts)}"
     for key, each in sorted(counts.items()):
         yield f"{key:40s} {dict(each)}"
-    if options.json is not None:
-        options.json.write_text(json.dumps(counts, indent=2) + "\n", encoding="utf-8")
 
 
 #: Kinds of sessions for means over movements: the preset, and what is changed of it. In `random` motion the
@@ -430,7 +410,7 @@ def movements(options: argparse.Namespace) -> Iterator[str]:
         sessions = []
         for seed in options.seeds:
             simulated = simulate_arm(ArmSimulation.preset(preset, **changes), seed)
-            recovery = kept(simulated, kind, seed, options.draws, options.keep_in)
+            recovery = recovered(simulated, options.draws, seed)
             assert simulated.recording.truth is not None
             truth = true_recovery(recovery, simulated.recording.truth)
             if recovery.estimates.trusted is not False:
@@ -461,8 +441,6 @@ CHECKS = (
             option("--presets", nargs="+", default=list(MEASURED), choices=MEASURED),
             seeds_option("20"),
             DRAWS,
-            option("--keep-in", type=Path, help="folder for what was recovered, to measure it again"),
-            JSON,
             option("--csv", type=Path, help="write docs/tables/measures_accuracy.csv"),
         ),
     ),
@@ -473,7 +451,6 @@ CHECKS = (
             option("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS)),
             seeds_option("20"),
             DRAWS,
-            option("--keep-in", type=Path, help="folder for what was recovered, to measure it again"),
         ),
     ),
     Check(
@@ -484,7 +461,6 @@ CHECKS = (
             preset_option("realistic"),
             option("--duration-s", type=float, default=20.0),
             DRAWS,
-            JSON,
         ),
     ),
 )

@@ -42,9 +42,8 @@ from smoother.smoothing import smooth
 from tools.accuracy.check import JSON, ONE_PROCESS, PRESETS, Check, datasets, option, rms
 from tools.accuracy.live import play
 from tools.accuracy.more_imus import _settings, _thorax
-from tools.reliability import __main__ as second_simulator
 from tools.reliability import judging, setup_errors
-from tools.reliability.cases import UNUSUAL
+from tools.reliability.cases import unusual_jobs, wrong_pairs
 
 #: The first of a row's seeds; no other tool draws from here.
 SEED = 61_400
@@ -224,10 +223,9 @@ def live(seed: int) -> list[list[Run]]:
     return found
 
 
-def second(job: second_simulator.Job | second_simulator.PresetJob) -> list[list[Run]]:
+def second(job: Callable[[], judging.Outcome], pair: bool) -> list[list[Run]]:
     """A set-up of the second simulator; an answer to a wrong pair is wrong where it is trusted."""
-    row = job.row()
-    pair, end = row.kind == "pair", row.outcome
+    end = job()
     counts = _ended(end.sentence, end.trusted, end.trusted is True if pair else len(end.wrong_and_trusted))
     counts |= Counter({"gaps": len(end.rated), "gaps trusted": sum(each.trusted for each in end.rated)})
     errors = [np.full((len(each.squared_sigmas), 4), np.nan) for each in end.rated if not pair]
@@ -284,10 +282,10 @@ def jobs() -> Iterator[Job]:
     shown = tuple(f"live, {kind}, {where}" for kind in ("settled", "now") for where in ("visible", "gaps"))
     for seed in range(SEED, SEED + 3):
         yield shown, partial(live, seed)
-    for draw in second_simulator.preset_jobs(12, np.random.default_rng(SEED)):
-        yield ("wrong pairs",), partial(second, second_simulator.PresetJob(draw))
-    for drawn in second_simulator.draw_jobs(UNUSUAL, 30, np.random.default_rng(SEED), 0):
-        yield ("unusual set-ups",), partial(second, drawn)
+    for paired in wrong_pairs(12, np.random.default_rng(SEED)):
+        yield ("wrong pairs",), partial(second, paired, True)
+    for drawn in unusual_jobs(30, np.random.default_rng(SEED)):
+        yield ("unusual set-ups",), partial(second, drawn, False)
     for wrong in setup_errors.draw(100, SEED):
         yield ("set-up errors",), partial(set_up, wrong)
     for sound in setup_errors.draw(50, SEED, (setup_errors.sound,)):

@@ -9,14 +9,14 @@ of 30 and 75 s; `setups` drifting clocks, a mirrored skeleton, a wrong down and 
 Kinect v1 of 2 to 6 s, wrong pairs of the same activity; `azure` real Azure Kinect of 4 to 17 s, cut by hand,
 where a clock is known if inclination and turning rate agree on it to 0.1 s (data sets: `UNOCCLUDE_DATASETS`).
 
-`match [utd|scenes] [--methods motion,..] [--develop]`. `utd`: all trials of an action in UTD-MHAD at once
+`match [utd|scenes] [--methods motion,..]`. `utd`: all trials of an action in UTD-MHAD at once
 (four people who do the same, one IMU on each right wrist; needs UNOCCLUDE_DATASETS), whole trials and their
 first 2 s, with four wrists and four upper arms to choose from. `scenes`: simulated scenes of two people with
 four nameless IMUs, one of them on the table; half of the scenes random motion, half a clinical protocol; in
 half of them everybody moves in time. Both print a table of methods and how often pairs of a stated
 probability are right. `assigned` is the share that is right where each worn IMU has to be on a limb (in `utd`
-on one of the four wrists), which is what the published method answers. Reported are trials 3 and 4 and seeds
-from 0 on; `--develop` takes those that the constants were set on: trials 1 and 2, seeds from 1000 on.
+on one of the four wrists), which is what the published method answers. Constants were set on trials 1 and 2
+and seeds from 1000 on; measured are trials 3 and 4 and seeds from 0 on.
 """
 
 from __future__ import annotations
@@ -362,14 +362,13 @@ def match(options: argparse.Namespace) -> Iterator[str]:
     """How often IMUs are found on the right limb of the right person, and how often surely."""
     methods = options.methods.split(",")
     wanted = options.parts or ["match_utd", "scenes"]
-    trials = (1, 2, 3, 4) if options.all_trials else (1, 2) if options.develop else (3, 4)
+    trials = (3, 4)  # constants were set on the others
     if "match_utd" in wanted:
         for first_s, about in ((None, "whole"), (2.0, "first 2 s")):
             title = f"UTD-MHAD, trials {', '.join(map(str, trials))}, {about}"
             yield from answer_rows(title, {method: match_utd(method, trials, first_s) for method in methods})
     if "scenes" in wanted:
-        start = 1000 if options.develop else 0
-        seeds = range(start + options.seeds.start, start + options.seeds.stop)
+        seeds = options.seeds
         yield from answer_rows(f"Scenes, seeds {seeds[0]} to {seeds[-1]}", scenes(methods, seeds))
 
 
@@ -382,8 +381,6 @@ CHECKS = (
             parts_option("match_utd", "scenes"),
             option("--methods", default=",".join(METHODS), help="names, with commas"),
             seeds_option("200", "scenes"),
-            option("--develop", action="store_true", help="what the constants were set on"),
-            option("--all-trials", action="store_true", help="of match_utd, developed and others together"),
         ),
     ),
 )

@@ -1,1 +1,1 @@
-"""How fast, how big, how exact, and beside what: `python -m tools.benchmark`."""
+"""How fast and how big: `python -m tools.benchmark`."""

@@ -1,10 +1,9 @@
-"""Speed, memory and exactness in one run, as ratios: `python -m tools.benchmark`.
+"""Speed, memory and exactness of `unocclude smooth`, file to file: `python -m tools.benchmark`.
 
-Simulates recordings (80 Hz IMU, 30 Hz camera, an occlusion of 2 s about every 10 s) and runs `unocclude
-smooth` on them, file to file, with nothing calibrated: how many times faster than real time, how much memory,
-how far off in the gaps; and beside it, on the same recordings, one plain graph over the whole, `rts` and
-`linear-drift`. On the shortest recording also what
-a person waits for, command by command. Let nothing else run meanwhile.
+Simulates recordings (80 Hz IMU, 30 Hz camera, an occlusion of 2 s about every 10 s) and runs the command on
+them with nothing calibrated: how many times faster than real time, how much memory, how far off in the gaps.
+`--against PYTHON` runs the command of another installation in turn with ours and prints ratios; `--waiting`
+times what a person waits for, command by command. Let nothing else run meanwhile.
 """
 
 from __future__ import annotations
@@ -13,200 +12,179 @@ import argparse
 import compileall
 import json
 import os
-import platform
+import statistics
+import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
-from dataclasses import asdict
-from importlib.metadata import version
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import calib
 import smoother
+from smoother.cli.output import PROGRESS_FILE
+from smoother.evaluation.validate import sample_errors
+from smoother.io import read_recovery, write_recording
+from smoother.recording import Truth
 from smoother.runtime.printable import plain
-from tools.benchmark.whole import METHODS, Beside, exactness_of_file, run_method, run_smooth
+from smoother.simulation import ArmSimulation, simulate_arm
+from tools.benchmark.isolated import PrivatePeak
 
-from . import tables
-from .isolated import Stopped, isolated
-from .whole import Made, against, end_to_end, help_seconds, make, waited
+COMMAND = "from smoother.cli import main; main()"
+#: The recordings that are measured on, s and Hz.
+MADE = {
+    "protocol": "random",
+    "imu_rate_hz": 80.0,
+    "frame_rate_hz": 30.0,
+    "occlusion_lengths_s": (2.0,),
+    "occlusion_every_s": 10.0,
+}
+#: Longest time without a display of progress, and after which a command is given up, s.
+PATIENCE_S, LIMIT_S = 3.0, 1800.0
+EXPORTS = ("csv", "parquet", "trc", "mot", "c3d", "sto")
+Figures = dict[str, float]
 
-MEASURES = ("whole", "beside", "waiting")
+
+def make(path: Path, minutes: float, preset: str, seed: int) -> Truth:
+    """Simulate and write a recording; its truth."""
+    config = ArmSimulation.preset(preset, duration_s=60.0 * minutes, **MADE)
+    recording = simulate_arm(config, seed).recording
+    truth = recording.truth
+    assert truth is not None
+    write_recording(recording, path)
+    return truth
+
+
+def smoothed(source: Path, result: Path, processes: int, python: str = sys.executable) -> Figures:
+    """One run of `unocclude smooth`, that of another installation where its `python` is given."""
+    words = ["smooth", str(source), "-o", str(result), "--force", "--processes", str(processes)]
+    began = time.perf_counter()
+    # -P: not what is in the folder where this runs
+    command = subprocess.Popen([python, "-P", "-c", COMMAND, *words], stdout=subprocess.DEVNULL)
+    peak = PrivatePeak(command.pid)
+    _, status, usage = os.wait4(command.pid, 0)
+    seconds = time.perf_counter() - began
+    command.returncode = os.waitstatus_to_exitcode(status)
+    if command.returncode:
+        sys.exit(f"unocclude {' '.join(words)}: ended with {command.returncode}")
+    return {
+        "seconds": seconds,
+        "cpu_s": usage.ru_utime + usage.ru_stime,
+        "main_mb": peak.mb(),
+        "worker_mb": peak.worker_mb(),
+        "workers": peak.workers,
+    }
+
+
+def exactness(result: Path, truth: Truth) -> Figures:
+    """Errors of a result file's occluded samples."""
+    (recovery,) = read_recovery(result)
+    truth = replace(truth, t_s=truth.t_s - 1e-9 * recovery.origin_ns)
+    found = sample_errors(recovery, truth).figures(recovery.occluded)
+    return {
+        "gaps": len(recovery.gaps),
+        "rms_cm": 100.0 * (found.position_rms_m or float("nan")),
+        "max_cm": 100.0 * (found.position_max_m or float("nan")),
+        "rms_deg": found.orientation_rms_deg or float("nan"),
+        "inside_95_percent": 100.0 * (found.coverage_95 or float("nan")),
+    }
+
+
+def against(python: str, source: Path, result: Path, processes: int, runs: int) -> Figures:
+    """Medians of another installation over ours, both run in turn on one recording."""
+    pairs = [
+        (smoothed(source, result, processes, python), smoothed(source, result, processes))
+        for _ in range(runs)
+    ]
+    names = ("seconds", "cpu_s", "main_mb", "worker_mb")
+    medians = {
+        name: [statistics.median(each[name] for each in own) for own in zip(*pairs, strict=True)]
+        for name in names
+    }
+    return {name: theirs / (ours or float("nan")) for name, (theirs, ours) in medians.items()}
+
+
+def commands(source: str, folder: Path) -> Iterator[list[str]]:
+    """Commands in an order in which each finds what it reads."""
+    result = str(folder / "waited.mcap")
+    yield from (["info", source], ["check", source], ["match", source], ["smooth", source, "-o", result])
+    yield ["smooth", source, "-o", result, "--force", "--report", str(folder / "waited.html")]
+    yield from (["measures", result], ["validate", result, "--truth", source], ["methods", result])
+    for kind in EXPORTS:
+        yield ["export", result, "--format", kind, "-o", str(folder / f"waited.{kind}")]
+    yield from (["gaps", source], ["compare", source])
+
+
+def waited(words: list[str], progress: Path) -> tuple[float, bool]:
+    """Seconds that a command takes, and whether it shows how far it is."""
+    progress.unlink(missing_ok=True)
+    began = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", COMMAND, *words],
+        env=os.environ | {PROGRESS_FILE: str(progress)},
+        capture_output=True,
+        timeout=LIMIT_S,
+    )
+    seconds = time.perf_counter() - began
+    if done.returncode not in (0, 3):
+        sys.exit(f"unocclude {' '.join(words)}: {done.stderr.decode(errors='replace')}")
+    return seconds, progress.exists()
+
+
+def shown(title: str, figures: Figures) -> str:
+    """A line of figures."""
+    return f"{title:>14}: " + ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
 
 
 def main() -> None:
     """Make the recordings one after the other, measure, print, and keep the figures."""
-    options = _options()
-    _as_installed()
-    cores = options.processes or len(os.sched_getaffinity(0))
-    figures: dict[str, Any] = {"machine": _machine(cores), "whole": [], "beside": {}}
-    figures |= {"against": {}, "waiting": []}
-    print("\n".join(_heading(figures["machine"], options)), flush=True)
-    lengths_s: dict[float, float] = {}
-    figures["help_s"] = help_seconds()
-    with tempfile.TemporaryDirectory(dir=options.folder) as name:
-        for made in _recordings(Path(name), options):
-            lengths_s[made.minutes] = made.length_s
-            _measure(made, Path(name), options, cores, figures)
-    if options.against:
-        print("\n".join(tables.against(figures["against"], options.against)))
-    else:
-        _print(figures, lengths_s, cores)
-    if options.json:
-        options.json.write_text(json.dumps(plain(figures), indent=1) + "\n", encoding="utf-8")
-
-
-def _measure(
-    made: Made, folder: Path, options: argparse.Namespace, cores: int, figures: dict[str, Any]
-) -> None:
-    """Everything that is asked for of one recording, into the figures."""
-    result = folder / "out.mcap"
-    if options.against:
-        _say(f"{made.minutes:g} min: {options.against} and this one in turn")
-        ratios = against(options.against, made.path, result, options.processes, options.runs)
-        figures["against"][made.minutes] = ratios
-        return
-    if "whole" in options.only:
-        _say(f"{made.minutes:g} min: the command")
-        figures["whole"] += _whole(made, result, options)
-    if "waiting" in options.only and made.minutes == options.minutes[0]:
-        _say(f"{made.minutes:g} min: every command")
-        figures["waiting"] = [asdict(each) for each in waited(made, folder)]
-    if "beside" in options.only and made.minutes in options.beside:
-        figures["beside"][made.minutes] = _beside(made, folder / "settings.pickle", options)
-
-
-def _print(figures: dict[str, Any], lengths_s: dict[float, float], cores: int) -> None:
-    lines = [f"`unocclude --help`: {figures['help_s']:.2f} s (aim: {tables.AIM_HELP_S:g})"]
-    if figures["whole"]:
-        lines += tables.whole(figures["whole"])
-    for minutes, found in figures["beside"].items():
-        command_s = _command_s(minutes, figures["whole"])
-        lines += tables.beside(minutes, found, command_s, lengths_s[minutes])
-    if figures["waiting"]:
-        lines += tables.waiting(figures["waiting"], min(lengths_s))
-    print("\n".join(lines))
-
-
-def _as_installed() -> None:
-    """Compile the packages, as pip does: a start that may not keep what it compiles takes 0.2 s more."""
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    for package in (smoother, calib):
-        compileall.compile_dir(Path(str(package.__file__)).parent, quiet=1)
-
-
-def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m tools.benchmark",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--minutes", type=float, nargs="+", help="lengths; 1 6 30 60 if not given")
-    parser.add_argument(
-        "--against",
-        metavar="PYTHON",
-        help="interpreter of another installation: only compare with that",
-    )
+    parser.add_argument("--minutes", type=float, nargs="+", default=[0.5333, 6.0, 60.0], help="lengths")
+    parser.add_argument("--against", metavar="PYTHON", help="interpreter of another installation: ratios")
     parser.add_argument("--runs", type=int, default=5, help="of each, with --against")
-    parser.add_argument("--long", action="store_true", help="10 minutes and 6 hours as well")
-    parser.add_argument("--without-truth", action="store_true", help="leave the true motion out of the files")
-    parser.add_argument("--preset", default="white", help="errors of the simulation: white, realistic, clean")
+    parser.add_argument("--waiting", action="store_true", help="every command instead")
+    parser.add_argument("--preset", default="white", help="errors of the simulation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=0, help="worker processes; 0 = one per core")
-    parser.add_argument("--only", nargs="+", choices=MEASURES, default=MEASURES, help="measure only this")
-    parser.add_argument("--beside", type=float, nargs="*", default=[6, 30], help="lengths for other methods")
-    parser.add_argument("--limit-s", type=float, default=600.0, help="stop another method after this")
-    parser.add_argument("--limit-gb", type=float, default=8.0, help="or at this much memory")
     parser.add_argument("--folder", type=Path, help="where to put the recordings meanwhile")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures")
     options = parser.parse_args()
-    options.minutes = options.minutes or [1.0, 6.0, 30.0] + ([] if options.against else [60.0])
-    if options.long:
-        options.minutes = [*options.minutes, 10.0, 360.0]
-    options.minutes = sorted({float(minutes) for minutes in options.minutes})
-    return options
-
-
-def _machine(cores: int) -> dict[str, Any]:
-    cpu = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [
-            line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line
-        ]
-        cpu = names[0] if names else cpu
-    return {
-        "cpu": cpu,
-        "cores": cores,
-        "load_before": os.getloadavg()[0],
-        "python": platform.python_version(),
-        "gtsam": version("gtsam"),
-        "numpy": version("numpy"),
-    }
-
-
-def _heading(machine: dict[str, Any], options: argparse.Namespace) -> list[str]:
-    lines = [
-        f"{machine['cpu']}, {machine['cores']} processes; Python {machine['python']},"
-        f" GTSAM {machine['gtsam']}, NumPy {machine['numpy']}; preset {options.preset}, seed {options.seed},"
-        f" truth {'left out of' if options.without_truth else 'in'} the files"
-    ]
-    if machine["load_before"] > 0.3:
-        lines.append(
-            f"Other work runs here (load {machine['load_before']:.1f}): times are longer than they would be."
-        )
-    return lines
-
-
-def _recordings(folder: Path, options: argparse.Namespace) -> Iterator[Made]:
-    """One recording after the other, each taken away when the next one is made."""
+    # as pip does: a start that may not keep what it compiles takes 0.2 s more
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    for package in (smoother, calib):
+        compileall.compile_dir(Path(str(package.__file__)).parent, quiet=1)
+    if (load := os.getloadavg()[0]) > 0.3:
+        print(f"Other work runs here (load {load:.1f}): times are longer than they would be.")
+    figures: dict[str, Figures] = {}
     for minutes in options.minutes:
-        made: Made = isolated(make, folder, minutes, options.preset, options.seed, not options.without_truth)
-        yield made
-        for path in folder.iterdir():
-            path.unlink()
-
-
-def _whole(made: Made, result: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
-    run = end_to_end(made.path, result, options.processes)
-    exact = isolated(exactness_of_file, result, made.truth)
-    about = {"minutes": made.minutes, "length_s": made.length_s, "file_mb": made.path.stat().st_size / 1e6}
-    return [about | asdict(run) | {"exact": asdict(exact)}]
-
-
-def _command_s(minutes: float, whole: list[dict[str, Any]]) -> float | None:
-    """Seconds of the command on the recording of this length."""
-    return next((r["seconds"] for r in whole if r["minutes"] == minutes), None)
-
-
-def _beside(made: Made, kept: Path, options: argparse.Namespace) -> dict[str, Any]:
-    _say(f"{made.minutes:g} min: `smooth` from memory to memory")
-    found: dict[str, Any] = {"smooth": asdict(isolated(run_smooth, made, options.processes, kept))}
-    for name in METHODS:
-        _say(f"{made.minutes:g} min: {name}")
-        try:
-            each: Beside = isolated(
-                run_method, made, name, kept, limit_s=options.limit_s, limit_gb=options.limit_gb
-            )
-            found[name] = asdict(each)
-        except Stopped as why:
-            found[name] = {
-                "stopped": str(why),
-                "own_s": why.seconds,
-                "all_s": why.seconds,
-                "cpu_s": None,
-                "peak_mb": why.peak_mb,
-                "exact": None,
-                "steps": {},
-            }
-        except RuntimeError as error:
-            found[name] = f"failed: {error}"
-    return found
-
-
-def _say(text: str) -> None:
-    """What is being measured, on stderr."""
-    print(f"  .. {text}", file=sys.stderr, flush=True)
+        with tempfile.TemporaryDirectory(dir=options.folder) as name:
+            folder = Path(name)
+            source, result, title = folder / "rec.mcap", folder / "out.mcap", f"{minutes:g} min"
+            truth = make(source, minutes, options.preset, options.seed)
+            if options.waiting:
+                for words in commands(str(source), folder):
+                    seconds, has_progress = waited(words, folder / "progress.json")
+                    kind = " ".join(
+                        word for word in words if not word.startswith(name) and word not in ("-o", "--force")
+                    )
+                    figures[f"{title}, {kind}"] = {"seconds": seconds}
+                    silent = " <-- without progress" if seconds > PATIENCE_S and not has_progress else ""
+                    print(f"{seconds:7.1f} s  {kind}{silent}", flush=True)
+                continue
+            if options.against:
+                found = against(options.against, source, result, options.processes, options.runs)
+            else:
+                found = smoothed(source, result, options.processes) | exactness(result, truth)
+                found = {"times_real_time": 60.0 * minutes / found["seconds"]} | found
+            figures[title] = found
+            print(shown(title, found), flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(plain(figures), indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

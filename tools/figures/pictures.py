@@ -4,9 +4,9 @@ docs/picture.svg: one occlusion of data/demo.mcap before and after, with nothing
 written by hand, so that the picture needs no plotting library. (The README's picture,
 docs/pictures/body.webp, is the animation in that recording's report at 5.25 s.)
 
-docs/pictures, for the tutorial: how to set up, what to do in view, and what comes out. `setup.svg` and
-`movements.svg` are drawings; `gap.svg` and `sigma.svg` are of a real run on the recording that the tutorial
-simulates; `report.webp` is a photograph of its report, where Chromium is installed.
+docs/pictures, for the tutorial: `gap.svg` and `sigma.svg` are of a real run on the recording that it
+simulates; `report.webp` is a photograph of its report, where Chromium is installed. (`setup.svg` and
+`movements.svg` beside them are drawings.)
 """
 
 from __future__ import annotations
@@ -198,10 +198,6 @@ def draw(output: Path, gap: int) -> None:
     print(f"written: {output}")
 
 
-#: Of what is drawn of a person, besides the arm.
-SKIN = "#8a8f98"
-
-
 def drawn(width: int, height: int, title: str, parts: list[str]) -> str:
     """An SVG file of parts on white."""
     return (
@@ -209,107 +205,6 @@ def drawn(width: int, height: int, title: str, parts: list[str]) -> str:
         f'font-family="sans-serif" role="img"><title>{title}</title>'
         f'<rect width="{width}" height="{height}" fill="white"/>' + "\n".join(parts) + "</svg>\n"
     )
-
-
-def limb(points: list[tuple[float, float]], width: float = 9.0, colour: str = SKIN) -> str:
-    """Part of a body: a thick line."""
-    return line(points, colour, width)
-
-
-def person(x: float, floor: float) -> list[str]:
-    """Head, trunk and legs of a person who faces the camera on the left, seen from the side."""
-    head = f'<circle cx="{x:g}" cy="{floor - 262:g}" r="24" fill="{SKIN}"/>'
-    trunk = limb([(x, floor - 232), (x, floor - 120)], 22)
-    return [
-        head,
-        trunk,
-        limb([(x, floor - 120), (x - 10, floor)], 13),
-        limb([(x, floor - 120), (x + 12, floor)], 13),
-    ]
-
-
-def sensor(x: float, y: float, turned_deg: float, colour: str) -> str:
-    """An IMU in its case."""
-    return (
-        f'<rect x="{x - 9:g}" y="{y - 6:g}" width="18" height="12" rx="3" fill="{colour}" '
-        f'stroke="white" transform="rotate({turned_deg:g} {x:g} {y:g})"/>'
-    )
-
-
-def setup_drawing() -> str:
-    """Where camera and sensors go."""
-    floor, x, camera_x = 330.0, 560.0, 110.0
-    parts = [line([(30, floor), (770, floor)], FRAME, 2)]
-    parts += [
-        line([(camera_x, 175), (camera_x - 30, floor)], TEXT, 3),
-        line([(camera_x, 175), (camera_x + 30, floor)], TEXT, 3),
-    ]
-    parts += [f'<rect x="{camera_x - 22:g}" y="150" width="44" height="26" rx="4" fill="{TEXT}"/>']
-    parts += [line([(camera_x + 26, 163), (x - 60, 40)], FRAME, 1, 'stroke-dasharray="5 5"')]
-    parts += [line([(camera_x + 26, 163), (x - 60, 318)], FRAME, 1, 'stroke-dasharray="5 5"')]
-    parts += person(x, floor)
-    shoulder, elbow, wrist, hand = (x, 105.0), (x - 42.0, 165.0), (x - 106.0, 132.0), (x - 130.0, 118.0)
-    parts += [limb([shoulder, elbow], 13, SEEN), limb([elbow, wrist], 11, SEEN), limb([wrist, hand], 8, SEEN)]
-    parts += [sensor(x - 99, 121, -27, RECOVERED), sensor(x - 13, 142, -55, "#e9b384")]
-    parts.append(dots([shoulder, elbow, wrist, hand], TEXT, 4))
-    parts += [
-        line([(x - 101, 114), (x - 128, 48)], TEXT, 1),
-        text(x - 222, 40, "IMU, on the back of the wrist", 14),
-    ]
-    parts += [line([(x - 8, 146), (x + 44, 178)], TEXT, 1), text(x + 48, 178, "second IMU, on the outer", 14)]
-    parts += [
-        text(x + 48, 196, "side of the upper arm: optional", 14),
-        text(x + 22, 100, "shoulder in view", 14),
-    ]
-    parts += [text(camera_x - 70, 140, "camera, chest height", 14)]
-    parts += [
-        line([(camera_x, floor + 22), (x, floor + 22)], TEXT, 1.5),
-        line([(camera_x, floor + 14), (camera_x, floor + 30)], TEXT, 1.5),
-    ]
-    parts += [
-        line([(x, floor + 14), (x, floor + 30)], TEXT, 1.5),
-        text(0.5 * (camera_x + x), floor + 42, "1.5 to 3 m", 14, 'text-anchor="middle"'),
-    ]
-    return drawn(800, 385, "Camera at chest height, 1.5 to 3 m away; the IMU on the back of the wrist", parts)
-
-
-def front_arm(x: float, raised_deg: float, bent_deg: float) -> list[tuple[float, float]]:
-    """Shoulder, elbow and wrist of an arm in the picture's plane, in pixels about a shoulder at (x, 95)."""
-    upper, fore = np.radians(90.0 - raised_deg), np.radians(90.0 - raised_deg - bent_deg)
-    elbow = (x + 58 * float(np.cos(upper)), 95 + 58 * float(np.sin(upper)))
-    return [(x, 95.0), elbow, (elbow[0] + 52 * float(np.cos(fore)), elbow[1] + 52 * float(np.sin(fore)))]
-
-
-def movements_drawing() -> str:
-    """What to do for 20 s in view."""
-    postures = {
-        "bend and stretch the elbow": [(10, 0), (10, 50), (10, 100), (10, 140)],
-        "raise the arm forwards and sideways": [(10, 5), (45, 5), (80, 5), (115, 5)],
-    }
-    parts = []
-    for column, (words, angles) in enumerate(postures.items()):
-        x = 110.0 + 250 * column
-        parts += [
-            f'<circle cx="{x - 14:g}" cy="52" r="19" fill="{SKIN}"/>',
-            limb([(x - 14, 74), (x - 14, 180)], 30),
-        ]
-        for order, (raised_deg, bent_deg) in enumerate(angles):
-            joints = front_arm(x, raised_deg, bent_deg)
-            parts += [
-                line(joints, SEEN, 7, f'stroke-opacity="{0.25 + 0.25 * order:g}"'),
-                dots(joints[2:], RECOVERED, 5),
-            ]
-        parts.append(text(x + 5, 236, words, 14, 'text-anchor="middle"'))
-    for order, (words, offset) in enumerate((("palm up", -7.0), ("palm down", 7.0))):
-        y = 85.0 + 75 * order
-        parts += [limb([(580, y), (680, y)], 17, SEEN), limb([(680, y), (722, y)], 12, SKIN)]
-        parts += [
-            line([(694, y + offset * 0.9), (722, y + offset * 0.9)], TEXT, 2),
-            sensor(664, y - offset * 1.6, 0, RECOVERED),
-        ]
-        parts.append(text(594, y - 18, words, 13))
-    parts.append(text(650, 236, "turn the forearm, three times", 14, 'text-anchor="middle"'))
-    return drawn(800, 255, "Bend the elbow, raise the arm, turn the forearm: 20 s in view", parts)
 
 
 #: `unocclude simulate arm --preset realistic --seed 7`: the tutorial's recording.
@@ -418,8 +313,6 @@ def draw_tutorial(folder: Path) -> None:
     recording = simulate_arm(ArmSimulation.preset(PRESET), SEED).recording
     recovery = smooth(recording)
     pictures = {
-        "setup": setup_drawing(),
-        "movements": movements_drawing(),
         "gap": gap_drawing(recording, recovery),
         "sigma": sigma_drawing(recovery),
     }

@@ -170,7 +170,7 @@ class Sound:
             calibrator=InlineCalibrator(15),
             further=list(recording.further_imus),
         )
-        self._session = LiveSession(self._source, engine, receivers=[self.answers])
+        self._session = LiveSession(self._source, engine, receivers=[self.answers.send])
         self._session.run(lambda: self._source.now_s() >= until_s - STEP_S, lambda view: None)
 
     def ended_with(self, streams: Streams) -> Answers:

@@ -1,5 +1,5 @@
-"""A second simulator, written apart from `smoother.simulation`, that judges the verdict of `smooth`.
+"""Judges of the verdict of `smooth`: set-up errors, real people, and unusual set-ups.
 
-`python -m tools.reliability --seed S --count N` draws unusual and wrong set-ups, smooths them as a user
-would, and counts the gaps that are wrong and called trusted, and the sound ones that are not trusted.
+The unusual ones come from a second simulator, written apart from `smoother.simulation`: `cases`, `scene`,
+`motions`, `body`. `python -m tools.accuracy oracle` counts them.
 """

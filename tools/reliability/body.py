@@ -9,7 +9,7 @@ of a right arm; a left arm is its mirror image.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,9 +37,9 @@ class Bones:
     R_F_A: FloatArray  # (3, 3): sensor axes to forearm axes
 
 
-def draw_bones(rng: np.random.Generator, *, small: bool = False) -> Bones:
-    """A random adult (or a child of about eight years), the strap put on at random."""
-    size = rng.uniform(0.72, 0.80) if small else rng.uniform(0.92, 1.10)
+def draw_bones(rng: np.random.Generator) -> Bones:
+    """A random adult, the strap put on at random."""
+    size = rng.uniform(0.92, 1.10)
     forearm = size * rng.uniform(0.235, 0.265)
     around = rng.uniform(-0.5, 0.5) + (np.pi if rng.uniform() < 0.5 else 0.0)  # back of the wrist, or inside
     off_axis = rng.uniform(0.024, 0.040)
@@ -135,8 +135,6 @@ class Jitter:
 
     sway_m: float = 0.006  # Slow sway of the trunk, per axis
     wander_deg: float = 1.5  # Slow wandering of the arm's angles
-    tremor_deg: float = 0.0  # Size (rms at the elbow and in pronation) and rate of a tremor; 0 for none
-    tremor_hz: float = 5.0  # Size (rms at the elbow and in pronation) and rate of a tremor; 0 for none
     smooth_s: float = 0.05  # Width of the smoothing over the moves
 
 
@@ -181,18 +179,12 @@ def _numbers(posture: Posture) -> FloatArray:
 
 
 def _wander(grid: FloatArray, t_s: FloatArray, jitter: Jitter, rng: np.random.Generator) -> None:
-    """Add what no two repetitions share: sway, wandering angles, a tremor."""
+    """Add what no two repetitions share: sway and wandering angles."""
     wander, sway = np.radians(jitter.wander_deg), jitter.sway_m
     turn = slow_noise(t_s, 3, wander, 1.2, rng)
     angles = slow_noise(t_s, 3, wander, 1.0, rng) * [1.0, 2.0, 2.0]
     grid[:, _TRUNK] += slow_noise(t_s, 3, sway, 1.5, rng)
     grid[:, _GIRDLE] += slow_noise(t_s, 3, 0.3 * sway, 0.8, rng)
-    if jitter.tremor_deg:
-        phase = 2 * np.pi * np.cumsum(jitter.tremor_hz + slow_noise(t_s, 1, 0.4, 1.0, rng)[:, 0]) / GRID_HZ
-        size = np.radians(jitter.tremor_deg) * np.sqrt(2) * np.exp(slow_noise(t_s, 1, 0.3, 2.0, rng)[:, 0])
-        shake = (size * np.sin(phase))[:, None]
-        turn += 0.3 * shake * rng.normal(size=3)
-        angles += shake * [0.6, 1.0, 0.8]
     upper = Rotation.from_quat(grid[:, _UPPER]) * Rotation.from_rotvec(turn)
     quaternion = upper.as_quat()
     flip = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0, -1.0, 1.0)
@@ -222,9 +214,9 @@ class Camera:
         return -9.81 * self.R_K_P @ UP
 
 
-def draw_camera(rng: np.random.Generator, *, yaw_deg: float = 25.0) -> Camera:
+def draw_camera(rng: np.random.Generator) -> Camera:
     """A camera on a stand or a shelf: tilted, to the person's side, 1.5 to 2.8 m away."""
-    yaw, pitch, roll = rng.uniform(-yaw_deg, yaw_deg), rng.uniform(-12, 6), rng.normal(0, 1.0)
+    yaw, pitch, roll = rng.uniform(-25.0, 25.0), rng.uniform(-12, 6), rng.normal(0, 1.0)
     R_K_P = Rotation.from_euler("zxy", [roll, pitch, yaw], degrees=True).as_matrix()
     return Camera(R_K_P, np.array([rng.uniform(-0.3, 0.3), rng.uniform(-0.1, 0.4), rng.uniform(1.5, 2.8)]))
 
@@ -234,54 +226,37 @@ class Motion:
     """A person before a camera."""
 
     bones: Bones  # Of the person
-    right: ArmPath  # Both arms; the left one's is mirrored, and its trunk is the right one's
-    left: ArmPath  # Both arms; the left one's is mirrored, and its trunk is the right one's
+    path: ArmPath  # Of the right arm
     camera: Camera  # Who looks
     wobble: Callable[[FloatArray], FloatArray]  # Times (N,) to rotation vectors (N, 3), rad
 
-    def frames(self, t_s: FloatArray, *, left: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Shoulder (N, 3) m, `R_P_U` and `R_P_F` (N, 3, 3) in {P}, of an arm as if it were the right one."""
-        upper, values = (self.left if left else self.right).at(t_s)
-        flexion, pronation = values[:, 0], values[:, 1]
-        bend = Rotation.from_euler("ZY", np.stack([flexion, pronation], axis=1))
-        trunk = self.right.at(t_s)[1][:, 3:6] * ([-1.0, 1.0, 1.0] if left else 1.0)
-        shoulder = np.array([self.bones.half_shoulders, 0.0, 0.0]) + trunk + values[:, 6:9]
+    def frames(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Shoulder (N, 3) m, `R_P_U` and `R_P_F` (N, 3, 3) in {P}."""
+        upper, values = self.path.at(t_s)
+        bend = Rotation.from_euler("ZY", values[:, :2])
+        shoulder = np.array([self.bones.half_shoulders, 0.0, 0.0]) + values[:, 3:6] + values[:, 6:9]
         return shoulder, upper.as_matrix(), (upper * bend).as_matrix()
 
-    def joints(self, t_s: FloatArray, *, left: bool = False) -> dict[str, FloatArray]:
-        """Joints of an arm (N, 3), m in {K}, by name."""
-        shoulder, R_P_U, R_P_F = self.frames(t_s, left=left)
+    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """Joints (N, 3), m in {K}, by name."""
+        shoulder, R_P_U, R_P_F = self.frames(t_s)
         elbow = shoulder + self.bones.upper_arm * R_P_U[:, :, 1]
         wrist = elbow + self.bones.forearm * R_P_F[:, :, 1]
-        bend = (self.left if left else self.right).at(t_s)[1][:, 2:3]
+        bend = self.path.at(t_s)[1][:, 2:3]
         hand = wrist + self.bones.hand * (np.cos(bend) * R_P_F[:, :, 1] + np.sin(bend) * R_P_F[:, :, 0])
         joints = {"shoulder": shoulder, "elbow": elbow, "wrist": wrist, "hand": hand}
-        return {name: self._to_camera(place, left) for name, place in joints.items()}
+        return {name: self._to_camera(place) for name, place in joints.items()}
 
-    def trunk_points(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """Points of the trunk (N, 3), m in {K}: right hip, belly."""
-        trunk = self.right.at(t_s)[1][:, 3:6]
-        places = {"hip": np.array([0.11, -0.52, 0.0]), "belly": np.array([0.02, -0.35, -0.12])}
-        return {name: self._to_camera(place + trunk, False) for name, place in places.items()}
-
-    def imu_pose(self, t_s: FloatArray, *, left: bool = False) -> tuple[FloatArray, FloatArray]:
+    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """`R_K_A` (N, 3, 3) and the sensor's place (N, 3), m in {K}."""
-        shoulder, R_P_U, R_P_F = self.frames(t_s, left=left)
+        shoulder, R_P_U, R_P_F = self.frames(t_s)
         place = shoulder + self.bones.upper_arm * R_P_U[:, :, 1] + R_P_F @ self.bones.imu_in_forearm
         R_P_A = R_P_F @ self.bones.R_F_A
-        if left:
-            mirror = np.diag([-1.0, 1.0, 1.0])
-            R_P_A = mirror @ R_P_A @ mirror
         R_P_A = (Rotation.from_matrix(R_P_A) * Rotation.from_rotvec(self.wobble(t_s))).as_matrix()
-        return self.camera.R_K_P @ R_P_A, self._to_camera(place, left)
+        return self.camera.R_K_P @ R_P_A, self._to_camera(place)
 
-    def turned(self, camera: Camera) -> Motion:
-        """The same motion before another camera."""
-        return replace(self, camera=camera)
-
-    def _to_camera(self, place_P: FloatArray, left: bool) -> FloatArray:
-        mirrored = place_P * ([-1.0, 1.0, 1.0] if left else 1.0)
-        return mirrored @ self.camera.R_K_P.T + self.camera.person_K
+    def _to_camera(self, place_P: FloatArray) -> FloatArray:
+        return np.asarray(place_P @ self.camera.R_K_P.T + self.camera.person_K)
 
 
 def draw_wobble(

@@ -1,19 +1,18 @@
-"""What people do in therapy, on a wheelchair, with a tremor: exercises for the second simulator.
+"""What people do in therapy and on a wheelchair: exercises for the second simulator.
 
 An exercise is a generator of moves, repetition by repetition, each a little different from the last.
-`perform` cuts them to a length, puts a person with two arms before a camera, and leaves the rest to `path`.
+`perform` cuts them to a length, puts a person before a camera, and leaves the rest to `path`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from smoother.array_types import FloatArray
-from tools.reliability.body import ArmPath, Camera, Jitter, Motion, Move, draw_camera, draw_wobble
+from tools.reliability.body import ArmPath, Jitter, Motion, Move, draw_camera, draw_wobble
 
 from .body import Bones, Posture, draw_bones, pointing, reaching
 
@@ -169,44 +168,6 @@ def wheelchair(draw: Draw) -> Moves:
             yield draw.hold(1.0, _lap(draw))
 
 
-def pendulum(draw: Draw) -> Moves:
-    """The straight arm swings to and fro, the elbow stiff at 0 to 7 degrees."""
-    stiff, sense = draw.rng.uniform(1.0, 5.0), 1.0
-    while True:
-        sense = -sense
-        swing, aside = draw.about(28.0, 8.0), draw.about(8.0, 5.0)
-        angle, out = np.radians(sense * swing), np.radians(aside)
-        u = np.array([np.sin(out), -np.cos(out) * np.cos(angle), -np.cos(out) * np.sin(angle)])
-        bend = np.radians(max(draw.about(stiff, 1.0), 0.2))
-        axis = np.array([np.cos(out), np.sin(out), 0.0])
-        f = u * np.cos(bend) + np.cross(axis, u) * np.sin(bend)
-        f = f if f[2] < (u * np.cos(bend))[2] else u * np.cos(bend) - np.cross(axis, u) * np.sin(bend)
-        yield draw.move(0.75, pointing(u, f, pronation=np.radians(draw.about(10, 8))))
-
-
-def table_work(draw: Draw) -> Moves:
-    """Small slow hands: pegs, cards, a pen on a table."""
-    home = draw.near((-0.08, -0.30, -0.33), 0.02)
-    while True:
-        place = home + draw.rng.uniform(-1, 1, 3) * [0.09, 0.015, 0.07]
-        at = reaching(place, draw.bones, draw.about(25, 3), pronation=np.radians(draw.about(55, 15)))
-        yield draw.move(draw.rng.uniform(0.5, 1.4), at)
-        yield draw.hold(draw.rng.uniform(0.2, 0.8), at)
-
-
-def pausing(draw: Draw) -> Moves:
-    """One repetition, then some seconds of standing still."""
-    while True:
-        down = pointing((0.12, -1.0, 0.0), (0.08, -1.0, -0.3))
-        yield draw.hold(draw.rng.uniform(2.0, 4.0), down)
-        raised = draw.reach(
-            (draw.rng.uniform(-0.2, 0.3), draw.rng.uniform(-0.05, 0.3), -0.35), 45.0, pronation=20.0
-        )
-        yield draw.move(1.1, raised)
-        yield draw.hold(0.4, raised)
-        yield draw.move(1.2, down)
-
-
 def daily_life(draw: Draw) -> Moves:
     """A bit of everything, in any order."""
     exercises = [exercise(draw) for exercise in (reaching_out, drinking, combing, lifting, pronating)]
@@ -266,7 +227,9 @@ def walking_about(draw: Draw) -> Moves:
 
 
 Exercise = Callable[[Draw], Moves]
-#: Exercises by name, and what of the person goes with them.
+
+
+#: Exercises by name.
 EXERCISES: dict[str, Exercise] = {
     each.__name__.replace("_", " "): each
     for each in (
@@ -276,69 +239,27 @@ EXERCISES: dict[str, Exercise] = {
         behind_the_back,
         wiping,
         lifting,
-        pronating,
         wheelchair,
-        pendulum,
-        table_work,
-        pausing,
         daily_life,
+        in_one_plane,
+        bending_forward,
+        walking_about,
     )
 }
-#: Exercises of the cases alone, besides.
-SPECIAL: dict[str, Exercise] = {
-    "in one plane": in_one_plane,
-    "bending forward": bending_forward,
-    "walking about": walking_about,
-    "reaching with tremor": reaching_out,
-    "drinking with tremor": drinking,
-    "child reaching": reaching_out,
-    "slow reaching": reaching_out,
-}
-#: Both hands do the same.
-SYMMETRIC = {"wheelchair", "lifting", "bending forward"}
 
 
-def perform(
-    name: str, duration_s: float, rng: np.random.Generator, gaps: Gaps = (), bones: Bones | None = None
-) -> Motion:
+def perform(name: str, duration_s: float, rng: np.random.Generator, gaps: Gaps) -> Motion:
     """A person who does an exercise before a camera."""
-    body_rng, plan_rng, left_rng, strap_rng, *shake_rngs = rng.spawn(6)
-    exercise = (EXERCISES | SPECIAL)[name]
-    bones = bones or draw_bones(body_rng, small=name.startswith("child"))
-    pace = body_rng.uniform(0.85, 1.25) * (2.0 if name.startswith("slow") else 1.0)
-    jitter = _jitter(name, body_rng)
-    camera: Camera = draw_camera(body_rng)
-    plan = Draw(deepcopy(plan_rng), bones, pace, gaps)
-    right = _arm_path(exercise, plan, duration_s, jitter, shake_rngs[0])
-    if name in SYMMETRIC:  # the same plan, carried out a little differently
-        plan, other = Draw(deepcopy(plan_rng), bones, pace, gaps), exercise
-    else:
-        plan, other = Draw(left_rng, bones), table_work if left_rng.uniform() < 0.4 else _resting
-    left = _arm_path(other, plan, duration_s, jitter, shake_rngs[1])
+    body_rng, plan_rng, _, strap_rng, shake_rng, _ = rng.spawn(6)
+    bones, pace = draw_bones(body_rng), body_rng.uniform(0.85, 1.25)
+    jitter = Jitter(sway_m=0.004, wander_deg=0.8)
+    if name != "in one plane":
+        jitter = Jitter(sway_m=body_rng.uniform(0.004, 0.010), wander_deg=body_rng.uniform(0.8, 2.5))
+    camera = draw_camera(body_rng)
+    plan = Draw(plan_rng, bones, pace, gaps)
+    path = _arm_path(EXERCISES[name], plan, duration_s, jitter, shake_rng)
     wobble = draw_wobble(duration_s, body_rng.uniform(0.2, 2.0), strap_rng)
-    return Motion(bones, right, left, camera, wobble)
-
-
-def _resting(draw: Draw) -> Moves:
-    lap = _lap(draw)
-    while True:
-        yield draw.hold(3.0, lap)
-        lap = _lap(draw)
-        yield draw.move(1.5, lap)
-
-
-def _jitter(name: str, rng: np.random.Generator) -> Jitter:
-    if "tremor" in name:
-        return Jitter(tremor_deg=rng.uniform(1.0, 3.0), tremor_hz=rng.uniform(4.0, 6.0))
-    if name == "in one plane":
-        return Jitter(sway_m=0.004, wander_deg=0.8)
-    if name == "pendulum":
-        return Jitter(wander_deg=0.6)
-    if name == "pausing":  # still is still
-        return Jitter(sway_m=0.003, wander_deg=0.4)
-    if name == "table work":
-        return Jitter(sway_m=0.003, wander_deg=0.8)
-    return Jitter(sway_m=rng.uniform(0.004, 0.010), wander_deg=rng.uniform(0.8, 2.5))
+    return Motion(bones, path, camera, wobble)
 
 
 def _arm_path(

@@ -6,7 +6,7 @@ The sensors of the second simulator: an IMU, and what skeleton trackers make of 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
-from smoother.calibration import ArmCalibration
 from smoother.linalg import unit
 from smoother.recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from tools.reliability.body import Motion
@@ -24,18 +23,18 @@ from tools.reliability.motions import Gaps, perform
 FINE_HZ = 1000.0
 
 
-def ideal_imu(motion: Motion, duration_s: float, rate_hz: float, *, left: bool = False) -> ImuStream:
+def ideal_imu(motion: Motion, duration_s: float, rate_hz: float) -> ImuStream:
     """Error-free samples: means over each sample's interval, stamped at its centre."""
     fine = int(np.ceil(FINE_HZ / rate_hz))
     count = int(duration_s * rate_hz)
     h = 1.0 / (rate_hz * fine)
     edges = h * np.arange(count * fine + 1, dtype=np.float64)
     middles = edges[:-1] + 0.5 * h
-    R_edges, _ = motion.imu_pose(edges, left=left)
-    R_K_A, _ = motion.imu_pose(middles, left=left)
+    R_edges, _ = motion.imu_pose(edges)
+    R_K_A, _ = motion.imu_pose(middles)
     turns = Rotation.from_matrix(R_edges)
     rate = (turns[:-1].inv() * turns[1:]).as_rotvec() / h
-    before, here, after = (motion.imu_pose(middles + k * 0.5 * h, left=left)[1] for k in (-1, 0, 1))
+    before, here, after = (motion.imu_pose(middles + k * 0.5 * h)[1] for k in (-1, 0, 1))
     acceleration = (after - 2 * here + before) / (0.5 * h) ** 2
     force = np.einsum("nji,nj->ni", R_K_A, acceleration - motion.camera.gravity)
     acc, gyro = (values.reshape(count, fine, 3).mean(axis=1) for values in (force, rate))
@@ -77,33 +76,8 @@ def measured(ideal: ImuStream, errors: ImuErrors, rng: np.random.Generator) -> I
     return replace(ideal, acc=samples["acc"], gyro=samples["gyro"])
 
 
-def evenly_restamped(imu: ImuStream, kept: BoolArray) -> ImuStream:
-    """The kept samples (N,) with stamps spread evenly at the sensor's rate, as a writer counts them."""
-    left = imu.select(kept)
-    return replace(left, t_s=imu.t_s[0] + np.arange(len(left)) / imu.rate_hz)
-
-
-def bursts_lost(
-    imu: ImuStream, share: float, longest_s: float, rng: np.random.Generator, first_s: float = 2.0
-) -> BoolArray:
-    """(N,) False where samples are lost: bursts of up to `longest_s` until about `share` of all is gone."""
-    kept, goal = np.ones(len(imu), dtype=bool), (1.0 - share) * len(imu)
-    while kept.sum() > goal:
-        start_s = rng.uniform(imu.t_s[0] + first_s, imu.t_s[-1] - longest_s)
-        kept &= ~((imu.t_s >= start_s) & (imu.t_s < start_s + rng.uniform(0.2, 1.0) * longest_s))
-    return kept
-
-
-def turned_on_the_arm(imu: ImuStream, R_A_new: FloatArray, rows: BoolArray) -> ImuStream:
-    """The samples of some rows (N,) in other axes: columns of `R_A_new` are the new axes in the old ones."""
-    acc, gyro = imu.acc.copy(), imu.gyro.copy()
-    acc[rows], gyro[rows] = acc[rows] @ R_A_new, gyro[rows] @ R_A_new
-    return replace(imu, acc=acc, gyro=gyro)
-
-
 #: Joints that the tracker knows, in the order of their columns; the strap's column stays empty.
 TRACKED = JOINTS[:4]
-FOREARM = [JOINTS.index(joint) for joint in ("elbow", "wrist", "hand")]
 
 
 @dataclass(frozen=True)
@@ -221,51 +195,21 @@ def as_it_is(t_s: FloatArray, place: FloatArray) -> FloatArray:
 class Scene:
     """What is smoothed, and what is known of it."""
 
-    exercise: str  # What the person does, and how well the tracker sees
-    tracker_name: str  # What the person does, and how well the tracker sees
+    exercise: str  # What the person does
     duration_s: float
     gaps: Gaps  # When the arm is hidden, true time
     rng: np.random.Generator  # Of the case's draws
     motion: Motion  # Whose skeleton it is
-    tracker: Tracker
     film: Film  # What the tracker states
     imu: ImuStream  # On the true time
     offset_s: float  # t_imu = t_camera + offset; the IMU's clock is the true time
-    faulty: Gaps = ()  # Visible times at which the camera states what is not
-    views: tuple[View, ...] = (as_it_is,)  # What the truth is called in the camera's coordinates
-    sensor_is_worn: bool = True  # The IMU is this person's own, so its position has a truth
-    unpaired: bool = False  # The IMU's time has nothing to do with the motion
+    view: View = as_it_is  # What the truth is called in the camera's coordinates
     clocks_unrelated: bool = False  # The files count from clocks that have nothing in common
-    calibration: ArmCalibration | None = None  # Given to `smooth`
-    side: str = "right"  # Stated side of the arm
-    camera_frame: CameraFrame | None = CameraFrame.KINECT  # Stated
-    # (N,) s: When the IMU's samples were taken, where their stamps are wrong
-    true_t_s: FloatArray | None = None
     judged_joints: tuple[str, ...] = ("wrist",)  # Whose places are held against the truth, besides the IMU's
 
     def changed(self, **changes: Any) -> Scene:
         """The scene with other fields."""
         return replace(self, **changes)
-
-    def stating(
-        self,
-        rows: BoolArray,
-        columns: list[int],
-        places: FloatArray,
-        state: JointState | None = JointState.TRACKED,
-    ) -> Scene:
-        """The tracker states other places (F, 5, 3) m, its own errors added, in some frames and columns."""
-        position, states = self.film.position.copy(), self.film.state.copy()
-        for column in columns:
-            position[rows, column] = places[rows, column] + self.film.error[rows, column]
-            if state is not None:
-                states[rows, column] = state
-        return self.changed(film=replace(self.film, position=position, state=states))
-
-    def other_person(self, exercise: str | None = None, **changes: Any) -> Motion:
-        """Somebody else, moving on their own before the same camera."""
-        motion = perform(exercise or self.exercise, self.duration_s, self.rng.spawn(1)[0], self.gaps)
-        return replace(motion, camera=self.motion.camera, **changes)
 
     @property
     def tracks(self) -> JointTracks:
@@ -274,15 +218,13 @@ class Scene:
 
     def recording(self) -> Recording:
         """What a user gives to `smooth`."""
-        stated = {each.name for each in fields(Recording)}
-        flag: dict[str, Any] = {"clocks_unrelated": True} if "clocks_unrelated" in stated else {}
         return Recording(
             imu=self.imu,
             arm=self.tracks,
-            side=self.side,
-            camera_frame=self.camera_frame,
-            name=f"{self.exercise}",
-            **(flag if self.clocks_unrelated else {}),
+            side="right",
+            camera_frame=CameraFrame.KINECT,
+            name=self.exercise,
+            clocks_unrelated=self.clocks_unrelated,
         )
 
 
@@ -295,35 +237,28 @@ def draw_scene(
     duration_s: float,
     seed: list[int],
     *,
-    tracker_name: str | None = None,
-    rate_hz: float = 30.0,
     every_s: float = 5.0,
 ) -> Scene:
     """A sound recording of an exercise."""
     plan_rng, motion_rng, camera_rng, imu_rng, case_rng = np.random.default_rng(seed).spawn(5)
-    name = tracker_name or str(plan_rng.choice(list(TRACKERS), p=[0.3, 0.5, 0.2]))
-    tracker = replace(TRACKERS[name], rate_hz=rate_hz)
+    tracker = TRACKERS[str(plan_rng.choice(list(TRACKERS), p=[0.3, 0.5, 0.2]))]
     gaps = plan_gaps(duration_s, plan_rng, every_s=every_s)
     motion = perform(exercise, duration_s, motion_rng, gaps)
     imu_rate_hz = float(plan_rng.choice(IMU_RATES_HZ))
     return Scene(
         exercise=exercise,
-        tracker_name=name,
         duration_s=duration_s,
         gaps=gaps,
         rng=case_rng,
         motion=motion,
-        tracker=tracker,
         film=film(motion, tracker, duration_s, gaps, camera_rng),
         imu=worn_imu(motion, duration_s, imu_rate_hz, imu_rng),
         offset_s=float(plan_rng.uniform(-0.12, 0.12)),
     )
 
 
-def worn_imu(
-    motion: Motion, duration_s: float, rate_hz: float, rng: np.random.Generator, *, left: bool = False
-) -> ImuStream:
+def worn_imu(motion: Motion, duration_s: float, rate_hz: float, rng: np.random.Generator) -> ImuStream:
     """An ordinary IMU on a wrist."""
     quality = rng.uniform(0.5, 1.5)
     errors = ImuErrors(acc_bias=0.05 * quality, gyro_bias=0.008 * quality, scale=0.002 * quality)
-    return measured(ideal_imu(motion, duration_s, rate_hz, left=left), errors, rng)
+    return measured(ideal_imu(motion, duration_s, rate_hz), errors, rng)
