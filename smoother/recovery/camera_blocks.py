@@ -103,11 +103,7 @@ class Solved:
 
     def steps(self) -> Iterator[Sign]:
         """What changed for good, by all samples and by those that were not left out."""
-        if self.excluded is None:
-            yield from changed_for_good(self.evidence.steps)
-        else:
-            left_out_s = np.asarray(self.recovery.arm.t_s)[self.excluded.frames]
-            yield from changed_for_good(self.steps_before, self.evidence.steps, left_out_s)
+        return changed_for_good(self.steps_before, self.evidence.steps)
 
     def paired(self, pairing: Pairing | None, recording: Recording, given: Clock | None) -> Pairing | None:
         """The pairing by what is used: without what the camera alone shows to be wrong, and a few blocks."""

@@ -28,8 +28,6 @@ FALSE_ALARM = 0.05
 LEFT_CHANCE, LEFT_WITHIN_S = 0.05, 4.0
 #: .. else this long on both sides, s, is not to be trusted, and the gap it is in.
 BESIDE_S = 0.1
-#: Samples left out within this time, s, before it and after it are on both sides.
-BOTH_S = 2.0
 #: The IMU is looked at in batches of this length, s, each reaching so far into the next.
 BATCH_S, OVERLAP_S = 60.0, 10.0
 #: Fewer filled samples are not worth a word.
@@ -41,17 +39,12 @@ STILL_RAD_S, STILL_MEAN_S, STILL_S = 0.03, 0.1, 3.0
 STILL_TURN_DEG, STILL_SHARE, STILL_FRAMES = 20.0, 0.2, 30
 
 
-def changed_for_good(
-    steps: Sequence[Step],
-    left: Sequence[Step] | None = None,
-    left_out_s: FloatArray | None = None,  # (k,) s
-) -> Iterator[Sign]:
+def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Sign]:
     """The most significant step of all: no answer holds before and after it.
 
     `left` are those without the camera's blocks that the rest contradicts: another body for a while is no
     step, and what is left of a step after a part of one side was taken for such a block still shows it.
-    Where it does not, the gap there is not to be trusted; or nothing is, where samples were left out at these
-    times on both sides of it: a block begins or ends there, and has one side.
+    Where it does not, the gap there is not to be trusted.
     """
     significant = [step for step in steps if _chance(step) * len(steps) < FALSE_ALARM]
     if not significant:
@@ -68,11 +61,8 @@ def changed_for_good(
         of = "the sensor on the arm" if step.kind == "mounting" else "all that the camera sees"
         what = f"{of} turns by {turned_deg:.0f} degrees and moves by {moved_cm:.0f} cm, unfelt by the IMU"
         cause = "the camera was moved, or the strap slipped"
-    shows_still = [each.at_s for each in (steps if left is None else left) if _chance(each) < LEFT_CHANCE]
-    away_s = np.zeros(0) if left_out_s is None else left_out_s - step.at_s
-    on_both_sides = (np.abs(away_s) < BOTH_S) & (away_s < 0.0), (np.abs(away_s) < BOTH_S) & (away_s > 0.0)
-    is_block = not all(side.any() for side in on_both_sides)
-    if is_block and not any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still):
+    shows_still = [each.at_s for each in left if _chance(each) < LEFT_CHANCE]
+    if not any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still):
         yield Sign(
             f"at about {step.at_s:.0f} s {what}: {cause}, or another body was seen beside it",
             (step.at_s - BESIDE_S, step.at_s + BESIDE_S),
