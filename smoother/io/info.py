@@ -134,7 +134,7 @@ class RecordingInfo:
             if not arm["cameras"]:  # of one camera nothing is said
                 del arm["cameras"]
         first = values["arms"][0] if self.arms else _NO_ARM
-        return {name: first[name] for name in _NO_ARM} | values
+        return values | {name: first[name] for name in _NO_ARM}
 
 
 #: What is said of the first arm where there is none.
