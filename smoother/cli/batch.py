@@ -7,7 +7,6 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -119,7 +118,6 @@ def _clock(seconds: float) -> str:
 
 #: Rows of the tables that are printed at the end.
 MOST_WORST, MOST_FAILURES = 10, 25
-#: Sentences on topics that were left out that are printed at the end.
 #: Rows that `--json` holds at most; all of them are among the results.
 MOST_JSON = 10_000
 #: Hours of recording take minutes; what takes half a day hangs.
@@ -239,10 +237,10 @@ def batch(
     """
     from ..measures.definitions import FEWEST_DRAWS
     from ..runtime.outputs import check_output
-    from ..study.cluster import run_cluster, run_local
-    from ..study.inputs import InputSelection, find_entries, left_out_note
-    from ..study.job import Limits, StudySettings
+    from ..study.inputs import find_entries, left_out_note
+    from ..study.job import StudySettings
     from ..study.run import run_study, study_folder
+    from ..study.workers import cluster, local
     from .config import read_config
     from .methods import usual_draws
 
@@ -261,12 +259,13 @@ def batch(
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
         config=read_config(config_file),
-        choice=InputSelection(**arm.reading()),
+        selection=arm.reading(),
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,
         keep_paths=keep_paths,
-        limits=Limits(60 * time_limit, round(1e9 * memory_limit)),
+        time_limit_s=60 * time_limit,
+        memory_limit_bytes=round(1e9 * memory_limit),
         measures=measures,
         draws=usual_draws(draws) if measures else 0,
         hash_names=hash_names,
@@ -280,14 +279,10 @@ def batch(
     for path in (page, json_file):
         if path is not None and path.is_file() and not _is_of_a_study(path):
             check_output(path, force)  # what an earlier run wrote is renewed, never another program's file
-    work = (
-        partial(run_local, processes=processes or 0)
-        if scheduler is None
-        else partial(run_cluster, scheduler=scheduler)
-    )
+    workers = local(processes or 0) if scheduler is None else cluster(scheduler)
     try:
         with study_progress() as progress:
-            tally, rows = run_study(entries, folder, settings, work, progress, force)
+            tally, rows = run_study(entries, folder, settings, workers, progress, force)
     except KeyboardInterrupt:
         typer.echo("unocclude: interrupted; the same command continues where this one stopped", err=True)
         raise typer.Exit(1) from None
