@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.printable import printable
+from ..table import centimetres
 from .app import GroupedCommand
 from .arm_output import end_strictly
 from .load import camera_frame_of, damage
@@ -27,7 +28,6 @@ from .options import (
 )
 from .output import (
     PROGRESS_FILE,
-    centimetres,
     check_outputs,
     print_notes,
     print_table,

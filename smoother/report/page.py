@@ -143,7 +143,7 @@ def details(
     yield headed("Gaps", _GAPS) + tables.gaps(recovery, validation)
     if validation is not None:
         heading = validation.title("Errors against the reference")
-        yield headed(heading, _ERRORS) + tables.validation(validation) + bullets(validation.notes)
+        yield headed(heading, _ERRORS) + tables.validation(validation, recovery) + bullets(validation.notes)
         yield tables.measured(validation)
         for title, caption, plot, below in () if truth is None else compared(recovery, truth, validation):
             yield (_figure(title, caption, plot) or headed(title, caption)) + below
