@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runtime.printable import printable
 from ..table import centimetres
 from .app import GroupedCommand
 from .arm_output import end_strictly
@@ -27,11 +22,10 @@ from .options import (
     Strict,
 )
 from .output import (
-    PROGRESS_FILE,
     check_outputs,
     print_notes,
     print_table,
-    progress_file,
+    progress_bar,
     say,
     say_written,
     write_json,
@@ -42,60 +36,6 @@ if TYPE_CHECKING:
 
     from ..study.folder import Row
     from ..study.run import Tally
-
-
-#: Recordings that are shown, the latest ones.
-SHOWN = 12
-
-
-@contextmanager
-def study_progress() -> Iterator[Callable[[Tally, Row | None], None]]:
-    """Yield a function (tally, row of the recording that has just ended or None) that renews the table."""
-    if file := os.environ.get(PROGRESS_FILE):
-        write = progress_file(Path(file))
-        yield lambda tally, row: write(tally.ended / max(tally.total, 1), headline(tally))
-        return
-    if not sys.stderr.isatty():
-        yield lambda tally, row: None
-        return
-    from rich.console import Console
-    from rich.live import Live
-
-    latest: deque[Row] = deque(maxlen=SHOWN)
-    with Live(console=Console(stderr=True), refresh_per_second=4, transient=True) as live:
-
-        def show(tally: Tally, row: Row | None) -> None:
-            if row is not None:
-                latest.append(row)
-            live.update(progress_table(tally, latest))
-
-        yield show
-
-
-def progress_table(tally: Tally, latest: deque[Row]) -> Any:
-    """How far a study is, and its latest recordings."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=headline(tally), title_justify="left", title_style="bold")
-    table.add_column("recording", overflow="fold")
-    for column in ("length, s", "gaps", "largest sigma, cm", "times real time"):
-        table.add_column(column, justify="right")
-    table.add_column("")
-    for row in latest:
-        distrusted = row.get("trusted") is False
-        length, sigma, spent = (row.get(name) for name in ("duration_s", "sigma_max_m", "seconds"))
-        cells = (
-            row["recording"],
-            "" if length is None else f"{length:.0f}",
-            "" if row.get("gaps") is None else str(row["gaps"]),
-            "" if sigma is None else f"{100 * sigma:.1f}",
-            "" if length is None or not spent else f"{length / spent:.0f}",
-            row.get("error") or ("not to be trusted" if distrusted else row["status"]),
-        )
-        bad = distrusted or row["status"] == "failed"
-        table.add_row(*[Text(printable(cell)) for cell in cells], style="red" if bad else None)
-    return table
 
 
 def headline(tally: Tally) -> str:
@@ -281,7 +221,12 @@ def batch(
             check_output(path, force)  # what an earlier run wrote is renewed, never another program's file
     workers = local(processes or 0) if scheduler is None else cluster(scheduler)
     try:
-        with study_progress() as progress:
+        with progress_bar("recovering") as bar:
+
+            def progress(tally: Tally, row: Row | None) -> None:
+                failed = "" if row is None or row["status"] != "failed" else f"; {row['recording']} failed"
+                bar(tally.ended / max(tally.total, 1), headline(tally) + failed)
+
             tally, rows = run_study(entries, folder, settings, workers, progress, force)
     except KeyboardInterrupt:
         typer.echo("unocclude: interrupted; the same command continues where this one stopped", err=True)

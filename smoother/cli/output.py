@@ -177,14 +177,16 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
     from rich.text import Text
 
     cells = [[printable(cell_text(value), lines=True) for value in row] for row in rows]
-    grid = Grid(title=Text(printable(title), style="bold"), title_justify="left")
+    grid = Grid()
     for place, column in enumerate(columns):
         is_number = all(_is_number(row[place]) for row in cells)
         heading = Text(printable(column), style="bold")
         grid.add_column(heading, justify="right" if is_number else "left", overflow="fold")
     for row in cells:
         grid.add_row(*map(Text, row))
-    console().print(grid)
+    screen = console()
+    screen.print(Text(printable(title), style="bold"))
+    screen.print(grid)
 
 
 def show(table: Table, most: int | None = None) -> None:

@@ -5,18 +5,15 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections import deque
 from datetime import UTC, datetime
-from io import StringIO
 from pathlib import Path
 
 import duckdb
 import numpy as np
 import pyarrow as pa
 import pytest
-from rich.console import Console
 
-from smoother.cli.batch import headline, progress_table
+from smoother.cli.batch import headline
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
 from smoother.evaluation.group import LONG, group_measures
@@ -123,22 +120,10 @@ def test_the_end_of_batch_names_them_first(tmp_path, monkeypatch, capsys):
     assert end([*rows, failed], "--strict")[0] == 1, "what failed counts first"
 
 
-def test_the_table_while_it_runs():
+def test_the_line_while_it_runs():
     tally = Tally(10, before=2, computed=3, failed=1, recorded_s=180.0)
     tally.began -= 6.0
     assert headline(tally).startswith("6 of 10, 1 failed; 30 times real time, 0:00:06 left")
-    latest = deque(
-        [
-            row("a.mcap"),
-            row("w.mcap", trusted=False),
-            row("b.mcap", status="failed", error="it [is] broken", duration_s=None),
-        ]
-    )
-    console = Console(width=120, file=StringIO())
-    console.print(progress_table(tally, latest))
-    shown = console.file.getvalue()
-    assert "not to be trusted" in shown
-    assert "a.mcap" in shown and "2.0" in shown and "it [is] broken" in shown
 
 
 def measured(value: float | None, trusted: bool = True, key: str = "elbow_flexion_range_deg") -> list[dict]:
