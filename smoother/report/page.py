@@ -296,8 +296,8 @@ _BAND = "The pale blue band contains 95 of 100 true values of each coordinate."
 _NO_BAND = "No band is drawn: it would not be valid."
 _ERRORS = (
     "rms: root mean square. NEES: mean squared error in standard deviations; 1 where the stated uncertainty"
-    " is consistent with the errors, above 1 where it is over-confident. In the last column 95 % is"
-    " consistent."
+    " is consistent with the errors, above 1 where it is over-confident. Of the samples, 95 %"
+    " inside the stated region is consistent."
 )
 _CALIBRATION = (
     "Where the joints lie as seen from the sensor, and the length of the upper arm: as given and improved by"
