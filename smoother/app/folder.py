@@ -118,7 +118,7 @@ class AppFolder:
 
     def keep_model(self, file: Path) -> None:
         """Keep a dropped model for the other recordings too."""
-        _second_name(file, self.models / file.name)
+        link_file(file, self.models / file.name)
 
     def take_up(self, name: str) -> str:
         """Make a recording of a loose MCAP file, which stays where it is; its name on disk."""
@@ -127,7 +127,7 @@ class AppFolder:
             raise AppError("There is no such file in the folder, or a recording has it already.", 404)
         kept_name = file_name(file.name)
         made = self.add(KeptRecording(name=one_line(file.stem[:200]) or "Recording"))
-        _second_name(file, self.path / made / "files" / kept_name)
+        link_file(file, self.path / made / "files" / kept_name)
         return made
 
     def template_files(self) -> list[Path]:
@@ -206,7 +206,7 @@ class AppFolder:
         return place
 
 
-def _second_name(file: Path, target: Path) -> None:
+def link_file(file: Path, target: Path) -> None:
     """A file under a second name, without a copy where the disk allows; whole or not at all."""
     beside = target.with_name(f".{secrets.token_hex(8)}.part")
     try:

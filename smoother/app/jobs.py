@@ -1,9 +1,15 @@
-"""Jobs on disk, and the desk that starts two of them at a time."""
+"""Jobs on disk, and the desk that does one after the other.
+
+A job is a list of commands. Each command is a process that ends with this one, however that ends; a job that
+was not ended by then was stopped, and can be repeated.
+"""
 
 from __future__ import annotations
 
 import os
+import queue
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -14,16 +20,21 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
-from .folder import AppError, AppFolder, read_json, write_json
+from .folder import AppError, AppFolder, link_file, read_json, write_json
 
-#: Jobs that run at a time; a command takes all cores by itself.
-AT_A_TIME = 2
 #: States in which a job is not over.
 OPEN = ("waiting", "running")
-#: A job's process takes its lock within this after its start, s.
-_START_S = 30.0
 #: Bytes of what a command printed that the page shows.
 _SHOWN_BYTES = 20_000
+#: So often it looks whether a command is to stop, s.
+_LOOK_S = 0.1
+#: Time in which a command that has to stop can remove its outputs, s.
+_GRACE_S = 10.0
+#: How a process runs one command of the program.
+_PROGRAM = (
+    *(sys.executable, "-P", "-c"),
+    "from smoother.app.jobs import watch_parent; watch_parent(); from smoother.cli import main; main()",
+)
 
 
 @dataclass(frozen=True)
@@ -54,20 +65,9 @@ def latest(folder: Path) -> Path | None:
 
 def state_of(job: Path, printed: bool = False) -> JobState:
     """How far a job is, by its files on disk."""
-    words, state = read_json(job / "job.json"), read_json(job / "state.json")
-    steps = words.get("steps", [])
-    step = min(int(state.get("step", 0)), max(len(steps) - 1, 0))
-    how = state.get("state", "waiting")
-    if how == "waiting" and (begun := read_json(job / "begun.json")):
-        lost = time.time() - begun.get("at_s", 0.0) > _START_S and not is_locked(job)
-        how = "stopped" if lost else "running"
-    elif how == "running" and not is_locked(job):
-        state = read_json(job / "state.json")  # it may have ended in between
-        how = state.get("state", how)
-        how = "stopped" if how == "running" else how
-    for word in ("cancelled", "stopped"):
-        how = word if how == "waiting" and (job / word).exists() else how
-    progress = read_json(job / "progress.json")
+    words, progress = read_json(job / "job.json"), read_json(job / "progress.json")
+    steps, how = words.get("steps", []), str(words.get("state", "waiting"))
+    step = min(int(words.get("step", 0)), max(len(steps) - 1, 0))
     return JobState(
         int(job.name),
         str(words.get("kind", "")),
@@ -77,7 +77,7 @@ def state_of(job: Path, printed: bool = False) -> JobState:
         steps[step]["name"] if steps else "",
         float(progress.get("share", -1.0)),
         str(progress.get("text", "")),
-        str(state.get("sentence", "")),
+        str(words.get("sentence", "")),
         _printed(job) if printed and how not in OPEN else "",
         str(words.get("stamp", "")),
     )
@@ -91,43 +91,26 @@ def _printed(job: Path) -> str:
     return "".join(parts).strip()
 
 
-def is_locked(job: Path) -> bool:
-    """Whether a process works on a job."""
-    from filelock import FileLock, Timeout
-
-    if not (job / "lock").exists():
-        return False
-    try:
-        with FileLock(job / "lock", timeout=0):
-            return False
-    except Timeout:
-        return True
-    except OSError:
-        return False
-
-
 class JobDesk:
-    """Starts jobs in the order in which they came, and stops them."""
+    """Does jobs in the order in which they came, and stops them."""
 
     def __init__(self, folder: AppFolder) -> None:
-        self.folder = folder
         self._lock = threading.Lock()
-        self._queue: list[Path] = []
-        self._running: dict[Path, subprocess.Popen[bytes] | None] = {}
-        self._adopt()
-
-    def _adopt(self) -> None:
-        """Take over what an earlier server left: jobs that wait, and those that still run."""
-        places = [self.folder.of(name) for name in self.folder.recordings()]
-        places += [self.folder.comparison(name) for name in self.folder.comparisons()]
-        for place in places:
-            if (job := latest(place)) is None:
-                continue
+        self._queue: queue.SimpleQueue[Path | None] = queue.SimpleQueue()
+        self._running: Path | None = None
+        self._cancelled: set[Path] = set()
+        self._closing = threading.Event()
+        places = [folder.of(name) for name in folder.recordings()]
+        places += [folder.comparison(name) for name in folder.comparisons()]
+        for job in filter(None, map(latest, places)):  # what an earlier server left
             state = state_of(job).state
-            if state == "running":
-                self._running[job] = None
-            elif state == "waiting":
-                self._queue.append(job)
+            if state == "waiting":
+                self._queue.put(job)
+            elif state == "running":
+                with suppress(OSError, UnoccludeError):
+                    write_json(job / "job.json", read_json(job / "job.json") | {"state": "stopped"})
+        self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
+        self._thread.start()
 
     def add(self, place: Path, kind: str, steps: list[dict[str, Any]], stamp: str = "") -> int:
         """Put a job at the end of the queue; its number."""
@@ -145,62 +128,128 @@ class JobDesk:
             except BaseException:
                 shutil.rmtree(job, ignore_errors=True)
                 raise
-            self._queue.append(job)
-        self.tick()
+            self._queue.put(job)
         return number
-
-    def tick(self) -> None:
-        """Start what may start; called often."""
-        with self._lock:
-            for job, process in list(self._running.items()):
-                over = not is_locked(job) if process is None else process.poll() is not None
-                if over:
-                    del self._running[job]
-            while self._queue and len(self._running) < AT_A_TIME:
-                job = self._queue[0]
-                if (job / "job.json").is_file() and state_of(job).state == "waiting":
-                    try:
-                        self._running[job] = _start(job)
-                    except (OSError, UnoccludeError):  # a full disk: it is tried again
-                        return
-                self._queue.pop(0)
 
     def cancel(self, place: Path) -> None:
         """Stop a recording's job, or take it from the queue."""
         job = latest(place)
-        if job is not None and state_of(job).state in OPEN:
-            _say(job, "cancelled")
+        with self._lock:
+            if job is not None and job == self._running:
+                self._cancelled.add(job)
+            elif job is not None and state_of(job).state == "waiting":
+                write_json(job / "job.json", read_json(job / "job.json") | {"state": "cancelled"})
 
     def close(self, patience_s: float = 15.0) -> None:
-        """Stop all that runs; what waits is started the next time."""
-        with self._lock:
-            running = dict(self._running)
-            self._queue.clear()
-        for job in running:
-            _say(job, "stopped")
-        end = time.monotonic() + patience_s
-        for process in running.values():
-            if process is not None:
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(max(end - time.monotonic(), 0.1))
+        """Stop what runs; what waits is started the next time."""
+        self._closing.set()
+        self._queue.put(None)
+        self._thread.join(patience_s)
+
+    def _note(self, job: Path, **changes: Any) -> None:
+        """Change what is kept of a job; while the disk is full, it is tried again."""
+        while True:
+            with suppress(OSError, UnoccludeError):
+                write_json(job / "job.json", read_json(job / "job.json") | changes)
+                return
+            if self._closing.wait(_LOOK_S):
+                return
+
+    def _work(self) -> None:
+        while (job := self._queue.get()) is not None and not self._closing.is_set():
+            with self._lock:
+                if state_of(job).state != "waiting":
+                    continue
+                self._running = job
+            self._note(job, state="running")
+            try:
+                state, sentence = self._run(job)
+            except OSError as error:
+                state, sentence = "failed", f"{error.strerror or error}; make room and run again."
+            self._note(job, state=state, sentence=sentence)
+            self._running = None
+
+    def _run(self, job: Path) -> tuple[str, str]:
+        """Do a job; its end, and why it failed."""
+        for at, step in enumerate(read_json(job / "job.json")["steps"]):
+            self._note(job, step=at)
+            with suppress(OSError):
+                (job / "progress.json").unlink()
+            if "link" in step:
+                source, target = (job.parents[1] / name for name in step["link"])
+                link_file(source, target)
+                continue
+            code = self._command(job, step["argv"])
+            if why := self._asked_to_stop(job):
+                return why, ""
+            if code in step.get("held", []):
+                return "held", ""
+            if code not in step.get("ok", [0]):
+                return "failed", _last_words(job / "err.txt") or f"The command ended with {code}."
+        return "done", ""
+
+    def _asked_to_stop(self, job: Path) -> str:
+        """Why a job is to stop: "cancelled" by the user, "stopped" with the server, or ""."""
+        return "cancelled" if job in self._cancelled else "stopped" if self._closing.is_set() else ""
+
+    def _command(self, job: Path, words: list[str]) -> int:
+        """Run a command in the recording's folder; its exit code."""
+        root = str(Path(__file__).parents[2])
+        environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
+            "UNOCCLUDE_PROGRESS": str(job / "progress.json"),
+            "PYTHONIOENCODING": "utf-8",
+        }
+        with open(job / "out.txt", "ab") as out, open(job / "err.txt", "ab") as err:
+            process = subprocess.Popen(
+                [*_PROGRAM, *words],
+                cwd=job.parents[1],
+                env=environment,
+                stdin=subprocess.PIPE,  # closed with this process, however it ends; see watch_parent
+                stdout=out,
+                stderr=err,
+                start_new_session=True,  # a signal for it reaches its workers, and none for us does
+            )
+            with process:
+                while process.poll() is None:
+                    if self._asked_to_stop(job):
+                        _end(process)
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(_LOOK_S)
+        return process.returncode
 
 
-def _say(job: Path, word: str) -> None:
+def _last_words(path: Path) -> str:
+    """The sentence that a command ended with."""
     with suppress(OSError):
-        (job / word).touch()
+        lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        mine = [line for line in lines if line.startswith("unocclude: ")]
+        return (mine or lines or [""])[-1].removeprefix("unocclude: ")
+    return ""
 
 
-def _start(job: Path) -> subprocess.Popen[bytes]:
-    """Start a job's process; it continues when this one ends."""
-    root = str(Path(__file__).parents[2])
-    environment = dict(os.environ)
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (root, environment.get("PYTHONPATH"))))
-    write_json(job / "begun.json", {"at_s": time.time()})
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", "smoother.app.runner", str(job)],
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+def watch_parent() -> None:
+    """In a command: end it and its workers when the process that started it is gone, even by kill -9."""
+    pipe = os.dup(0)
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    os.close(null)
+
+    def watch() -> None:
+        while os.read(pipe, 1):
+            pass
+        for number in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
+            os.killpg(0, number) if hasattr(os, "killpg") else os.kill(os.getpid(), number)
+            time.sleep(_GRACE_S)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a command and its workers: asked to first, then at once."""
+    for number in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
+        with suppress(OSError):
+            os.killpg(process.pid, number) if hasattr(os, "killpg") else process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_GRACE_S)
+            return

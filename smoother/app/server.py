@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import errno
 import hashlib
 import json
@@ -47,8 +46,6 @@ _PAGE = {"app.js": "text/javascript", "texts.js": "text/javascript", "app.css": 
 _LONGEST_JSON = 1_000_000
 #: Bytes of an upload written at a time, and bytes that stay free on the disk.
 _BLOCK, RESERVE_BYTES = 1 << 20, 200_000_000
-#: The desk looks for jobs that have ended this often, s.
-_TICK_S = 0.2
 NO_SPACE = "no space left on the disk; make room and run again"
 
 
@@ -57,19 +54,9 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        async def look() -> None:
-            while True:
-                with suppress(OSError, UnoccludeError):
-                    await anyio.to_thread.run_sync(desk.tick)
-                await asyncio.sleep(_TICK_S)
-
-        task = asyncio.create_task(look())
         try:
             yield
         finally:
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
             await anyio.to_thread.run_sync(desk.close)
 
     one = "/api/recordings/{id}"

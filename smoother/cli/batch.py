@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runtime.printable import printable
+from ..table import centimetres
 from .app import GroupedCommand
 from .arm_output import end_strictly
 from .load import camera_frame_of, damage
@@ -27,12 +22,10 @@ from .options import (
     Strict,
 )
 from .output import (
-    PROGRESS_FILE,
-    centimetres,
     check_outputs,
     print_notes,
     print_table,
-    progress_file,
+    progress_bar,
     say,
     say_written,
     write_json,
@@ -43,60 +36,6 @@ if TYPE_CHECKING:
 
     from ..study.folder import Row
     from ..study.run import Tally
-
-
-#: Recordings that are shown, the latest ones.
-SHOWN = 12
-
-
-@contextmanager
-def study_progress() -> Iterator[Callable[[Tally, Row | None], None]]:
-    """Yield a function (tally, row of the recording that has just ended or None) that renews the table."""
-    if file := os.environ.get(PROGRESS_FILE):
-        write = progress_file(Path(file))
-        yield lambda tally, row: write(tally.ended / max(tally.total, 1), headline(tally))
-        return
-    if not sys.stderr.isatty():
-        yield lambda tally, row: None
-        return
-    from rich.console import Console
-    from rich.live import Live
-
-    latest: deque[Row] = deque(maxlen=SHOWN)
-    with Live(console=Console(stderr=True), refresh_per_second=4, transient=True) as live:
-
-        def show(tally: Tally, row: Row | None) -> None:
-            if row is not None:
-                latest.append(row)
-            live.update(progress_table(tally, latest))
-
-        yield show
-
-
-def progress_table(tally: Tally, latest: deque[Row]) -> Any:
-    """How far a study is, and its latest recordings."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=headline(tally), title_justify="left", title_style="bold")
-    table.add_column("recording", overflow="fold")
-    for column in ("length, s", "gaps", "largest sigma, cm", "times real time"):
-        table.add_column(column, justify="right")
-    table.add_column("")
-    for row in latest:
-        distrusted = row.get("trusted") is False
-        length, sigma, spent = (row.get(name) for name in ("duration_s", "sigma_max_m", "seconds"))
-        cells = (
-            row["recording"],
-            "" if length is None else f"{length:.0f}",
-            "" if row.get("gaps") is None else str(row["gaps"]),
-            "" if sigma is None else f"{100 * sigma:.1f}",
-            "" if length is None or not spent else f"{length / spent:.0f}",
-            row.get("error") or ("not to be trusted" if distrusted else row["status"]),
-        )
-        bad = distrusted or row["status"] == "failed"
-        table.add_row(*[Text(printable(cell)) for cell in cells], style="red" if bad else None)
-    return table
 
 
 def headline(tally: Tally) -> str:
@@ -119,7 +58,6 @@ def _clock(seconds: float) -> str:
 
 #: Rows of the tables that are printed at the end.
 MOST_WORST, MOST_FAILURES = 10, 25
-#: Sentences on topics that were left out that are printed at the end.
 #: Rows that `--json` holds at most; all of them are among the results.
 MOST_JSON = 10_000
 #: Hours of recording take minutes; what takes half a day hangs.
@@ -239,10 +177,10 @@ def batch(
     """
     from ..measures.definitions import FEWEST_DRAWS
     from ..runtime.outputs import check_output
-    from ..study.cluster import run_cluster, run_local
-    from ..study.inputs import InputSelection, find_entries, left_out_note
-    from ..study.job import Limits, StudySettings
+    from ..study.inputs import find_entries, left_out_note
+    from ..study.job import StudySettings
     from ..study.run import run_study, study_folder
+    from ..study.workers import cluster, local
     from .config import read_config
     from .methods import usual_draws
 
@@ -261,12 +199,13 @@ def batch(
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
         config=read_config(config_file),
-        choice=InputSelection(**arm.reading()),
+        selection=arm.reading(),
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,
         keep_paths=keep_paths,
-        limits=Limits(60 * time_limit, round(1e9 * memory_limit)),
+        time_limit_s=60 * time_limit,
+        memory_limit_bytes=round(1e9 * memory_limit),
         measures=measures,
         draws=usual_draws(draws) if measures else 0,
         hash_names=hash_names,
@@ -280,14 +219,15 @@ def batch(
     for path in (page, json_file):
         if path is not None and path.is_file() and not _is_of_a_study(path):
             check_output(path, force)  # what an earlier run wrote is renewed, never another program's file
-    work = (
-        partial(run_local, processes=processes or 0)
-        if scheduler is None
-        else partial(run_cluster, scheduler=scheduler)
-    )
+    workers = local(processes or 0) if scheduler is None else cluster(scheduler)
     try:
-        with study_progress() as progress:
-            tally, rows = run_study(entries, folder, settings, work, progress, force)
+        with progress_bar("recovering") as bar:
+
+            def progress(tally: Tally, row: Row | None) -> None:
+                failed = "" if row is None or row["status"] != "failed" else f"; {row['recording']} failed"
+                bar(tally.ended / max(tally.total, 1), headline(tally) + failed)
+
+            tally, rows = run_study(entries, folder, settings, workers, progress, force)
     except KeyboardInterrupt:
         typer.echo("unocclude: interrupted; the same command continues where this one stopped", err=True)
         raise typer.Exit(1) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,7 @@ from ..errors import UnoccludeError
 from ..evaluation.methods import METHODS
 from .methods import choose
 from .options import Force, Json, Processes
-from .output import check_outputs, print_notes, print_table, progress_bar, say, say_written, write_json
+from .output import check_outputs, print_notes, progress_bar, say, say_written, show, write_json
 
 if TYPE_CHECKING:
     from ..evaluation.benchmark import BenchmarkRun
@@ -68,7 +69,7 @@ def benchmark(
     benchmark.json, benchmark.md (the table) and gaps.csv (one row per gap).
     """
     from .. import __version__
-    from ..evaluation.benchmark import all_notes, find_trials, plain, run_benchmark
+    from ..evaluation.benchmark import all_notes, find_trials, plain, run_benchmark, summary
     from ..evaluation.datasets import DATASETS, SPLITS
 
     folder = data or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
@@ -90,7 +91,9 @@ def benchmark(
     figures = plain(run, seed, __version__)
     _write(run, output, figures, force)
     write_json(json_file, figures, force)
-    _show(run)
+    for key in run.tables:
+        table = summary(run, *key)
+        show(replace(table, title=f"{table.title}; median / rms in gaps, cm"))
     notes = [*missing, *all_notes(run)]
     print_notes(notes[:_MOST_NOTES])
     if len(notes) > _MOST_NOTES:
@@ -123,12 +126,3 @@ def _write(run: BenchmarkRun, output: Path, figures: dict[str, object], force: b
         open(temporary, "w", encoding="utf-8", newline="") as file,
     ):
         write_rows(file, gap_rows(run))
-
-
-def _show(run: BenchmarkRun) -> None:
-    from ..evaluation.benchmark import cells_of, columns_of, heading, method_rows
-
-    for (dataset, split), table in run.tables.items():
-        rows = [cells_of(row, table.lengths) for row in method_rows(table)]
-        title = f"{heading(dataset, split, run.trials[dataset, split])}; median / rms in gaps, cm"
-        print_table(title, columns_of(table), rows)

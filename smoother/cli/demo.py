@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..runtime.packages import OPEN3D, extra_module
+from ..table import cell_text, centimetres
 from .arm_output import say_untrusted_parts, say_verdict
 from .options import ConfigFile, Force, Json, Processes
 from .output import (
-    cell,
-    centimetres,
     check_outputs,
     print_table,
     progress_bar,
@@ -109,7 +108,7 @@ def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
                     else (
                         centimetres(figures.position_p95_m),
                         centimetres(figures.position_max_m),
-                        cell(figures.orientation_rms_deg),
+                        cell_text(figures.orientation_rms_deg),
                     )
                 ),
             )

@@ -12,6 +12,7 @@ import typer
 
 from ..errors import CalibrationError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
+from ..table import centimetres, percent
 from .arm_output import each_arm
 from .load import EVERY_ARM, ArmInput
 from .methods import baseline_settings, choose, with_strap
@@ -29,9 +30,7 @@ from .options import (
     SolveLeverArms,
 )
 from .output import (
-    centimetres,
     check_outputs,
-    percent,
     print_notes,
     print_table,
     progress_bar,

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..table import percent
 from .arm_output import arms_figures, say_arm
 from .load import damage, load_recoveries
 from .options import NO_FILES, Body, Outputs, Processes, Result, Side, one_side
-from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
+from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
     from ..measures import BothArms, Measure, Measures, MeasureSettings, Movement, Scope
@@ -94,7 +95,7 @@ def write_csv(path: Path, rows: Sequence[Measures], pairs: Sequence[BothArms], f
 
 
 def _cells(row: Measure) -> tuple[str, ...]:
-    rests = percent(row.recovered_share)
+    rests = percent(row.recovered_share) or "-"
     if row.is_known and row.note:
         rests += f" ({percent(row.untrusted_share)} not trusted)"
     return row.name, _text(row, row.value), _interval_text(row) or "-", rests

@@ -13,105 +13,15 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError
 from ..runtime.printable import plain, printable
+from ..table import cell_text
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from ..runtime.pool import Progress
-
-
-Cells = Sequence[Sequence[str]]
-#: A longer word (a path) may be broken.
-LONGEST_WORD = 32
-#: What a column takes besides its text, and a table besides its columns: with lines, and without.
-_LINED, _PLAIN = (3, 1), (2, 0)
-
-
-def laid_out(
-    title: str,
-    columns: Sequence[str],
-    cells: Cells,  # (rows, n)
-    width: int,
-) -> RenderableType:
-    """A table that fits into `width` characters with its words whole.
-
-    With lines between the columns where there is room; else without; else turned, its rows as columns; else
-    a paragraph for each row.
-    """
-    from rich.console import Group
-    from rich.text import Text
-
-    heading = Text(title, style="bold")
-    for needed in (_whole_widths, _whole_cells, _word_widths):
-        for lined in (True, False):
-            if sum(needed(columns, cells)) <= _room(len(columns), width, lined):
-                return Group(heading, _table(columns, cells, width, lined))
-    turned = list(zip(columns, *cells, strict=True))
-    if cells and sum(_whole_widths(turned[0], turned[1:])) <= _room(len(turned[0]), width, lined=False):
-        return Group(heading, _table(turned[0], turned[1:], width, lined=False))
-    return Group(heading, *_paragraphs(columns, cells))
-
-
-def _room(count: int, width: int, lined: bool) -> int:
-    """Characters that are left for the text of this many columns."""
-    column, ends = _LINED if lined else _PLAIN
-    return width - column * count - ends
-
-
-def _whole_widths(columns: Sequence[str], cells: Cells) -> list[int]:
-    """Widths at which heads and cells stand on one line each."""
-    return [max(map(_whole, texts)) for texts in zip(columns, *cells, strict=True)]
-
-
-def _whole_cells(columns: Sequence[str], cells: Cells) -> list[int]:
-    """Widths at which cells do, and heads are broken between words."""
-    texts = list(zip(*cells, strict=True)) or [()] * len(columns)
-    return [
-        max(_longest_word(column), *map(_whole, below), 0)
-        for column, below in zip(columns, texts, strict=True)
-    ]
-
-
-def _word_widths(columns: Sequence[str], cells: Cells) -> list[int]:
-    """Widths at which cells are broken between words, too."""
-    return [max(map(_longest_word, texts)) for texts in zip(columns, *cells, strict=True)]
-
-
-def _whole(text: str) -> int:
-    return max((len(line) for line in text.splitlines()), default=0)
-
-
-def _longest_word(text: str) -> int:
-    return min(max((len(word) for word in text.split()), default=0), LONGEST_WORD)
-
-
-def _table(columns: Sequence[str], cells: Cells, width: int, lined: bool) -> RenderableType:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    widths = _word_widths(columns, cells)
-    for wanted in (_whole_cells(columns, cells), _whole_widths(columns, cells)):
-        for place in sorted(range(len(widths)), key=lambda k: wanted[k] - widths[k]):  # numbers before prose
-            left = _room(len(columns), width, lined) - sum(widths)
-            widths[place] += max(min(wanted[place] - widths[place], left), 0)
-    table = Table(
-        box=box.HEAVY_HEAD if lined else box.SIMPLE_HEAD,
-        padding=(0, 1) if lined else (0, 1, 0, 0),
-        show_edge=lined,
-        pad_edge=lined,
-    )
-    for place, column in enumerate(columns):
-        numbers = all(_is_number(row[place]) for row in cells)
-        justify: Literal["left", "right"] = "right" if numbers else "left"
-        table.add_column(Text(column), justify=justify, overflow="fold", width=widths[place])
-    for row in cells:
-        table.add_row(*[Text(text) for text in row])
-    return table
+    from ..table import Table
 
 
 def _is_number(text: str) -> bool:
@@ -120,16 +30,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _paragraphs(columns: Sequence[str], cells: Cells) -> Iterator[RenderableType]:
-    """Every row by itself: its first cell, then a line for each of the others."""
-    from rich.text import Text
-
-    for first, *others in cells:
-        yield Text(f"{columns[0]} {first}".strip())
-        for name, text in zip(columns[1:], others, strict=True):
-            yield Text(f"  {name}: {text}".rstrip())
 
 
 @contextmanager
@@ -273,10 +173,26 @@ def truth_text(tables: dict[str, Any]) -> str:
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a table that fits into the terminal; columns of numbers are right-aligned."""
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    cells = [[printable(cell_text(value), lines=True) for value in row] for row in rows]
+    grid = Grid()
+    for place, column in enumerate(columns):
+        is_number = all(_is_number(row[place]) for row in cells)
+        heading = Text(printable(column), style="bold")
+        grid.add_column(heading, justify="right" if is_number else "left", overflow="fold")
+    for row in cells:
+        grid.add_row(*map(Text, row))
     screen = console()
-    cells = [[printable(cell(value), lines=True) for value in row] for row in rows]
-    titles = [printable(column) for column in columns]
-    screen.print(laid_out(printable(title), titles, cells, screen.width))
+    screen.print(Text(printable(title), style="bold"))
+    screen.print(grid)
+
+
+def show(table: Table, most: int | None = None) -> None:
+    """Print a table that has rows, or at most so many of them."""
+    if table.rows:
+        print_table(table.title, table.columns, table.rows[:most])
 
 
 def print_notes(notes: Iterable[str], imported: bool = False) -> None:
@@ -329,20 +245,3 @@ def console() -> Any:
 
     usual = Console()
     return usual if usual.is_terminal else Console(width=120)
-
-
-def cell(value: object) -> str:
-    """A value as a table shows it; "-" where there is none."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def percent(share: float | None) -> str:
-    """A share for a table, in percent."""
-    return "-" if share is None or not math.isfinite(share) else f"{100 * share:.0f} %"
-
-
-def centimetres(metres: float | None) -> str:
-    """A length for a table, in cm."""
-    return "-" if metres is None or not math.isfinite(metres) else f"{100 * metres:.2f}"

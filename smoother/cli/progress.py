@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import UnoccludeError
+from ..table import percent
 from .options import Force, Json, Report
-from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
+from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress, Series
@@ -158,7 +159,7 @@ def _print_reliability(repeated: Sequence[Reliability]) -> None:
     print_table("Reliability, for sessions without true change", COLUMNS, reliability_cells(repeated))
 
 
-def _cells(series: Series) -> tuple[str, ...]:
+def _cells(series: Series) -> tuple[object, ...]:
     from ..evaluation.progress import interval, quantity, worded
 
     change, unit = series.change, series.unit

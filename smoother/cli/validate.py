@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,18 +14,15 @@ from .arm_output import arms_figures, say_arm, warn
 from .load import camera_frame_of, damage, load_recoveries
 from .options import NO_FILES, Align, Body, Outputs, Processes, Result, Side, Verbose, one_side
 from .output import (
-    centimetres,
     check_outputs,
-    percent,
     print_notes,
-    print_table,
     progress_bar,
     say,
+    show,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from ..evaluation.agreement import Agreement
     from ..evaluation.measure_agreement import MeasurePair
     from ..evaluation.validate import Validation
     from ..recording import CameraFrame, Truth
@@ -45,7 +42,7 @@ def print_measures(validation: Validation, verbose: bool) -> None:
 
     Agreement is that of several recordings: of one it is left to `verbose`.
     """
-    from ..evaluation.measure_agreement import agreement_cells, pair_cells
+    from ..evaluation.measure_agreement import agreement_table, pair_table
     from ..evaluation.progress import first_of
 
     comparison = validation.measures
@@ -55,22 +52,14 @@ def print_measures(validation: Validation, verbose: bool) -> None:
     first = first_of([pair.key for pair in comparison.pairs if pair.scope == "session"], FEW_MEASURES)
     chosen = None if verbose else first
     if verbose or not several:
-        _print(validation.title("Measures of the session"), *pair_cells(comparison, chosen))
+        show(pair_table(validation.title("Measures of the session"), comparison, chosen))
     if verbose or several:
         title = "Agreement of the measures (answer minus truth) over recordings and movements"
-        _print(validation.title(title), *agreement_cells(comparison, chosen))
+        show(agreement_table(validation.title(title), comparison, chosen))
 
 
-def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    if rows := list(rows):
-        print_table(title, columns, rows)
-
-
-_PARTS = ("all", "occluded", "visible")
 #: More gaps than this are not printed, `--json` has them all; without --verbose this many notes and measures.
 _MOST_GAPS, FEW_NOTES, FEW_MEASURES = 40, 2, 4
-#: About this many samples are pooled to one stated distance.
-MOST_POOLED = 4000
 
 
 def validate(
@@ -188,14 +177,15 @@ def write_page(
 
 def print_validation(recovery: Recovery, validation: Validation, verbose: bool = False) -> None:
     """Print the figures of a validation: what matters in 40 lines, or all of them."""
-    _print_errors(recovery, validation, verbose)
-    _print_points(validation)
+    show(validation.errors(recovery))
+    if verbose and (bias := validation.all.position_bias_m) is not None:
+        say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
+    show(validation.joint_errors)
     if verbose:
-        _print_gaps(validation)
-    _print_angles(validation, verbose)
+        show(validation.gap_errors, _MOST_GAPS)
+    table = validation.angle_errors
+    show(table if verbose else replace(table, rows=[row for row in table.rows if row[1] != "visible"]))
     print_measures(validation, verbose)
-    if verbose:
-        _print_table_one(validation)
     if verbose and (lag_s := validation.lag_s) is not None:
         say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
     if (
@@ -208,138 +198,3 @@ def print_validation(recovery: Recovery, validation: Validation, verbose: bool =
     print_notes(validation.notes[:few])
     if not verbose:
         say("--verbose prints every gap, part, measure and note; --json has them all")
-
-
-def _print_errors(recovery: Recovery, validation: Validation, verbose: bool) -> None:
-    import numpy as np
-
-    from ..error_radius import pooled_radius
-
-    columns = (
-        *("part", "95 % within, cm", "stated, cm", "rms, cm", "max, cm"),
-        *("rms, deg", "95 %, deg", "max, deg", "NEES", "inside 95 %", "samples"),
-    )
-    rows = []
-    for name in _PARTS:
-        figures = getattr(validation, name)
-        part = {"occluded": recovery.occluded, "visible": ~recovery.occluded}.get(name)
-        chosen = np.arange(len(recovery)) if part is None else np.flatnonzero(part)
-        some = recovery.pose_covariance[chosen[:: max(1, len(chosen) // MOST_POOLED)]]
-        stated_m = pooled_radius(some[:, :3, :3]) if figures.position_p95_m is not None else None
-        rows.append(
-            (
-                name,
-                centimetres(figures.position_p95_m),
-                centimetres(stated_m),
-                centimetres(figures.position_rms_m),
-                centimetres(figures.position_max_m),
-                figures.orientation_rms_deg,
-                figures.orientation_p95_deg,
-                figures.orientation_max_deg,
-                figures.nees,
-                percent(figures.coverage_95),
-                figures.samples,
-            )
-        )
-    title = validation.title("Error against the truth, with the measured and the stated 95 % bound")
-    print_table(title, columns, rows)
-    if verbose and (bias := validation.all.position_bias_m) is not None:
-        say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
-
-
-def _print_points(validation: Validation) -> None:
-    rows = [
-        (
-            name,
-            *[centimetres(parts[part].position_rms_m) for part in _PARTS],
-            centimetres(parts["all"].position_p95_m),
-            centimetres(parts["all"].position_max_m),
-            parts["all"].nees,
-        )
-        for name, parts in validation.points.items()
-    ]
-    if rows:
-        columns = ("joint", *_PARTS, "95 %", "max", "NEES")
-        print_table(validation.title("Joints, position rms, cm"), columns, rows)
-
-
-def _print_gaps(validation: Validation) -> None:
-    rows = [
-        (
-            f"{gap.start_s:.2f}",
-            f"{gap.length_s:.2f}",
-            centimetres(figures.position_rms_m),
-            centimetres(figures.position_max_m),
-            figures.orientation_rms_deg,
-            figures.orientation_max_deg,
-            figures.nees,
-        )
-        for gap, figures in validation.gaps[:_MOST_GAPS]
-    ]
-    if rows:
-        columns = ("gap at, s", "length, s", "rms, cm", "max, cm", "rms, deg", "max, deg", "NEES")
-        print_table(validation.title("Error gap by gap"), columns, rows)
-
-
-def _print_angles(validation: Validation, verbose: bool) -> None:
-    from ..evaluation.agreement import WORDS
-
-    title = validation.title("Joint angles, degrees (answer minus truth)")
-    names = validation.angles.compared if validation.angles else ()
-    figures = validation.angle_figures
-    if verbose:
-        columns: tuple[str, ...] = ("angle", "part", "RMSE", "bias", "limits of agreement")
-        rows: list[tuple[str, ...]] = [
-            (WORDS[name], part, *_agreement_cells(each))
-            for name in names
-            for part, each in ((part, figures[part][name]) for part in _PARTS)
-            if each.samples
-        ]
-    else:
-        known = [name for name in names if figures["all"][name].samples]
-        columns = ("angle", "RMSE", "RMSE in gaps", "bias", "limits of agreement")
-        rows = [_angle_cells(WORDS[name], figures["all"][name], figures["occluded"][name]) for name in known]
-    _print(title, columns, rows)
-
-
-def _angle_cells(name: str, all_samples: Agreement, in_gaps: Agreement) -> tuple[str, ...]:
-    """An angle in a line."""
-    rmse, bias, limits = _agreement_cells(all_samples)
-    return name, rmse, _agreement_cells(in_gaps)[0], bias, limits
-
-
-def _agreement_cells(each: Agreement) -> tuple[str, str, str]:
-    """RMSE, bias and limits; `--json` has the ICC, which has no meaning over the samples of one arm."""
-
-    def text(value: float | None, digits: int) -> str:
-        return "-" if value is None else f"{value:.{digits}f}"
-
-    return (
-        text(each.rmse, 2),
-        text(each.bias, 2),
-        f"{text(each.limits_low, 1)} to {text(each.limits_high, 1)}",
-    )
-
-
-def _print_table_one(validation: Validation) -> None:
-    if validation.table is None or all(row.answer is None for row in validation.table.rows):
-        return
-    rows = [
-        (
-            row.errors if row.figure == "RMS" else "",
-            row.figure,
-            "-" if row.camera is None else _figure(row.errors, row.camera),
-            "-" if row.answer is None else _figure(row.errors, row.answer),
-            "-" if row.reduction is None else f"{100 * row.reduction:.2f}%",
-        )
-        for row in validation.table.rows
-    ]
-    columns = ("", "", "Camera's skeleton", "Recovered", "Error reduction")
-    print_table(
-        validation.title("Position and orientation errors, as table I of Jatesiktat and Ang"), columns, rows
-    )
-    say(validation.table.note)
-
-
-def _figure(errors: str, value: float) -> str:
-    return f"{value:.5f}" if "meter" in errors else f"{value:.2f}"

@@ -16,6 +16,7 @@ from ..config import Config
 from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..runtime.pool import Pool
+from ..table import Table, cell_text, centimetres, percent
 from .datasets import DATASETS, VERSION, BenchmarkTrial
 from .gap_table import GapFigures, GapTable, pooled, spread_by_length, table_of
 from .gaps import Collected, GapCopy, hide, try_methods
@@ -273,38 +274,31 @@ def all_notes(run: BenchmarkRun) -> Sequence[str]:
     return list(dict.fromkeys([*run.notes, *(note for table in run.tables.values() for note in table.notes)]))
 
 
-def columns_of(table: GapTable) -> tuple[str, ...]:
-    """The heads of the one table's columns."""
-    return ("method", *(f"{length:g} s" for length in table.lengths), "inside 95 %", "gaps")
-
-
-def cells_of(row: MethodRow, lengths: Iterable[float]) -> tuple[str, ...]:
-    """A row of the one table: median / rms in cm by length, the share inside, gaps and failures."""
-    errors = [f"{_cm(row.median_m.get(length))} / {_cm(row.rms_m.get(length))}" for length in lengths]
-    inside = "-" if row.inside_95 is None else f"{100 * row.inside_95:.0f} %"
-    gaps = f"{row.gaps}" if not row.failed else f"{row.gaps} ({row.failed} failed)"
-    return (row.method, *errors, inside, gaps)
-
-
-def _cm(value_m: float | None) -> str:
-    return "-" if value_m is None else f"{100 * value_m:.2f}"
-
-
-def heading(dataset: str, split: str, trials: int) -> str:
-    """The title of a data set's table."""
-    return f"{DATASETS[dataset].title}, {split}: {trials} trial{'' if trials == 1 else 's'}"
+def summary(run: BenchmarkRun, dataset: str, split: str) -> Table:
+    """The table of a data set: by method median / rms in cm by length, the share inside, the gaps."""
+    table, trials = run.tables[dataset, split], run.trials[dataset, split]
+    rows = [
+        (
+            row.method,
+            *(
+                f"{cell_text(centimetres(row.median_m.get(length)))}"
+                f" / {cell_text(centimetres(row.rms_m.get(length)))}"
+                for length in table.lengths
+            ),
+            percent(row.inside_95),
+            f"{row.gaps} ({row.failed} failed)" if row.failed else f"{row.gaps}",
+        )
+        for row in method_rows(table)
+    ]
+    title = f"{DATASETS[dataset].title}, {split}: {trials} trial{'' if trials == 1 else 's'}"
+    columns = ("method", *(f"{length:g} s" for length in table.lengths), "inside 95 %", "gaps")
+    return Table(title, columns, rows)
 
 
 def markdown(run: BenchmarkRun) -> str:
     """The tables in Markdown."""
-    parts = []
-    for (dataset, split), table in run.tables.items():
-        head = columns_of(table)
-        lines = [f"### {heading(dataset, split, run.trials[dataset, split])}", ""]
-        lines += [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
-        lines += [f"| {' | '.join(cells_of(row, table.lengths))} |" for row in method_rows(table)]
-        parts.append("\n".join(lines))
-    return "\n\n".join(parts) + "\n"
+    tables = [summary(run, *key) for key in run.tables]
+    return "\n".join(f"### {each.title}\n\n{each.markdown()}" for each in tables)
 
 
 def gap_rows(run: BenchmarkRun) -> Iterable[Sequence[str]]:

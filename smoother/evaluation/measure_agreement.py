@@ -14,6 +14,7 @@ from ..measures import Measure, Measures, Movement
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.pool import Progress
+from ..table import Table
 from .agreement import PairAgreement, pair_agreement
 from .progress import interval, is_main, quantity
 
@@ -259,10 +260,8 @@ def _agreement(pairs: Sequence[MeasurePair]) -> KeyAgreement:
     )
 
 
-def pair_cells(
-    comparison: MeasureComparison, keys: Collection[str] | None = None
-) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Columns and rows of a table of the session's main measures, or of those with these keys."""
+def pair_table(title: str, comparison: MeasureComparison, keys: Collection[str] | None = None) -> Table:
+    """The session's main measures, or those with these keys."""
     rows = [
         (
             pair.name,
@@ -276,21 +275,12 @@ def pair_cells(
         for pair in comparison.pairs
         if pair.scope == "session" and (is_main(pair.key) if keys is None else pair.key in keys)
     ]
-    return (
-        "measure",
-        "answer",
-        "95 % interval",
-        "truth",
-        "difference",
-        "inside",
-        "recovered",
-    ), rows
+    columns = ("measure", "answer", "95 % interval", "truth", "difference", "inside", "recovered")
+    return Table(title, columns, rows)
 
 
-def agreement_cells(
-    comparison: MeasureComparison, keys: Collection[str] | None = None
-) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Columns and rows of a table of agreement: the main measures with three pairs or more."""
+def agreement_table(title: str, comparison: MeasureComparison, keys: Collection[str] | None = None) -> Table:
+    """The agreement of the main measures with three pairs or more."""
     rows = [
         (
             one.name,
@@ -306,13 +296,8 @@ def agreement_cells(
         if (is_main(one.key) if keys is None else one.key in keys)
         and (found := one.agreement).limits_low is not None
     ]
-    return (
-        "measure",
-        "of",
-        "pairs of arms",
-        "bias",
-        "limits of agreement",
-        "ICC(2,1), 95 % interval",
-        "MDC95",
-        "inside",
-    ), rows
+    columns = (
+        *("measure", "of", "pairs of arms", "bias", "limits of agreement"),
+        *("ICC(2,1), 95 % interval", "MDC95", "inside"),
+    )
+    return Table(title, columns, rows)

@@ -23,11 +23,6 @@ from ..recording import Truth
 CHI2_95_3 = 7.814727903251179
 
 
-def position_error(answer: FloatArray, reference: FloatArray) -> FloatArray:
-    """Distance between answer and reference (N, 3), m; (N,)."""
-    return np.linalg.norm(np.asarray(answer) - np.asarray(reference), axis=1)
-
-
 def orientation_error_deg(
     answer: FloatArray,  # (n, 4)
     reference: FloatArray,  # (n, 4)

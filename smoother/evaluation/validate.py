@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..error_radius import pooled_radius
 from ..errors import RecordingError
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, Truth
+from ..recording import Truth
 from ..result import Recovery
 from ..runtime.pool import Progress
-from .agreement import Agreement, AngleComparison, compare_angles
+from ..table import Table, centimetres, fixed, percent
+from .agreement import WORDS, Agreement, AngleComparison, compare_angles
 from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
 from .metrics import (
     Figures,
     coverage_95,
     lag_s,
-    maximum,
     mean_vector,
     nees,
     orientation_error_deg,
-    position_at,
     rms,
     rotation_error,
     squared_sigmas,
@@ -34,112 +34,9 @@ from .metrics import (
 from .reference import ReferenceAlignment
 from .truth import truth_notes
 
-
-@dataclass(frozen=True)
-class TableRow:
-    """One line of the table."""
-
-    errors: str  # "Orientation errors (degree)"
-    figure: str  # "RMS" or "Maximum"
-    camera: float | None  # The errors, in the unit of the line; None where there is none
-    answer: float | None  # The errors, in the unit of the line; None where there is none
-
-    @property
-    def reduction(self) -> float | None:
-        """By which part of the camera's error the answer is better, 0 to 1; negative where it is worse."""
-        if self.camera is None or self.answer is None or self.camera <= 0:
-            return None
-        return 1.0 - self.answer / self.camera
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain values by name."""
-        return {
-            "errors": self.errors,
-            "figure": self.figure,
-            "camera": self.camera,
-            "answer": self.answer,
-            "reduction": self.reduction,
-        }
-
-
-@dataclass(frozen=True)
-class TableOne:
-    """Table I of Jatesiktat and Ang (2017): the camera's skeleton, the answer, what it gains."""
-
-    rows: tuple[TableRow, ...]  # Its lines
-    camera_share: float  # Part of the scored samples for which the camera states a position at all
-    note: str  # A note for the reader, in a sentence
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain values by name."""
-        return {
-            "rows": [row.to_dict() for row in self.rows],
-            "camera_share": self.camera_share,
-            "note": self.note,
-        }
-
-
-def table_one(
-    recovery: Recovery, reference: Truth, scored: BoolArray, distance_m: FloatArray, angle_deg: FloatArray
-) -> TableOne:
-    """The table of a recovery, its figures over all scored samples.
-
-    The camera's estimate of the IMU's position is their eq 16, D = L + d_se / (d_sw + d_se) (T - L), between
-    the camera's elbow L and wrist T, inferred samples included, read at the IMU's times between samples
-    0.1 s apart at most. A skeleton states no orientation; the direction elbow to wrist stands below instead.
-    """
-    position, direction = camera_estimate(recovery)
-    own = np.where(scored, np.linalg.norm(position - reference.position, axis=1), np.nan)
-    rows = [
-        TableRow("Orientation errors (degree)", "RMS", None, rms(angle_deg)),
-        TableRow("Orientation errors (degree)", "Maximum", None, maximum(angle_deg)),
-    ]
-    both = ("elbow", "wrist")
-    if all(name in reference.joints and name in recovery.joints for name in both):
-        true = reference.joints["wrist"] - reference.joints["elbow"]
-        answer = _between_deg(recovery.joints["wrist"] - recovery.joints["elbow"], true)
-        camera = _between_deg(direction, true)
-        keep = reference.score
-        errors = "Forearm direction errors (degree)"
-        for name, figure in (("RMS", rms), ("Maximum", maximum)):
-            rows.append(
-                TableRow(
-                    errors,
-                    name,
-                    figure(np.where(keep, camera, np.nan)),
-                    figure(np.where(keep, answer, np.nan)),
-                )
-            )
-    rows.append(TableRow("Position errors (meter)", "RMS", rms(own), rms(distance_m)))
-    rows.append(TableRow("Position errors (meter)", "Maximum", maximum(own), maximum(distance_m)))
-    known = np.isfinite(reference.position).all(axis=1) & scored
-    share = float(np.isfinite(own[known]).mean()) if known.any() else 0.0
-    return TableOne(
-        tuple(rows),
-        share,
-        f"The camera states a position, guesses included, for {100 * share:.0f} % of the samples; its errors"
-        " are over those, the answer's over all. A skeleton has no orientation.",
-    )
-
-
-def camera_estimate(recovery: Recovery) -> tuple[FloatArray, FloatArray]:
-    """The camera's own IMU position (N, 3) m and way from elbow to wrist (N, 3) m, at the IMU's times."""
-    arm = recovery.arm
-    elbow, wrist, strap = (arm.position[:, JOINTS.index(name)] for name in ("elbow", "wrist", "strap"))
-    calibration = recovery.calibration
-    along = None if calibration is None else calibration.forearm_direction
-    if calibration is None or along is None:
-        place = strap if np.isfinite(strap).any() else np.full_like(wrist, np.nan)
-    else:
-        levers = calibration.lever_arms
-        from_elbow = -(levers["elbow"].position_m @ along)
-        length = (levers["wrist"].position_m - levers["elbow"].position_m) @ along
-        place = elbow + from_elbow / length * (wrist - elbow)
-    return position_at(arm.t_s, place, recovery.t_s), position_at(arm.t_s, wrist - elbow, recovery.t_s)
-
-
-def _between_deg(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
+PARTS = ("all", "occluded", "visible")
+#: About this many samples are pooled to one stated distance.
+_MOST_POOLED = 4000
 
 
 @dataclass(frozen=True)
@@ -184,6 +81,13 @@ class SampleErrors:
         return replace(figures, position_bias_m=mean_vector(self.joint_difference_m[joint][chosen]))
 
 
+def _icc(each: Agreement) -> str | None:
+    """The coefficient with its 95 % interval."""
+    if each.icc is None or each.icc_low is None or each.icc_high is None:
+        return None
+    return f"{each.icc:.3f} ({each.icc_low:.3f} to {each.icc_high:.3f})"
+
+
 @dataclass(frozen=True)
 class Validation:
     """A recovery held against a reference."""
@@ -199,7 +103,6 @@ class Validation:
     # Agreement of the angles by part and angle
     angle_figures: dict[str, dict[str, Agreement]] = field(default_factory=dict)
     lag_s: float | None = None  # How late the answer's position is against the truth's
-    table: TableOne | None = None  # The layout of Jatesiktat and Ang's table I
     # How the truth was brought to the result
     alignment: ReferenceAlignment = field(default_factory=ReferenceAlignment)
     measures: MeasureComparison | None = None  # What clinicians read, of both
@@ -228,13 +131,98 @@ class Validation:
             "carrying_truth_deg": None if self.angles is None else self.angles.carrying_truth_deg,
             "lag_s": self.lag_s,
             "measures": None if self.measures is None else self.measures.to_dict(),
-            "table_1": None if self.table is None else self.table.to_dict(),
             "notes": list(self.notes),
         }
 
     def title(self, text: str) -> str:
         """The title of one of its results: states where the truth was aligned."""
         return f"{text} ({self.alignment.title})" if self.alignment.title else text
+
+    def errors(self, recovery: Recovery) -> Table:
+        """The errors of the sensor by part, with what was stated of them."""
+        rows: list[tuple[object, ...]] = []
+        hidden = recovery.occluded
+        for part, figures, inside in (
+            ("all", self.all, np.ones_like(hidden)),
+            ("occluded", self.occluded, hidden),
+            ("visible", self.visible, ~hidden),
+        ):
+            chosen = np.flatnonzero(inside)
+            some = recovery.pose_covariance[chosen[:: max(1, len(chosen) // _MOST_POOLED)]]
+            stated_m = pooled_radius(some[:, :3, :3]) if figures.position_p95_m is not None else None
+            lengths = (figures.position_p95_m, stated_m, figures.position_rms_m, figures.position_max_m)
+            turns = (figures.orientation_rms_deg, figures.orientation_p95_deg, figures.orientation_max_deg)
+            more = (figures.nees, percent(figures.coverage_95), figures.samples)
+            rows.append((part, *map(centimetres, lengths), *turns, *more))
+        columns = (
+            *("part", "95 % within, cm", "stated, cm", "rms, cm", "max, cm"),
+            *("rms, deg", "95 %, deg", "max, deg", "NEES", "inside 95 %", "samples"),
+        )
+        title = self.title("Error against the truth, with the measured and the stated 95 % bound")
+        return Table(title, columns, rows)
+
+    @property
+    def joint_errors(self) -> Table:
+        """The errors of the joints by part."""
+        rows = [
+            (
+                name,
+                *(centimetres(parts[part].position_rms_m) for part in PARTS),
+                centimetres(parts["all"].position_p95_m),
+                centimetres(parts["all"].position_max_m),
+                parts["all"].nees,
+            )
+            for name, parts in self.points.items()
+        ]
+        columns = ("joint", *PARTS, "95 %", "max", "NEES")
+        return Table(self.title("Joints, position rms, cm"), columns, rows)
+
+    @property
+    def gap_errors(self) -> Table:
+        """The errors of the sensor gap by gap."""
+        rows = [
+            (
+                f"{gap.start_s:.2f}",
+                f"{gap.length_s:.2f}",
+                *map(centimetres, (figures.position_rms_m, figures.position_p95_m, figures.position_max_m)),
+                *(figures.orientation_rms_deg, figures.orientation_max_deg, figures.nees),
+            )
+            for gap, figures in self.gaps
+            if figures.position_rms_m is not None or figures.orientation_rms_deg is not None
+        ]
+        columns = ("gap at, s", "length, s", "rms, cm", "95 % within, cm", "max, cm", "rms, deg", "max, deg")
+        return Table(self.title("Error gap by gap"), (*columns, "NEES"), rows)
+
+    @property
+    def angle_errors(self) -> Table:
+        """The agreement of the joint angles by part."""
+        rows = []
+        for name in self.angles.compared if self.angles else ():
+            for part in PARTS:
+                each = self.angle_figures[part][name]
+                if each.samples:
+                    limits = f"{each.limits_low or 0.0:.1f} to {each.limits_high or 0.0:.1f}"
+                    rows.append(
+                        (
+                            WORDS[name],
+                            part,
+                            fixed(each.rmse),
+                            fixed(each.bias),
+                            None if each.limits_low is None else limits,
+                            _icc(each),
+                            each.samples,
+                        )
+                    )
+        columns = (
+            "angle",
+            "part",
+            "RMSE",
+            "bias",
+            "limits of agreement",
+            "ICC(A,1), 95 % interval",
+            "samples",
+        )
+        return Table(self.title("Joint angles, degrees (answer minus truth)"), columns, rows)
 
 
 def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
@@ -331,7 +319,6 @@ def validate(
         angles=angles,
         angle_figures={name: angles.figures(chosen) for name, chosen in parts.items()} if angles else {},
         lag_s=_lag(recovery, truth, errors),
-        table=table_one(recovery, errors.reference, errors.scored, errors.distance_m, errors.angle_deg),
         alignment=alignment,
         measures=compare_measures(recovery, errors.reference, pooled, processes, progress),
     )

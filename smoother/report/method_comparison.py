@@ -9,11 +9,12 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..array_types import FloatArray
-from ..evaluation.compare import Comparison, MethodResult
+from ..evaluation.compare import Comparison
 from ..evaluation.gap_table import GapSpread, GapTable, spread_by_length
 from ..measurements.visibility import Gap
 from ..recording import Recording
-from .sheet import Page, figure, in_cm, label, listing, tabulated
+from ..table import centimetres
+from .sheet import Page, figure, label, listing, rendered, tabulated
 from .style import CAMERA, SHADE, TRUTH, axis_names, dots, dress
 
 #: Colour and plotly dash of each method; strong methods in strong colours.
@@ -96,23 +97,7 @@ def verdict(comparison: Comparison) -> list[str]:
 
 def sections(comparison: Comparison, recording: Recording) -> Iterator[str]:
     """The sections about one arm, as HTML."""
-    columns = (
-        *("method", "rms, cm", "95 %, cm", "max, cm", "rms, degrees"),
-        *("NEES", "inside 95 %", "seen: rms, cm", "seen: degrees"),
-    )
-    yield tabulated(
-        comparison.title(f"Errors {comparison.where}, the best method first"),
-        _ERRORS,
-        columns,
-        [_row(comparison, r) for r in comparison.rows],
-    )
-    yield from _joints(comparison)
-    yield tabulated(
-        comparison.title("Lag left behind the truth, ms"),
-        _LAG,
-        ("method", "all samples", "in gaps"),
-        [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in comparison.rows],
-    )
+    yield from map(rendered, comparison.tables)
     for gap in chosen_gaps(comparison):
         yield figure(
             f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long",
@@ -126,34 +111,6 @@ def sections(comparison: Comparison, recording: Recording) -> Iterator[str]:
         else []
     )
     yield listing("Notes", [*more, *recording.notes, *comparison.notes], "There is nothing to note.")
-
-
-def _row(comparison: Comparison, row: MethodResult) -> tuple[object, ...]:
-    hidden, visible = comparison.figures(row, comparison.part), comparison.figures(row, "visible")
-    if hidden is None or visible is None:
-        return (row.method, *[None] * 8)
-    return (
-        row.method,
-        *[in_cm(each) for each in (hidden.position_rms_m, hidden.position_p95_m, hidden.position_max_m)],
-        *[_two(each) for each in (hidden.orientation_rms_deg, hidden.nees, hidden.coverage_95)],
-        in_cm(visible.position_rms_m),
-        _two(visible.orientation_rms_deg),
-    )
-
-
-def _joints(comparison: Comparison) -> Iterator[str]:
-    points = [row.validation.points for row in comparison.rows if row.validation is not None]
-    joints = list(dict.fromkeys(joint for each in points for joint in each))
-    if not joints:
-        return
-    rows = []
-    for row in comparison.rows:
-        each = {} if row.validation is None else row.validation.points
-        cells = [each.get(joint, {}).get(comparison.part) for joint in joints]
-        rows.append((row.method, *[None if cell is None else in_cm(cell.position_rms_m) for cell in cells]))
-    yield tabulated(
-        comparison.title(f"Joints {comparison.where}, rms, cm"), _JOINTS, ("method", *joints), rows
-    )
 
 
 def chosen_gaps(comparison: Comparison) -> list[Gap]:
@@ -227,29 +184,6 @@ def _point(comparison: Comparison) -> str:
     return "forearm sensor" if comparison.point == "sensor" else comparison.point
 
 
-def _two(value: float | None) -> str | None:
-    return None if value is None else f"{value:.2f}"
-
-
-def _ms(value: float | None) -> str | None:
-    return None if value is None else f"{1e3 * value:+.1f}"
-
-
-_ERRORS = (
-    "All methods are given the same calibration, clock and camera samples; only the gap itself is"
-    " recovered differently. rms: root mean square. NEES: mean squared error in stated standard"
-    " deviations; 1 is consistent, above 1 over-confident, below 1 under-confident; a dash where a method"
-    " states none. Inside 95 %: 0.95 is consistent."
-)
-_JOINTS = (
-    "Methods that estimate only the sensor's motion place the joints by the lever arms; the shoulder is"
-    " the camera's, interpolated where it was lost."
-)
-_LAG = (
-    "Delay of each result: the shift with the highest cross-correlation with the truth. Below about 5 ms"
-    " the camera's latency is corrected. A lag in gaps only is the method's own; a dash: the result does"
-    " not follow the truth."
-)
 _CURVES = (
     "The shaded time is hidden from the camera. The dashed line is the truth. Click a name to hide its"
     " curve, double-click to isolate it. The lowest plot is the distance from the truth."
@@ -375,7 +309,7 @@ def _sections(spreads: Spreads, notes: tuple[str, ...]) -> Iterator[str]:
             f"{length:g}",
             name,
             *[
-                in_cm(value)
+                centimetres(value)
                 for value in (spread.median_m, spread.low_m, spread.high_m, spread.rms_m, spread.worst_m)
             ],
             spread.gaps,

@@ -143,7 +143,7 @@ def details(
     yield headed("Gaps", _GAPS) + tables.gaps(recovery, validation)
     if validation is not None:
         heading = validation.title("Errors against the reference")
-        yield headed(heading, _ERRORS) + tables.validation(validation) + bullets(validation.notes)
+        yield headed(heading, _ERRORS) + tables.validation(validation, recovery) + bullets(validation.notes)
         yield tables.measured(validation)
         for title, caption, plot, below in () if truth is None else compared(recovery, truth, validation):
             yield (_figure(title, caption, plot) or headed(title, caption)) + below
@@ -296,8 +296,8 @@ _BAND = "The pale blue band contains 95 of 100 true values of each coordinate."
 _NO_BAND = "No band is drawn: it would not be valid."
 _ERRORS = (
     "rms: root mean square. NEES: mean squared error in standard deviations; 1 where the stated uncertainty"
-    " is consistent with the errors, above 1 where it is over-confident. In the last column 95 % is"
-    " consistent."
+    " is consistent with the errors, above 1 where it is over-confident. Of the samples, 95 %"
+    " inside the stated region is consistent."
 )
 _CALIBRATION = (
     "Where the joints lie as seen from the sensor, and the length of the upper arm: as given and improved by"

@@ -141,7 +141,3 @@ def _title(recovery: Recovery) -> str:
     if recovery.estimates.trusted is False:
         return f"NOT TO BE TRUSTED. {title}"
     return title if recovery.trusted.all() else f"{title}; not to be trusted: red"
-
-
-#: A column of most journals, cm.
-COLUMN_CM, HEIGHT_CM = 8.5, 6.5

@@ -12,10 +12,10 @@ from importlib import resources
 from string import Template
 from typing import Any
 
-import numpy as np
 import plotly.graph_objects as go
 
 from ..runtime.outputs import writing
+from ..table import Table, cell_text
 
 #: A longer table is cut, with a note.
 MOST_ROWS = 500
@@ -205,21 +205,19 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
 
 
+def rendered(each: Table, caption: str = "") -> str:
+    """A table under its title and a caption; "" without rows."""
+    return tabulated(each.title, caption or each.caption, each.columns, each.rows) if each.rows else ""
+
+
 def headed(heading: str, caption: str = "") -> str:
     """A heading and a caption (`Html`, or plain text) below it."""
     below = f'<p class="caption">{_escaped(caption)}</p>' if caption else ""
     return f"<h2>{escape(heading)}</h2>{below}"
 
 
-def in_cm(value_m: float | None, decimals: int = 2) -> str | None:
-    """Metres as centimetres in a table's cell; None stays None."""
-    return None if value_m is None else f"{100 * value_m:.{decimals}f}"
-
-
 def _cell(value: object) -> str:
-    if value is None or (isinstance(value, float) and not np.isfinite(value)):
-        return "–"
-    return f"{value:.4g}" if isinstance(value, float) else _escaped(value)
+    return value if isinstance(value, Html) else escape(cell_text(value, "–"))
 
 
 def _escaped(value: object) -> str:

@@ -14,7 +14,6 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from ..angles import JOINT_ANGLES
 from ..array_types import FloatArray
 from ..evaluation.group import (
     GroupMeasure,
@@ -325,11 +324,6 @@ def _notes(recovered: pa.Table) -> str:
     counted = sorted(texts.value_counts().to_pylist(), key=lambda note: (-note["counts"], note["values"]))
     sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:20]]
     return listing("Notes in the results", sentences, "Nothing.")
-
-
-#: Single recordings that are drawn behind a mean.
-MOST_CURVES = 60
-_TITLES = {angle.name: angle.title for angle in JOINT_ANGLES}
 
 
 def group_sections(rows: pa.Table, long: Sequence[Mapping[str, Any]], page: Path) -> Iterator[str]:

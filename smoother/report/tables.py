@@ -13,14 +13,15 @@ from calib.motion.motion_calibration import ArmEstimates
 from ..calibration import ArmCalibration
 from ..error_radius import error_radius
 from ..evaluation.advice import rejected
-from ..evaluation.measure_agreement import agreement_cells, pair_cells
+from ..evaluation.measure_agreement import agreement_table, pair_table
 from ..evaluation.metrics import Figures
 from ..evaluation.summary import GapSummary, error_figures, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
 from ..result import Estimates, Recovery
 from ..result.untrusted import certain
+from ..table import centimetres
 from .chart import NOT_TRUSTED, badge
-from .sheet import Html, bullets, headed, in_cm, table
+from .sheet import Html, bullets, rendered, table
 from .summary import WIDE_M
 
 #: Figures of a recovery that another section of the page shows.
@@ -50,7 +51,7 @@ def overview(recovery: Recovery) -> str:
         ("samples without the camera", recovery.occluded.sum()),
         ("samples without an answer", len(recovery) - int(recovery.answered.sum())),
         *(
-            (f"position, 95 of 100 errors below, {words}, cm", withdrawn or in_cm(error[part][which]))
+            (f"position, 95 of 100 errors below, {words}, cm", withdrawn or centimetres(error[part][which]))
             for words, part, which in _ERRORS
         ),
         ("samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))),
@@ -126,7 +127,7 @@ def camera(estimates: ArmEstimates) -> str:
     if not estimates.camera:
         return ""
     rows = [
-        (joint, in_cm(error.sample_m), in_cm(error.bias_m) if error.bias_m > 0 else None)
+        (joint, centimetres(error.sample_m), centimetres(error.bias_m) if error.bias_m > 0 else None)
         for joint, error in estimates.camera.items()
     ]
     columns = ("camera's joint", "noise of a sample, cm per axis", "constant error against the others, cm")
@@ -140,7 +141,7 @@ def cameras(recovery: Recovery) -> str:
         (
             each.name,
             None if each.p_K_C_m is None else ", ".join(f"{100 * x:.0f}" for x in each.p_K_C_m),
-            None if each.sigma_m is None else in_cm(each.sigma_m),
+            None if each.sigma_m is None else centimetres(each.sigma_m),
             None if each.sigma_deg is None else f"{each.sigma_deg:.2f}",
             None if each.offset_s is None else f"{1000 * each.offset_s:.1f}",
             f"{100 * sum(b - a for a, b in each.seen_s) / length_s:.0f} %" if each.takes_part else None,
@@ -196,7 +197,7 @@ def _stated(summary: GapSummary, true: Sequence[str | None]) -> tuple[str | None
         return None, *true, None, None
     deg, flexion_deg = summary.orientation_95_deg, summary.sigma_max_flexion_deg
     return (
-        in_cm(summary.error_95_m),
+        centimetres(summary.error_95_m),
         *true,
         None if deg is None else f"{deg:.1f}",
         None if flexion_deg is None else f"{1.96 * flexion_deg:.1f}",
@@ -205,7 +206,7 @@ def _stated(summary: GapSummary, true: Sequence[str | None]) -> tuple[str | None
 
 def _p95(figures: Figures | None) -> str | None:
     """What 95 % of the errors in a gap lie below, cm."""
-    return None if figures is None else in_cm(figures.position_p95_m)
+    return None if figures is None else centimetres(figures.position_p95_m)
 
 
 def _remark(summary: GapSummary) -> str:
@@ -215,43 +216,14 @@ def _remark(summary: GapSummary) -> str:
     return "take with care" if summary.one_sided or summary.is_wider_than(WIDE_M) else ""
 
 
-def validation(comparison: Validation) -> str:
+def validation(comparison: Validation, recovery: Recovery) -> str:
     """Errors against the reference."""
-    rows = [
-        (
-            name,
-            figures.samples,
-            in_cm(figures.position_rms_m),
-            in_cm(figures.position_p95_m),
-            in_cm(figures.position_max_m),
-            figures.orientation_rms_deg,
-            figures.orientation_max_deg,
-            figures.nees,
-            None if figures.coverage_95 is None else f"{100 * figures.coverage_95:.0f} %",
-        )
-        for name, figures in (
-            ("all samples", comparison.all),
-            ("in gaps", comparison.occluded),
-            ("while seen", comparison.visible),
-        )
-    ]
-    columns = (
-        "",
-        "samples",
-        "position rms, cm",
-        "95 % below, cm",
-        "largest, cm",
-        "orientation rms, degrees",
-        "largest, degrees",
-        "NEES",
-        "inside the 95 % region",
-    )
-    parts = (comparison.all, comparison.occluded, comparison.visible)
-    joints = [(name, *[in_cm(part.joint_rms_m.get(name)) for part in parts]) for name in parts[0].joint_rms_m]
-    heads = ("joint", "all samples, rms, cm", "in gaps, cm", "while seen, cm")
-    compared = any(figure is not None for row in rows for figure in row[2:])
-    sensor = table(columns, rows) if compared or not joints else "<p>The reference has joints only.</p>"
-    return sensor + (table(heads, joints) if joints else "")
+    joints = comparison.joint_errors
+    errors = comparison.errors(recovery)
+    sensor = table(errors.columns, errors.rows)
+    if joints.rows and comparison.all.position_rms_m is None and comparison.all.orientation_rms_deg is None:
+        sensor = "<p>The reference has joints only.</p>"
+    return sensor + rendered(joints)
 
 
 def measured(comparison: Validation) -> str:
@@ -259,13 +231,8 @@ def measured(comparison: Validation) -> str:
     measures = comparison.measures
     if measures is None:
         return ""
-    columns, rows = pair_cells(measures)
-    together, agreements = agreement_cells(measures)
-    heading = comparison.title("Measures against the reference")
-    below = f"{headed(heading, _MEASURED)}{table(columns, rows)}" if rows else ""
-    if agreements:
-        heading = comparison.title("How well the measures agree")
-        below += f"{headed(heading, _AGREED)}{table(together, agreements)}"
+    below = rendered(pair_table(comparison.title("Measures against the reference"), measures), _MEASURED)
+    below += rendered(agreement_table(comparison.title("How well the measures agree"), measures), _AGREED)
     return below + bullets(measures.notes)
 
 

@@ -17,7 +17,7 @@ from ..evaluation.validate import Validation, sample_errors
 from ..measurements.visibility import Reason
 from ..recording import JOINTS, Truth
 from ..result import Recovery
-from .sheet import in_cm, label, table
+from .sheet import label, rendered
 from .style import (
     CAMERA,
     JOINT_COLOURS,
@@ -157,17 +157,17 @@ _BLAND_ALTMAN = (
     " the bias, the dashed lines the limits of agreement (bias -+ 1.96 standard"
     " deviations): 95 of 100 differences lie between."
 )
-_TABLE = (
-    "The layout in which Jatesiktat and Ang (2017) state the errors of their wrist IMU with a Kinect: the"
-    " camera's own skeleton beside the recovered motion, over the whole recording."
-)
 
 
 def compared(recovery: Recovery, truth: Truth, validation: Validation) -> Iterator[Section]:
     """The sections of a comparison; the titles state where the reference was aligned."""
-    yield validation.title("Error over time"), _OVER_TIME, error_over_time(recovery, truth), _gaps(validation)
+    gaps = rendered(validation.gap_errors)
+    yield validation.title("Error over time"), _OVER_TIME, error_over_time(recovery, truth), gaps
     if validation.angles is not None and validation.angles.compared:
-        figures = _angle_table(validation)
+        carrying = validation.angles.carrying_truth_deg
+        figures = rendered(validation.angle_errors)
+        if carrying is not None:
+            figures += f"<p>Carrying angle of the reference: {carrying:.1f} degrees.</p>"
         yield (
             validation.title("Joint angles, answer and reference"),
             _ANGLES,
@@ -180,8 +180,6 @@ def compared(recovery: Recovery, truth: Truth, validation: Validation) -> Iterat
             bland_altman(recovery, validation.angles, validation.angle_figures["all"]),
             "",
         )
-    if validation.table is not None and any(row.answer is not None for row in validation.table.rows):
-        yield validation.title("Errors in the layout of table I"), _TABLE, None, _table_one(validation)
 
 
 def error_over_time(recovery: Recovery, truth: Truth) -> go.Figure:
@@ -276,56 +274,3 @@ def _broken(words: str) -> str:
     """A title in lines short enough for a low panel."""
     first, *rest = words.split(" ")
     return f"{first}<br>{' '.join(rest)}, deg" if rest else f"{first}, deg"
-
-
-def _gaps(validation: Validation) -> str:
-    rows = [
-        (
-            f"{gap.start_s:.2f}",
-            f"{gap.length_s:.2f}",
-            in_cm(figures.position_rms_m),
-            in_cm(figures.position_p95_m),
-            in_cm(figures.position_max_m),
-            figures.orientation_rms_deg,
-            figures.orientation_max_deg,
-            figures.nees,
-        )
-        for gap, figures in validation.gaps
-        if figures.position_rms_m is not None or figures.orientation_rms_deg is not None
-    ]
-    heads = ("gap at, s", "length, s", "rms, cm", "95 % below, cm", "largest, cm")
-    return table((*heads, "rms, degrees", "largest, degrees", "NEES"), rows) if rows else ""
-
-
-def _angle_table(validation: Validation) -> str:
-    parts = {"all": "all samples", "occluded": "in gaps", "visible": "while seen"}
-    assert validation.angles is not None
-    rows = []
-    for name in validation.angles.compared:
-        for part, words in parts.items():
-            agreement = validation.angle_figures[part][name]
-            if agreement.samples:
-                limits = f"{_number(agreement.limits_low)} to {_number(agreement.limits_high)}"
-                interval = f"{_number(agreement.icc_low, 3)} to {_number(agreement.icc_high, 3)}"
-                figures = (_number(agreement.rmse), _number(agreement.bias), limits)
-                icc = (_number(agreement.icc, 3), interval)
-                rows.append((WORDS[name], words, *figures, *icc, agreement.samples))
-    heads = ("angle", "", "RMSE, degrees", "bias", "limits of agreement", "ICC(A,1)", "95 % interval")
-    carrying = validation.angles.carrying_truth_deg
-    more = "" if carrying is None else f"<p>Carrying angle of the reference: {carrying:.1f} degrees.</p>"
-    return table((*heads, "samples"), rows) + more
-
-
-def _table_one(validation: Validation) -> str:
-    assert validation.table is not None
-    rows = []
-    for row in validation.table.rows:
-        digits = 5 if "meter" in row.errors else 2
-        gain = None if row.reduction is None else f"{100 * row.reduction:.2f}%"
-        rows.append((row.errors, row.figure, _number(row.camera, digits), _number(row.answer, digits), gain))
-    heads = ("", "", "Camera's skeleton", "Recovered", "Error reduction")
-    return f"{table(heads, rows)}<p>{validation.table.note}</p>"
-
-
-def _number(value: float | None, digits: int = 2) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"

@@ -1,25 +1,20 @@
-"""A study's folder: results, outputs, and what workers leave on the way.
+"""A study's folder, and the columns of its results.
 
 ::
 
-    DIR/results/*.parquet     rows, written once and never changed
+    DIR/results/*.parquet     a file with one row per recording
     DIR/day1/a.mcap           outputs, named as the recordings
     DIR/.unocclude/study      a word by which a worker checks that it sees this very folder
-    DIR/.unocclude/stage/     outputs that are being written
-    DIR/.unocclude/rows/      rows of recordings that are done, until they are among the results
-
-The columns of a study's results: one row per recording and way of computing it, and the files of rows.
 """
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import re
 import secrets
-import shutil
-import socket
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,142 +35,9 @@ if TYPE_CHECKING:
     from ..recording import Recording
 
 
-@dataclass(frozen=True)
-class StudyFolder:
-    """Names in a study's folder; `path` is absolute."""
-
-    path: Path
-
-    @property
-    def results(self) -> Path:
-        """Where the rows are stored."""
-        return self.path / "results"
-
-    @property
-    def stage(self) -> Path:
-        """Where outputs are written before they are moved to their place."""
-        return self.path / ".unocclude" / "stage"
-
-    @property
-    def rows(self) -> Path:
-        """Where a row waits until it is among the results."""
-        return self.path / ".unocclude" / "rows"
-
-    @property
-    def mark(self) -> Path:
-        """The file with the study's word."""
-        return self.path / ".unocclude" / "study"
-
-    def output(self, name: str) -> Path:
-        """Where the result of a recording is stored."""
-        return self.path / name
-
-    def open(self, force: bool = False) -> str:
-        """Make the folder or take up one that contains a study."""
-        if self.path.exists() and not self.path.is_dir():
-            raise UnoccludeError(f"{self.path} is a file; name a folder for the results")
-        # Asked again behind the look: another command may have begun this very study meanwhile.
-        if not force and not self.mark.exists() and self._holds_others() and not self.mark.exists():
-            raise UnoccludeError(
-                f"{self.path} contains files that are not of a study; name a new folder, or --force"
-            )
-        self._make_folders()  # of an older study, some may have been removed
-        with self.alone():  # two that begin at once would each give it a word
-            if not self.mark.exists():
-                with writing(self.mark) as temporary:
-                    temporary.write_text(secrets.token_hex(16), encoding="ascii")
-            self.remove_stale_tempfiles()
-            return self._word()
-
-    def _holds_others(self) -> bool:
-        """Whether there is more than what a study has before its mark, which may be just beginning."""
-        if not self.path.is_dir():
-            return False
-        others = {path.name for path in self.path.iterdir()} - {self.results.name, self.mark.parent.name}
-        return bool(others) or not _is_empty(self.results)
-
-    def _make_folders(self) -> None:
-        for folder in (self.results, self.stage, self.rows):
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise UnoccludeError(f"{folder} cannot be made: {error.strerror or error}.") from error
-
-    def _word(self) -> str:
-        """The study's word; a new one where the file was damaged."""
-        for _ in range(2):
-            try:
-                word = self.mark.read_text(encoding="ascii")
-            except UnicodeDecodeError:
-                word = ""
-            if re.fullmatch("[0-9a-f]{32}", word):
-                return word
-            with writing(self.mark, force=True) as temporary:
-                temporary.write_text(secrets.token_hex(16), encoding="ascii")
-        raise UnoccludeError(f"{self.mark} cannot be read; give another folder")
-
-    def is_the_one(self, word: str) -> bool:
-        """Whether this machine sees the folder that has this word, not another of its name."""
-        try:
-            return self.mark.read_text(encoding="ascii") == word
-        except (OSError, UnicodeDecodeError):
-            return False
-
-    def staged(self, row: str) -> Path:
-        """A name that no other process uses, to write an output to."""
-        mine = self.stage / f"{socket.gethostname()}~{os.getpid()}"
-        mine.mkdir(parents=True, exist_ok=True)
-        return mine / f"{row}-{secrets.token_hex(4)}.mcap"
-
-    @contextmanager
-    def alone(self) -> Iterator[None]:
-        """Keep a second command from doing the same work; the system lets go when this process ends,
-        however.
-        """
-        from filelock import FileLock, Timeout
-
-        try:
-            lock = FileLock(self.path / ".unocclude" / "lock").acquire(blocking=False)
-        except Timeout as error:
-            raise UnoccludeError(
-                f"another command works on {self.path}; wait for it, or give another folder"
-            ) from error
-        except (NotImplementedError, OSError):
-            # a file system without locks: two commands would do work twice, but spoil nothing
-            yield
-            return
-        with lock:
-            yield
-
-    def remove_stale_tempfiles(self) -> None:
-        """Remove what processes of this machine that are gone left half written."""
-        remove_stale_tempfiles(self.rows, again=True)
-        for folder in self.stage.iterdir():
-            host, _, process = folder.name.rpartition("~")
-            if host == socket.gethostname() and process.isdigit() and not _alive(int(process)):
-                shutil.rmtree(folder, ignore_errors=True)
-
-
-def _is_empty(folder: Path) -> bool:
-    """Whether there is nothing of this name, or an empty folder; it may appear at this moment."""
-    try:
-        return not any(folder.iterdir())
-    except FileNotFoundError:
-        return True
-    except NotADirectoryError:
-        return False
-
-
-def _alive(process: int) -> bool:
-    if os.name == "nt":
-        return True  # signal 0 would end it there
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
+def text_hash(*texts: str) -> str:
+    """SHA-256 of texts, told apart."""
+    return hashlib.sha256("\0".join(texts).encode("utf-8", "surrogateescape")).hexdigest()
 
 
 Row = dict[str, Any]
@@ -374,29 +236,162 @@ def measured_arms(recoveries: Sequence[Recovery]) -> Row:
     return {"measures": measure_rows(measured)}
 
 
-def rows_table(files: Sequence[str], columns: Iterable[str] | None = None) -> pa.Table:
-    """The rows of all files, one after another; a column that a file lacks is null."""
-    import pyarrow as pa
+@dataclass(frozen=True)
+class StudyFolder:
+    """Names in a study's folder; `path` is absolute."""
 
-    wanted = schema() if columns is None else pa.schema([schema().field(name) for name in columns])
-    return pa.concat_tables([wanted.empty_table(), *(_read_file(file, wanted) for file in files)])
+    path: Path
+
+    @property
+    def results(self) -> Path:
+        """Where the rows are stored."""
+        return self.path / "results"
+
+    @property
+    def mark(self) -> Path:
+        """The file with the study's word."""
+        return self.path / ".unocclude" / "study"
+
+    def output(self, name: str) -> Path:
+        """Where the result of a recording is stored."""
+        return self.path / name
+
+    def open(self, force: bool = False) -> str:
+        """Make the folder or take up one that contains a study; the study's word."""
+        if self.path.exists() and not self.path.is_dir():
+            raise UnoccludeError(f"{self.path} is a file; name a folder for the results")
+        # Asked again behind the look: another command may have begun this very study meanwhile.
+        if not force and not self.mark.exists() and self._holds_others() and not self.mark.exists():
+            raise UnoccludeError(
+                f"{self.path} contains files that are not of a study; name a new folder, or --force"
+            )
+        for folder in (self.results, self.mark.parent):
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise UnoccludeError(f"{folder} cannot be made: {error.strerror or error}.") from error
+        with self.alone():  # two that begin at once would each give it a word
+            if re.fullmatch("[0-9a-f]{32}", self.word()) is None:
+                with writing(self.mark, force=True) as temporary:
+                    temporary.write_text(secrets.token_hex(16), encoding="ascii")
+            return self.word()
+
+    def _holds_others(self) -> bool:
+        """Whether there is more than what a study has before its mark, which may be just beginning."""
+        if not self.path.is_dir():
+            return False
+        others = {path.name for path in self.path.iterdir()} - {self.results.name, self.mark.parent.name}
+        return bool(others) or (self.results.exists() and not _is_empty(self.results))
+
+    def word(self) -> str:
+        """The study's word; "" where it cannot be read."""
+        try:
+            return self.mark.read_text(encoding="ascii")
+        except (OSError, UnicodeDecodeError):
+            return ""
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep a second command from doing the same work; the system releases it with this process."""
+        from filelock import FileLock, Timeout
+
+        try:
+            lock = FileLock(self.path / ".unocclude" / "lock").acquire(blocking=False)
+        except Timeout as error:
+            raise UnoccludeError(
+                f"another command works on {self.path}; wait for it, or give another folder"
+            ) from error
+        except (NotImplementedError, OSError):
+            # a file system without locks: two commands would do work twice, but spoil nothing
+            yield
+            return
+        with lock:
+            yield
+
+    def write_row(self, row: Row) -> None:
+        """Write a recording's row in place of its earlier one."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        table = pa.Table.from_pylist([{name: _as_text(row.get(name)) for name, *_ in COLUMNS}], schema())
+        self.results.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
+        with writing(self._row_file(row["recording"]), force=True) as temporary:
+            parquet.write_table(table, temporary, compression="zstd")
+
+    def row(self, name: str) -> Row | None:
+        """The row of a recording; None without one that can be read."""
+        import pyarrow as pa
+
+        try:
+            rows: list[Row] = _read_rows(self._row_file(name), schema()).to_pylist()
+        except (pa.ArrowException, OSError):
+            return None
+        return rows[-1] if rows else None
+
+    def _row_file(self, name: str) -> Path:
+        return self.results / f"{text_hash(name)[:24]}.parquet"
+
+    def rows(self, columns: Iterable[str] | None = None, damaged: list[str] | None = None) -> pa.Table:
+        """The latest row of each recording, by name; files that cannot be read are set aside and named.
+
+        Without a list for the `damaged` ones they are refused.
+        """
+        import pyarrow as pa
+
+        wanted = schema() if columns is None else pa.schema([schema().field(name) for name in columns])
+        tables = [wanted.empty_table()]
+        for file in sorted(self.results.glob("*.parquet")):
+            try:
+                tables.append(_read_rows(file, wanted))
+            except (pa.ArrowException, OSError) as error:
+                if damaged is None:
+                    raise UnoccludeError(
+                        f"{file} cannot be read; the same `unocclude batch` sets it aside"
+                    ) from error
+                aside = self.mark.parent / "damaged"
+                aside.mkdir(exist_ok=True)
+                os.replace(file, aside / file.name)
+                damaged.append(
+                    f"{file.name} among the results was damaged and is in .unocclude/damaged now; its"
+                    " recordings are computed again."
+                )
+        table = pa.concat_tables(tables).sort_by("finished")
+        latest = {name: place for place, name in enumerate(table["recording"].to_pylist())}
+        return table.take(np.array([latest[name] for name in sorted(latest)], np.int64))
+
+    def sweep(self, names: Iterable[str]) -> None:
+        """Remove what processes that were killed left half written."""
+        for folder in {self.results, *(self.output(name).parent for name in names)}:
+            remove_stale_tempfiles(folder, again=True)
 
 
-def _read_file(file: str, wanted: pa.Schema) -> pa.Table:
+def _is_empty(folder: Path) -> bool:
+    return folder.is_dir() and not any(folder.iterdir())
+
+
+def _read_rows(file: Path, wanted: pa.Schema) -> pa.Table:
+    """The rows of a file; a column that it lacks is null."""
     import pyarrow as pa
     from pyarrow import parquet
 
     try:
-        with open(file, "rb") as stream, parquet.ParquetFile(stream, pre_buffer=False) as rows:
-            there = [name for name in wanted.names if name in rows.schema_arrow.names]
-            table = rows.read(there, use_threads=False)
-            missing = rows.metadata.num_rows
+        with open(file, "rb") as stream:
+            table = parquet.read_table(stream, use_threads=False, pre_buffer=False)
     except OSError as error:
         if error.errno == errno.ENOMEM:
             raise MemoryError(str(error)) from error
         raise
     found = [
-        table[field.name].cast(field.type) if field.name in there else pa.nulls(missing, field.type)
+        table[field.name].cast(field.type)
+        if field.name in table.column_names
+        else pa.nulls(table.num_rows, field.type)
         for field in wanted
     ]
     return pa.table(found, schema=wanted)
+
+
+def _as_text(value: Any) -> Any:
+    """A value as Parquet holds it: bytes of a file's name that are not UTF-8 are written out."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode("utf-8")
+    return [_as_text(each) for each in value] if isinstance(value, list) else value

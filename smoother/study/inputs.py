@@ -16,7 +16,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -27,52 +27,23 @@ from ..io.recording.choose import Selection
 from ..runtime.csv_rows import read_cell
 from ..runtime.inputs import check_input
 from ..runtime.outputs import is_temporary
-from .folder import StudyFolder
-
-_BLOCK = 1 << 20
-
-
-@dataclass(frozen=True)
-class InputSelection:
-    """What to take of a recording that has several of it; see `smooth --help`."""
-
-    imu: str | None = None
-    skeleton: str | None = None
-    side: str | None = None
-    body: int | None = None
-
-    @property
-    def selection(self) -> Selection:
-        """What to take, as readers want it."""
-        return Selection(imu=self.imu, skeleton=self.skeleton, side=self.side, body=self.body)
+from .folder import StudyFolder, text_hash
 
 
 def file_hash(path: str | os.PathLike[str]) -> str:
     """SHA-256 of a file's bytes, in hexadecimal digits; refuses what is not a file."""
     check_input(path)
-    digest = hashlib.sha256()
     with open(path, "rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def config_hash(config: Config, choice: InputSelection) -> str:
+def config_hash(config: Config, selection: Selection) -> str:
     """SHA-256 of all settings that a result depends on; the number of processes is none of them."""
     settings: dict[str, Any] = config.model_dump(
         mode="json", exclude={"windows": {"processes"}}, exclude_none=True
     )
-    return text_hash(json.dumps([settings, asdict(choice)], sort_keys=True))
-
-
-def text_hash(*texts: str) -> str:
-    """SHA-256 of texts, told apart."""
-    return hashlib.sha256("\0".join(texts).encode("utf-8", "surrogateescape")).hexdigest()
-
-
-def row_id(name: str, input_hash: str, config: str, calibration: str, version: str) -> str:
-    """What a result is known by: the same id, the same result."""
-    return text_hash(name, input_hash, config, calibration, version)[:32]
+    chosen = {name: selection.get(name) for name in ("imu", "skeleton", "side", "body")}
+    return text_hash(json.dumps([settings, chosen], sort_keys=True))
 
 
 _DAY_NS = 86_400 * 10**9

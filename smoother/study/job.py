@@ -1,14 +1,10 @@
-"""One recording of a study, file to file: what a worker does, and what time and memory it may take."""
+"""One recording of a study, file to file: what a worker does."""
 
 from __future__ import annotations
 
-import ctypes
-import faulthandler
-import json
 import os
 import socket
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,76 +15,15 @@ from pathlib import Path
 from .. import __version__
 from ..config import Config
 from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging, is_out_of_memory
+from ..io.recording.selection import Selection
 from ..result import is_of_arm
 from ..runtime.inputs import check_input
-from ..runtime.store import Store
-from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measured_arms
-from .inputs import (
-    InputSelection,
-    file_hash,
-    person_of,
-    place_of,
-    relative_day,
-    row_id,
-    state_of,
-    text_hash,
-    without_places,
-)
-
-#: A recording that a library holds on to for this much longer than its time ends with its process, s.
-GRACE_S = 60.0
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What one recording may take; 0 = as much as it wants."""
-
-    time_s: float = 0.0  # From its first byte to its last
-    memory_bytes: int = 0  # Private memory of its process; long columns are in files and do not count
-
-
-class TimeUp(BaseException):
-    """A recording takes too long; no error of the method's own, which must not be dealt with on the way."""
+from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measured_arms, text_hash
+from .inputs import file_hash, person_of, place_of, relative_day, state_of, without_places
 
 
 @contextmanager
-def limited(limits: Limits) -> Iterator[None]:
-    """Hold what runs within to its limits."""
-    with _memory(limits.memory_bytes), _time(limits.time_s):
-        yield
-
-
-@contextmanager
-def _time(seconds: float) -> Iterator[None]:
-    """Interrupt this thread when the time is over; a library that does not let go ends with the process."""
-    if not seconds:
-        yield
-        return
-    thread, over = threading.get_ident(), threading.Event()
-    lock = threading.Lock()
-
-    def interrupt() -> None:
-        if over.wait(seconds):
-            return
-        with lock:
-            if not over.is_set():
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(TimeUp))
-
-    watcher = threading.Thread(target=interrupt, name="time limit", daemon=True)
-    with open(os.devnull, "w") as nowhere:
-        faulthandler.dump_traceback_later(seconds + GRACE_S, exit=True, file=nowhere)
-        watcher.start()
-        try:
-            yield
-        finally:
-            with lock:
-                over.set()
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), None)
-            faulthandler.cancel_dump_traceback_later()
-
-
-@contextmanager
-def _memory(allowed: int) -> Iterator[None]:
+def limited_memory(allowed: int) -> Iterator[None]:
     """Let the system refuse this process more private memory than it has now and is allowed."""
     if not allowed:
         yield
@@ -116,30 +51,18 @@ def _data_bytes() -> int:
         return 1024 * int(next(line for line in status if line.startswith("VmData:")).split()[1])
 
 
-#: The recording was done before, by its content; there is nothing to add to the results.
-SAME = "same"
-
-
-@dataclass(frozen=True)
-class Known:
-    """An earlier result of a recording under the same settings."""
-
-    row_id: str  # Its row
-    output_hash: str  # SHA-256 of the output; "" for a failure that would come again
-
-
 @dataclass(frozen=True)
 class StudySettings:
     """How the recordings of a study are recovered."""
 
-    config: Config = field(default_factory=Config)  # Settings; its number of processes does not matter
-    # What to take of recordings that have several of it
-    choice: InputSelection = field(default_factory=InputSelection)
+    config: Config = field(default_factory=Config)  # Its number of processes does not matter
+    selection: Selection = field(default_factory=Selection)  # What to take of recordings with several of it
     calibration: str = ""  # File for all recordings that have none of their own; "" without one
     again: bool = False  # Compute everything anew
     retry_failed: bool = False  # Try again what failed before by the recording itself
     keep_paths: bool = False  # Let rows contain absolute paths and the machine's name
-    limits: Limits = field(default_factory=Limits)  # What one recording may take of time and memory
+    time_limit_s: float = 0.0  # What one recording may take; 0 = no limit
+    memory_limit_bytes: int = 0  # Private memory of its process; long columns are in files and do not count
     measures: bool = False  # Measure what is recovered: rows contain it
     draws: int = 0  # Motions to draw for the intervals of the measures
     hash_names: bool = False  # Call recordings by hashes of their names
@@ -158,20 +81,17 @@ class Job:
     calibration: str = ""  # Path of the calibration file, absolute, or ""
     calibration_hash: str = ""  # SHA-256 of that file, or ""
     version: str = __version__  # Of the program that started the study
-    known: tuple[Known, ...] = ()  # Earlier results of this recording
 
     @property
-    def key(self) -> str:
-        """The same for the same work of the same study."""
-        known = [each.row_id for each in self.known]
-        settings = (self.config_hash, self.calibration_hash, self.version)
-        return text_hash(self.name, self.source, self.word, *settings, *known)[:32]
+    def hashes(self) -> tuple[str, str, str]:
+        """What a result depends on besides the recording."""
+        return self.config_hash, self.calibration_hash, self.version
 
     def row(self, status: str, input_hash: str = "", **more: object) -> Row:
         """A row of the results about this recording."""
         keep = self.settings.keep_paths
         row: Row = {
-            "id": row_id(self.name, input_hash, self.config_hash, self.calibration_hash, self.version),
+            "id": text_hash(self.name, input_hash, *self.hashes)[:32],
             "recording": self.name,
             "status": status,
             "retry": False,
@@ -183,7 +103,7 @@ class Job:
             "calibration_hash": self.calibration_hash,
             "version": self.version,
             "host": socket.gethostname() if keep else "",
-            "finished": datetime.now(UTC).isoformat(),
+            "finished": datetime.now(UTC).replace(tzinfo=None),
             **more,
         }
         if error := row.get("error"):
@@ -209,13 +129,16 @@ class Job:
             names |= {source.name: Path(self.name).name}
         return names
 
-    def lost(self, sentence: str) -> Row:
-        """The row of a recording whose worker died."""
+    def failed(self, sentence: str) -> Row:
+        """The row of a recording that failed by its surroundings."""
         return self.row(FAILED, error=sentence, retry=True)
 
 
 def run_job(job: Job) -> Row:
-    """Recover a recording and put result and row into the study's folder; never raises an error."""
+    """Recover a recording and put result and row into the study's folder; never raises an error.
+
+    The row of a failure is left to the caller: this machine may not see the folder.
+    """
     began = time.perf_counter()
     input_hash, before, folder = "", Row(), StudyFolder(Path(job.folder))
     try:
@@ -229,19 +152,17 @@ def run_job(job: Job) -> Row:
         check_output_place(job, folder)
         input_hash = file_hash(job.source)
         if same := _same(job, folder, input_hash):
-            return job.row(SAME, input_hash, id=same)
-        with limited(job.settings.limits):
+            row = same | before | {"input_place": place_of(job.word, job.source)}
+            folder.write_row(row)
+            return row
+        with limited_memory(job.settings.memory_limit_bytes):
             return _recover(job, folder, input_hash, before, began)
-    except (Exception, TimeUp) as error:
+    except Exception as error:
         if debugging():
             raise
         sentence, retry = explain(error)
         row = job.row(FAILED, input_hash, error=sentence, retry=retry, seconds=time.perf_counter() - began)
-        if input_hash:
-            row |= before
-            with suppress(OSError, UnoccludeError):  # the client has it all the same
-                _leave(row, folder)
-        return row
+        return row | (before if input_hash else {})
 
 
 def _check_machine(job: Job, folder: StudyFolder) -> None:
@@ -252,7 +173,7 @@ def _check_machine(job: Job, folder: StudyFolder) -> None:
             f"{host} has unocclude {__version__} and the study was started with {job.version};"
             " install the same version on all machines"
         )
-    if not folder.is_the_one(job.word):
+    if folder.word() != job.word:
         raise _Surroundings(
             f"{host} does not see the study's folder {folder.path}; share it with all workers under this path"
         )
@@ -276,100 +197,71 @@ def check_output_place(job: Job, folder: StudyFolder) -> None:
         raise _Surroundings(f"{output} is the recording itself (a link); give -o another folder")
 
 
-def _same(job: Job, folder: StudyFolder, input_hash: str) -> str:
-    """The id of an earlier row of this very content whose output is as it was written; "" without one."""
-    mine = str(job.row(DONE, input_hash)["id"])
+def _same(job: Job, folder: StudyFolder, input_hash: str) -> Row | None:
+    """The earlier row of this very content, whose output is as it was written; None without one."""
+    row = None if job.settings.again else folder.row(job.name)
+    if row is None or row["id"] != job.row(DONE, input_hash)["id"]:
+        return None
+    if row["status"] != DONE:
+        return None if row["retry"] or job.settings.retry_failed else row
     output = folder.output(job.name)
-    for known in job.known:
-        if known.row_id != mine:
-            continue
-        if not known.output_hash or (output.is_file() and file_hash(output) == known.output_hash):
-            return mine
-    return ""
+    return row if output.is_file() and file_hash(output) == row["output_hash"] else None
 
 
 def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
-    from ..runtime.disk_store import DiskStore
-
-    if job.calibration and file_hash(job.calibration) != job.calibration_hash:
-        raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
-    with DiskStore() as store:
-        return _recover_in(store, job, folder, input_hash, before, began)
-
-
-def _recover_in(
-    store: Store, job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float
-) -> Row:
     from calib.motion.motion_calibration import with_given
 
     from ..io import write_recovery
     from ..io.recording.read import read_arms
-    from ..runtime.outputs import check_output
+    from ..runtime.disk_store import DiskStore
     from ..several_arms import smooth_arms
 
-    settings = job.settings
-    arms = read_arms(
-        job.source, job.calibration or None, store=store, truth=False, **settings.choice.selection
-    )
+    if job.calibration and file_hash(job.calibration) != job.calibration_hash:
+        raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
+    settings, output = job.settings, folder.output(job.name)
     windows = settings.config.windows.model_copy(update={"processes": 1})  # a recording a process
     config = settings.config.model_copy(update={"windows": windows})
-    recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
-    results = []
-    for recovery in smooth_arms(recordings, calibrations, config, store=store, draws=settings.draws):
-        recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
-        results.append((recording, with_given(recovery, calibration)))
-    output = folder.output(job.name)
-    staged = folder.staged(str(job.row(DONE, input_hash)["id"]))
-    try:
+    with DiskStore() as store:
+        arms = read_arms(job.source, job.calibration or None, store=store, truth=False, **settings.selection)
+        recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
+        results = []
+        for recovery in smooth_arms(recordings, calibrations, config, store=store, draws=settings.draws):
+            recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
+            results.append((recording, with_given(recovery, calibration)))
         answers = [recovery for _, recovery in results]
-        measured = measured_arms(answers) if settings.measures else {}
+        measured = measured_arms(answers) if settings.measures else {"measures": None}
         # the result is that of `smooth --draws 0`
         answers = [replace(recovery, draws=None) for recovery in answers]
         if settings.hash_names:
             answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
-        write_recovery(answers, staged, source=job.source)
-        about = os.stat(staged)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        write_recovery(answers, output, source=job.source, force=True)
+        about = os.stat(output)
         row = job.row(
             DONE,
             input_hash,
             **before,
             output=job.name,
-            output_hash=file_hash(staged),
+            output_hash=file_hash(output),
             output_bytes=about.st_size,
             output_mtime_ns=about.st_mtime_ns,
             **figures_of_arms(results),
-            **({"measures": None} | measured),
+            **measured,
             recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
             seconds=time.perf_counter() - began,
         )
-        _leave(row, folder)
-        output.parent.mkdir(parents=True, exist_ok=True)
-        check_output(output, force=True)
-        os.replace(staged, output)
-    finally:
-        staged.unlink(missing_ok=True)
+        folder.write_row(row)
     return row
-
-
-def _leave(row: Row, folder: StudyFolder) -> None:
-    """Write a row to where it waits."""
-    from ..runtime.outputs import writing
-
-    folder.rows.mkdir(parents=True, exist_ok=True)
-    with writing(folder.rows / f"{row['id']}.json", force=True) as temporary:
-        temporary.write_text(json.dumps(row), encoding="utf-8")
 
 
 class _Surroundings(UnoccludeError):
     """The machine or its folders are at fault, not the recording."""
 
 
-def explain(error: BaseException) -> tuple[str, bool]:
+def explain(error: Exception) -> tuple[str, bool]:
     """One sentence for a failure, and whether its surroundings are at fault, so that it may pass."""
     if isinstance(error, UnoccludeError):
         text, retry = str(error), not isinstance(error, RecordingError | CalibrationError | SolveError)
-    elif isinstance(error, TimeUp):
-        text, retry = "it took longer than a recording may; give more time (--time-limit), or cut it", True
     elif is_out_of_memory(error):
         text, retry = (
             "not enough memory for this recording; use fewer processes per machine, or allow it more"

@@ -20,7 +20,7 @@ from ..evaluation.progress import (
     without_like_movements,
 )
 from ..measures.layout import BY_MOVEMENT
-from .folder import DONE, Row, StudyFolder, rows_table
+from .folder import DONE, Row, StudyFolder
 from .inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions, with_named_days
 
 _READ = (
@@ -34,24 +34,13 @@ _Key = tuple[str, str, str]
 
 def read_rows(folder: Path) -> list[Row]:
     """The latest row of each recording of a study."""
-    import pyarrow as pa
-
     study = StudyFolder(folder)
-    files = sorted(str(path) for path in study.results.glob("*.parquet"))
-    if not study.mark.exists() or not files:
+    if not study.mark.exists() or not any(study.results.glob("*.parquet")):
         raise UnoccludeError(
             f"{folder} is not a study with results; name the folder that `unocclude batch` wrote"
         )
-    try:
-        table = rows_table(files, _READ)
-    except MemoryError:
-        raise
-    except (pa.ArrowException, OSError) as error:
-        raise UnoccludeError(
-            f"{folder}: a file of its results cannot be read; the same `unocclude batch` puts it aside"
-        ) from error
-    latest = {row["recording"]: row for row in table.sort_by("finished").to_pylist()}
-    return [latest[name] for name in sorted(latest)]
+    rows: list[Row] = study.rows(_READ).to_pylist()
+    return rows
 
 
 def sessions_of(
@@ -60,7 +49,7 @@ def sessions_of(
     """Whose each recording is, and of which session."""
     names = [row["recording"] for row in rows]
     if table is not None:
-        word = StudyFolder(folder).mark.read_text(encoding="utf-8", errors="replace")
+        word = StudyFolder(folder).word()
         sessions = read_sessions(table, names, lambda name: hashed_name(word, name))
         rest = [name for name in names if name not in sessions]
         return sessions, [f"{name}: {table.name} does not name it" for name in rest]

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .. import __version__
+import numpy as np
+
 from ..errors import UnoccludeError
-from .folder import DONE, FAILED, Row, StudyFolder
-from .inputs import Entry, config_hash, file_hash, hashed_name, text_hash
-from .job import SAME, Job, StudySettings
-from .ledger import Ledger
+from .folder import DONE, FAILED, Row, StudyFolder, text_hash
+from .inputs import Entry, config_hash, file_hash, hashed_name, place_of, state_of
+from .job import Job, StudySettings
+from .workers import Workers, rows_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Work = Callable[[Iterator[Job]], Generator[Row | None, None, None]]
+#: By which a recording is known to be done.
+_KNOWN = (
+    *("recording", "status", "retry", "finished", "config_hash", "calibration_hash", "version"),
+    *("input_place", "input_state", "output_bytes", "output_mtime_ns"),
+)
 
 
 @dataclass
@@ -49,104 +55,85 @@ def run_study(
     entries: Sequence[Entry],
     folder: StudyFolder,
     settings: StudySettings,
-    work: Work,
+    workers: AbstractContextManager[Workers],
     progress: Callable[[Tally, Row | None], None],
     force: bool = False,
 ) -> tuple[Tally, pa.Table]:
-    """Recover the recordings that are not done yet."""
+    """Recover the recordings that are not done yet; how far it came, and the rows of all."""
     calibrations = {
         path: _checked(path)
         for path in {entry.calibration or settings.calibration for entry in entries} - {""}
     }
     word = folder.open(force)
     if settings.hash_names:
-        hashed = [replace(entry, name=hashed_name(word, entry.name)) for entry in entries]
-        entries = sorted(hashed, key=lambda entry: entry.name)
-    with folder.alone():
-        plan = _Plan(folder, word, settings, calibrations)
-        try:
-            return _work_off(entries, plan, work, progress)
-        finally:
-            folder.remove_stale_tempfiles()  # of processes that were ended in the middle of an output
-
-
-def _work_off(
-    entries: Sequence[Entry], plan: _Plan, work: Work, progress: Callable[[Tally, Row | None], None]
-) -> tuple[Tally, pa.Table]:
+        entries = [replace(entry, name=hashed_name(word, entry.name)) for entry in entries]
+    hashed = config_hash(settings.config, settings.selection)
+    if settings.measures:
+        hashed = text_hash(hashed, "measures", str(settings.draws))
     tally = Tally(len(entries))
+    names = {entry.name for entry in entries}
+    with folder.alone():
+        earlier = {row["recording"]: row for row in folder.rows(_KNOWN, tally.notes).to_pylist()}
 
-    def todo() -> Iterator[Job]:
-        for entry in entries:
-            job = plan.job(entry)
-            if job is None:
-                tally.before += 1
-            else:
-                yield job
+        def todo() -> Iterator[Job]:
+            for entry in entries:
+                calibration = entry.calibration or settings.calibration
+                job = Job(
+                    name=entry.name,
+                    source=entry.path,
+                    folder=str(folder.path),
+                    word=word,
+                    settings=settings,
+                    config_hash=hashed,
+                    calibration=calibration,
+                    calibration_hash=calibrations.get(calibration, ""),
+                )
+                if entry.name in earlier and _is_done(job, earlier[entry.name]):
+                    tally.before += 1
+                else:
+                    yield job
 
-    rows = work(todo())
-    try:
-        for row in rows:
-            if row is None:
-                plan.ledger.tick()
-            else:
-                plan.ids[row["recording"]] = row["id"]
-                _count(tally, row)
-                if row["status"] != SAME:
-                    plan.ledger.add(row)
-            progress(tally, row)
-    finally:
-        plan.ledger.flush()
-        rows.close()
-    tables = plan.ledger.rows(plan.ids.values())
-    tally.notes += plan.ledger.damaged
-    return tally, tables
+        try:
+            with workers as ready:
+                for row in rows_of(todo(), ready):
+                    if row is not None:
+                        _take(row, earlier.get(row["recording"]), tally, folder)
+                    progress(tally, row)
+        finally:
+            folder.sweep(names)  # of processes that were ended in the middle of an output
+        rows = folder.rows()
+    return tally, rows.filter(np.array([name in names for name in rows["recording"].to_pylist()], bool))
 
 
-def _count(tally: Tally, row: Row) -> None:
-    if row["status"] == DONE:
-        tally.computed += 1
-        tally.recorded_s += row["duration_s"]
+def _take(row: Row, earlier: Row | None, tally: Tally, folder: StudyFolder) -> None:
+    """Count a row; a failure's is written here."""
+    if earlier is not None and row["finished"] == earlier["finished"]:
+        tally.before += 1
     elif row["status"] == FAILED:
         tally.failed += 1
+        folder.write_row(row)
     else:
-        tally.before += 1
+        tally.computed += 1
+        tally.recorded_s += row["duration_s"]
 
 
-class _Plan:
-    """What is to be done of a study."""
-
-    def __init__(
-        self, folder: StudyFolder, word: str, settings: StudySettings, calibrations: dict[str, str]
-    ) -> None:
-        self._folder, self._word, self._settings = folder, word, settings
-        self._calibrations = calibrations
-        self._config_hash = config_hash(settings.config, settings.choice)
-        if settings.measures:
-            self._config_hash = text_hash(self._config_hash, "measures", str(settings.draws))
-        self.ledger = Ledger(folder)
-        self.ids: dict[str, str] = {}
-
-    def job(self, entry: Entry) -> Job | None:
-        """The job for a recording, None if it is done."""
-        settings = self._settings
-        calibration = entry.calibration or settings.calibration
-        calibration_hash = self._calibrations.get(calibration, "")
-        hashes = (self._config_hash, calibration_hash, __version__)
-        done, known = self.ledger.find(entry.name, entry.path, hashes, settings.retry_failed)
-        if done and not settings.again:
-            self.ids[entry.name] = done
-            return None
-        return Job(
-            name=entry.name,
-            source=entry.path,
-            folder=str(self._folder.path),
-            word=self._word,
-            settings=settings,
-            config_hash=self._config_hash,
-            calibration=calibration,
-            calibration_hash=calibration_hash,
-            known=() if settings.again else known,
-        )
+def _is_done(job: Job, row: Row) -> bool:
+    """Whether a recording needs no work, by place, size and time of its files."""
+    settings = job.settings
+    if settings.again or (row["config_hash"], row["calibration_hash"], row["version"]) != job.hashes:
+        return False
+    if row["status"] != DONE and (row["retry"] or settings.retry_failed):
+        return False
+    try:
+        about = os.stat(job.source)
+        if row["status"] == DONE:
+            output = os.stat(StudyFolder(Path(job.folder)).output(job.name))
+            if (output.st_size, output.st_mtime_ns) != (row["output_bytes"], row["output_mtime_ns"]):
+                return False
+    except OSError:
+        return False
+    state = state_of(job.word, about.st_size, about.st_mtime_ns)
+    return (row["input_place"], row["input_state"]) == (place_of(job.word, job.source), state)
 
 
 def _checked(path: str) -> str:

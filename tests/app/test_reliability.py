@@ -20,8 +20,8 @@ import pytest
 from local_page import Page, own_table
 from local_program import ROOT, Program, environment
 
-from smoother.app import jobs, runner, serving
-from smoother.app.folder import AppFolder
+from smoother.app import jobs, serving
+from smoother.app.folder import AppFolder, KeptRecording
 from smoother.app.steps import stamp
 from smoother.app.views import in_page_words
 from smoother.errors import UnoccludeError
@@ -35,7 +35,7 @@ def wait_for(true: Any, patience_s: float = 60.0) -> None:
 
 
 def test_a_full_disk_does_not_block_the_next_job(page: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """A job that could not be written, one that an older version left half made, one that could not start."""
+    """A job that could not be written, and one that an older version left half made."""
     (tmp_path / "words.csv").write_text("a,b\n1,2\n")
     name = page.add([tmp_path / "words.csv"])
     write = jobs.write_json
@@ -53,9 +53,8 @@ def test_a_full_disk_does_not_block_the_next_job(page: Page, monkeypatch: pytest
     assert "space" in page.ask("POST", path, 400, json={"kind": "describe"})["error"]
     assert list((page.folder.of(name) / "jobs").iterdir()) == []
     (page.folder.of(name) / "jobs" / "0001").mkdir()
-    full("begun.json")
-    assert page.begin(name, "describe")["job"]["state"] == "waiting"
     monkeypatch.setattr(jobs, "write_json", write)
+    page.begin(name, "describe")
     assert page.wait(name)["job"] == page.wait(name)["job"] | {"number": 2, "state": "done"}
 
 
@@ -194,12 +193,18 @@ def test_connections_that_ask_nothing_are_closed(tmp_path: Path):
 
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="groups of processes are POSIX'")
-def test_no_command_outlives_its_killed_runner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    job = tmp_path / "rec" / "jobs" / "0001"
+def test_no_command_outlives_its_killed_server(tmp_path: Path):
+    place = tmp_path / AppFolder(tmp_path).add(KeptRecording(name="rec"))
+    job = place / "jobs" / "0001"
     job.mkdir(parents=True)
     words = ["demo", "-o", "demo", "--processes", "2"]
     (job / "job.json").write_text(json.dumps({"steps": [{"name": "demo", "argv": words}]}))
-    process = subprocess.Popen([sys.executable, "-m", runner.__name__, str(job)], cwd=ROOT, env=environment())
+    program = (
+        "import sys, time; from pathlib import Path; from smoother.app.folder import AppFolder;"
+        " from smoother.app.jobs import JobDesk;"
+        " desk = JobDesk(AppFolder(Path(sys.argv[1]))); time.sleep(300)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program, tmp_path], cwd=ROOT, env=environment())
     with suppress(subprocess.TimeoutExpired):
         process.wait(1)
 
@@ -219,7 +224,11 @@ def test_no_command_outlives_its_killed_runner(tmp_path: Path, monkeypatch: pyte
         return True
 
     wait_for(is_gone)
-    assert not list((tmp_path / "rec").rglob("*.tmp"))
+    assert not list(place.rglob("*.tmp"))
+    assert jobs.state_of(job).state == "running", "nobody could say it"
+    desk = jobs.JobDesk(AppFolder(tmp_path))
+    desk.close()
+    assert jobs.state_of(job).state == "stopped"
 
 
 def test_a_layout_of_another_recording_makes_nothing_outdated(

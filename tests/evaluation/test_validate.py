@@ -153,13 +153,6 @@ def test_orientation_error_keeps_tiny_angles_and_ignores_sign_and_norm():
     assert np.isnan(metrics.orientation_error_deg(q, np.full((1, 4), np.nan))[0])
 
 
-def test_position_error_row_by_row():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 20, 3))
-    slow = [math.dist(x, y) for x, y in zip(a, b, strict=True)]
-    np.testing.assert_allclose(metrics.position_error(a, b), slow)
-
-
 def test_squared_sigmas_against_the_inverse():
     rng = np.random.default_rng(1)
     error = rng.normal(size=(30, 3))

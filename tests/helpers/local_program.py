@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -61,10 +60,6 @@ class Program:
             return self._process.wait(30)
         finally:
             self._process.kill()
-            for job in self.folder.glob("*/jobs/*/state.json"):
-                state = json.loads(job.read_text())
-                if state["state"] == "running":  # of a server that was killed
-                    (job.parent / "stopped").touch()
 
     def rest(self) -> str:
         """What it printed after the address, once it has ended."""

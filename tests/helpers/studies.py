@@ -56,16 +56,15 @@ def ended(client: subprocess.Popen, seconds: float = 60.0) -> str:
 
 STOP = """
 import os, signal
-from smoother.study import ledger
-ledger._SHARE = ledger._SOONEST_S = 0.0  # each row is written as it comes
-flush, written = ledger.Ledger.flush, 0
-def flush_and_stop(self):
-    global written
-    written += len(self._waiting)
-    flush(self)
-    if written >= {}:
+from smoother.study import run
+take, taken = run._take, 0
+def take_and_stop(*arguments):
+    global taken
+    take(*arguments)
+    taken += 1
+    if taken >= {}:
         os.kill(os.getpid(), signal.SIGSTOP)
-ledger.Ledger.flush = flush_and_stop
+run._take = take_and_stop
 from smoother.cli import main
 main()
 """

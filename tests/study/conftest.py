@@ -42,13 +42,11 @@ def job(made: Path, tmp_path: Path) -> Job:
     folder = study_folder(tmp_path / "out")
     word = folder.open()
     settings = StudySettings()
-    source, hashed = str(made / NAMES[0]), config_hash(settings.config, settings.choice)
+    source, hashed = str(made / NAMES[0]), config_hash(settings.config, settings.selection)
     return Job(NAMES[0], source, str(folder.path), word, settings, hashed)
 
 
 @pytest.fixture
 def in_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do a study's jobs here: what is tested is not the processes."""
-    monkeypatch.setattr(
-        "smoother.study.cluster.run_local", lambda jobs, processes: (run_job(job) for job in jobs)
-    )
+    monkeypatch.setattr("smoother.study.workers.run_apart", run_job)

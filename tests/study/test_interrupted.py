@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
-import socket
-import subprocess
 import sys
 import time
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,14 +25,11 @@ from studies import (
     until_stopped,
 )
 
-from smoother.errors import UnoccludeError
 from smoother.runtime.outputs import temporary_name
-from smoother.study import cluster
-from smoother.study.cluster import run_local
-from smoother.study.folder import DONE, FAILED, Row
+from smoother.study import workers
+from smoother.study.folder import DONE, FAILED
 from smoother.study.inputs import find_entries
-from smoother.study.job import Job, Known, StudySettings, run_job
-from smoother.study.ledger import Ledger
+from smoother.study.job import Job, StudySettings, run_job
 from smoother.study.run import run_study, study_folder
 
 
@@ -46,144 +39,90 @@ def test_a_killed_client(recordings, tmp_path):
     client = start_batch(recordings, "-o", out, "--processes", 2, stop_after=2)
     try:
         until_stopped(client)
-        before, rows, workers = state(out), query(out), children(client.pid)  # asked while it runs
+        before, rows, processes = state(out), query(out), children(client.pid)  # asked while it runs
     finally:
         client.kill()
         client.communicate()
-    until(lambda: not any(is_alive(each) for each in workers), 10.0)  # nobody would hear of their work
-    assert len(workers) >= 2 and len(rows) == 2
-    half = out / ".unocclude" / "stage" / f"{socket.gethostname()}~{client.pid}" / "half.mcap"
-    half.parent.mkdir()
+    until(lambda: not any(is_alive(each) for each in processes), 20.0)  # nobody would hear of their work
+    assert len(processes) == 2 and len(rows) >= 2
+    half = temporary_name(out / NAMES[0])
+    half.parent.mkdir(parents=True, exist_ok=True)
     half.touch()
     assert batch(recordings, "-o", out, "--processes", 1) == 1
     after = query(out)
     assert set(rows) <= set(after) and sorted(row[0] for row in after) == sorted([*NAMES, BROKEN])
     outputs = state(out)
     assert before.items() <= outputs.items() and set(outputs) == set(NAMES)
-    assert not half.parent.exists(), "what is left half written is swept up"
+    assert not half.exists(), "what is left half written is swept up"
 
 
-def kill_workers() -> list[int]:
-    """Kill the processes of `run_local` that have a recording, and say which they were."""
-    import multiprocessing
+#: A process of a study in which the recordings of a name do something else.
+INSTEAD = """
+import os, signal, time
+import numpy as np
+from smoother.study import job, workers
+recover = job._recover
+def instead(mine, *rest):
+    if mine.name == {!r}:
+        {}
+    return recover(mine, *rest)
+job._recover = instead
+workers.serve()
+"""
 
-    workers = [worker.pid for worker in multiprocessing.active_children()]
-    for worker in workers:
-        os.kill(worker, signal.SIGKILL)
-    return workers
+
+def others_too(job: Job, made: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> list[dict]:
+    """The rows of four recordings and of one in which a process does something else."""
+    monkeypatch.setattr(workers, "COMMAND", [sys.executable, "-c", INSTEAD.format("other.mcap", what)])
+    jobs = [replace(job, name=name, source=str(made / name)) for name in NAMES]
+    jobs.insert(2, replace(job, name="other.mcap"))
+    with workers.local(2) as ready:
+        return [row for row in workers.rows_of(iter(jobs), ready) if row is not None]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
-def test_a_killed_worker(job, monkeypatch):
-    """Its recording is done by another process."""
-    monkeypatch.setattr(cluster, "_TICK_S", 0.02)  # a recording of some seconds is done before half a second
-    rows, killed = [], []
-    for row in run_local(iter([job]), 1):
-        if row is not None:
-            rows.append(row)
-        elif not killed:
-            killed = kill_workers()
-    assert len(killed) == 1 and [row["status"] for row in rows] == [DONE]
-
-
-@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
-def test_a_recording_that_kills_its_workers(job, made, monkeypatch):
-    """It fails alone: what waits for the same process, or runs beside it, is done."""
-    monkeypatch.setattr("smoother.study.cluster.run_job", die_of_broken)
-    killer = replace(job, name=BROKEN)
-    others = [replace(job, name=name, source=str(made / name)) for name in NAMES]
-    rows = [row for row in run_local(iter([*others[:2], killer, *others[2:]]), 2) if row is not None]
-    assert sorted(row["recording"] for row in rows if row["status"] == DONE) == sorted(NAMES)
-    (row,) = (row for row in rows if row["status"] == FAILED)
-    assert row["recording"] == BROKEN and row["retry"] and "died one after the other" in row["error"]
-    assert row["error"].count(".") == 0, "one sentence"
-
-
-def die_of_broken(job: Job) -> Row:
-    """A worker's work, with a recording that is the end of it."""
-    if job.name == BROKEN:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return run_job(job)
-
-
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("settings", "what", "said"),
     [
-        (RuntimeError("Nanny failed to start."), r"Nanny failed to start\."),
-        (AssertionError(), "one of them ended as it began"),  # of a nanny that is asked a second time
+        ({}, "os.kill(os.getpid(), signal.SIGKILL)", "died one after the other"),
+        ({"time_limit_s": 10.0}, "time.sleep(100)", "--time-limit"),
+        ({"memory_limit_bytes": 1_500_000_000}, "[np.ones(10**8) for _ in range(9)]", "--memory-limit"),
     ],
 )
-def test_a_worker_that_is_killed_as_it_starts(job, monkeypatch, error, said):
-    """The processes are begun once more, and no oftener."""
-    import distributed
-
-    begun, start = [], distributed.LocalCluster
-
-    def fail_once(**options):
-        begun.append(options)
-        if len(begun) < 2:
-            raise error
-        return start(**options)
-
-    monkeypatch.setattr(distributed, "LocalCluster", fail_once)
-    assert [row["status"] for row in run_local(iter([job]), 1) if row is not None] == [DONE]
-    monkeypatch.setattr(distributed, "LocalCluster", lambda **options: fail_once(times=begun.clear()))
-    with pytest.raises(UnoccludeError, match=f"could not be started: {said}"):
-        list(run_local(iter([job]), 1))
+def test_a_recording_that_ends_its_process_fails_alone(job, made, monkeypatch, settings, what, said):
+    job = replace(job, settings=StudySettings(**settings))
+    rows = {row["recording"]: row for row in others_too(job, made, monkeypatch, what)}
+    assert {name: row["status"] for name, row in rows.items()} == dict.fromkeys(NAMES, DONE) | {
+        "other.mcap": FAILED
+    }
+    row = rows["other.mcap"]
+    assert said in row["error"] and row["retry"] and row["error"].count(".") == 0, "one sentence"
 
 
-def test_an_end_sweeps_what_its_workers_left(job, made):
+@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
+def test_a_process_that_dies_once(job, made, tmp_path, monkeypatch):
+    """Its recording is done by another process."""
+    mark = tmp_path / "died"
+    what = f"not os.path.exists({str(mark)!r}) and (open({str(mark)!r}, 'w'), os._exit(1))"
+    rows = others_too(job, made, monkeypatch, what)
+    assert mark.exists() and [row["status"] for row in rows] == [DONE] * 5
+
+
+def test_an_end_sweeps_what_its_workers_left(in_here, job, made):
     """They are ended in the middle of an output, and the next command may never come."""
     folder = study_folder(Path(job.folder))
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    half = [
-        folder.stage / f"{socket.gethostname()}~{dead.pid}" / "half.mcap",
-        temporary_name(folder.rows / "row.json"),
-    ]
+    entries = find_entries(str(made), folder.path)
+    half = [temporary_name(folder.results / "x.parquet"), temporary_name(folder.output(NAMES[0]))]
 
-    def work(jobs):
-        next(jobs)
-        half[0].parent.mkdir()
+    def interrupt(*_):
         for path in half:
+            path.parent.mkdir(exist_ok=True)
             path.touch()
         raise KeyboardInterrupt
-        yield
 
-    entries = find_entries(str(made), folder.path)
     with pytest.raises(KeyboardInterrupt):
-        run_study(entries, folder, StudySettings(), work, lambda *_: None)
-    assert not half[0].parent.exists() and not half[1].exists()
-
-
-@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads /proc")
-def test_nobody_listens_to_the_network(job, monkeypatch):
-    """Client and processes listen on 127.0.0.1, and only there."""
-    import multiprocessing
-
-    monkeypatch.setattr(cluster, "_TICK_S", 0.02)
-    opened = []
-    for row in run_local(iter([job]), 1):
-        if not opened and row is None:
-            here = [os.getpid(), *(worker.pid for worker in multiprocessing.active_children())]
-            opened = [address for process in here for address in listening(process)]
-    assert len(opened) >= 3 and set(opened) == {"0100007F"}
-
-
-def listening(process: int) -> list[str]:
-    """The addresses at which a process listens, as Linux writes them: 0100007F is 127.0.0.1."""
-    sockets = set()
-    for link in Path(f"/proc/{process}/fd").iterdir():
-        with suppress(OSError):
-            sockets.add(os.readlink(link))
-    lines = [
-        line.split()
-        for table in ("tcp", "tcp6")
-        for line in Path(f"/proc/{process}/net/{table}").read_text().splitlines()[1:]
-    ]
-    return [
-        line[1].partition(":")[0] for line in lines if line[3] == "0A" and f"socket:[{line[9]}]" in sockets
-    ]
+        run_study(entries, folder, StudySettings(), workers.local(1), interrupt)
+    assert not any(path.exists() for path in half)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as a signal")
@@ -201,34 +140,28 @@ def test_ctrl_c(recordings, tmp_path, after_s):
     assert client.returncode == 1 and "the same command continues" in said and said.count("\n") == 1, said
 
 
-def test_cut_off_between_output_and_results(job):
-    """Whatever step a worker had come to, the study takes up what is whole and nothing else."""
+def test_cut_off_between_output_and_row(job):
+    """Whatever step a worker had come to, what is whole is taken up and nothing else."""
     row = run_job(job)
     assert row["status"] == DONE and row["seconds"] > 0
     folder = study_folder(Path(job.folder))
-    waiting = folder.rows / f"{row['id']}.json"
-    settings = (job.config_hash, "", job.version)
-    assert json.loads(waiting.read_text()) == json.loads(json.dumps(row))
-    # the row was written, the output not yet in its place
     output = folder.output(job.name)
-    output.rename(output.with_suffix(".away"))
-    assert Ledger(folder).find(job.name, job.source, settings) == ("", ())
-    assert not query(folder.path) and waiting.exists()
-    # another output is in its place
-    output.write_bytes(b"x" * row["output_bytes"])
-    assert Ledger(folder).find(job.name, job.source, settings) == ("", ())
-    # the output is in its place, the row not yet among the results
-    output.with_suffix(".away").replace(output)
-    known = (Known(row["id"], row["output_hash"]),)
-    assert Ledger(folder).find(job.name, job.source, settings) == (row["id"], known)
-    assert len(query(folder.path)) == 1 and not waiting.exists()
-    # the row is among the results, and its first copy was not yet removed
-    waiting.write_text(json.dumps(row))
-    Ledger(folder)
-    assert len(query(folder.path)) == 1 and not waiting.exists()
-    # a worker that is sent the same content again does not compute it
-    same = run_job(replace(job, known=known))
-    assert (same["status"], same["id"]) == ("same", row["id"]) and not waiting.exists()
+    (file,) = folder.results.iterdir()
+    assert folder.row(job.name)["finished"] == row["finished"]
+    # the same content again is not computed; nor is it where its file was touched
+    os.utime(job.source)
+    assert run_job(job)["finished"] == row["finished"]
+    again = []
+    for spoil in (
+        lambda: output.unlink(),  # the output was moved away
+        lambda: output.write_bytes(b"x" * row["output_bytes"]),  # another output is in its place
+        lambda: file.unlink(),  # the row was not written
+        lambda: file.write_bytes(b"x"),  # the row is damaged
+    ):
+        spoil()
+        again.append(run_job(job))
+    assert len({each["finished"] for each in [row, *again]}) == 5
+    assert {each["output_hash"] for each in again} == {row["output_hash"]}
 
 
 def test_a_worker_that_is_not_set_up(job, tmp_path):
@@ -244,21 +177,20 @@ def test_a_worker_that_is_not_set_up(job, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-def test_a_full_disk_is_tried_again(job, monkeypatch):
+def test_a_full_disk_is_tried_again(in_here, job, made, monkeypatch, capsys):
     import smoother.io
 
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device", "out.mcap")
 
+    write = smoother.io.write_recovery
     monkeypatch.setattr(smoother.io, "write_recovery", full)
     row = run_job(job)
     assert row["status"] == FAILED and row["retry"] and row["error"] == "out.mcap: No space left on device"
-    folder = study_folder(Path(job.folder))
-    settings = (job.config_hash, "", job.version)
-    assert Ledger(folder).find(job.name, job.source, settings) == ("", ())
-    monkeypatch.undo()
-    assert run_job(job)["status"] == DONE
-    assert Ledger(folder).find(job.name, job.source, settings)[0] == row["id"]
+    assert batch(made / NAMES[0], "-o", job.folder, "--processes", 1) == 1
+    monkeypatch.setattr(smoother.io, "write_recovery", write)
+    assert batch(made / NAMES[0], "-o", job.folder, "--processes", 1) == 0
+    assert "1 recovered now" in capsys.readouterr().out
 
 
 def test_one_command_at_a_time(job, made, capsys):

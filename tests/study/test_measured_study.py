@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import duckdb
@@ -11,23 +11,17 @@ import pytest
 from commands import done
 from studies import NAMES, batch, query, state
 
-from smoother.study.folder import MEASURE_FIELDS, Row, StudyFolder
+from smoother.study.folder import MEASURE_FIELDS, StudyFolder
 from smoother.study.inputs import hashed_name, relative_day
-from smoother.study.job import Job, run_job
+from smoother.study.job import run_job
 
 
 @pytest.fixture(autouse=True, scope="module")
 def here() -> Iterator[None]:
     """Do the work in this process: starting others takes longer than the work."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smoother.study.cluster.run_local", lambda jobs, processes: map_here(jobs))
+        patch.setattr("smoother.study.workers.run_apart", run_job)
         yield
-
-
-def map_here(jobs: Iterator[Job]) -> Generator[Row, None, None]:
-    """The jobs' rows, one after the other."""
-    for job in jobs:
-        yield run_job(job)
 
 
 @pytest.fixture(scope="module")

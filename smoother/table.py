@@ -1,0 +1,44 @@
+"""A result as a table: written once, then shown on a terminal, on a page, in Markdown or in JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of figures under columns whose names have units; None and nan stand for what is not known."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    caption: str = ""  # How to read it, for pages
+
+    def markdown(self) -> str:
+        """The table in Markdown, without its title."""
+        lines = [self.columns, ["---"] * len(self.columns), *self.rows]
+        return "".join(f"| {' | '.join(map(cell_text, line))} |\n" for line in lines)
+
+
+def cell_text(value: object, nothing: str = "-") -> str:
+    """A value as tables show it; `nothing` where there is none."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return nothing
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def centimetres(metres: float | None) -> str | None:
+    """A length for a cell, in cm."""
+    return None if metres is None or not math.isfinite(metres) else f"{100 * metres:.2f}"
+
+
+def percent(share: float | None) -> str | None:
+    """A share for a cell."""
+    return None if share is None or not math.isfinite(share) else f"{100 * share:.0f} %"
+
+
+def fixed(value: float | None, digits: int = 2) -> str | None:
+    """A number for a cell, with so many decimals."""
+    return None if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
