@@ -49,7 +49,9 @@ def sample_window(
 ) -> WindowDraws:
     """Draw motions with the covariance that the window states (GTSAM: `GaussianBayesNet.sample`)."""
     # 1. What all windows share, drawn once, and the biases given that.
-    border = _border(system, values, window, biases, plan)
+    jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
+    shared = jacobian @ system.shared_covariance(shared_keys(window, biases)) @ jacobian.T
+    border = _border(system, jacobian, shared, window, biases, plan)
     # 2. Errors that are considered: constant over the recording, and of made-up frame times.
     considered, given = plan.considered_errors(window.t), border
     if shared_sensitivity is not None and considered is not None:
@@ -82,6 +84,7 @@ def sample_window(
         rotation=rotation,
         velocity=of([V(i) for i in count]),
         shoulder=shoulder,
+        shared_covariance=shared,
         turns={name: _turns(values, window, name, plan, of) for name in window.priors.layout.further},
     )
 
@@ -99,16 +102,18 @@ def _turns(
 
 
 def _border(
-    system: LinearSystem, values: gtsam.Values, window: Window, biases: IntArray, plan: DrawPlan
+    system: LinearSystem,
+    jacobian: FloatArray,
+    shared: FloatArray,
+    window: Window,
+    biases: IntArray,
+    plan: DrawPlan,
 ) -> FloatArray:
     """Errors (count, b) of the border's variables: the shared vector, then the other biases given it."""
-    keys = shared_keys(window, biases)
-    jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
-    covariance = jacobian @ system.shared_covariance(keys) @ jacobian.T
     size = system.extras.start
     border = np.zeros((plan.count, size))
-    known = system.border_rows(keys)
-    border[:, known] = plan.shared_errors(covariance) @ np.linalg.inv(jacobian).T
+    known = system.border_rows(shared_keys(window, biases))
+    border[:, known] = plan.shared_errors(shared) @ np.linalg.inv(jacobian).T
     others = np.setdiff1d(np.arange(size), known)  # biases, in the order of time
     if len(others):
         own = system.information[np.ix_(others, others)]

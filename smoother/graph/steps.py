@@ -122,6 +122,8 @@ class StepColumns:
         kinds = dict(KINDS)
         if self.window.considered is not None and self.window.considered.stamp_sigma_s:
             del kinds["clock"]  # made-up stamps jump with every frame that was lost
+        if len({each.camera for each in self.window.joint_measurements}) > 1:
+            del kinds["camera"], kinds["place"]  # one of several that moved shows against the others
         m = len(self.at_s)
         by_cell = information.reshape(m, WIDTH, m, WIDTH)
         score = vector.reshape(m, WIDTH)

@@ -66,7 +66,7 @@ def sample_draws(
     r += delay * turning(imu_t, R_at_samples)[samples][:, None]
     # 4. Joints follow the pose; their lever arms have errors of their own.
     columns = {"position": p, "rotation": r}
-    levers = lever_errors(model, layout, plan)
+    levers = lever_errors(model, layout, drawn.shared_covariance, plan)
     turns = {
         name: _turns(_nodes_first(drawn.turns[name]), motion, t)
         for name in drawn.turns
@@ -94,7 +94,8 @@ def sample_draws(
         for joint in segment.camera_joints:
             along = own[joint].position_m - own[segment.shared_joint].position_m
             a, b = (layout.lever(end, segment.name) for end in (joint, segment.shared_joint))
-            both = plan.shared[a, a] + plan.shared[b, b] - plan.shared[a, b] - plan.shared[b, a]
+            of = drawn.shared_covariance
+            both = of[a, a] + of[b, b] - of[a, b] - of[b, a]
             length = plan.once(f"length {segment.name} {joint}", 3) @ root_of(both)
             moved = _crossed(turns[segment.name], R_own @ along) + _turned(R_own, length)
             columns[JOINT + joint] = columns[JOINT + segment.shared_joint] + moved
@@ -107,11 +108,13 @@ def sample_draws(
     return SectionDraws(samples, {name: values.astype(np.float32) for name, values in columns.items()})
 
 
-def lever_errors(model: SelfCalibration, layout: SharedLayout, plan: DrawPlan) -> dict[str, FloatArray]:
+def lever_errors(
+    model: SelfCalibration, layout: SharedLayout, covariance: FloatArray, plan: DrawPlan
+) -> dict[str, FloatArray]:
     """Errors of the lever arms by joint (k, 3), m in {A}, drawn once, with the sigmas that are stated."""
     constants = layout.constants.start
-    scale = np.sqrt(np.diag(plan.shared))
-    correlation = (plan.shared / scale / scale[:, None])[constants:, constants:]
+    scale = np.sqrt(np.diag(covariance))
+    correlation = (covariance / scale / scale[:, None])[constants:, constants:]
     own = plan.once("levers", len(correlation)) @ root_of(correlation)
     common = plan.once("joints", 3)
     errors = {}

@@ -32,8 +32,7 @@ class DrawPlan:
     seed: int  # As it was asked for
     arm: str  # Side and person: each arm has its own random numbers
     every: int  # Each so-many-th sample of the recording's IMU has a drawn position
-    # (s, s): Covariance of the shared vector by all windows together (`pooling.pooled_shared`)
-    shared: FloatArray
+    shared: FloatArray  # (s, s): covariance of the shared vector before any section has spoken
     considered: Considered | None = None  # Errors that are constant over the recording
 
     def once(self, name: str, width: int) -> FloatArray:
@@ -48,7 +47,7 @@ class DrawPlan:
     def shared_errors(self, covariance: FloatArray) -> FloatArray:  # covariance (s, s) -> (count, s)
         """Errors (count, s) of the shared vector, drawn once, as a window with this covariance has them.
 
-        One draw is taken from what all windows say together. A window's own posterior differs a little from
+        One draw is taken from the prior. A window's own posterior differs a little from
         that, so its errors are the nearest ones with its covariance: the optimal transport between two
         Gaussians (Olkin and Pukelsheim, Linear Algebra Appl. 1982).
         """

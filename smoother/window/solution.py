@@ -41,6 +41,7 @@ class WindowDraws:
     rotation: FloatArray  # (k, n, 3) rad: in {K}
     velocity: FloatArray  # (k, n, 3) m/s: in {K}
     shoulder: FloatArray | None  # (k, n, 3) m
+    shared_covariance: FloatArray  # (s, s): of the shared vector
     # dict of (k, n, 3) rad: Rotation of each further IMU in {K} by its segment, nan where it has no samples
     turns: dict[str, FloatArray] = field(default_factory=dict)
 

@@ -26,26 +26,26 @@ REALISTIC_FACTOR = 1.8
 #: Measured over six seeds, true calibration. White noise leaves joints under-confident: of their 3.1 mm, 2.3
 #: are for constant errors of a camera's joints, which this preset has none of.
 WHITE = {
-    "visible": 0.285,
-    "gaps": 0.353,
-    "orientation": 0.341,
-    "velocity": 0.326,
-    "elbow": 0.133,
-    "wrist": 0.136,
-    "shoulder": 0.540,
+    "visible": 0.161,
+    "gaps": 0.289,
+    "orientation": 0.248,
+    "velocity": 0.264,
+    "elbow": 0.125,
+    "wrist": 0.113,
+    "shoulder": 0.477,
 }
-POINT = {"visible": 0.576, "gaps": 0.412, "orientation": 1.218, "velocity": 0.415}
+POINT = {"visible": 0.533, "gaps": 0.353, "orientation": 0.581, "velocity": 0.292}
 REALISTIC = {
-    "visible": 0.933,
-    "gaps": 0.823,
-    "orientation": 0.997,
-    "velocity": 0.533,
-    "elbow": 0.369,
-    "wrist": 0.353,
-    "shoulder": 0.468,
+    "visible": 0.872,
+    "gaps": 0.770,
+    "orientation": 0.780,
+    "velocity": 0.426,
+    "elbow": 0.387,
+    "wrist": 0.368,
+    "shoulder": 0.464,
 }
 #: Nothing calibrated, two seeds.
-WHITE_BLIND = {"visible": 0.500, "gaps": 0.513, "orientation": 0.687, "velocity": 0.401}
+WHITE_BLIND = {"visible": 0.256, "gaps": 0.340, "orientation": 0.304, "velocity": 0.285}
 REALISTIC_BLIND = {"visible": 0.618, "gaps": 0.876, "orientation": 1.315, "velocity": 0.560}
 
 

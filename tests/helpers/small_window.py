@@ -155,6 +155,7 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
         joint_measurements=measured,
         shoulder=seen_shoulder,
         velocity_change=change,
+        still=np.zeros(0, int),
         priors=Priors(layout, prior, np.repeat([0.02, 0.001], 3) * np.linspace(1.0, 2.0, 6)),
         noise=NOISE,
         field=field,

@@ -79,7 +79,7 @@ def test_a_wrong_set_up_is_not_to_be_trusted(
 
 def test_whose_arm_it_is_decides_what_is_possible() -> None:
     small = sound(0, 30.0)  # what is possible is judged where the lengths are known well
-    small = replace(small, arm=replace(small.arm, position=small.arm.position * 0.5))
+    small = replace(small, arm=replace(small.arm, position=small.arm.position * 0.45))
     recovery = smooth(small, None, ALONE)
     for anatomy, trusted in (("adult", False), ("child", True), ("any", True)):
         config = Config.model_validate({"arm": {"anatomy": anatomy}})

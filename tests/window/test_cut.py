@@ -82,6 +82,7 @@ def prepared_of(gaps: tuple[Gap, ...]) -> PreparedSegment:
         sigma_m=np.full((len(frame_t), len(JOINTS)), 0.01),
         gaps=gaps,
         acceleration_std=np.full(n, 0.5),
+        still=np.zeros(n, bool),
         start_s=0.5,
         end_s=END_S,
     )

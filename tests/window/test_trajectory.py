@@ -190,6 +190,7 @@ def prepared(signal: InertialSignal, curve: Curve, t: FloatArray, upper: slice) 
         sigma_m=np.zeros((0, 5)),
         gaps=(),
         acceleration_std=np.zeros(len(t)),
+        still=np.zeros(len(t), bool),
         start_s=float(t[0]),
         end_s=float(t[-1]),
     )
