@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.special import gammaincc
 
 from ..array_types import FloatArray
 from ..filters import gaussian_smoothed
+from ..graph.optimise import chi_square_tail
 from ..linalg import runs, unit
 from ..measurements.timestamps import PAUSE_SAMPLES
 from ..measurements.visibility import Rejection
@@ -77,7 +77,7 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Si
 
 def _chance(step: Step) -> float:
     """Probability that a sound recording shows as much at one moment."""
-    return float(gammaincc(0.5 * len(step.size), 0.5 * step.squared))
+    return chi_square_tail(0.5 * step.squared, len(step.size))
 
 
 def imu_lies_still(

@@ -15,7 +15,7 @@ from pathlib import Path
 from .. import __version__
 from ..config import Config
 from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging, is_out_of_memory
-from ..io.recording.selection import Selection
+from ..io.recording.choose import Selection
 from ..result import is_of_arm
 from ..runtime.inputs import check_input
 from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measured_arms, text_hash

@@ -212,9 +212,11 @@ def test_the_order_of_the_strategies() -> None:
         patch.setattr(module, "STEP_S", 0.5)
         patch.setattr(module, "FINE_STEP_S", 0.25)
         gap = module._LongGap(np.arange(5), since, 2.0 - since)
-        strategies = [[stage.tolist() for stage in stages] for stages in gap.strategies(0.01, False)]
+        strategies = [
+            [stage.tolist() for stage in stages] for stages in gap.strategies(np.full(5, 0.01), False)
+        ]
         open_end = module._LongGap(np.arange(5), since, np.full(5, np.inf))
-        backwards = [stage.tolist() for stage in list(open_end.strategies(0.01, False))[3]]
+        backwards = [stage.tolist() for stage in list(open_end.strategies(np.full(5, 0.01), False))[3]]
     tight, free = 0.01, 1.0
     assert strategies == [
         [[tight, tight, free, tight, tight]],
@@ -224,7 +226,7 @@ def test_the_order_of_the_strategies() -> None:
         [[tight, free, free, free, tight]] + [[tight, tight, free, tight, tight]] * 2,
     ]
     assert backwards == []  # no end to begin from
-    assert next(gap.strategies(0.01, True)) == []  # an earlier answer is tried as it is first
+    assert next(gap.strategies(np.full(5, 0.01), True)) == []  # an earlier answer is tried as it is first
 
 
 def test_steps_grow_in_gaps_of_minutes() -> None:
