@@ -61,7 +61,7 @@ def without_clock(recording: Recording, config: Config) -> Recovery:
     place = "smoother.selfcal.rounds"
     with (
         patch(f"{place}.constant_clock", lambda *_: constant_clock(0.0, 1e-4)),
-        patch(f"{place}.refined_clocks", lambda clocks, *_: tuple(clocks)),
+        patch(f"{place}.refined_clock", lambda clock, *_: clock),
     ):
         return smooth(recording, None, config)
 
