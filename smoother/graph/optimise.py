@@ -157,11 +157,13 @@ def _in_stages(
 
 def explained(excess: float, knots: int) -> bool:
     """Whether the model explains a long gap: a likelihood-ratio test of the upper arm's length in it."""
-    return excess <= 0.0 or chi_square_tail(excess, knots) > FALSE_ALARM
+    return chi_square_tail(excess, knots) > FALSE_ALARM
 
 
 def chi_square_tail(half: float, freedom: int) -> float:
     """Probability that chi-square of this many degrees of freedom, 1 or more, exceeds 2 half."""
+    if half <= 0.0:
+        return 1.0
     first, tail = (0.5, math.erfc(math.sqrt(half))) if freedom % 2 else (1.0, math.exp(-half))
     steps = range((freedom - 1) // 2)
     return tail + sum(

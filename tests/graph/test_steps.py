@@ -103,3 +103,8 @@ def test_what_chance_gives_is_no_step() -> None:
     assert not list(changed_for_good([step, *usual], [step, *usual]))
     (doubt,) = changed_for_good([step], usual)
     assert doubt.contradicts_s == pytest.approx((9.9, 10.1))
+
+
+def test_a_tracked_point_has_no_mounting_to_step() -> None:
+    """Its columns are zero, and chance gives that always."""
+    assert not list(changed_for_good([Step("mounting", 10.0, np.zeros(6), 0.0)], []))
