@@ -221,3 +221,10 @@ def masked_correlation(
     covariance = shifted(a, b) / n - sum_a * sum_b / n**2
     r = covariance / np.sqrt(np.where(still, 1.0, variance_a * variance_b))
     return np.where(still, 0.0, np.clip(r, -1.0, 1.0)), n
+
+
+def sphere(count: int) -> FloatArray:
+    """Evenly spread directions (count, 3) (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    polar, turn = np.arccos(1 - 2 * k / count), np.pi * (1 + np.sqrt(5)) * k
+    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)

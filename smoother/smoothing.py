@@ -113,7 +113,9 @@ def smooth(
     count = config.windows.processes if processes is None else processes
     with Pool(count, len(recording.arm)) as workers:
         with diagnose_failures(recording, given, clock):
-            recording, coarse_clock, pairing = pair(recording, timeline, clock, workers)
+            recording, coarse_clock, pairing = pair(
+                recording, timeline, clock, workers, given.forearm_direction
+            )
 
         def solved(one: Recording) -> Solved:
             return _solved(one, given, config, workers, store, report, clock, coarse_clock, (draws, seed))

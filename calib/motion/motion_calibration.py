@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
@@ -16,11 +17,13 @@ from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
+from smoother.recovery.imu_signs import PLATEAU_SHARE, clipped
 from smoother.result import Recovery
 from smoother.runtime.pool import Pool
 from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.selfcal.rounds import self_calibrate
 from smoother.selfcal.self_calibration import SelfCalibration
+from smoother.selfcal.session import find_straps
 from smoother.window.priors import with_measured_noise
 
 from ..file import CalibrationFile, with_sigma_table
@@ -229,7 +232,8 @@ def calibrate_motion(
     if len(sides) > 1:
         raise CalibrationError("the recordings are of both arms; calibrate the left and the right apart")
     known = known or ArmCalibration(side=sides[0] if sides else "")
-    moved = [synchronise_coarsely(recording) for recording in recordings]
+    recordings, along, left_out = _of_one_strap(recordings)
+    moved = [synchronise_coarsely(recording, along=along) for recording in recordings]
     segments = [
         reject_by_camera(segment)
         for number, (recording, _) in enumerate(moved)
@@ -238,7 +242,7 @@ def calibrate_motion(
     if not segments:
         raise CalibrationError("the IMU and a visible forearm overlap in none of the recordings")
     with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
-        if len(recordings) > 1:
+        if len(recordings) > 1 and along is None:
             _require_one_mounting(recordings, segments, known, config, pool)
         solved = self_calibrate(segments, known, config, pool)
     calibration = solved.estimate
@@ -257,7 +261,7 @@ def calibrate_motion(
         frame=frame,
         offsets=offsets,
         evidence=evidence,
-        not_determined=(*left_open, *clocks_not_determined(offsets)),
+        not_determined=(*left_open, *clocks_not_determined(offsets), *left_out),
         camera={
             joint: JointError(noise.sample_m, float(shifts_m[JOINTS.index(joint)]))
             for joint, noise in solved.joint_noise.items()
@@ -266,6 +270,36 @@ def calibrate_motion(
         given=names_given(known),
         self_calibration=solved,
     )
+
+
+def _of_one_strap(
+    recordings: Sequence[Recording],
+) -> tuple[Sequence[Recording], FloatArray | None, tuple[str, ...]]:
+    """The recordings whose clocks the session shows, the forearm's direction in the sensor, and what was left out.
+
+    All of them, and None, where their clocks are known without.
+    """
+    if sum(recording.clocks_unrelated for recording in recordings) < len(recordings) or len(recordings) < 2:
+        return recordings, None, ()
+    straps = find_straps(recordings)
+    if not straps:
+        return recordings, None, ()
+    names = [[recordings[number].name for number in strap.members] for strap in straps]
+    if len(straps) > 1:
+        listed = "; ".join(", ".join(group) for group in names)
+        raise CalibrationError(
+            f"the IMU sat on the forearm in {len(straps)} ways: the strap was put on anew, or a person is another"
+            f" one; calibrate each group by itself: {listed}"
+        )
+    others = [recording.name for recording in recordings if recording.name not in names[0]]
+    left_out = [f"{', '.join(others)}: the motion does not show the clock there; left out"] if others else []
+    members = [recordings[number] for number in straps[0].members]
+    whole = [each for each in members if not any(clipped(each.imu, PLATEAU_SHARE))]
+    if 0 < len(whole) < len(members):
+        names_clipped = ", ".join(each.name for each in members if each.name not in {one.name for one in whole})
+        left_out.append(f"{names_clipped}: the sensor was clipped; left out")
+        members = whole
+    return members, straps[0].along, tuple(left_out)
 
 
 def _require_one_mounting(
@@ -329,7 +363,7 @@ def _offsets(
 ) -> tuple[ClockOffset, ...]:
     offsets = []
     for number, recording in enumerate(recordings):
-        if number not in used:
+        if number not in used or number >= len(solved.clocks):
             offsets.append(ClockOffset(recording.name))
             continue
         clock = solved.clocks[number].after(coarse[number])

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..errors import SolveError
-from ..linalg import unit
+from ..linalg import sphere, unit
 from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.inertial import InertialAttitude
 from ..measurements.segment import AROUND_S, Segment, make_segment, traits_of
@@ -171,13 +171,6 @@ def _information(block: RayBlock) -> float:
     return float(len(block.t) * turned.std(axis=0).mean())
 
 
-def _sphere(count: int) -> FloatArray:
-    """Evenly spread directions (count, 3) (Fibonacci lattice)."""
-    k = np.arange(count) + 0.5
-    polar, turn = np.arccos(1 - 2 * k / count), np.pi * (1 + np.sqrt(5)) * k
-    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
-
-
 def _upright(down: FloatArray) -> FloatArray:
     """Some rotation (3, 3) that takes z up to the camera's up; the usual camera's where nothing is known."""
     up = -unit(down) if np.linalg.norm(down) > 0.5 else np.array([0.0, -1.0, 0.0])
@@ -188,7 +181,7 @@ def _upright(down: FloatArray) -> FloatArray:
 def _found(block: RayBlock, down: FloatArray) -> Hypothesis | None:
     """The likeliest of all hypotheses; None where none fits."""
     level, normal = _upright(down), block.normal
-    directions = _sphere(DIRECTIONS)
+    directions = sphere(DIRECTIONS)
     headings = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
     cos, sin = np.cos(headings)[:, None, None], np.sin(headings)[:, None, None]
     m = normal @ level  # in the inertial frame's axes, but for the heading

@@ -18,14 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..linalg import unit
+from ..linalg import sphere, unit
 from ..measurements.alignment import acceleration_pairs
 from ..measurements.inertial import InertialAttitude
 from ..measurements.segment import Segment
 from ..recording import JOINTS
 from ..result import Recovery
 from ..rotation import Rotation
-from ..selfcal.mounting import sphere
 from ..units import GRAVITY
 
 #: Directions of the forearm that the search starts from, and its steps.

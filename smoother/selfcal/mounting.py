@@ -17,7 +17,7 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration, LeverArm
-from ..linalg import largest_trace, parabola_vertex
+from ..linalg import largest_trace, parabola_vertex, sphere
 from ..measurements.alignment import Alignment, VectorPairs, acceleration_pairs, align, direction_pairs, pairs
 from ..measurements.clock import OFFSET_SIGMA_S, constant_clock
 from ..measurements.outliers import reject_by_camera
@@ -152,13 +152,6 @@ def _losses(segment: Segment, rows: BoolArray, offsets: FloatArray, directions: 
         profile = np.moveaxis(tensor @ directions.T, -1, 1) + hint
         loss += member.sum() - largest_trace(profile)
     return loss / DIRECTION_SIGMA_RAD**2
-
-
-def sphere(count: int) -> FloatArray:
-    """Evenly spread directions (count, 3) (Fibonacci lattice)."""
-    k = np.arange(count) + 0.5
-    polar, turn = np.arccos(1 - 2 * k / count), np.pi * (1 + np.sqrt(5)) * k
-    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
 
 
 def _cap(centre: FloatArray, width: float) -> FloatArray:

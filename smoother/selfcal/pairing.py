@@ -12,13 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..errors import CalibrationError
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.segment import Timeline
 from ..recording import Recording
 from ..result.verdict import Pairing
 from ..runtime.pool import Pool
-from .agreement import MotionAgreement, OffsetLine, agreement
+from .agreement import CHANCE_SCALE, KNOWN_SCALE, MotionAgreement, OffsetLine, agreement
 
 #: Less likely by chance than this is proof; a clock is moved, or drift believed, from the second on.
 PROVED, LIKELY = 1e-3, 1e-2
@@ -44,11 +45,12 @@ def find_pairing(
     timeline: Timeline | None = None,
     given: Clock | None = None,
     workers: Pool | None = None,
+    along: FloatArray | None = None,
 ) -> tuple[Pairing | None, Clock | None]:
     """Whether camera and IMU are of one motion, and the clock by which the camera's stamps are to be
     moved.
     """
-    return decided(agreement(recording, timeline, workers), recording, given)
+    return decided(agreement(recording, timeline, workers, along), recording, given)
 
 
 def decided(
@@ -64,7 +66,8 @@ def decided(
     is_far = line is not found.near
     chance = line.chance
     if is_far:  # another offset that fits about as well is a wrong clock
-        chance = min(1.0, max(chance, float(np.exp(-max(line.evidence - found.rival, 0.0) / 1.6))))
+        scale = KNOWN_SCALE if found.is_mounted else CHANCE_SCALE
+        chance = min(1.0, max(chance, float(np.exp(-max(line.evidence - found.rival, 0.0) / scale))))
     proved = chance < PROVED
     reason, caution = "", ""
     seen_s = float(recording.arm.t_s[-1] - recording.arm.t_s[0])
@@ -169,22 +172,29 @@ def pair(
     timeline: Timeline | None = None,
     given: Clock | None = None,
     workers: Pool | None = None,
+    along: FloatArray | None = None,
 ) -> tuple[Recording, Clock | None, Pairing | None]:
-    """Whether camera and IMU belong together; their clocks brought to where the fine search reaches."""
+    """Whether camera and IMU belong together; their clocks brought to where the fine search reaches.
+
+    `along` (3,) is the forearm's direction in the sensor, where a calibration has it.
+    """
     if given is not None:
-        recording = _moved(recording, given)
-        pairing, _ = find_pairing(recording, None, given, workers)
+        recording = moved(recording, given)
+        pairing, _ = find_pairing(recording, None, given, workers, along)
         return recording, given, pairing
-    pairing, clock = find_pairing(recording, timeline, None, workers)
-    return (recording if clock is None else _moved(recording, clock)), clock, pairing
+    pairing, clock = find_pairing(recording, timeline, None, workers, along)
+    return (recording if clock is None else moved(recording, clock)), clock, pairing
 
 
 def synchronise_coarsely(
-    recording: Recording, timeline: Timeline | None = None, measured: Clock | None = None
+    recording: Recording,
+    timeline: Timeline | None = None,
+    measured: Clock | None = None,
+    along: FloatArray | None = None,
 ) -> tuple[Recording, Clock | None]:
     """Bring the camera's stamps to where the fine search finds the rest; `pair` without its answer."""
-    clock = measured or coarse_clock(recording, timeline)
-    return (recording if clock is None else _moved(recording, clock)), clock
+    clock = measured or find_pairing(recording, timeline, along=along)[1]
+    return (recording if clock is None else moved(recording, clock)), clock
 
 
 def coarse_clock(recording: Recording, timeline: Timeline | None = None) -> Clock | None:
@@ -207,5 +217,6 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
     return line.offset_s if is_believed and abs(line.offset_s) > reach_s else 0.0
 
 
-def _moved(recording: Recording, clock: Clock) -> Recording:
+def moved(recording: Recording, clock: Clock) -> Recording:
+    """The recording with the camera's stamps on the IMU's clock."""
     return replace(recording, arm=replace(recording.arm, t_s=clock.to_imu(recording.arm.t_s)))

@@ -6,6 +6,8 @@ for the derivatives x = d' and Y = R_E_A' after any filter along time. For one o
 closed form alternately; over all offsets the sums that they need are correlations, which the Fourier
 transform gives.
 
+Where a is known, from other recordings with the same strap, Q alone is free, and seconds of motion tell.
+
 What lies outside the overlap is treated as unexplained: an offset cannot win by leaving most of the data out.
 A mirrored skeleton, or elbow and wrist exchanged, fits as well as the true one if Q is free (a and Q turn).
 """
@@ -18,9 +20,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..filters import gaussian_smoothed
-from ..linalg import nearest_rotation, unit
+from ..linalg import largest_trace, nearest_rotation, unit
 from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, without_spikes
 from ..measurements.timestamps import dejitter
@@ -164,53 +166,113 @@ class EvidenceCurve:
     freedom: float  # Independent samples of the camera's turning beyond the unknowns
 
 
+@dataclass(frozen=True)
+class TurningSums:
+    """The sums over time that tell how much an IMU explains, at every offset at which enough is in common."""
+
+    camera: CameraTurning
+    has_up: bool  # {E}'s up is known in {K}: its heading alone is free
+    first: int  # The first offset, in steps of the grid: IMU's number less camera's
+    known: IntArray  # (k,): grid points that the camera has and a run of the IMU, by offset
+    needed: float  # So many have to be in common
+    # By run: its first row of `known`, the rows from there on (r,), T (r, 3, 3, 3), C (r, 3, 3), the most (r,)
+    runs: tuple[tuple[int, IntArray, FloatArray, FloatArray, FloatArray], ...]
+
+    @classmethod
+    def of(cls, camera: CameraTurning, runs: Sequence[ImuTurning], up: FloatArray | None) -> TurningSums:
+        """Of what the camera saw and the IMU's runs; `up` (3,) in {K}."""
+        n = len(camera.rate)
+        first = min(run.first for run in runs) - camera.first - (n - 1)
+        last = max(run.first + len(run.rate) for run in runs) - camera.first
+        known = np.zeros(last - first)
+        known_s = camera.known.sum() / GRID_HZ
+        imu_s = sum(len(run.rate) for run in runs) / GRID_HZ
+        needed = GRID_HZ * max(min(OVERLAP_SHARE * min(known_s, imu_s), OVERLAP_S), SHORTEST_S)
+        sums = []
+        for run in runs:
+            row = run.first - camera.first - (n - 1) - first
+            count, *own = _sums(camera, run, up)
+            known[row : row + len(count)] += count
+            sums.append((row, *own))
+        return cls(camera, up is not None, first, known, needed, tuple(sums))
+
+    def curve(self, along: FloatArray | None = None) -> EvidenceCurve:
+        """The evidence at every offset; `along` (3,) is the forearm's direction in the sensor, if known."""
+        power = np.zeros(len(self.known))
+        for row, rows, T, C, most in self.runs:
+            if not len(rows):
+                continue
+            if along is None:
+                explained = _searched(T, C, self.has_up)
+            else:
+                explained = _fits_along(T, C, along[None], self.has_up)[0]
+            power[row + rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
+        enough = self.known > self.needed - 0.5
+        evidence = np.where(enough, self._evidence(power, along is not None), 0.0)
+        return EvidenceCurve(self.first, evidence, int(enough.sum()), self._freedom(along is not None))
+
+    def best_of(self, directions: FloatArray) -> FloatArray:  # (d, 3) -> (d,)
+        """The evidence of the best offset for each of some directions of the forearm in the sensor."""
+        power = np.zeros((len(directions), len(self.known)))
+        for row, rows, T, C, most in self.runs:
+            explained = _fits_along(T, C, directions, self.has_up)
+            power[:, row + rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
+        power[:, self.known <= self.needed - 0.5] = 0.0
+        return np.asarray(self._evidence(power.max(axis=1), True))
+
+    def _freedom(self, is_known: bool) -> float:
+        unknown = (1 if self.has_up else 3) + (0 if is_known else 2)
+        return max(self.camera.effective_samples - 0.5 * unknown, 0.0)
+
+    def _evidence(self, power: FloatArray, is_known: bool) -> FloatArray:
+        share = np.clip(power / max(self.camera.power, 1e-12), 0.0, MOST_EXPLAINED)
+        return np.asarray(-self._freedom(is_known) * np.log1p(-share))
+
+
 def turning_evidence(
     camera: CameraTurning,
     runs: Sequence[ImuTurning],
     up: FloatArray | None,  # (3,)
+    along: FloatArray | None = None,  # (3,)
 ) -> EvidenceCurve:
     """The evidence at every offset at which enough of both is in common."""
-    n = len(camera.rate)
-    first = min(run.first for run in runs) - camera.first - (n - 1)
-    last = max(run.first + len(run.rate) for run in runs) - camera.first
-    power, shared = np.zeros(last - first), np.zeros(last - first)
-    known_s = camera.known.sum() / GRID_HZ
-    imu_s = sum(len(run.rate) for run in runs) / GRID_HZ
-    needed = GRID_HZ * max(min(OVERLAP_SHARE * min(known_s, imu_s), OVERLAP_S), SHORTEST_S)
-    for run in runs:
-        rows = slice(run.first - camera.first - (n - 1) - first, None)
-        count, explained = _explained(camera, run, up, GRID_HZ * SHORTEST_S)
-        shared[rows][: len(count)] += count
-        power[rows][: len(count)] += explained
-    enough = shared > needed - 0.5
-    share = np.clip(power / max(camera.power, 1e-12), 0.0, MOST_EXPLAINED)
-    freedom = max(camera.effective_samples - 0.5 * (3 if up is not None else 5), 0.0)
-    evidence = np.where(enough, -freedom * np.log1p(-share), 0.0)
-    return EvidenceCurve(first, evidence, int(enough.sum()), freedom)
+    return TurningSums.of(camera, runs, up).curve(along)
 
 
-def _explained(
-    camera: CameraTurning, imu: ImuTurning, up: FloatArray | None, needed: float
-) -> tuple[FloatArray, FloatArray]:
-    """By offset: grid points in common, and the power that the IMU explains; (n + m - 1,) each."""
+def _sums(
+    camera: CameraTurning, imu: ImuTurning, up: FloatArray | None
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
+    """Grid points in common by offset (n + m - 1,); where enough are (r,), T, C, and the most to explain."""
     m = len(imu.rate)
     weight = camera.weight[:, None]
     gram = np.einsum("tij,tik->tjk", imu.rate, imu.rate).reshape(m, 9)
     count = correlation(camera.known[:, None].astype(float), np.ones((m, 1)))[:, 0, 0]
-    rows = np.flatnonzero(count > needed - 0.5)
+    rows = np.flatnonzero(count > GRID_HZ * SHORTEST_S - 0.5)
     C = correlation(weight, gram)[rows, 0].reshape(-1, 3, 3)
     T = correlation(weight * camera.rate, imu.rate.reshape(m, 9))[rows].reshape(-1, 3, 3, 3)
     most = correlation(weight * (camera.rate**2).sum(axis=1)[:, None], np.ones((m, 1)))[rows, 0, 0]
     if up is not None:  # x in axes whose third points up, as that of {E} does
         T = np.einsum("ai,najk->nijk", _upright(up), T)
-    power = np.zeros(len(count))
-    if len(rows):
-        coarse = np.unique(np.append(np.arange(0, len(rows), COARSE), len(rows) - 1))
-        answer = np.interp(np.arange(len(rows)), coarse, _best_fits(T[coarse], C[coarse], up is not None))
-        fine = np.setdiff1d(np.flatnonzero(answer > LOOKED_AT * answer.max()), coarse)
-        answer[fine] = _best_fits(T[fine], C[fine], up is not None)
-        power[rows] = np.clip(answer, 0.0, np.maximum(most, 0.0))
-    return count, power
+    return count, rows, T, C, most
+
+
+def _searched(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
+    """The best fits (n,): some offsets first, then all where these are good."""
+    coarse = np.unique(np.append(np.arange(0, len(T), COARSE), len(T) - 1))
+    answer = np.interp(np.arange(len(T)), coarse, _best_fits(T[coarse], C[coarse], heading_only))
+    fine = np.setdiff1d(np.flatnonzero(answer > LOOKED_AT * answer.max()), coarse)
+    answer[fine] = _best_fits(T[fine], C[fine], heading_only)
+    return answer
+
+
+def _fits_along(T: FloatArray, C: FloatArray, along: FloatArray, heading_only: bool) -> FloatArray:
+    """2 tr(Q' T a) - a' C a with the best rotation Q, for each of some directions a (d, 3): (d, n)."""
+    M = np.einsum("nijk,dk->dnij", T, along)
+    if heading_only:
+        trace = np.hypot(M[..., 0, 0] + M[..., 1, 1], M[..., 1, 0] - M[..., 0, 1]) + M[..., 2, 2]
+    else:
+        trace = largest_trace(M)
+    return np.asarray(2.0 * trace - np.einsum("di,nij,dj->dn", along, C, along))
 
 
 def _best_fits(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:

@@ -1,0 +1,88 @@
+"""Recordings of one session: what the strap shows over all of them, and which of them it does not fit.
+
+A trial of some seconds hardly proves its clock alone: the forearm's direction in the sensor, the heading and the
+offset all are free. Trials of one person and strap share that direction. For each direction on a grid every trial
+has an offset that fits best; the direction that all trials together support is the strap's, and with it a trial
+needs little motion (`agreement`). Trials that it does not fit are asked whether they share another one, as after
+a strap was put on anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..linalg import sphere, unit
+from ..recording import Recording
+from ..runtime.pool import Pool
+from .agreement import CHANCE_SCALE, OFFSETS_PER_S, agreement, turning_sums
+from .pairing import LIKELY, decided
+from .turning_evidence import GRID_HZ, TurningSums
+
+#: Directions that are tried, and how far those beside the best one are from it at first, rad; how often halved.
+DIRECTIONS, BESIDE_RAD, HALVED = 400, 0.12, 3
+#: What a trial's best offset reaches by chance is taken off its evidence; one trial counts for this at most.
+MOST_OF_ONE = 15.0
+#: So many recordings that a direction proves are a strap; one recording alone proves nothing of others.
+FEWEST = 2
+
+
+@dataclass(frozen=True)
+class Strap:
+    """An IMU as it sat on a forearm, and the recordings that show it."""
+
+    along: FloatArray  # (3,): the forearm's direction in the sensor
+    members: tuple[int, ...]  # Numbers of the recordings that it fits
+
+
+def find_straps(recordings: Sequence[Recording], workers: Pool | None = None) -> list[Strap]:
+    """The straps of a session, that of most recordings first; recordings that none fits are in none."""
+    sums = {number: list(turning_sums(recording, workers)) for number, recording in enumerate(recordings)}
+    left = [number for number, own in sums.items() if own]
+    straps = []
+    while len(left) >= FEWEST:
+        along = _shared_direction([each for number in left for each in sums[number]])
+        members = tuple(number for number in left if _fits(recordings[number], along, workers))
+        if len(members) < FEWEST:
+            break
+        straps.append(Strap(along, members))
+        left = [number for number in left if number not in members]
+    return sorted(straps, key=lambda strap: -len(strap.members))
+
+
+def _fits(recording: Recording, along: FloatArray, workers: Pool | None) -> bool:
+    found = agreement(recording, None, workers, along)
+    if found is None or not found.is_mounted:
+        return False
+    pairing, _ = decided(found, recording)
+    return pairing is not None and pairing.chance < LIKELY
+
+
+def _shared_direction(sums: Sequence[TurningSums]) -> FloatArray:
+    """The direction of the forearm in the sensor that all together support most."""
+    directions = sphere(DIRECTIONS)
+    best = directions[int(_support(sums, directions).argmax())]
+    for halved in range(HALVED):
+        beside = np.array(list(_beside(best, BESIDE_RAD * 0.5**halved)))
+        best = beside[int(_support(sums, beside).argmax())]
+    return np.asarray(best)
+
+
+def _support(sums: Sequence[TurningSums], directions: FloatArray) -> FloatArray:
+    """(d,) how much the recordings together speak for each direction."""
+    total = np.zeros(len(directions))
+    for each in sums:
+        by_chance = CHANCE_SCALE * np.log(max(OFFSETS_PER_S * len(each.known) / GRID_HZ, 1.0))
+        total += np.clip(each.best_of(directions) - by_chance, 0.0, MOST_OF_ONE)
+    return total
+
+
+def _beside(along: FloatArray, apart_rad: float) -> Iterator[FloatArray]:
+    """A direction, and eight around it."""
+    across = np.linalg.svd(along[None])[2][1:]
+    for u in (0.0, -apart_rad, apart_rad):
+        for v in (0.0, -apart_rad, apart_rad):
+            yield unit(along + u * across[0] + v * across[1])
