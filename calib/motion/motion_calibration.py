@@ -275,7 +275,7 @@ def calibrate_motion(
 def _of_one_strap(
     recordings: Sequence[Recording],
 ) -> tuple[Sequence[Recording], FloatArray | None, tuple[str, ...]]:
-    """The recordings whose clocks the session shows, the forearm's direction in the sensor, and what was left out.
+    """Recordings whose clocks show together, the forearm's direction in the sensor, and what was left out.
 
     All of them, and None, where their clocks are known without.
     """
@@ -288,15 +288,17 @@ def _of_one_strap(
     if len(straps) > 1:
         listed = "; ".join(", ".join(group) for group in names)
         raise CalibrationError(
-            f"the IMU sat on the forearm in {len(straps)} ways: the strap was put on anew, or a person is another"
-            f" one; calibrate each group by itself: {listed}"
+            f"the IMU sat on the forearm in {len(straps)} ways: the strap was put on anew, or there are"
+            f" several persons; calibrate each group by itself: {listed}"
         )
     others = [recording.name for recording in recordings if recording.name not in names[0]]
     left_out = [f"{', '.join(others)}: the motion does not show the clock there; left out"] if others else []
     members = [recordings[number] for number in straps[0].members]
     whole = [each for each in members if not any(clipped(each.imu, PLATEAU_SHARE))]
     if 0 < len(whole) < len(members):
-        names_clipped = ", ".join(each.name for each in members if each.name not in {one.name for one in whole})
+        names_clipped = ", ".join(
+            each.name for each in members if each.name not in {one.name for one in whole}
+        )
         left_out.append(f"{names_clipped}: the sensor was clipped; left out")
         members = whole
     return members, straps[0].along, tuple(left_out)

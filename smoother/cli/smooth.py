@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -62,6 +64,7 @@ from .output import (
 if TYPE_CHECKING:
     from calib.motion.motion_calibration import ArmEstimates
 
+    from ..config import Config
     from ..evaluation.summary import GapSummary
     from ..recording import Recording
     from ..result import Recovery
@@ -71,6 +74,14 @@ def smooth(
     recording_file: RecordingPath,
     output: Output,
     source: ArmInput = EVERY_ARM,
+    session: Annotated[
+        Path | None,
+        typer.Option(
+            "--session",
+            metavar="FOLDER",
+            help="Short trials of the same person and strap: calibrate them together first.",
+        ),
+    ] = None,
     config_file: ConfigFile = None,
     method: Annotated[
         str, typer.Option("--method", metavar="M", help=f"Method: {', '.join(METHODS)}.")
@@ -124,7 +135,10 @@ def smooth(
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, source.calibration_file, config_file])
     config = read_config(config_file, processes, anatomy, body_height)
-    with DiskStore() as store:  # memory stays flat however long the recording is
+    with DiskStore() as store, TemporaryDirectory(prefix="unocclude-") as folder:
+        if session is not None:
+            source = of_session(recording_file, session, source, config, Path(folder))
+        # memory stays flat however long the recording is
         arms = source.load(recording_file, store=store, truth=False)
         recordings = [recording for recording, _ in arms]
         clocks = [source.clock(one) for one in recordings]
@@ -157,6 +171,28 @@ def smooth(
     say_written(output, report, json_file)
     if strict:
         end_strictly(recovery.estimates.trusted for recovery in answers)
+
+
+def of_session(
+    recording_file: Path, session: Path, source: ArmInput, config: Config, folder: Path
+) -> ArmInput:
+    """The input with the calibration that the trials of a folder show together, and what they brought."""
+    from ..study.sessions import calibrate_session, write_arms
+
+    if source.calibration_file is not None:
+        raise typer.BadParameter("--session finds the calibration; give it or --calibration, not both")
+    if not session.is_dir():
+        raise typer.BadParameter(f"--session is a folder of recordings; {session} is none")
+    own = recording_file.resolve()
+    trials = dict.fromkeys([*(path.resolve() for path in sorted(session.glob("*.mcap"))), own])
+    found = calibrate_session(trials, source.arm.reading(), config, config.windows.processes)
+    if found.sentence:
+        say(f"{session}: {found.sentence}")
+    if own not in found.arms:
+        say(f"{recording_file}: it is no trial of this session's straps, or its motion does not show it")
+        return source
+    write_arms(folder / "session.toml", found.arms[own])
+    return replace(source, calibration_file=folder / "session.toml")
 
 
 def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool) -> None:

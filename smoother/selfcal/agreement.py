@@ -54,11 +54,11 @@ CHANCE_SCALE, CHANCE_START, CHANCE_STRETCH, CHANCE_FREE = 1.6, 0.0, 1.5, 1.5
 #: And the part of the camera's turning that it explains where both are of the same exercise; the camera's own
 #: error, by the forearm's length, accounts for this part at most.
 SAME_EXERCISE, MOST_NOISE = 0.08, 0.4
-#: The same where the forearm's direction in the sensor is known: 844 pairs of SmartFallMM of two activities have
-#: 1.8 or more in 10 %, 3.7 in 1 %, 5.6 in 0.1 %; so many offsets of a search count as one. 86 pairs of two rounds of
-#: one activity have up to 10, and explain 0.18 or more in 10 %, 0.41 in 1 %: streams that are named as a pair
-#: are of two rounds in this part of cases at most.
-KNOWN_SCALE, KNOWN_TRIED, OTHER_ROUND = 0.9, 10.0, 0.05
+#: The same where the forearm's direction in the sensor is known: 844 pairs of two activities (SmartFallMM)
+#: have 1.8 or more in 10 %, 3.7 in 1 %, 5.6 in 0.1 %, and 720 of simulated arms 3.2 at most; so many offsets
+#: of a search count as one. 86 pairs of two rounds of one activity have up to 10, and explain 0.18 or more in
+#: 10 %, 0.41 in 1 %: streams that are named as a pair are of two rounds in this part of cases at most.
+KNOWN_SCALE, KNOWN_TRIED, OTHER_ROUND = 0.9, 40.0, 0.05
 #: Good enough not to look further; a freer fit has to be this much less likely to be chance to count.
 CERTAIN, SWITCH = 1e-3, 0.1
 #: Distinct offsets in a second of search.
@@ -124,7 +124,7 @@ def agreement(
         stretches = list(_stretches(recording, timeline, tip, around_s, workers))
         if not stretches:
             return None
-        kinds = [] if along is None else [(up, along)]
+        kinds: list[tuple[FloatArray | None, FloatArray | None]] = [] if along is None else [(up, along)]
         kinds += [(up, None), (None, None)] if up is not None else [(None, None)]
         for direction, mounted in kinds:
             curves = list(workers.map(partial(_evidence, up=direction, along=mounted), stretches))

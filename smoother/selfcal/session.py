@@ -1,10 +1,10 @@
 """Recordings of one session: what the strap shows over all of them, and which of them it does not fit.
 
-A trial of some seconds hardly proves its clock alone: the forearm's direction in the sensor, the heading and the
-offset all are free. Trials of one person and strap share that direction. For each direction on a grid every trial
-has an offset that fits best; the direction that all trials together support is the strap's, and with it a trial
-needs little motion (`agreement`). Trials that it does not fit are asked whether they share another one, as after
-a strap was put on anew.
+A trial of some seconds hardly proves its clock alone: the forearm's direction in the sensor, the heading and
+the offset all are free. Trials of one person and strap share that direction. For each direction on a grid
+every trial has an offset that fits best; the direction that all trials together support is the strap's, and
+with it a trial needs little motion (`agreement`). Trials that it does not fit are asked whether they share
+another one, as after a strap was put on anew.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from .agreement import CHANCE_SCALE, OFFSETS_PER_S, agreement, turning_sums
 from .pairing import LIKELY, decided
 from .turning_evidence import GRID_HZ, TurningSums
 
-#: Directions that are tried, and how far those beside the best one are from it at first, rad; how often halved.
+#: Directions that are tried, and how far those beside the best one are from it at first, rad; how often that
+#: is halved.
 DIRECTIONS, BESIDE_RAD, HALVED = 400, 0.12, 3
 #: What a trial's best offset reaches by chance is taken off its evidence; one trial counts for this at most.
 MOST_OF_ONE = 15.0
@@ -42,15 +43,23 @@ def find_straps(recordings: Sequence[Recording], workers: Pool | None = None) ->
     """The straps of a session, that of most recordings first; recordings that none fits are in none."""
     sums = {number: list(turning_sums(recording, workers)) for number, recording in enumerate(recordings)}
     left = [number for number, own in sums.items() if own]
-    straps = []
+    straps: list[FloatArray] = []
+    fitting: list[int] = []
     while len(left) >= FEWEST:
         along = _shared_direction([each for number in left for each in sums[number]])
         members = tuple(number for number in left if _fits(recordings[number], along, workers))
         if len(members) < FEWEST:
             break
-        straps.append(Strap(along, members))
+        straps.append(along)
+        fitting += members
         left = [number for number in left if number not in members]
-    return sorted(straps, key=lambda strap: -len(strap.members))
+    # a trial that several fit is of the one that fits it best
+    own: dict[int, list[int]] = {kind: [] for kind in range(len(straps))}
+    for number in sorted(fitting):
+        support = sum(each.best_of(np.array(straps)) for each in sums[number])
+        own[int(np.argmax(support))].append(number)
+    found = [Strap(straps[kind], tuple(members)) for kind, members in own.items() if members]
+    return sorted(found, key=lambda strap: -len(strap.members))
 
 
 def _fits(recording: Recording, along: FloatArray, workers: Pool | None) -> bool:

@@ -166,6 +166,9 @@ class EvidenceCurve:
     freedom: float  # Independent samples of the camera's turning beyond the unknowns
 
 
+_Sums = tuple[IntArray, FloatArray, FloatArray, FloatArray]
+
+
 @dataclass(frozen=True)
 class TurningSums:
     """The sums over time that tell how much an IMU explains, at every offset at which enough is in common."""
@@ -173,10 +176,10 @@ class TurningSums:
     camera: CameraTurning
     has_up: bool  # {E}'s up is known in {K}: its heading alone is free
     first: int  # The first offset, in steps of the grid: IMU's number less camera's
-    known: IntArray  # (k,): grid points that the camera has and a run of the IMU, by offset
+    known: FloatArray  # (k,): grid points that the camera has and a run of the IMU, by offset
     needed: float  # So many have to be in common
-    # By run: its first row of `known`, the rows from there on (r,), T (r, 3, 3, 3), C (r, 3, 3), the most (r,)
-    runs: tuple[tuple[int, IntArray, FloatArray, FloatArray, FloatArray], ...]
+    # By run: its first row of `known`; rows from there on (r,), T (r, 3, 3, 3), C (r, 3, 3), the most (r,)
+    runs: tuple[tuple[int, _Sums], ...]
 
     @classmethod
     def of(cls, camera: CameraTurning, runs: Sequence[ImuTurning], up: FloatArray | None) -> TurningSums:
@@ -188,18 +191,18 @@ class TurningSums:
         known_s = camera.known.sum() / GRID_HZ
         imu_s = sum(len(run.rate) for run in runs) / GRID_HZ
         needed = GRID_HZ * max(min(OVERLAP_SHARE * min(known_s, imu_s), OVERLAP_S), SHORTEST_S)
-        sums = []
+        sums: list[tuple[int, _Sums]] = []
         for run in runs:
             row = run.first - camera.first - (n - 1) - first
-            count, *own = _sums(camera, run, up)
+            count, own = _sums(camera, run, up)
             known[row : row + len(count)] += count
-            sums.append((row, *own))
+            sums.append((row, own))
         return cls(camera, up is not None, first, known, needed, tuple(sums))
 
     def curve(self, along: FloatArray | None = None) -> EvidenceCurve:
         """The evidence at every offset; `along` (3,) is the forearm's direction in the sensor, if known."""
         power = np.zeros(len(self.known))
-        for row, rows, T, C, most in self.runs:
+        for row, (rows, T, C, most) in self.runs:
             if not len(rows):
                 continue
             if along is None:
@@ -214,7 +217,7 @@ class TurningSums:
     def best_of(self, directions: FloatArray) -> FloatArray:  # (d, 3) -> (d,)
         """The evidence of the best offset for each of some directions of the forearm in the sensor."""
         power = np.zeros((len(directions), len(self.known)))
-        for row, rows, T, C, most in self.runs:
+        for row, (rows, T, C, most) in self.runs:
             explained = _fits_along(T, C, directions, self.has_up)
             power[:, row + rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
         power[:, self.known <= self.needed - 0.5] = 0.0
@@ -239,9 +242,7 @@ def turning_evidence(
     return TurningSums.of(camera, runs, up).curve(along)
 
 
-def _sums(
-    camera: CameraTurning, imu: ImuTurning, up: FloatArray | None
-) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
+def _sums(camera: CameraTurning, imu: ImuTurning, up: FloatArray | None) -> tuple[FloatArray, _Sums]:
     """Grid points in common by offset (n + m - 1,); where enough are (r,), T, C, and the most to explain."""
     m = len(imu.rate)
     weight = camera.weight[:, None]
@@ -253,7 +254,7 @@ def _sums(
     most = correlation(weight * (camera.rate**2).sum(axis=1)[:, None], np.ones((m, 1)))[rows, 0, 0]
     if up is not None:  # x in axes whose third points up, as that of {E} does
         T = np.einsum("ai,najk->nijk", _upright(up), T)
-    return count, rows, T, C, most
+    return count, (rows, T, C, most)
 
 
 def _searched(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:

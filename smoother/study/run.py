@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .. import __version__
 from ..errors import UnoccludeError
 from .folder import DONE, FAILED, Row, StudyFolder, text_hash
 from .inputs import Entry, config_hash, file_hash, hashed_name, place_of, state_of
 from .job import Job, StudySettings
+from .sessions import with_sessions
 from .workers import Workers, rows_of
 
 if TYPE_CHECKING:
@@ -60,10 +62,8 @@ def run_study(
     force: bool = False,
 ) -> tuple[Tally, pa.Table]:
     """Recover the recordings that are not done yet; how far it came, and the rows of all."""
-    calibrations = {
-        path: _checked(path)
-        for path in {entry.calibration or settings.calibration for entry in entries} - {""}
-    }
+    for path in {entry.calibration or settings.calibration for entry in entries} - {""}:
+        _checked(path)
     word = folder.open(force)
     if settings.hash_names:
         entries = [replace(entry, name=hashed_name(word, entry.name)) for entry in entries]
@@ -73,6 +73,13 @@ def run_study(
     tally = Tally(len(entries))
     names = {entry.name for entry in entries}
     with folder.alone():
+        if not settings.calibration:
+            entries, notes = with_sessions(entries, folder, settings.selection, settings.config, __version__)
+            tally.notes += notes
+        calibrations = {
+            path: _checked(path)
+            for path in {entry.calibration or settings.calibration for entry in entries} - {""}
+        }
         earlier = {row["recording"]: row for row in folder.rows(_KNOWN, tally.notes).to_pylist()}
 
         def todo() -> Iterator[Job]:

@@ -102,7 +102,7 @@ def test_what_the_user_states_is_used_and_contradicted_only_loudly(right: Record
 def test_a_short_recording_of_one_recorder_is_a_caution() -> None:
     """Eight seconds of one pair prove little; nothing contradicts it."""
     line = OffsetLine(0.0, 0.0, 4.0, 0.2, 0.4)
-    found = MotionAgreement(4.0, line, line, 2.0, 5.0, 0.1, True)
+    found = MotionAgreement(4.0, line, line, 2.0, 5.0, 0.1, True, False)
     recording = made(3, 8.0)
     together, _ = decided(found, recording)
     assert not list(unproved(together)) and "too short" in next(doubtful(together))

@@ -1,0 +1,109 @@
+"""Trials of one strap: what they show together of the sensor, and which of them are foreign."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calib.motion.motion_calibration import calibrate_motion
+from smoother.config import Config
+from smoother.errors import CalibrationError
+from smoother.recording import Recording
+from smoother.selfcal.agreement import agreement
+from smoother.selfcal.pairing import find_pairing
+from smoother.selfcal.session import find_straps
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
+
+COUNT, LENGTH_S, APART_S = 10, 8.0, 12.0
+ALONE = Config.model_validate({"windows": {"processes": 1}})
+
+
+@cache
+def made(seed: int) -> SimulatedArm:
+    settings = {"occlusion_lengths_s": (1.0,), "occlusion_every_s": 5.0, "duration_s": COUNT * APART_S + 5.0}
+    return simulate_arm(ArmSimulation.preset("realistic", protocol="random", **settings), seed)
+
+
+@cache
+def session(seed: int) -> tuple[list[Recording], list[float]]:
+    """Trials cut from one recording, the camera's clock up to 10 s off in each; and these offsets, s."""
+    recording, rng = made(seed).recording, np.random.default_rng(seed)
+    offset_s = float(made(seed).parameters["clock_offset_s"])
+    trials, offsets = [], []
+    for number in range(COUNT):
+        start_s, off_s = 2.0 + APART_S * number, float(rng.uniform(-10.0, 10.0))
+        imu_t, frame_t = np.asarray(recording.imu.t_s), np.asarray(recording.arm.t_s)
+        imu = recording.imu.select((imu_t > start_s - 1.0) & (imu_t < start_s + LENGTH_S + 1.0))
+        arm = recording.arm.select((frame_t + offset_s > start_s) & (frame_t + offset_s < start_s + LENGTH_S))
+        zero_s = float(imu.t_s[0])
+        trials.append(
+            replace(
+                recording,
+                imu=replace(imu, t_s=imu.t_s - zero_s),
+                arm=replace(arm, t_s=arm.t_s - zero_s + off_s),
+                truth=None,
+                clocks_unrelated=True,
+                name=f"trial {number + 1}",
+            )
+        )
+        offsets.append(offset_s - off_s)
+    return trials, offsets
+
+
+def test_trials_show_the_direction_that_they_share_and_their_clocks() -> None:
+    trials, offsets = session(3)
+    (strap,) = find_straps(trials)
+    true = made(3).calibration.forearm_direction
+    assert true is not None
+    assert np.degrees(np.arccos(strap.along @ true)) < 6.0
+    assert len(strap.members) >= 9
+    proved = 0
+    for number in strap.members:
+        found = agreement(trials[number], along=strap.along)
+        assert found is not None
+        assert found.is_mounted
+        assert found.best.offset_s == pytest.approx(offsets[number], abs=0.1)
+        pairing, _ = find_pairing(trials[number], along=strap.along)
+        alone, _ = find_pairing(trials[number])
+        assert pairing is not None
+        assert alone is not None
+        proved += pairing.proved
+        assert pairing.proved or not alone.proved
+    assert proved >= 8
+
+
+def test_a_trial_with_the_sensor_of_another_is_in_no_strap() -> None:
+    trials, _ = session(3)
+    foreign = [*trials[:4], replace(trials[4], imu=session(503)[0][4].imu), *trials[5:]]
+    (strap,) = find_straps(foreign)
+    assert 4 not in strap.members
+
+
+def test_a_strap_put_on_anew_is_another_one() -> None:
+    mixed = [*session(3)[0][:5], *session(503)[0][5:]]
+    straps = find_straps(mixed)
+    assert len(straps) == 2
+    assert sorted(len({number < 5 for number in strap.members}) for strap in straps) == [1, 1]
+    with pytest.raises(CalibrationError, match="in 2 ways"):
+        calibrate_motion(mixed, None, ALONE)
+
+
+def test_streams_of_two_trials_are_no_pair_by_the_strap_that_they_share() -> None:
+    trials, _ = session(3)
+    (strap,) = find_straps(trials)
+    for number in range(COUNT - 1):
+        pairing, _ = find_pairing(replace(trials[number], imu=trials[number + 1].imu), along=strap.along)
+        assert pairing is None or not pairing.proved
+
+
+def test_a_trial_is_recovered_by_what_its_session_shows() -> None:
+    trials, _ = session(3)
+    found = calibrate_motion(trials, None, ALONE)
+    for joint, lever in made(3).calibration.lever_arms.items():
+        assert np.linalg.norm(found.calibration.lever_arms[joint].position_m - lever.position_m) < 0.015
+    verdicts = [smooth(trial, found.calibration, ALONE).estimates.trusted for trial in trials[:4]]
+    assert verdicts.count(True) >= 3
