@@ -150,7 +150,8 @@ def _clock(
 
 _TOO_SHORT = (
     "the clocks of camera and IMU are unrelated, and the motion is too short to decide whether these"
-    " files belong together; record 30 s, or give the offset with --clock-offset"
+    " files belong together; record 30 s, give a folder of trials with the same strap with --session, or the"
+    " offset with --clock-offset"
 )
 _UNLIKE = (
     "the clocks of camera and IMU are unrelated, and the motion does not show that these files belong"

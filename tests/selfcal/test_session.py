@@ -15,43 +15,24 @@ from smoother.recording import Recording
 from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import find_pairing
 from smoother.selfcal.session import find_straps
-from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
+from tools.accuracy.sessions import made_session, trials_of
 
-COUNT, LENGTH_S, APART_S = 10, 8.0, 12.0
+COUNT = 10
 ALONE = Config.model_validate({"windows": {"processes": 1}})
 
 
 @cache
 def made(seed: int) -> SimulatedArm:
-    settings = {"occlusion_lengths_s": (1.0,), "occlusion_every_s": 5.0, "duration_s": COUNT * APART_S + 5.0}
-    return simulate_arm(ArmSimulation.preset("realistic", protocol="random", **settings), seed)
+    return made_session(seed, COUNT)
 
 
 @cache
 def session(seed: int) -> tuple[list[Recording], list[float]]:
     """Trials cut from one recording, the camera's clock up to 10 s off in each; and these offsets, s."""
-    recording, rng = made(seed).recording, np.random.default_rng(seed)
-    offset_s = float(made(seed).parameters["clock_offset_s"])
-    trials, offsets = [], []
-    for number in range(COUNT):
-        start_s, off_s = 2.0 + APART_S * number, float(rng.uniform(-10.0, 10.0))
-        imu_t, frame_t = np.asarray(recording.imu.t_s), np.asarray(recording.arm.t_s)
-        imu = recording.imu.select((imu_t > start_s - 1.0) & (imu_t < start_s + LENGTH_S + 1.0))
-        arm = recording.arm.select((frame_t + offset_s > start_s) & (frame_t + offset_s < start_s + LENGTH_S))
-        zero_s = float(imu.t_s[0])
-        trials.append(
-            replace(
-                recording,
-                imu=replace(imu, t_s=imu.t_s - zero_s),
-                arm=replace(arm, t_s=arm.t_s - zero_s + off_s),
-                truth=None,
-                clocks_unrelated=True,
-                name=f"trial {number + 1}",
-            )
-        )
-        offsets.append(offset_s - off_s)
-    return trials, offsets
+    trials = trials_of(made(seed), COUNT, seed)
+    return [trial for trial, *_ in trials], [offset_s for _, offset_s, _ in trials]
 
 
 def test_trials_show_the_direction_that_they_share_and_their_clocks() -> None:

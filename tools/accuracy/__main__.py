@@ -20,6 +20,7 @@ from tools.accuracy import (
     pairing,
     panel,
     recordings,
+    sessions,
     uncertainty,
 )
 
@@ -34,6 +35,7 @@ MODULES = (
     calibrations,
     panel,
     pairing,
+    sessions,
     oracle,
 )
 #: Every check by name.

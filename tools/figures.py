@@ -1,4 +1,4 @@
-"""The pictures of the documents, drawn from real runs.
+"""The pictures of the documents, drawn from real runs: `python -m tools.figures [picture|tutorial]`.
 
 docs/picture.svg: one occlusion of data/demo.mcap before and after, with nothing calibrated. The SVG is
 written by hand, so that the picture needs no plotting library. (The README's picture,
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +28,7 @@ from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
 
-HERE = Path(__file__).parents[2]
+HERE = Path(__file__).parents[1]
 CHAIN = ("shoulder", "elbow", "wrist", "hand")
 SEEN, RECOVERED, TRUTH, GAP, FRAME, TEXT = "#1a6fb5", "#d9650b", "#222222", "#f3e9dc", "#bbbbbb", "#333333"
 #: Time shown around the gap, s; how often the arm is drawn, s.
@@ -324,3 +325,16 @@ def draw_tutorial(folder: Path) -> None:
         if not photograph(page, folder / "report.webp"):
             print("report.webp was left as it is: it needs Chromium")
     print(f"written: {folder}")
+
+
+def main() -> None:
+    """Draw what is named; everything where nothing is."""
+    wanted = sys.argv[1:] or ["picture", "tutorial"]
+    if "picture" in wanted:
+        draw(HERE / "docs" / "picture.svg", 0)
+    if "tutorial" in wanted:
+        draw_tutorial(HERE / "docs" / "pictures")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""The README's figures: `python -m tools.figures picture|curves|tables`."""
