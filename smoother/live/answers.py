@@ -66,14 +66,7 @@ class Dropped:
     @property
     def total(self) -> int:
         """All of them."""
-        return (
-            self.late_samples
-            + self.late_frames
-            + self.duplicate_samples
-            + self.duplicate_frames
-            + self.invalid_samples
-            + self.backlog_frames
-        )
+        return sum(vars(self).values())
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -125,28 +125,8 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
 NICE = 10
 
 
-class Calibrator(ABC):
-    """Works one self-calibration out at a time."""
-
-    @property
-    @abstractmethod
-    def busy(self) -> bool:
-        """It works, or its answer was not fetched yet."""
-
-    @abstractmethod
-    def submit(self, job: CalibrationJob) -> None:
-        """Begin with a job; not while busy."""
-
-    @abstractmethod
-    def answer(self) -> LiveCalibration | None:
-        """The answer, once; None while there is none."""
-
-    def close(self) -> None:  # noqa: B027 - nothing to end unless there is a process
-        """End what it works at."""
-
-
-class InlineCalibrator(Calibrator):
-    """Works at once, in this process: for recordings that are played as fast as possible."""
+class InlineCalibrator:
+    """Works self-calibrations out at once, in this process: for recordings played as fast as possible."""
 
     def __init__(self, delay: int = 0) -> None:
         self._delay, self._asked = delay, 0
@@ -154,25 +134,28 @@ class InlineCalibrator(Calibrator):
 
     @property
     def busy(self) -> bool:
-        """As `Calibrator.busy`."""
+        """It works, or its answer was not fetched yet."""
         return self._answer is not None
 
     def submit(self, job: CalibrationJob) -> None:
-        """As `Calibrator.submit`."""
+        """Begin with a job; not while busy."""
         with ThreadPoolExecutor(1) as aside:  # its processor time is not the live thread's
             self._answer, self._asked = aside.submit(calibrate_excerpts, job).result(), 0
 
     def answer(self) -> LiveCalibration | None:
-        """As `Calibrator.answer`."""
+        """The answer, once; None while there is none."""
         self._asked += 1
         if self._answer is None or self._asked <= self._delay:
             return None
         answer, self._answer = self._answer, None
         return answer
 
+    def close(self) -> None:
+        """Nothing to end."""
 
-class BackgroundCalibrator(Calibrator):
-    """Works in a process of its own, which ends with this one."""
+
+class BackgroundCalibrator:
+    """Does the same in a process of its own, which ends with this one."""
 
     def __init__(self) -> None:
         self._executor: ProcessPoolExecutor | None = None
@@ -180,11 +163,11 @@ class BackgroundCalibrator(Calibrator):
 
     @property
     def busy(self) -> bool:
-        """As `Calibrator.busy`."""
+        """As of `InlineCalibrator`."""
         return self._future is not None
 
     def submit(self, job: CalibrationJob) -> None:
-        """As `Calibrator.submit`."""
+        """As of `InlineCalibrator`."""
         # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
         with blank_main(), one_thread_each(), interrupts_wait(), suppress(BrokenProcessPool):
             if self._executor is None:
@@ -193,7 +176,7 @@ class BackgroundCalibrator(Calibrator):
             self._future = self._executor.submit(calibrate_excerpts, job)
 
     def answer(self) -> LiveCalibration | None:
-        """As `Calibrator.answer`; a process that was killed is started again with the next job."""
+        """As of `InlineCalibrator`; a process that was killed is started again with the next job."""
         if self._future is None or self._executor is None:
             return None
         if not self._future.done():
@@ -209,12 +192,15 @@ class BackgroundCalibrator(Calibrator):
             )
 
     def close(self) -> None:
-        """As `Calibrator.close`."""
+        """End what it works at."""
         if self._executor is None:
             return
         end_workers(self._executor)
         self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor, self._future = None, None
+
+
+Calibrator: TypeAlias = InlineCalibrator | BackgroundCalibrator
 
 
 def _prepare() -> None:

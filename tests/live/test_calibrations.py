@@ -25,7 +25,7 @@ from smoother.live.calibrations import (
     BackgroundCalibrator,
     CalibrationJob,
     Calibrations,
-    Calibrator,
+    InlineCalibrator,
     LiveCalibration,
     calibrate_excerpts,
 )
@@ -36,7 +36,7 @@ WORKED: Any = object()  # a model that nobody looks into
 
 
 @dataclass
-class AtOnce(Calibrator):
+class AtOnce(InlineCalibrator):
     """Answers what it is told to, at the next question."""
 
     answers: list[LiveCalibration] = field(default_factory=list)
@@ -158,7 +158,7 @@ RECORDING = replace(simulated(3, 9.0, ()).recording, truth=None)
 JOB = CalibrationJob(RECORDING, ArmCalibration(side="right"), Config())
 
 
-def wait_for(calibrator: Calibrator) -> LiveCalibration:
+def wait_for(calibrator: BackgroundCalibrator) -> LiveCalibration:
     for _ in range(1200):
         answer = calibrator.answer()
         if answer is not None:
