@@ -65,8 +65,6 @@ def calibrate_cameras(recordings: Sequence[Recording]) -> CameraSetUp:
 
 def cameras_answer(set_up: CameraSetUp) -> Answer:
     """The set-up in the form that every calibration answers in; clocks are of a recording and not kept."""
-    estimate: dict[str, Any] = {}
-    sigma: dict[str, Any] = {}
     table: dict[str, Any] = {}
     is_good = True
     sentences = []
@@ -74,8 +72,6 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
         pose = row.pose
         assert pose is not None
         sigma_deg = float(np.degrees(pose.sigma_rad))
-        estimate |= {f"{name}_R_K_C": pose.R_K_C, f"{name}_p_K_C_m": pose.p_K_C_m}
-        sigma |= {f"{name}_R_K_C": np.full(3, pose.sigma_rad), f"{name}_p_K_C_m": np.full(3, pose.sigma_m)}
         table[name] = {
             "R_K_C": [[float(x) for x in each] for each in pose.R_K_C],
             "p_K_C_m": [float(x) for x in pose.p_K_C_m],
@@ -93,13 +89,19 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
     again = () if is_good else ("record a minute in which both cameras see the arm reach far to all sides",)
     figures = {
         "recordings": list(set_up.recordings),
-        "cameras": {name: each | {"offset_s": list(set_up.clocks_s[name])} for name, each in table.items()},
+        "cameras": {
+            name: each
+            | {
+                "offset_s": list(set_up.clocks_s[name]),
+                "misfit_m": set_up.cameras[name].misfit_m,
+                "together_s": set_up.cameras[name].together_s,
+            }
+            for name, each in table.items()
+        },
         "left_out": list(set_up.left_out),
     }
     verdict = Verdict(grade, "; ".join(sentences), set_up.left_out, again)
     return Answer(
-        estimate,
-        sigma,
         verdict,
         (),
         CalibrationFile().with_table(TABLE, table),

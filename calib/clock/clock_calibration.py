@@ -96,26 +96,12 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
         ],
         "not_determined": left_open,
     }
-    pairs = {f"{link.from_clock}-{link.to_clock}": link for link in links}
     return Answer(
-        {name: link.offset_s for name, link in pairs.items()},
-        {name: link.sigma_s for name, link in pairs.items()},
         Verdict(grade, sentence, tuple(findings), tuple(advice)),
         tuple(left_open),
         CalibrationFile().with_table("clock", table),
         figures,
     )
-
-
-def link_words(link: ClockLink) -> str:
-    """One link in one sentence."""
-    sentences = (
-        f"t_{link.to_clock} = t_{link.from_clock} {link.offset_s:+.6f} s, to {1e3 * link.sigma_s:.2f} ms"
-        f" (at {link.at_s:.1f} s of {link.from_clock})"
-    )
-    if link.skew_sigma_ppm < SKEW_KNOWN_PPM:
-        sentences += f", growing by {link.skew_ppm:+.1f} +- {link.skew_sigma_ppm:.1f} ppm"
-    return sentences
 
 
 def verdict(network: ClockNetwork) -> list[str]:

@@ -116,17 +116,10 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
         table |= {f"{name}_m": float(length.value_m), f"{name}_sigma_m": float(length.sigma_m)}
     if arm.R_F_A is not None:
         table |= {f"R_F_A_{name}_sigma_deg": value for name, value in sigma_deg.items()}
-    levers = {f"lever_arm_{joint}": lever for joint, lever in arm.lever_arms.items()}
-    estimate = {name: length.value_m for name, length in measures.items()}
     grade = "not good enough" if arm.R_F_A is None else "usable"
     if rows and all(row.agrees for row in rows):
         grade = "good"
     return Answer(
-        estimate=estimate
-        | {name: lever.position_m for name, lever in levers.items()}
-        | ({"R_F_A": arm.R_F_A} if arm.R_F_A is not None else {}),
-        sigma={name: length.sigma_m for name, length in measures.items()}
-        | {name: lever.sigma_m for name, lever in levers.items()},
         verdict=Verdict(
             grade, sentences[1], (sentences[0], *sentences[2:]), tuple(next_time(calibration, rows))
         ),

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from smoother.array_types import FloatArray
 from smoother.units import STANDARD_GRAVITY
 
 from ..file import CalibrationFile
@@ -24,7 +23,6 @@ def imu_answer(calibration: ImuCalibration) -> Answer:
     """Accelerometer and gyroscope in the form that every calibration answers in."""
     acc, gyro, tables = calibration.accelerometer, calibration.gyroscope, calibration.tables()
     sentences, remarks = imu_verdict(calibration), acc.remarks if acc is not None else ()
-    estimate, sigma = {"gyroscope_offset": gyro.offset}, {"gyroscope_offset": gyro.sigma}
     figures: dict[str, Any] = {
         "imu": calibration.name,
         "rests": len(calibration.rests),
@@ -32,14 +30,9 @@ def imu_answer(calibration: ImuCalibration) -> Answer:
         "gravity": calibration.gravity,
         "accelerometer": {**tables.get("accelerometer", {})},
         "gyroscope": {**tables["gyroscope"], "rule": gyro.rule, "samples": gyro.samples},
+        "noise": noise_rows(calibration),
     }
     if acc is not None:
-        triangle = np.triu_indices(3)
-        own = np.sqrt(np.diag(acc.covariance))
-        matrix_sigma = np.zeros((3, 3))
-        matrix_sigma[triangle] = matrix_sigma.T[triangle] = own[3:]
-        estimate |= {"accelerometer_offset": acc.offset, "accelerometer_matrix": acc.matrix}
-        sigma |= {"accelerometer_offset": own[:3], "accelerometer_matrix": matrix_sigma}
         figures["accelerometer"] |= {
             "covariance": acc.covariance,
             "worst_direction": acc.worst_direction,
@@ -61,8 +54,6 @@ def imu_answer(calibration: ImuCalibration) -> Answer:
     advice = [sentence for sentence in imu_next(calibration) if sentence not in remarks]
     good = acc is not None and acc.worst_sigma < DOUBTED_SIGMA
     return Answer(
-        estimate,
-        sigma,
         Verdict("good" if good else "usable", sentences[0], tuple(sentences[1:]), tuple(advice)),
         tuple(remarks),
         CalibrationFile().with_table("imu", {sensor_name(calibration.name): tables}),
@@ -89,8 +80,6 @@ def magnetometer_answer(calibration: MagnetometerCalibration, imu_name: str) -> 
     advice = [sentence for sentence in magnetometer_next(calibration) if sentence not in calibration.remarks]
     grade = "usable" if calibration.remarks else "good"
     return Answer(
-        {"magnetometer_offset": calibration.offset, "magnetometer_matrix": calibration.matrix},
-        {},
         Verdict(grade, sentences[0], tuple(sentences[1:]), tuple(advice)),
         calibration.remarks,
         CalibrationFile().with_table("imu", {sensor_name(imu_name): {"magnetometer": table}}),
@@ -138,25 +127,29 @@ def imu_verdict(calibration: ImuCalibration) -> list[str]:
     return said
 
 
-def noise_rows(calibration: ImuCalibration) -> list[tuple[str, str, str, str]]:
-    """Noise figures in a datasheet's units, a row a figure: name, x, y, z."""
-    rows = []
-    if calibration.accelerometer_noise is not None:
-        noise, g = calibration.accelerometer_noise, STANDARD_GRAVITY
-        rows += [
-            ("accelerometer, noise density, µg/√Hz", *_three(1e6 / g * noise.density)),
-            ("accelerometer, bias instability, µg", *_three(1e6 / g * noise.instability)),
-            ("accelerometer, random walk, µg/√s", *_three(1e6 / g * noise.walk)),
-        ]
-    if calibration.gyroscope_noise is not None:
-        noise = calibration.gyroscope_noise
-        rows += [
-            ("gyroscope, noise density, degrees/s/√Hz", *_three(np.degrees(noise.density))),
-            ("gyroscope, angle random walk, degrees/√h", *_three(60.0 * np.degrees(noise.density))),
-            ("gyroscope, bias instability, degrees/h", *_three(3600.0 * np.degrees(noise.instability))),
-            ("gyroscope, random walk, degrees/s/√s", *_three(np.degrees(noise.walk))),
-        ]
-    return rows
+#: Noise figures in a datasheet's units: sensor, name and unit, attribute, factor.
+_DATASHEET = (
+    ("accelerometer", "noise density, µg/√Hz", "density", 1e6 / STANDARD_GRAVITY),
+    ("accelerometer", "bias instability, µg", "instability", 1e6 / STANDARD_GRAVITY),
+    ("accelerometer", "random walk, µg/√s", "walk", 1e6 / STANDARD_GRAVITY),
+    ("gyroscope", "noise density, degrees/s/√Hz", "density", np.degrees(1.0)),
+    ("gyroscope", "angle random walk, degrees/√h", "density", 60.0 * np.degrees(1.0)),
+    ("gyroscope", "bias instability, degrees/h", "instability", 3600.0 * np.degrees(1.0)),
+    ("gyroscope", "random walk, degrees/s/√s", "walk", np.degrees(1.0)),
+)
+
+
+def noise_rows(calibration: ImuCalibration) -> list[dict[str, Any]]:
+    """Noise figures in a datasheet's units, a row a figure."""
+    noises = {
+        "accelerometer": calibration.accelerometer_noise,
+        "gyroscope": calibration.gyroscope_noise,
+    }
+    return [
+        {"sensor": sensor, "figure": name, "x, y, z": factor * getattr(noises[sensor], attribute)}
+        for sensor, name, attribute, factor in _DATASHEET
+        if noises[sensor] is not None
+    ]
 
 
 def imu_next(calibration: ImuCalibration) -> list[str]:
@@ -220,8 +213,3 @@ def magnetometer_next(calibration: MagnetometerCalibration) -> list[str]:
         "calibrate again when the sensor's battery, case or strap buckle changes: iron on it moves the field"
     )
     return said
-
-
-def _three(values: FloatArray) -> tuple[str, str, str]:
-    x, y, z = ("-" if not np.isfinite(value) else f"{value:.3g}" for value in values)
-    return x, y, z

@@ -112,22 +112,8 @@ class ArmEstimates:
 
 def motion_answer(estimates: ArmEstimates) -> Answer:
     """Lever arms, lengths and mounting in the form that every calibration answers in."""
-    arm = estimates.calibration
-    levers = {f"lever_arm_{joint}": lever for joint, lever in arm.lever_arms.items()}
-    estimate: dict[str, Any] = {name: lever.position_m for name, lever in levers.items()}
-    sigma: dict[str, Any] = {name: lever.sigma_m for name, lever in levers.items()}
-    for name, (value_m, sigma_m) in estimates.lengths.items():
-        estimate[name], sigma[name] = value_m, sigma_m
-    if arm.R_F_A is not None:
-        estimate["R_F_A"] = arm.R_F_A
-    return Answer(
-        estimate,
-        sigma,
-        motion_verdict(arm, estimates.not_determined),
-        estimates.not_determined,
-        _file_of(arm),
-        estimates.figures,
-    )
+    arm, left_open = estimates.calibration, estimates.not_determined
+    return Answer(motion_verdict(arm, left_open), left_open, _file_of(arm), estimates.figures)
 
 
 def _file_of(arm: ArmCalibration) -> CalibrationFile:

@@ -325,17 +325,6 @@ def _upper_arm(
     return []
 
 
-def roll_known(frame: ForearmFrame | None) -> str:
-    """How `R_F_A` was found, with its sigma; "" where it was not."""
-    if frame is None or frame.R_F_A is None:
-        return ""
-    return (
-        f"R_F_A: direction to {np.degrees(frame.direction_sigma_rad):.1f} degrees, roll to "
-        f"{np.degrees(frame.roll_sigma_rad):.0f} degrees, the IMU taken to sit on the back of the forearm "
-        f"({1e3 * frame.distance_m:.0f} +- {1e3 * frame.distance_sigma_m:.0f} mm from its axis)"
-    )
-
-
 def clocks_not_determined(offsets: Sequence[ClockOffset]) -> list[str]:
     """Recordings whose clock offset stayed open, one sentence each."""
     sentences = []

@@ -199,20 +199,10 @@ NAME = "camera_from_mocap"
 
 def panel_answer(calibration: PanelCalibration) -> Answer:
     """Camera from mocap in the form that every calibration answers in."""
-    sigma, words, table = accuracy(calibration), verdict(calibration), calibration_table(calibration)
+    words, table = verdict(calibration), calibration_table(calibration)
     solution = calibration.solution
     known = bool(np.isfinite(solution.depth_offset_sigma_m))
     return Answer(
-        estimate={
-            "R_K_E": solution.camera_from_mocap.R,
-            "t_K_E": solution.camera_from_mocap.origin,
-            "depth_offset": solution.depth_offset_m,
-        },
-        sigma={
-            "R_K_E": np.radians(sigma.rotation_deg),
-            "t_K_E": sigma.translation_m,
-            "depth_offset": solution.depth_offset_sigma_m,
-        },
         verdict=words,
         open_questions=() if known else ("a constant error of the camera's depth",),
         table=CalibrationFile().with_table(NAME, table),
@@ -263,16 +253,6 @@ def pose_rows(calibration: PanelCalibration) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def pose_cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """Of a row of `pose_rows`, as text: distance m, tilt degrees, pixels; markers, plane, depth noise mm."""
-    in_mm = (1e3 * row["markers_rms_m"], 1e3 * row["plane_rms_m"])
-    return (
-        *(f"{row['distance_m']:.2f}", f"{row['tilt_deg']:.0f}", f"{row['pixels_rms']:.3f}"),
-        *(f"{value:.2f}" for value in in_mm),
-        f"{1e3 * row['depth_noise_m']:.1f}",
-    )
 
 
 def transform_values(transform: Frame) -> dict[str, list[float]]:

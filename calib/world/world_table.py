@@ -140,16 +140,6 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     heading = ("the heading between camera and base IMU",) if sigma.heading_free else ()
     mounting = ("how the IMU sits on the panel",) if calibration.by_eye else ()
     return Answer(
-        estimate={
-            "R_K_B": calibration.R_K_B,
-            "R_P_I": calibration.R_P_I,
-            "accelerometer_bias": calibration.solution.at.rest[:3],
-        },
-        sigma={
-            "R_K_B": np.radians(sigma.rotation_deg),
-            "R_P_I": np.radians(sigma.mounting_deg),
-            "accelerometer_bias": np.sqrt(np.diag(calibration.solution.covariance)[3:6]),
-        },
         verdict=words,
         open_questions=(*heading, *mounting),
         table=CalibrationFile(tables=tables),

@@ -99,20 +99,6 @@ def print_arm(estimates: ArmEstimates) -> None:
         print_table("Lengths, mm", ("length", "found"), rows)
 
 
-def print_clocks(offsets: Sequence[ClockOffset]) -> None:
-    """Print the clock offset of every recording, as a table."""
-    print_table(
-        "Clocks, ms",
-        ("recording", "IMU minus camera", "wandered by"),
-        [
-            (each.recording, f"{1e3 * each.offset_s:+.1f} +- {1e3 * each.sigma_s:.1f}", 1e3 * each.drift_s)
-            if each.offset_s == each.offset_s
-            else (each.recording, "not known", "-")
-            for each in offsets
-        ],
-    )
-
-
 def print_clock(offset: ClockOffset) -> None:
     """Print the clock offset of one recording, in a line."""
     known = f" +- {1e3 * offset.sigma_s:.1f} ms" if offset.sigma_s == offset.sigma_s else ""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import CalibrationError
-from .arm_output import arms_figures, print_arm, print_camera, print_clocks, say_arm
+from .arm_output import arms_figures, say_arm
 from .load import AS_USUAL, Solving, load_arm, load_arms
 from .options import (
     ANY_ARM,
@@ -23,7 +23,7 @@ from .options import (
     Outputs,
     RecordingPath,
 )
-from .output import check_outputs, print_notes, print_table, say, say_written, write_json
+from .output import check_outputs, print_notes, say, say_written, show, write_json
 
 if TYPE_CHECKING:
     from calib.file import CalibrationFile
@@ -49,25 +49,14 @@ def load_existing_calibration(
     return read_calibration(output) if output is not None and output.exists() else CalibrationFile()
 
 
-def print_words(answer: Answer) -> None:
-    """Print the verdict, what was not determined, and what to record next."""
-    say(f"verdict: {answer.verdict.sentence}")
-    for sentence in answer.verdict.findings:
-        say(f"  {sentence}")
-    for sentence in answer.open_questions:
-        say(f"not determined: {sentence}")
-    for sentence in answer.verdict.next:
-        say(f"next: {sentence}")
-
-
-def write_answer(
+def finish(
     answer: Answer,
     output: Path | None,
     to: Outputs,
     title: str,
-    notes: Iterable[str] = (),
+    notes: Iterable[str],
 ) -> None:
-    """Write what a calibration found to all its outputs."""
+    """Write what a calibration found to all its outputs, then print it."""
     from calib.file import write_calibration
 
     notes = list(dict.fromkeys(notes))
@@ -78,13 +67,24 @@ def write_answer(
     write_json(to.json_file, {**answer.figures, "notes": notes}, to.force)
     if output is not None:
         write_calibration(output, answer.table)
-
-
-def say_answer(answer: Answer, notes: Iterable[str], *written: Path | None) -> None:
-    """Print the answer in words, what must be known of the input, and what was written."""
-    print_words(answer)
+    print_answer(answer)
     print_notes(notes)
-    say_written(*written)
+    say_written(output, to.json_file, to.report)
+
+
+def print_answer(answer: Answer) -> None:
+    """Print the figures, the verdict, what was not determined, and what to record next."""
+    from calib.protocol import findings
+
+    for table in findings(answer.figures):
+        show(table)
+    say(f"verdict: {answer.verdict.sentence}")
+    for sentence in answer.verdict.findings:
+        say(f"  {sentence}")
+    for sentence in answer.open_questions:
+        say(f"not determined: {sentence}")
+    for sentence in answer.verdict.next:
+        say(f"next: {sentence}")
 
 
 @contextmanager
@@ -122,7 +122,6 @@ def motion(
     """
     from calib.file import write_calibration
     from calib.motion.motion_calibration import calibrate_motion, motion_answer
-    from calib.motion.motion_summary import roll_known
 
     twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
     if twice:
@@ -140,21 +139,18 @@ def motion(
                 raise CalibrationError(
                     "only the strap was tracked, which is the IMU's own place: there is no lever arm to find"
                 )
-        answers.append((recordings[0], estimates, motion_answer(estimates)))
+        answers.append((recordings[0], motion_answer(estimates)))
     notes = [note for recordings, _ in arms for recording in recordings for note in recording.notes]
-    figures = [answer.figures for _, _, answer in answers]
-    together = arms_figures([recording for recording, _, _ in answers], figures)
+    figures = [answer.figures for _, answer in answers]
+    together = arms_figures([recording for recording, _ in answers], figures)
     write_json(json_file, {**together, "notes": list(dict.fromkeys(notes))}, force)
-    for recording, estimates, answer in answers:
+    for recording, answer in answers:
         write_calibration(output, answer.table)
         say_arm(recording, len(arms))
-        print_arm(estimates)
-        print_clocks(estimates.offsets)
+        print_answer(answer)
         say("A clock offset belongs to its recording: every recording's is solved anew, never carried over.")
-        print_camera(estimates)
-        if sentence := roll_known(estimates.frame):
-            say(sentence)
-        say_answer(answer, notes, output, json_file)
+    print_notes(notes)
+    say_written(output, json_file)
 
 
 def _by_side(
@@ -202,7 +198,7 @@ def imu(
     Lay the sensor still for three seconds on each of its six sides and on six edges between them, in any
     order; rests are found automatically. One long rest (an hour) instead gives the noise.
     """
-    from calib.imu.imu_summary import imu_answer, noise_rows
+    from calib.imu.imu_summary import imu_answer
     from calib.imu.sensor_calibration import calibrate_imu
 
     if not 9.7 <= gravity <= 9.9:
@@ -210,11 +206,7 @@ def imu(
     stream, notes = _load(recording_file, output, name, to)
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
-    answer = imu_answer(calibration)
-    write_answer(answer, output, to, f"Accelerometer and gyroscope of {stream.name}", notes)
-    if rows := noise_rows(calibration):
-        print_table("Noise", ("figure", "x", "y", "z"), rows)
-    say_answer(answer, notes, output, to.json_file, to.report)
+    finish(imu_answer(calibration), output, to, f"Accelerometer and gyroscope of {stream.name}", notes)
 
 
 def magnetometer(
@@ -239,8 +231,7 @@ def magnetometer(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
     answer = magnetometer_answer(calibration, stream.name)
-    write_answer(answer, output, to, f"Magnetometer of {stream.name}", notes)
-    say_answer(answer, notes, output, to.json_file, to.report)
+    finish(answer, output, to, f"Magnetometer of {stream.name}", notes)
 
 
 def _load(path: Path, output: Path, name: str | None, to: Outputs) -> tuple[ImuStream, list[str]]:
@@ -253,16 +244,6 @@ def _load(path: Path, output: Path, name: str | None, to: Outputs) -> tuple[ImuS
     stream, notes = read_imu(path, name)
     say(f"{path}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {stream.t_s[-1] - stream.t_s[0]:.0f} s")
     return stream, notes
-
-
-#: What the measures are called in print.
-MEASURES = {
-    "r": "core to sensor (r)",
-    "d_se": "strap to elbow",
-    "d_sw": "strap to wrist",
-    "d_ul": "upper arm",
-    "forearm": "forearm",
-}
 
 
 def forearm(
@@ -297,7 +278,7 @@ def forearm(
     recording gives the sensor's orientation to the camera, and is compared with the pose. An existing
     calibration file is updated, without --force.
     """
-    from calib.forearm.forearm_summary import compare, forearm_answer
+    from calib.forearm.forearm_summary import forearm_answer
     from calib.forearm.held_pose import calibrate_forearm
 
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and to_s <= from_s):
@@ -314,27 +295,7 @@ def forearm(
         config=config,
     )
     answer = forearm_answer(calibration)
-    write_answer(answer, output, to, f"Forearm from a held pose: {recording.name}", recording.notes)
-    lengths = calibration.measured.lengths.items()
-    cells = [
-        (MEASURES[name], f"{1e3 * length.value_m:.1f} +- {1e3 * length.sigma_m:.1f}")
-        for name, length in lengths
-    ]
-    print_table("Measures in the pose, mm", ("measure", "found"), cells)
-    rows = [
-        (
-            row.name,
-            f"{row.pose:.1f} +- {row.pose_sigma:.1f} {row.unit}",
-            f"{row.motion:.1f} +- {row.motion_sigma:.1f} {row.unit}"
-            if row.motion_sigma
-            else "counted from it",
-            f"{row.apart:.1f}",
-        )
-        for row in compare(calibration)
-    ]
-    if rows:
-        print_table("Pose against motion", ("measure", "pose", "motion", "sigmas apart"), rows)
-    say_answer(answer, recording.notes, output, to.json_file, to.report)
+    finish(answer, output, to, f"Forearm from a held pose: {recording.name}", recording.notes)
 
 
 def cameras(
@@ -356,19 +317,6 @@ def cameras(
     to = Outputs(None, json_file, True)
     load_existing_calibration(output, to, recording_files)
     recordings = [load_arm(path, None, arm)[0] for path in recording_files]
-    set_up = calibrate_cameras(recordings)
-    answer = cameras_answer(set_up)
+    answer = cameras_answer(calibrate_cameras(recordings))
     notes = [note for recording in recordings for note in recording.notes]
-    write_answer(answer, output, to, "Poses of the cameras", notes)
-    rows = [
-        (
-            name,
-            ", ".join(f"{1000 * offset_s:+.0f}" for offset_s in set_up.clocks_s[name]),
-            f"{100 * row.misfit_m:.1f}",
-            f"{row.together_s:.0f}",
-        )
-        for name, row in set_up.cameras.items()
-    ]
-    columns = ("camera", "first clock less its own, ms", "joints apart, cm", "together, s")
-    print_table("Cameras", columns, rows)
-    say_answer(answer, notes, output, json_file)
+    finish(answer, output, to, "Poses of the cameras", notes)

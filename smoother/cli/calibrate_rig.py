@@ -6,24 +6,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..errors import CalibrationError
-from .calibrate import error_prefix, load_existing_calibration, say_answer, write_answer
+from .calibrate import error_prefix, finish, load_existing_calibration
 from .load import AS_USUAL, Solving, load_arm
 from .options import NO_FILES, CalibrationOutput, Depth, Files, Infrared, IntrinsicsFile, Outputs, PanelFile
-from .output import print_notes, print_table, say
 
 if TYPE_CHECKING:
     from calib.clock.beeps import Beep
-    from calib.clock.clock_calibration import ClockCalibration
     from calib.clock.links import Receptions
     from calib.clock.motion_clock import MotionClock
     from calib.intrinsics import Intrinsics
     from calib.panel.images import View
-    from calib.panel.panel_calibration import PanelCalibration
 
     from ..array_types import FloatArray
     from ..recording import ImuStream
@@ -73,9 +70,7 @@ def panel(
         views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file, notes)
         calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
     answer = panel_answer(calibration)
-    write_answer(answer, output, to, "Camera from motion capture, by the marker panel", notes)
-    print_panel(calibration)
-    say_answer(answer, notes, output, to.report, to.json_file)
+    finish(answer, output, to, "Camera from motion capture, by the marker panel", notes)
 
 
 def _session(
@@ -137,30 +132,6 @@ def pictured(path: Path) -> Iterator[None]:
         raise NotIdentified(f"{text}; what was seen is drawn in {path}.") from error
 
 
-def print_panel(calibration: PanelCalibration) -> None:
-    """Print the transform with its sigma, and the residuals by pose."""
-    import numpy as np
-
-    from calib.panel.panel_table import accuracy, pose_cells, pose_rows, transform_values
-
-    sigma = accuracy(calibration)
-    values = transform_values(calibration.solution.camera_from_mocap)
-    say(
-        f"camera from mocap: rotation {np.round(values['rotation'], 6).tolist()} (qw, qx, qy, qz) +-"
-        f" {np.round(sigma.rotation_deg, 3).tolist()} degrees about the camera's axes"
-    )
-    say(
-        f"  translation {np.round(values['translation'], 5).tolist()} m +-"
-        f" {np.round(1e3 * sigma.translation_m, 2).tolist()} mm at the mocap's origin,"
-        f" {np.round(1e3 * sigma.at_panel_m, 2).tolist()} mm at the panel"
-    )
-    print_table(
-        "Poses",
-        ("pose", "distance, m", "tilt, deg", "pixels", "markers, mm", "plane, mm", "depth noise, mm"),
-        [(row["pose"], *pose_cells(row)) for row in pose_rows(calibration)],
-    )
-
-
 def world(
     output: CalibrationOutput,
     recording: Annotated[
@@ -219,9 +190,7 @@ def world(
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
     answer = world_answer(calibration)
-    write_answer(answer, output, to, "Camera from base IMU, by the panel", notes)
-    print_tables(answer.table.tables)
-    say_answer(answer, (), output, to.report, to.json_file)
+    finish(answer, output, to, "Camera from base IMU, by the panel", notes)
 
 
 def _from_files(
@@ -264,38 +233,8 @@ def _from_recording(
         raise CalibrationError(
             f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
         )
-    print_notes(session.notes)
     count, notes = len(session.views), tuple(session.notes)
     return session.views, session.times_s, [session.panel] * count, [session.base] * count, lens, notes
-
-
-def print_tables(tables: dict[str, Any]) -> None:
-    """Print the rotations with their sigmas, and the residuals by pose."""
-    import numpy as np
-
-    for name, what in (
-        ("camera_from_base", "camera from base IMU"),
-        ("panel_from_imu", "panel from its IMU"),
-    ):
-        table = tables[name]
-        say(
-            f"{what}: rotation {np.round(table['rotation'], 5).tolist()} (qw, qx, qy, qz) +-"
-            f" {np.round(table['rotation_sigma_deg'], 2).tolist()} degrees"
-        )
-    print_table(
-        "Poses",
-        ("pose", "down in the camera", "left of its rotation, deg", "worst misfit, sigmas", "rest, s"),
-        [
-            (
-                row["pose"],
-                ", ".join(f"{x:.4f}" for x in row["down"]),
-                f"{row['rotation_deg']:.3f}",
-                f"{row['worst_sigma']:.1f}",
-                f"{row['rest_s']:.1f}",
-            )
-            for row in tables["world"]["residuals"]
-        ],
-    )
 
 
 #: Clock of the sound, clock of the event time, by default.
@@ -430,9 +369,7 @@ def clock(
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
     calibration = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
     answer = clock_answer(calibration)
-    write_answer(answer, output, to, f"Clocks: {calibration.session}", notes)
-    print_clocks(calibration)
-    say_answer(answer, notes, output, to.json_file, to.report)
+    finish(answer, output, to, f"Clocks: {calibration.session}", notes)
 
 
 def _two(option: str, text: str) -> tuple[str, str]:
@@ -440,25 +377,3 @@ def _two(option: str, text: str) -> tuple[str, str]:
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise typer.BadParameter(f"{option} takes two names such as camera,base, not '{text}'")
     return names[0], names[1]
-
-
-def print_clocks(calibration: ClockCalibration) -> None:
-    """Print the beeps, and every two clocks that hang together."""
-    from calib.clock.clock_calibration import link_words
-
-    for beep in calibration.beeps:
-        say(f"beep of {beep.frequency_hz:.0f} Hz: ends at {beep.end_s:.5f} s +- {1e3 * beep.sigma_s:.2f} ms")
-    links = calibration.network.links()
-    rows = [
-        (
-            link.from_clock,
-            link.to_clock,
-            f"{link.offset_s:+.6f}",
-            f"{1e3 * link.sigma_s:.3f}",
-            f"{link.skew_ppm:+.2f} +- {link.skew_sigma_ppm:.2f}",
-        )
-        for link in links
-    ]
-    print_table("Clocks: t_to = t_from + offset", ("from", "to", "offset, s", "sigma, ms", "skew, ppm"), rows)
-    for link in links:
-        say(link_words(link))

@@ -20,7 +20,7 @@ from calib.file import to_toml
 from calib.imu.imu_summary import imu_answer, magnetometer_answer
 from calib.imu.magnetometer import calibrate_magnetometer
 from calib.imu.sensor_calibration import calibrate_imu
-from calib.protocol import Answer
+from calib.protocol import Answer, findings
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError
 from smoother.runtime.printable import plain
@@ -360,9 +360,7 @@ def answers() -> list[Answer]:
 def test_one_form(tmp_path: Path):
     path = tmp_path / "cal.toml"
     for answer in answers():
-        assert set(answer.sigma) <= set(answer.estimate) and answer.estimate
-        for name, sigma in answer.sigma.items():
-            assert np.all(np.asarray(sigma) > 0) and np.shape(sigma) == np.shape(answer.estimate[name])
+        assert findings(answer.figures)
         assert answer.verdict.grade in ("good", "usable", "not good enough") and answer.verdict.sentence
         json.dumps(plain(answer.figures), allow_nan=False)
         write_calibration(path, answer.table)
@@ -373,6 +371,15 @@ def test_one_form(tmp_path: Path):
         and "residual" not in held["accelerometer"]
     )
     assert tables["clock"]["session"] == "Monday"
+
+
+def test_figures_are_written_to_two_digits_of_their_sigma():
+    figures = {"place_m": [0.12345, 1.0], "place_sigma_m": [0.0042, 0.0], "grade": "good", "tilt_rad": 0.1}
+    figures |= {"of_joints": {"elbow": {"offset_s": 0.5, "sigma_s": 0.012}}, "noise_m": {"wrist": 0.01}}
+    single, rows, noise = findings(figures)
+    assert single.rows == [("place", "123.5 +- 4.2, 1000", "mm"), ("tilt", "5.7296", "deg")]
+    assert rows.title == "Of joints" and rows.columns == ["of", "offset, s"]
+    assert rows.rows == [["elbow", "0.500 +- 0.012"]] and noise.rows == [("wrist", "10", "mm")]
 
 
 def test_as_many_beeps_as_event_times():

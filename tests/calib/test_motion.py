@@ -21,7 +21,6 @@ from calib.motion.motion_summary import (
     beyond,
     clocks_not_determined,
     not_determined,
-    roll_known,
 )
 from calib.sigma_factor import hidden_gap_factors, short_recordings
 from smoother.calibration import ArmCalibration, Length, LeverArm
@@ -97,7 +96,7 @@ def test_the_command(arm: SimulatedArm, file: Path, tmp_path: Path, capsys: pyte
     )
     done("calibrate", "motion", file, "-o", cal, "--json", tmp_path / "figures.json", "--processes", "1")
     out = capsys.readouterr().out
-    assert "Lever arms" in out and "never carried over" in out and "R_F_A: direction to" in out
+    assert "Lever arms" in out and "never carried over" in out and "roll sigma" in out
     held = read_calibration(cal)
     assert set(held.arms) == {"left", "right"}
     wrist = held.arms["right"].lever_arms["wrist"]
@@ -276,13 +275,6 @@ def test_what_is_given_is_not_called_open():
     arm = an_arm(sigma_m=0.03)
     evidence = replace(GOOD, frames=FRAMES | {"upper_arm": 0})
     assert said(arm, evidence, replace(arm, R_F_A=np.eye(3))) == ""
-
-
-def test_how_the_axes_are_known():
-    text = roll_known(forearm_frame(an_arm()))
-    assert text.startswith("R_F_A: direction to 1.0 degrees, roll to 5 degrees")
-    assert "35 +- 3 mm from its axis" in text
-    assert roll_known(forearm_frame(an_arm(sigma_m=0.03))) == roll_known(None) == ""
 
 
 def test_clocks():

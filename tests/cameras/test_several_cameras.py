@@ -159,7 +159,9 @@ def test_a_set_up_is_calibrated_kept_and_used_as_a_prior() -> None:
     answer = cameras_answer(calibrate_cameras([made().recording]))
     poses = camera_poses(answer.table)
     recording = with_camera_poses(made().recording, poses)
-    np.testing.assert_allclose(recording.cameras[0].pose.R_K_C, answer.estimate["camera_2_R_K_C"])
+    np.testing.assert_allclose(
+        recording.cameras[0].pose.R_K_C, answer.figures["cameras"]["camera_2"]["R_K_C"]
+    )
     _, rig = join_cameras(recording)
     assert rig.cameras[1].pose.sigma_rad < recording.cameras[0].pose.sigma_rad
 
