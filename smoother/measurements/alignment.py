@@ -137,10 +137,6 @@ class Alignment:
     def _curve(self) -> Slerp:
         return Slerp(self.t, self.R_K_E)
 
-    def covariance_at(self, t: float) -> FloatArray:
-        """Covariance at the nearest of its times."""
-        return self.covariance[int(np.argmin(np.abs(self.t - t)))]
-
 
 def align(
     pairs: list[VectorPairs],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -317,11 +317,6 @@ class FurtherAnswer:
             quaternion[known] = Rotation.from_matrix(states.R[known]).as_quat(scalar_first=True)
         elbow = ElbowAxis.of(joints, states.R, t)
         return cls(segment, states.p, quaternion, pose_covariance, elbow)
-
-    def without_samples(self) -> FurtherAnswer:
-        """What is still needed when the samples are written."""
-        empty = np.zeros((0, 0))
-        return replace(self, position=empty, quaternion=empty, pose_covariance=empty)
 
 
 def _plane_normals(joints: dict[str, FloatArray], R_K_B: FloatArray) -> FloatArray:

@@ -58,7 +58,7 @@ SAME_EXERCISE, MOST_NOISE = 0.08, 0.4
 #: have 1.8 or more in 10 %, 3.7 in 1 %, 5.6 in 0.1 %, and 720 of simulated arms 3.2 at most; so many offsets
 #: of a search count as one. 86 pairs of two rounds of one activity have up to 10, and explain 0.18 or more in
 #: 10 %, 0.41 in 1 %: streams that are named as a pair are of two rounds in this part of cases at most.
-KNOWN_SCALE, KNOWN_TRIED, OTHER_ROUND = 0.9, 40.0, 0.05
+KNOWN_SCALE, KNOWN_TRIED, OTHER_ROUND = 0.83, 50.0, 0.05
 #: Good enough not to look further; a freer fit has to be this much less likely to be chance to count.
 CERTAIN, SWITCH = 1e-3, 0.1
 #: Distinct offsets in a second of search.
