@@ -14,29 +14,25 @@ from tools.accuracy import (
     calibrations,
     cameras,
     live,
+    magnetometer,
     measures,
-    more_imus,
     oracle,
     pairing,
     panel,
-    recordings,
     sessions,
-    uncertainty,
 )
 
 MODULES = (
-    recordings,
-    more_imus,
+    oracle,
+    sessions,
+    pairing,
     cameras,
     angles,
-    uncertainty,
     measures,
     live,
+    magnetometer,
     calibrations,
     panel,
-    pairing,
-    sessions,
-    oracle,
 )
 #: Every check by name.
 CHECKS = {check.name: check for module in MODULES for check in module.CHECKS}

@@ -65,12 +65,9 @@ def preset_option(default: str) -> Option:
     return option("--preset", default=default, help=f"of `unocclude simulate arm` [{default}]")
 
 
-CONFIG = option("--config", type=Path, help="settings as TOML, as `unocclude smooth --config` takes them")
-CALIBRATED = option("--calibrated", action="store_true", help="give the true calibration")
 CHANGES = option(
     "--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the simulation"
 )
-SUBJECTS = option("--subjects", type=int, nargs="*", default=[1, 2, 3, 4], help="of UTD-MHAD")
 ONLY = option("--only", default="", help="trials whose name contains this")
 DRAWS = option("--draws", type=int, default=64, help="motions drawn of each recording [64]")
 JSON = option("--json", type=Path, help="the figures in a file")
@@ -104,8 +101,3 @@ def datasets(name: str) -> Path:
 def rms(values: ArrayLike) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def known_rms(values: ArrayLike) -> float:
-    """Root mean square of what is a number."""
-    return float(np.sqrt(np.nanmean(np.square(values))))

@@ -41,7 +41,6 @@ from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 from tools.accuracy.check import JSON, ONE_PROCESS, PRESETS, Check, datasets, option, rms
 from tools.accuracy.live import play
-from tools.accuracy.more_imus import _settings, _thorax
 from tools.reliability import judging, setup_errors
 from tools.reliability.cases import unusual_jobs, wrong_pairs
 
@@ -65,6 +64,9 @@ DIGITS |= dict.fromkeys(("recordings", "refused", "crashed", "trusted", "gaps", 
 WHOLE = {"trusted": "recordings", "refused": "recordings", "gaps trusted": "gaps"}
 WORSE = ("crashed", "wrong")
 SECONDS = "cpu s"
+
+#: In view between two long gaps, s.
+BETWEEN_GAPS_S = 8.0
 
 Interval = tuple[float, float]
 #: Of a recovery, times (n,) on the IMU's clock and errors (n, 4), nan without an answer: position m, its
@@ -159,6 +161,18 @@ def of_simulation(made: SimulatedArm, recording: Recording, segment: str = "", l
         return recovery.t_s, errors
 
     return judged(recording, occlusions(made, least_s), scored)
+
+
+def _thorax(recovery: Recovery, made: SimulatedArm) -> tuple[FloatArray, FloatArray]:
+    """Errors (n, 3) about the thorax's axes, degrees, and squared errors over sigma^2 (n,)."""
+    trunk = recovery.trunk
+    assert trunk is not None and made.trunk_motion is not None
+    known = np.isfinite(trunk.quaternion[:, 0])
+    R = Rotation.from_quat(trunk.quaternion[known], scalar_first=True).as_matrix()
+    true = made.trunk_motion.thorax(recovery.t_s[known])
+    error = Rotation.from_matrix(np.swapaxes(true, 1, 2) @ R).as_rotvec()
+    covariance = np.swapaxes(R, 1, 2) @ trunk.covariance[known] @ R + np.diag(trunk.mount_sigma_rad**2)
+    return np.degrees(error), np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error) / 3.0
 
 
 def arm(preset: str, settings: dict[str, Any], segment: str, least_s: float, seed: int) -> list[list[Run]]:
@@ -261,7 +275,13 @@ def jobs() -> Iterator[Job]:
             )
     for length_s in (10.0, 30.0, 60.0):
         for name, segment in (("one IMU", "one"), ("two IMUs", "")):
-            settings = _settings(length_s, at_end=False)
+            settings = {
+                "imus": "wrist,upper-arm",
+                "protocol": "random",
+                "duration_s": max(60.0, 2.5 * length_s),
+                "occlusion_lengths_s": (length_s,),
+                "occlusion_every_s": length_s + BETWEEN_GAPS_S,
+            }
             arms.append((f"gaps of {length_s:g} s, {name}", "realistic", 4, settings, segment, length_s / 2))
     for name, seeds, segment, changes in (
         ("two cameras", 4, "", {"cameras": (75.0,), "camera_clock_s": 0.35}),
