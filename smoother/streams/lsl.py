@@ -59,11 +59,6 @@ def lsl_module() -> ModuleType:
     return pylsl
 
 
-def streams_there(seconds: float) -> list[Any]:
-    """Streams on the network, as far as they answer within some seconds."""
-    return list(lsl_module().resolve_streams(seconds))
-
-
 def listed(streams: Sequence[Any]) -> str:
     """Names and types of streams, for a sentence."""
     names = sorted({f"{stream.name()} (type {stream.type() or 'none'})" for stream in streams})
