@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..array_types import IntArray
+from ..body import FOREARM
 from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.messages import SECOND_NS, Topic, seconds
@@ -17,7 +18,7 @@ from ..io.recording.decode import PlainDecoder, SkeletonDecoder, decoder_of
 from ..io.recording.read import open_recording
 from ..io.recording.write import joints_there
 from ..recording import JOINTS
-from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
+from .arrivals import Arrivals, FrameRows, ImuRows, Rows, SourceInfo
 
 #: What a Kinect and its body tracking need for a frame, where the recording does not state it, s.
 CAMERA_LATENCY_S = 0.1
@@ -55,13 +56,9 @@ class LogTimes:
             if len(stamp) == len(log):  # else messages are damaged
                 self._stamp[label], self._log[label] = stamp, log
 
-    def of_imu(self, stamp_ns: IntArray) -> IntArray:
-        """When samples (n,) arrived, on the IMU's clock, ns; at their stamps where they are unknown."""
-        return self._arrivals(self._imu, stamp_ns, 0)
-
-    def of_further(self, topic: str, stamp_ns: IntArray) -> IntArray:
-        """The same of an IMU beyond the forearm."""
-        return self._arrivals(topic, stamp_ns, self._shift())
+    def of_imu(self, topic: str, stamp_ns: IntArray) -> IntArray:
+        """When samples (n,) arrived, on the forearm IMU's clock, ns; at their stamps where it is unknown."""
+        return self._arrivals(topic, stamp_ns)
 
     def of_frames(
         self,
@@ -72,7 +69,7 @@ class LogTimes:
         if latency_s is None and self._skeleton in self._log:
             delay = self._log[self._skeleton] - self._stamp[self._skeleton]
             if np.ptp(delay) > 0 or abs(float(np.median(delay))) > 0:
-                arrival = self._arrivals(self._skeleton, stamp_ns, self._shift())
+                arrival = self._arrivals(self._skeleton, stamp_ns)
                 return arrival, "Frames arrive at the recording's log times."
         seconds = CAMERA_LATENCY_S if latency_s is None else latency_s
         return stamp_ns + round(seconds * 1e9), f"Frames arrive {seconds:g} s after their stamps."
@@ -84,20 +81,20 @@ class LogTimes:
         shift = int((self._log[self._imu] - self._stamp[self._imu]).min())
         return shift if abs(shift) > _ONE_CLOCK_NS else 0
 
-    def _arrivals(self, topic: str, stamp_ns: IntArray, shift: int) -> IntArray:
-        """Log times of the messages with these stamps, less a shift."""
+    def _arrivals(self, topic: str, stamp_ns: IntArray) -> IntArray:
+        """Log times of the messages with these stamps, on the forearm IMU's clock."""
         if topic not in self._log:
             return stamp_ns
         order = np.argsort(self._stamp[topic], kind="stable")
         at = np.searchsorted(self._stamp[topic][order], stamp_ns)
         at = order[np.minimum(at, len(order) - 1)]
         same = self._stamp[topic][at] == stamp_ns
-        shift = shift or (self._shift() if topic == self._imu else 0)
-        return np.where(same, self._log[topic][at] - shift, stamp_ns)
+        return np.where(same, self._log[topic][at] - self._shift(), stamp_ns)
 
 
 #: With speed 0 the session's time goes on by this much from look to look, s.
 _STEP_S = 0.01
+_CAMERA = "camera"  # among the IMUs' segments
 
 
 class Replay:
@@ -128,28 +125,18 @@ class Replay:
         origin = int(choice.imu.stamp_ns.min()) // SECOND_NS * SECOND_NS
         origin = origin if beside is None else beside.info.origin_ns
         log_times = LogTimes(path, choice.imu.topic, arm.topic, [s.topic for s in choice.further.values()])
-        imu_ns = log_times.of_imu(choice.imu.stamp_ns)
-        self._further_imus = {
+        frame_ns, note = log_times.of_frames(arm.stamp_ns, latency_s)
+        self._check(path, log_times.of_imu(choice.imu.topic, choice.imu.stamp_ns), frame_ns)
+        frames = FrameRows(seconds(arm.stamp_ns, origin), arm.position, arm.state, seconds(frame_ns, origin))
+        self._frames = frames.select(np.argsort(frame_ns, kind="stable"))
+        self._imus = {
             segment: ImuRows(
                 seconds(each.stamp_ns, origin), each.acc, each.gyro, seconds(at_ns, origin), each.mag
             ).select(np.argsort(at_ns, kind="stable"))
-            for segment, each in choice.further.items()
-            for at_ns in [log_times.of_further(each.topic, each.stamp_ns)]
+            for segment, each in {FOREARM.name: choice.imu, **choice.further}.items()
+            for at_ns in [log_times.of_imu(each.topic, each.stamp_ns)]
             if len(each.stamp_ns)
         }
-        frame_ns, note = log_times.of_frames(arm.stamp_ns, latency_s)
-        self._check(path, imu_ns, frame_ns)
-        order, frame_order = np.argsort(imu_ns, kind="stable"), np.argsort(frame_ns, kind="stable")
-        self._imu = ImuRows(
-            seconds(choice.imu.stamp_ns, origin),
-            choice.imu.acc,
-            choice.imu.gyro,
-            seconds(imu_ns, origin),
-            choice.imu.mag,
-        ).select(order)
-        self._frames = FrameRows(
-            seconds(arm.stamp_ns, origin), arm.position, arm.state, seconds(frame_ns, origin)
-        ).select(frame_order)
         self._info = SourceInfo(
             choice.imu.topic,
             arm.topic,
@@ -160,13 +147,14 @@ class Replay:
             file.gravity_hint,
             path.name,
             notes=(*file.notes, *choice.notes, note),
-            further={segment: choice.further[segment].topic for segment in self._further_imus},
+            further={
+                segment: each.topic for segment, each in choice.further.items() if segment in self._imus
+            },
         )
         self.speed = speed
-        self._next_imu = self._next_frame = 0
-        self._next_further = dict.fromkeys(self._further_imus, 0)
-        self._first = min(float(self._imu.arrival_s[0]), float(self._frames.arrival_s[0]))
-        self._last = max(float(self._imu.arrival_s[-1]), float(self._frames.arrival_s[-1]))
+        self._next = dict.fromkeys((*self._imus, _CAMERA), 0)
+        first_imu = self._imus[FOREARM.name]
+        self._first = min(float(first_imu.arrival_s[0]), float(self._frames.arrival_s[0]))
         self._now = self._first
         self._began: float | None = None
         self._beside = beside
@@ -181,12 +169,7 @@ class Replay:
     @property
     def ended(self) -> bool:
         """Everything was played."""
-        return self._next_imu == len(self._imu) and self._next_frame == len(self._frames)
-
-    @property
-    def progress(self) -> float:
-        """Share of the recording that was played."""
-        return (self._now - self._first) / max(self._last - self._first, 1e-9)
+        return not self._due()
 
     def now_s(self) -> float:
         """The recording's time, s."""
@@ -202,11 +185,7 @@ class Replay:
             return
         if self._began is None:
             self._began = time.monotonic()
-        due = [
-            rows.arrival_s[at]
-            for rows, at in ((self._imu, self._next_imu), (self._frames, self._next_frame))
-            if at < len(rows)
-        ]
+        due = self._due()
         if not due:  # the other arm goes on
             time.sleep(seconds)
             return
@@ -217,19 +196,23 @@ class Replay:
         """What arrived since the last call."""
         lasts = self.speed or self._beside is not None
         self._now = self.now_s() if lasts else self._now + _STEP_S
-        stop_imu = int(np.searchsorted(self._imu.arrival_s, self._now, "right"))
-        stop_frame = int(np.searchsorted(self._frames.arrival_s, self._now, "right"))
-        imu = self._imu.select(slice(self._next_imu, stop_imu))
-        frames = self._frames.select(slice(self._next_frame, stop_frame))
-        self._next_imu, self._next_frame = stop_imu, stop_frame
-        further = {}
-        for segment, rows in self._further_imus.items():
-            first, stop = (
-                self._next_further[segment],
-                int(np.searchsorted(rows.arrival_s, self._now, "right")),
-            )
-            further[segment], self._next_further[segment] = rows.select(slice(first, stop)), stop
-        return Arrivals(imu, frames, further=further)
+        imus = {segment: self._arrived(segment, rows) for segment, rows in self._imus.items()}
+        return Arrivals(imus.pop(FOREARM.name), self._arrived(_CAMERA, self._frames), further=imus)
+
+    def _arrived(self, stream: str, rows: Rows) -> Rows:
+        """What arrived of a stream since the last call."""
+        first, stop = self._next[stream], int(np.searchsorted(rows.arrival_s, self._now, "right"))
+        self._next[stream] = stop
+        return rows.select(slice(first, stop))
+
+    def _due(self) -> list[float]:
+        """When the next sample of the forearm's IMU and the next frame arrive, as far as there are any."""
+        streams = {FOREARM.name: self._imus[FOREARM.name], _CAMERA: self._frames}
+        return [
+            float(rows.arrival_s[at])
+            for stream, rows in streams.items()
+            if (at := self._next[stream]) < len(rows)
+        ]
 
     def close(self) -> None:
         """Nothing to let go."""

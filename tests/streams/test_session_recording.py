@@ -137,7 +137,8 @@ def test_recorded_out_of_order_and_smoothed_offline_it_is_the_same_answer(tmp_pa
         order = np.argsort(rows.arrival_s + late, kind="stable")
         return dataclasses.replace(rows, arrival_s=rows.arrival_s + late).select(order)
 
-    source._imu, source._frames = disordered(source._imu), disordered(source._frames)
+    source._imus["forearm"] = disordered(source._imus["forearm"])
+    source._frames = disordered(source._frames)
     recording = SessionRecording(tmp_path / "session.mcap", source.info)
     recorder = Recorder(recording, patient=True)
     session = LiveSession(source, CameraEcho(), recording=recorder)
