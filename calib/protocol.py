@@ -68,7 +68,7 @@ def findings(figures: Mapping[str, Any], title: str = "") -> list[Table]:
             tables += _below(value, key, name)
         elif isinstance(value, list | tuple) and value and all(isinstance(each, Mapping) for each in value):
             tables.append(_rows(name, value))
-        elif np.size(value) <= _MOST:
+        elif 0 < np.size(value) <= _MOST:
             single.append((_name(key), _cell(figures, key), unit))
     values = [Table(title or "Values", ("", "value +- one sigma", "unit"), single)] if single else []
     return values + tables
@@ -129,7 +129,9 @@ def _cell(values: Mapping[str, Any], key: str) -> str:
     sigmas = scale * np.ravel(values[own]) if own else ()
     parts = []
     for at, each in enumerate(np.ravel(np.asarray(value, dtype=object)).tolist()):
-        if isinstance(each, bool) or not isinstance(each, int | float):
+        if isinstance(each, bool):
+            parts.append("yes" if each else "no")
+        elif not isinstance(each, int | float):
             parts.append("-" if each is None else str(each))
         elif not np.isfinite(each):
             parts.append("-")
