@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -135,9 +136,10 @@ def smooth(
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, source.calibration_file, config_file])
     config = read_config(config_file, processes, anatomy, body_height)
-    with DiskStore() as store, TemporaryDirectory(prefix="unocclude-") as folder:
+    with DiskStore() as store, ExitStack() as ended:
         if session is not None:
-            source = of_session(recording_file, session, source, config, Path(folder))
+            folder = Path(ended.enter_context(TemporaryDirectory(prefix="unocclude-")))
+            source = of_session(recording_file, session, source, config, folder)
         # memory stays flat however long the recording is
         arms = source.load(recording_file, store=store, truth=False)
         recordings = [recording for recording, _ in arms]

@@ -18,7 +18,7 @@ from ..config import Config
 from ..errors import CalibrationError, UnoccludeError
 from ..recording import Recording
 from ..runtime.outputs import writing
-from ..runtime.pool import Pool
+from ..runtime.pool import Pool, check_allowance
 from .folder import StudyFolder, text_hash
 from .inputs import Entry, config_hash, file_hash
 
@@ -58,6 +58,7 @@ def calibrate_session(
     paths: Iterable[Path], selection: Selection, config: Config, processes: int = 1
 ) -> Session:
     """Calibrate the trials among some recordings, by arm and by strap; what cannot be read is left out."""
+    check_allowance()
     from calib.motion.motion_calibration import calibrate_motion
 
     from ..selfcal.session import find_straps
