@@ -89,7 +89,10 @@ def allowance(recording: Recording) -> Allowance:
     undetermined = tuple(_undetermined(recording))
     if any(NOTHING in sentence for sentence in undetermined):
         growth *= UNKNOWN_MOUNTING
-    most_s = min(LONGEST_S, 0.5 * (min(arm.t_s[-1], imu.t_s[-1]) - max(arm.t_s[0], imu.t_s[0])))
+    common_s = min(arm.t_s[-1], imu.t_s[-1]) - max(arm.t_s[0], imu.t_s[0])
+    if recording.clocks_unrelated:
+        common_s = min(np.ptp(arm.t_s), np.ptp(imu.t_s))
+    most_s = min(LONGEST_S, 0.5 * float(common_s))
     for within_m in ASKED_M:
         longest_s = float(np.sqrt(max(within_m**2 - floor_m**2, 0.0)) / growth)
         if longest_s >= SHORTEST_S:
@@ -113,7 +116,7 @@ def _obstacles(recording: Recording) -> Iterator[str]:
     if _is_alone(recording) and not {"elbow", "wrist"} <= set(arm.present):
         yield ("one camera without depth needs elbow and wrist: nothing else shows how far away the arm is")
     start_s, end_s = max(arm.t_s[0], imu.t_s[0]), min(arm.t_s[-1], imu.t_s[-1])
-    if end_s - start_s < 2.0:
+    if end_s - start_s < 2.0 and not recording.clocks_unrelated:
         yield (
             f"IMU and camera have {max(end_s - start_s, 0.0):.1f} s in common by their stamps: their clocks"
             " are far apart, or the recording is too short"

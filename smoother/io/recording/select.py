@@ -126,8 +126,9 @@ def _cleaned(choice: StreamChoice, file: RecordingFile, store: Store) -> StreamC
     forearm = imu(choice.imu)
     arm, dropped = clean_arm(choice.arm, source, store)
     notes += dropped
-    _check_overlap(forearm, arm, source)
-    notes += _coverage(forearm, arm)
+    if not file.clocks_unrelated:  # else their stamps do not show what they have in common
+        _check_overlap(forearm, arm, source)
+        notes += _coverage(forearm, arm)
     base = None if choice.base is None else imu(choice.base)
     truth = choice.truth
     if truth is not None:
