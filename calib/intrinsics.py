@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
@@ -188,33 +187,66 @@ def _document(path: Path) -> dict[str, Any]:
         if path.suffix.lower() == ".toml":
             return read_toml(path)
         text = path.read_text(encoding="utf-8")
-        if text.lstrip().startswith("{"):
-            found = json.loads(text)
-        else:  # without OpenCV's first line, %YAML:1.0, which is none of YAML
-            found = yaml.load(re.sub("^%.*", "", text), _Yaml)
+        found = json.loads(text) if text.lstrip().startswith("{") else plain_yaml(text)
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
-        why = " ".join(str(error).split())
+    except (ValueError, RecursionError) as error:
         raise CalibrationError(
-            f"{path} is not a calibration that can be read (TOML, JSON or YAML): {why}."
+            f"{path} is not a calibration that can be read (TOML, JSON or YAML): {error}."
         ) from error
     if not isinstance(found, dict):
         raise CalibrationError(f"{path} contains no table of a camera.")
     return found
 
 
-class _Yaml(yaml.SafeLoader):
-    """YAML of plain values, as OpenCV, ROS and Kalibr write it; a matrix of OpenCV is a table."""
+def plain_yaml(text: str) -> dict[str, Any]:
+    """The part of YAML that calibration files use: tables by indentation, numbers, words, lists."""
+    lines: list[str] = []
+    for raw in text.splitlines():
+        line = re.sub(r"(^|\s)#.*$", "", raw).rstrip()
+        if not line or line.startswith(("%", "---", "...")):
+            continue
+        if lines and lines[-1].count("[") > lines[-1].count("]"):
+            lines[-1] += " " + line.strip()  # a list goes on
+        else:
+            lines.append(line)
+    root: dict[str, Any] = {}
+    open_tables: list[tuple[int, dict[str, Any]]] = [(-1, root)]
+    last: tuple[dict[str, Any], str] | None = None
+    for line in lines:
+        indent, body = len(line) - len(line.lstrip()), line.strip()
+        if body.startswith("- "):
+            if last is None:
+                raise ValueError("a list without a name")
+            table, key = last
+            if not isinstance(table[key], list):
+                table[key] = []
+            table[key].append(_scalar(body[2:]))
+            continue
+        key, mark, rest = body.partition(":")
+        if not mark:
+            raise ValueError(f"line '{body[:40]}'")
+        while len(open_tables) > 1 and indent <= open_tables[-1][0]:
+            open_tables.pop()
+        parent = open_tables[-1][1]
+        key, rest = key.strip().strip("\"'"), re.sub(r"^\s*!!\S+", "", rest).strip()
+        if rest:
+            parent[key] = _scalar(rest)
+        else:
+            parent[key] = {}
+            open_tables.append((indent, parent[key]))
+        last = parent, key
+    return root
 
-    def fetch_alias(self) -> None:
-        """Refuse what could stand for a billion values."""
-        raise yaml.YAMLError("an alias")
 
-
-_Yaml.add_constructor(
-    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
-)
+def _scalar(text: str) -> Any:
+    text = text.strip()
+    if text.startswith("["):
+        return json.loads(re.sub(r"(?<![\d.])\.(?=\d)", "0.", re.sub(r"(?<=\d)\.(?=[\s,\]eE])", ".0", text)))
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip("\"'")
 
 
 def _numbers(value: Any) -> FloatArray:
