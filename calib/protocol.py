@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from smoother.table import Table
 
@@ -122,6 +121,8 @@ def _shown(values: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _cell(values: Mapping[str, Any], key: str) -> str:
     """A value as people read it, with its sigma."""
+    from scipy.spatial.transform import Rotation  # `smooth` does not need it
+
     value, own = values[key], _sigma_key(values, key)
     if key.startswith("R_") and np.shape(value) == (3, 3):  # qw, qx, qy, qz
         value = Rotation.from_matrix(value).as_quat(canonical=True, scalar_first=True)

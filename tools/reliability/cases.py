@@ -56,6 +56,13 @@ def camera_sways(scene: Scene) -> Scene:
     return scene.changed(film=replace(scene.film, position=position), view=view)
 
 
+def mirrored_in_one_plane(scene: Scene) -> Scene:
+    """A mirrored skeleton; what the camera sees stays in one upright plane, what it does not see does not."""
+    mirror = np.array([-1.0, 1.0, 1.0])
+    film = replace(scene.film, position=scene.film.position * mirror)
+    return scene.changed(film=film, view=lambda t_s, place: place * mirror)
+
+
 @dataclass(frozen=True)
 class Case:
     """A set-up."""
