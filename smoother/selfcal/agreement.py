@@ -57,8 +57,8 @@ SAME_EXERCISE, MOST_NOISE = 0.08, 0.4
 #: The same where the forearm's direction in the sensor is known: 844 pairs of two activities (SmartFallMM)
 #: have 1.8 or more in 10 %, 3.7 in 1 %, 5.6 in 0.1 %, and 720 of simulated arms 3.2 at most; so many offsets
 #: of a search count as one. 86 pairs of two rounds of one activity have up to 10, and explain 0.18 or more in
-#: 10 %, 0.41 in 1 %: streams that are named as a pair are of two rounds in this part of cases at most.
-KNOWN_SCALE, KNOWN_TRIED, OTHER_ROUND = 0.83, 50.0, 0.05
+#: 10 %, 0.41 in 1 %: `SAME_EXERCISE` holds for them.
+KNOWN_SCALE, KNOWN_TRIED = 0.83, 50.0
 #: Good enough not to look further; a freer fit has to be this much less likely to be chance to count.
 CERTAIN, SWITCH = 1e-3, 0.1
 #: Distinct offsets in a second of search.
@@ -173,8 +173,7 @@ def chance(
     start += 0.0 if heading_only else CHANCE_FREE * stretches
     tried = max(searched_s * OFFSETS_PER_S / (KNOWN_TRIED if is_mounted else 1.0), 1.0)
     by_search = tried * np.exp(-max(evidence - start, 0.0) / (KNOWN_SCALE if is_mounted else CHANCE_SCALE))
-    by_exercise = np.exp(-max(explained, 0.0) / SAME_EXERCISE)
-    return float(min(1.0, max(by_search, OTHER_ROUND * by_exercise if is_mounted else by_exercise)))
+    return float(min(1.0, max(by_search, np.exp(-max(explained, 0.0) / SAME_EXERCISE))))
 
 
 def _stretches(
