@@ -126,7 +126,13 @@ def _cleaned(choice: StreamChoice, file: RecordingFile, store: Store) -> StreamC
     forearm = imu(choice.imu)
     arm, dropped = clean_arm(choice.arm, source, store)
     notes += dropped
-    if not file.clocks_unrelated:  # else their stamps do not show what they have in common
+    if file.clocks_unrelated:  # their stamps do not show what they have in common: at most the shorter one
+        first_ns, length_ns = (
+            int(forearm.stamp_ns[0]),
+            min(int(np.ptp(each.stamp_ns)) for each in (forearm, arm)),
+        )
+        _check_enough(forearm, arm, first_ns, first_ns + length_ns, source)
+    else:
         _check_overlap(forearm, arm, source)
         notes += _coverage(forearm, arm)
     base = None if choice.base is None else imu(choice.base)
