@@ -270,24 +270,27 @@ def _of_one_strap(
     straps = find_straps(recordings)
     if not straps:
         return recordings, None, ()
-    names = [[recordings[number].name for number in strap.members] for strap in straps]
     if len(straps) > 1:
-        listed = "; ".join(", ".join(group) for group in names)
+        listed = "; ".join(", ".join(recordings[number].name for number in strap.members) for strap in straps)
         raise CalibrationError(
             f"the IMU sat on the forearm in {len(straps)} ways: the strap was put on anew, or there are"
             f" several persons; calibrate each group by itself: {listed}"
         )
-    others = [recording.name for recording in recordings if recording.name not in names[0]]
-    left_out = [f"{', '.join(others)}: the motion does not show the clock there; left out"] if others else []
-    members = [recordings[number] for number in straps[0].members]
-    whole = [each for each in members if not any(clipped(each.imu, PLATEAU_SHARE))]
-    if 0 < len(whole) < len(members):
-        names_clipped = ", ".join(
-            each.name for each in members if each.name not in {one.name for one in whole}
+    members = straps[0].members
+    foreign = [number for number in range(len(recordings)) if number not in members]
+    damaged = [number for number in members if any(clipped(recordings[number].imu, PLATEAU_SHARE))]
+    if len(damaged) == len(members):  # there are no better ones
+        damaged = []
+    left_out = tuple(
+        f"{', '.join(recordings[number].name for number in numbers)}: {why}; left out"
+        for numbers, why in (
+            (foreign, "the motion does not show the clock there"),
+            (damaged, "the sensor was clipped"),
         )
-        left_out.append(f"{names_clipped}: the sensor was clipped; left out")
-        members = whole
-    return members, straps[0].along, tuple(left_out)
+        if numbers
+    )
+    used = [recordings[number] for number in members if number not in damaged]
+    return used, straps[0].along, left_out
 
 
 def _require_one_mounting(

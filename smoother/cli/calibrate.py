@@ -149,6 +149,8 @@ def motion(
         say_arm(recording, len(arms))
         print_answer(answer)
         say("A clock offset belongs to its recording: every recording's is solved anew, never carried over.")
+        if answer.figures["R_F_A"] is not None:
+            say("R_F_A takes the IMU to sit on the back of the forearm.")
     print_notes(notes)
     say_written(output, json_file)
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..array_types import FloatArray
+from ..errors import SolveError
 from ..measurements.clock import Clock
 from ..measurements.segment import Timeline
 from ..measurements.visibility import Gap
@@ -43,6 +44,8 @@ def merge(
             further.add(each, rows, share)
         drawn.add(answer.draws, rows, share)
         unexplained = merged_gaps(unexplained, answer.unexplained)
+    if not columns.bias:
+        raise SolveError(f"{recording.name}: in no part of the recording camera and IMU give one motion")
     model = task.model
     clock = model.clock.after(coarse_clock)
     arm = replace(recording.arm, t_s=model.clock.to_imu(recording.arm.t_s))

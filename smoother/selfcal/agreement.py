@@ -54,10 +54,10 @@ CHANCE_SCALE, CHANCE_START, CHANCE_STRETCH, CHANCE_FREE = 1.6, 0.0, 1.5, 1.5
 #: And the part of the camera's turning that it explains where both are of the same exercise; the camera's own
 #: error, by the forearm's length, accounts for this part at most.
 SAME_EXERCISE, MOST_NOISE = 0.08, 0.4
-#: The same where the forearm's direction in the sensor is known: 844 pairs of two activities (SmartFallMM)
-#: have 1.8 or more in 10 %, 3.7 in 1 %, 5.6 in 0.1 %, and 720 of simulated arms 3.2 at most; so many offsets
-#: of a search count as one. 86 pairs of two rounds of one activity have up to 10, and explain 0.18 or more in
-#: 10 %, 0.41 in 1 %: `SAME_EXERCISE` holds for them.
+#: The same where the forearm's direction in the sensor is known. Of 844 wrong pairs of two activities
+#: (SmartFallMM) 10 % reach an evidence of 1.8, 1 % reach 3.7 and 0.1 % reach 5.6; of 720 simulated ones none
+#: exceeds 3.2. A search over this many offsets counts as one try. Of 86 wrong pairs of one activity 10 % explain
+#: 0.18 of the turning and 1 % explain 0.41, which `SAME_EXERCISE` allows for.
 KNOWN_SCALE, KNOWN_TRIED = 0.83, 50.0
 #: Good enough not to look further; a freer fit has to be this much less likely to be chance to count.
 CERTAIN, SWITCH = 1e-3, 0.1

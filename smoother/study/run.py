@@ -62,8 +62,10 @@ def run_study(
     force: bool = False,
 ) -> tuple[Tally, pa.Table]:
     """Recover the recordings that are not done yet; how far it came, and the rows of all."""
-    for path in {entry.calibration or settings.calibration for entry in entries} - {""}:
-        _checked(path)
+    calibrations = {
+        path: _checked(path)
+        for path in {entry.calibration or settings.calibration for entry in entries} - {""}
+    }
     word = folder.open(force)
     if settings.hash_names:
         entries = [replace(entry, name=hashed_name(word, entry.name)) for entry in entries]
@@ -76,10 +78,8 @@ def run_study(
         if not settings.calibration:
             entries, notes = with_sessions(entries, folder, settings.selection, settings.config, __version__)
             tally.notes += notes
-        calibrations = {
-            path: _checked(path)
-            for path in {entry.calibration or settings.calibration for entry in entries} - {""}
-        }
+            found = {entry.calibration for entry in entries} - calibrations.keys() - {""}
+            calibrations |= {path: _checked(path) for path in found}
         earlier = {row["recording"]: row for row in folder.rows(_KNOWN, tally.notes).to_pylist()}
 
         def todo() -> Iterator[Job]:

@@ -62,6 +62,12 @@ def test_each_mistake_has_its_cause(case: str, preset: str) -> None:
         assert cause.remedies == () and NAMED[case] in cause.sentence
 
 
+def test_a_recording_without_any_answer_is_refused_with_its_cause() -> None:
+    setup = Job(setup_errors.metres_called_millimetres, 1262876031, "white", 29.4).setup()
+    with pytest.raises(SolveError, match=r"in no part of the recording.*1000 times too small"):
+        smooth(replace(setup.recording, truth=None), setup.calibration, processes=1)
+
+
 @pytest.fixture(scope="module")
 def arm() -> SimulatedArm:
     return simulate_arm(ArmSimulation.preset("realistic", protocol="random", duration_s=24.0), 3)
