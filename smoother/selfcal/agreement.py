@@ -56,8 +56,8 @@ CHANCE_SCALE, CHANCE_START, CHANCE_STRETCH, CHANCE_FREE = 1.6, 0.0, 1.5, 1.5
 SAME_EXERCISE, MOST_NOISE = 0.08, 0.4
 #: The same where the forearm's direction in the sensor is known. Of 844 wrong pairs of two activities
 #: (SmartFallMM) 10 % reach an evidence of 1.8, 1 % reach 3.7 and 0.1 % reach 5.6; of 720 simulated ones none
-#: exceeds 3.2. A search over this many offsets counts as one try. Of 86 wrong pairs of one activity 10 % explain
-#: 0.18 of the turning and 1 % explain 0.41, which `SAME_EXERCISE` allows for.
+#: exceeds 3.2. A search over this many offsets counts as one try. Of 86 wrong pairs of one activity 10 %
+#: explain 0.18 of the turning and 1 % explain 0.41, which `SAME_EXERCISE` allows for.
 KNOWN_SCALE, KNOWN_TRIED = 0.83, 50.0
 #: Good enough not to look further; a freer fit has to be this much less likely to be chance to count.
 CERTAIN, SWITCH = 1e-3, 0.1
