@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from .recording import Recording
     from .result import Recovery
     from .runtime.pool import Progress
-    from .runtime.store import Store
 
 
 def smooth(
@@ -24,7 +23,6 @@ def smooth(
     calibration: ArmCalibration | str | os.PathLike[str] | None = None,
     config: Config | None = None,
     progress: Progress | None = None,
-    store: Store | None = None,
     processes: int | None = None,
     clock: Clock | None = None,
     draws: int = 64,
@@ -40,7 +38,7 @@ def smooth(
     if not isinstance(recording, Recording):
         from .io.recording.read import read_arm
 
-        recording, of_file = read_arm(recording, file, store=store, truth=False, **selection)
+        recording, of_file = read_arm(recording, file, truth=False, **selection)
         given = given or of_file
     elif selection:
         raise UnoccludeError(
@@ -51,7 +49,7 @@ def smooth(
             f"{os.fspath(file)}: a calibration file belongs to the recording's file, as it also corrects the"
             " sensors; give smooth() both as paths, or an arm of it: read_calibration(FILE).arm(SIDE)"
         )
-    return smooth_recording(recording, given, config, progress, store, processes, clock, draws, seed)
+    return smooth_recording(recording, given, config, progress, processes, clock, draws, seed)
 
 
 def measure(

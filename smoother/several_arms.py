@@ -14,7 +14,6 @@ from .recording import Recording
 from .result import Recoveries, Recovery
 from .result.draws import USUAL_DRAWS
 from .runtime.pool import WORTH_FRAMES, Pool, Progress
-from .runtime.store import Store
 from .smoothing import smooth
 
 
@@ -35,7 +34,6 @@ def smooth_arms(
     calibrations: Sequence[ArmCalibration | None] | None = None,
     config: Config | None = None,
     progress: Progress | None = None,
-    store: Store | None = None,
     processes: int | None = None,
     clocks: Sequence[Clock | None] | None = None,
     draws: int = USUAL_DRAWS,
@@ -53,7 +51,7 @@ def smooth_arms(
         One per arm, as `read_recordings` gives them.
     calibrations : sequence of ArmCalibration or None, optional
         Of the arms, in the same order.
-    config, progress, store, processes
+    config, progress, processes
         As `smooth` takes them.
     clocks : sequence of Clock or None, optional
         As measured, of the arms in the same order.
@@ -84,7 +82,7 @@ def smooth_arms(
     if beside > 1 and max(len(recording.arm) for recording in recordings) <= WORTH_FRAMES:
         answers = _side_by_side(jobs, beside, progress)
     else:
-        answers = _in_turn(jobs, count, progress, store)
+        answers = _in_turn(jobs, count, progress)
     return together(recordings, answers)
 
 
@@ -102,7 +100,7 @@ def _side_by_side(
 
 
 def _in_turn(
-    jobs: Sequence[ArmJob], processes: int, progress: Progress | None, store: Store | None
+    jobs: Sequence[ArmJob], processes: int, progress: Progress | None
 ) -> list[Recovery | UnoccludeError]:
     answers = []
     for number, job in enumerate(jobs):
@@ -111,12 +109,12 @@ def _in_turn(
             if progress is not None:
                 progress((number + done) / len(jobs), word)
 
-        answers.append(recover_arm(job, share, store, processes))
+        answers.append(recover_arm(job, share, processes))
     return answers
 
 
 def recover_arm(
-    job: ArmJob, progress: Progress | None = None, store: Store | None = None, processes: int = 1
+    job: ArmJob, progress: Progress | None = None, processes: int = 1
 ) -> Recovery | UnoccludeError:
     """The recovery of an arm, or why there is none."""
     try:
@@ -125,7 +123,6 @@ def recover_arm(
             job.calibration,
             job.config,
             progress,
-            store,
             processes,
             job.clock,
             job.draws,

@@ -31,7 +31,6 @@ from .recovery.trunk import with_trunk
 from .recovery.trust import with_gap_verdicts, with_verdict
 from .result import Recovery
 from .runtime.pool import Pool, Progress, one_blas_thread
-from .runtime.store import Store
 from .selfcal.excerpts import informative_excerpts, is_read_whole
 from .selfcal.further_imu import calibrate_further_imus, joined, without_joints_of
 from .selfcal.mounting import contradictions
@@ -48,7 +47,6 @@ def smooth(
     calibration: ArmCalibration | None = None,
     config: Config | None = None,
     progress: Progress | None = None,
-    store: Store | None = None,
     processes: int | None = None,
     clock: Clock | None = None,
     draws: int = 0,
@@ -69,8 +67,6 @@ def smooth(
         Settings.
     progress : callable, optional
         Called with a fraction (0..1) and a word for the step.
-    store : Store, optional
-        Where what grows with the recording's length lives; in memory where None.
     processes : int, optional
         Worker processes, 0 for one per core; None uses the configuration's value.
     clock : Clock, optional
@@ -98,14 +94,14 @@ def smooth(
         raise UnoccludeError(f"draws and seed are whole numbers, 0 or more; not {min(draws, seed)}")
     config = with_measured_shoulder(with_measured_noise(config or Config(), recording.imu), recording.arm)
     given = calibration or ArmCalibration(side=recording.side)
-    report, store = progress or (lambda fraction, text: None), store or Store()
+    report = progress or (lambda fraction, text: None)
     if not any(joint in FOREARM_JOINTS for joint in recording.arm.present):
         raise SolveError(f"{recording.name}: the camera never tracked the forearm")
     _check_unit(recording)
 
     recording = _out_of_packets(recording)
     # 0. Several cameras: where each stands, its clock, and all frames as one stream in the first one's frame.
-    recording, rig = join_cameras(recording, store, float(limb_lengths(config.arm).mean[0]))
+    recording, rig = join_cameras(recording, float(limb_lengths(config.arm).mean[0]))
     # 1. Clocks: whether the streams are a pair, and the camera's stamps where the fine search finds the rest.
     report(0.0, "calibrating")
     as_recorded = recording
@@ -118,13 +114,13 @@ def smooth(
             )
 
         def solved(one: Recording) -> Solved:
-            return _solved(one, given, config, workers, store, report, clock, coarse_clock, (draws, seed))
+            return _solved(one, given, config, workers, report, clock, coarse_clock, (draws, seed))
 
         # 2. to 5. The motion; blocks of the camera's samples that the rest contradicts are left out of it.
         with diagnose_failures(recording, given, clock):
             best = without_wrong_blocks(recording, solved, names_of(rig, recording.arm))
     #    The thorax by an IMU on the trunk, where there is one.
-    recovery = with_cameras(with_trunk(best.recovery, as_recorded, store), rig)
+    recovery = with_cameras(with_trunk(best.recovery, as_recorded), rig)
     # 6. Sigma as hidden gaps of this camera asked for: the calibration's, or the self-check's.
     recovery = with_sigma_factors(recovery, given.sigma_factors)
     recovery = with_self_check(recovery, best.evidence.stretches)
@@ -174,7 +170,6 @@ def _solved(
     given: ArmCalibration,
     config: Config,
     workers: Pool,
-    store: Store,
     report: Progress,
     measured: Clock | None,
     coarse_clock: Clock | None,
@@ -192,7 +187,7 @@ def _solved(
     further, left_out = calibrate_further_imus(recording, given, config, workers)
     own = [without_joints_of(excerpt, further) for excerpt in excerpts]
     model = self_calibrate(own, given, config, workers, clock_sigma_s)
-    model, further, used = joined(model, further, store)
+    model, further, used = joined(model, further)
     recording = replace(recording, notes=(*recording.notes, *left_out, *used))
     # 3. The clock over a long recording, the magnetic field, and the motions that are drawn.
     sections = Sections(recording, timeline, model.clock, further)
@@ -208,7 +203,7 @@ def _solved(
     answers = evidence.collecting(solve_sections(sections, task, workers))
     # 5. One trajectory at the IMU's own stamps.
     answers = _reported(answers, len(sections), lambda share: report(0.25 + 0.7 * share, "recovering"))
-    recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
+    recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock)
     misfits = (*misfits, *model.misfits)
     return Solved(recovery, evidence, excerpts, misfits, model.open_questions)
 

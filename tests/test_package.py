@@ -100,10 +100,10 @@ def handed_on(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
 @pytest.mark.parametrize("kind", [str, Path])
 def test_a_file_is_read_and_handed_on(session: Path, handed_on: list[tuple], kind: type) -> None:
     smoother.smooth(kind(session), config=ALONE, processes=1, draws=64, seed=3)
-    (recording, calibration, config, progress, store, processes, clock, *drawing) = handed_on[0]
+    (recording, calibration, config, progress, processes, clock, *drawing) = handed_on[0]
     assert drawing == [64, 3]
     np.testing.assert_array_equal(recording.imu.acc, smoother.read_recording(session).imu.acc)
-    assert (calibration, config, processes) == (None, ALONE, 1) and progress is store is clock is None
+    assert (calibration, config, processes) == (None, ALONE, 1) and progress is clock is None
 
 
 def test_a_calibration_file_goes_with_the_file(session: Path, handed_on: list[tuple]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream, Recording
-from smoother.runtime.store import Store
+from smoother.runtime.store import large_array
 
 from ..file import CalibrationFile
 
@@ -126,21 +126,20 @@ def _density(table: dict[str, Any], where: str) -> float | None:
 _SAMPLES = 65536
 
 
-def corrected(recording: Recording, calibration: CalibrationFile, store: Store | None = None) -> Recording:
+def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
     """The recording with its IMUs corrected where the file has their calibration, and a note of it."""
-    store = store or Store()
-    imu, notes = _corrected(recording.imu, calibration, store)
+    imu, notes = _corrected(recording.imu, calibration)
     base = recording.base_imu
     if base is not None:
-        base, more = _corrected(base, calibration, store)
+        base, more = _corrected(base, calibration)
         notes += more
     further = {}
     for name, stream in recording.further_imus.items():
-        further[name], more = _corrected(stream, calibration, store)
+        further[name], more = _corrected(stream, calibration)
         notes += more
     trunk = recording.trunk
     if trunk is not None:
-        on_trunk, more = _corrected(trunk.imu, calibration, store)
+        on_trunk, more = _corrected(trunk.imu, calibration)
         trunk = replace(trunk, imu=on_trunk)
         notes += more
     known = sensors_in(calibration)
@@ -162,7 +161,7 @@ def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tu
     return [once[id(stream)] for stream in streams], sensor.accelerometer is not None
 
 
-def _corrected(imu: ImuStream, calibration: CalibrationFile, store: Store) -> tuple[ImuStream, list[str]]:
+def _corrected(imu: ImuStream, calibration: CalibrationFile) -> tuple[ImuStream, list[str]]:
     found = sensor_of(calibration, imu.name)
     if found is None:
         return imu, []
@@ -170,13 +169,13 @@ def _corrected(imu: ImuStream, calibration: CalibrationFile, store: Store) -> tu
     said = f"{imu.name}: {', '.join(named)} corrected" if named else f"{imu.name}: nothing to correct"
     if found.accelerometer_density is not None or found.gyroscope_density is not None:
         said += "; its measured noise is used"
-    return _applied(found, imu, store), [f"{said} ({calibration.source})"]
+    return _applied(found, imu), [f"{said} ({calibration.source})"]
 
 
-def _applied(sensor: SensorCalibration, imu: ImuStream, store: Store) -> ImuStream:
+def _applied(sensor: SensorCalibration, imu: ImuStream) -> ImuStream:
     """The corrected stream, some thousand samples at a time."""
-    acc, gyro = store.array((len(imu), 3)), store.array((len(imu), 3))
-    mag = None if imu.mag is None else store.array((len(imu), 3))
+    acc, gyro = large_array((len(imu), 3)), large_array((len(imu), 3))
+    mag = None if imu.mag is None else large_array((len(imu), 3))
     for start in range(0, len(imu), _SAMPLES):
         rows = slice(start, start + _SAMPLES)
         part = sensor.apply(imu.select(rows))

@@ -24,7 +24,7 @@ from ..measurements.segment import AROUND_S, Segment, make_segment, traits_of
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import JOINTS, JointTracks, Recording
 from ..rotation import Rotation
-from ..runtime.store import Store
+from ..runtime.store import large_array
 from .lifting import lifted
 
 #: The IMU's heading is taken as constant over this time, s.
@@ -91,7 +91,7 @@ class RayBlock:
         return self.attitude.at(self.t + found.offset_s).apply(found.along_A) @ found.Q.T
 
 
-def lift_alone(recording: Recording, forearm_m: float, store: Store) -> Recording:
+def lift_alone(recording: Recording, forearm_m: float) -> Recording:
     """A recording of one camera without depth whose joints have depths to start from."""
     arm, down = recording.arm, traits_of(recording).down
     blocks = list(_blocks(recording))
@@ -124,7 +124,7 @@ def lift_alone(recording: Recording, forearm_m: float, store: Store) -> Recordin
     depth[:, JOINTS.index("strap")] = z + (1.0 + STRAP_PART) * forward
     depth[:, JOINTS.index("shoulder")] = _shoulder_depth(arm, z, UPPER_ARM_RATIO * forearm_m)
     points = lifted(arm, np.clip(depth, NEAREST_M, FARTHEST_M))
-    position = store.array(points.position.shape)
+    position = large_array(points.position.shape)
     position[:] = points.position
     return replace(recording, arm=replace(points, position=position), cameras=())
 

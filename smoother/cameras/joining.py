@@ -9,7 +9,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..errors import SolveError
 from ..recording import FIRST_CAMERA, JOINTS, Camera, CameraPose, JointTracks, Recording
-from ..runtime.store import Store, batches
+from ..runtime.store import batches, large_array
 from .alone import lift_alone
 from .clocks import candidate_offsets
 from .faults import LEAST_S, fault_of, moved_from
@@ -28,14 +28,12 @@ RAYS_M = 0.04
 FOREARM_M = 0.25
 
 
-def join_cameras(
-    recording: Recording, store: Store | None = None, forearm_m: float = FOREARM_M
-) -> tuple[Recording, CameraRig | None]:
+def join_cameras(recording: Recording, forearm_m: float = FOREARM_M) -> tuple[Recording, CameraRig | None]:
     """A recording whose `arm` contains the frames of all cameras that agree."""
     if recording.arm.pixel_rad is not None and not recording.cameras:
-        return lift_alone(recording, forearm_m, store or Store()), None
+        return lift_alone(recording, forearm_m), None
     if recording.arm.pixel_rad is not None:
-        return _of_pixels(recording, store or Store())
+        return _of_pixels(recording)
     if not recording.cameras:
         return recording, None
     placed = [placed_camera(camera, recording.arm) for camera in recording.cameras]
@@ -46,7 +44,7 @@ def join_cameras(
     alone = replace(recording, cameras=())
     if not together:
         return alone, rig
-    return replace(alone, arm=_joined(recording.arm, together, store or Store())), rig
+    return replace(alone, arm=_joined(recording.arm, together)), rig
 
 
 def placed_camera(camera: Camera, first: JointTracks, name: str = FIRST_CAMERA) -> RigCamera:
@@ -92,14 +90,14 @@ def _placed(camera: Camera, first: JointTracks, name: str) -> RigCamera:
     )
 
 
-def _joined(first: JointTracks, further: list[tuple[Camera, RigCamera]], store: Store) -> JointTracks:
+def _joined(first: JointTracks, further: list[tuple[Camera, RigCamera]]) -> JointTracks:
     """All frames in the order of time."""
     times = [np.asarray(first.t_s), *(row.clock.to_first(np.asarray(c.arm.t_s)) for c, row in further)]
     t = np.concatenate(times)
     order = np.argsort(t, kind="stable")
     place_of = np.empty(len(order), np.int64)
     place_of[order] = np.arange(len(order))
-    position = store.array((len(t), len(JOINTS), 3))
+    position = large_array((len(t), len(JOINTS), 3))
     state = np.zeros((len(t), len(JOINTS)), np.int8)
     camera = np.zeros(len(t), np.int8)
     # of what joints of cameras with depth are off by
@@ -139,7 +137,7 @@ def _origin(arm: JointTracks, row: RigCamera) -> FloatArray:
     return row.pose.p_K_C_m
 
 
-def _of_pixels(recording: Recording, store: Store) -> tuple[Recording, CameraRig | None]:
+def _of_pixels(recording: Recording) -> tuple[Recording, CameraRig | None]:
     """A recording whose first camera has no depth: by the rays of several."""
     first, alone = recording.arm, replace(recording, cameras=())
     rows, together = [], []
@@ -161,7 +159,7 @@ def _of_pixels(recording: Recording, store: Store) -> tuple[Recording, CameraRig
         assert row.pose is not None
         depth, _ = depth_by_rays(camera.arm, row.pose, row.clock, first, here)
         lifted_cameras.append((camera.with_arm(lifted(camera.arm, depth)), row))
-    arm = _joined(deep_first, lifted_cameras, store)
+    arm = _joined(deep_first, lifted_cameras)
     origins = np.array([np.zeros(3), *(_origin(c.arm, row) for c, row in lifted_cameras)])
     return replace(alone, arm=replace(arm, ray_origin_m=origins)), rig
 

@@ -56,7 +56,6 @@ def cut(
     """
     from ..io.recording.cut_file import Part as PartOfFile
     from ..io.recording.cut_file import cut_file, read_trials
-    from ..runtime.disk_store import DiskStore
 
     if trials_file is None:
         if from_s is None and to_s is None:
@@ -79,8 +78,7 @@ def cut(
             raise typer.BadParameter(f"{output} is a file; with --trials name a folder")
         output.mkdir(parents=True, exist_ok=True)
     check_outputs(force, [*(part.path for part in parts), json_file], [recording_file, trials_file])
-    with DiskStore() as store:
-        written, notes = cut_file(recording_file, parts, force=force, store=store, **arm.reading())
+    written, notes = cut_file(recording_file, parts, force=force, **arm.reading())
     write_json(json_file, {"parts": written, "notes": notes}, force)
     rows = [
         (

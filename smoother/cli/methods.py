@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recoveries, Recovery
-    from ..runtime.store import Store
 
     Progress = Callable[[float, str], None]
 
@@ -90,7 +89,6 @@ def recover_arms(
     config: Config,
     settings: BaselineSettings,
     progress: Progress,
-    store: Store,
     draws: int = 0,
     seed: int = 0,
 ) -> Recoveries:
@@ -101,12 +99,10 @@ def recover_arms(
     from ..several_arms import smooth_arms, together
 
     if name == GRAPH:
-        return smooth_arms(
-            recordings, calibrations, config, progress, store, clocks=clocks, draws=draws, seed=seed
-        )
+        return smooth_arms(recordings, calibrations, config, progress, clocks=clocks, draws=draws, seed=seed)
     answers: list[Recovery | UnoccludeError] = []
     for recording, calibration, clock in zip(recordings, calibrations, clocks, strict=True):
-        recover = make_methods([name], calibration, config, settings, progress, store, clock)[name]
+        recover = make_methods([name], calibration, config, settings, progress, clock)[name]
         try:
             answers.append(recover(recording))
         except UnoccludeError as error:

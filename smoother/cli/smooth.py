@@ -121,7 +121,6 @@ def smooth(
 
     from ..io import write_recovery
     from ..result import is_of_arm
-    from ..runtime.disk_store import DiskStore
     from .config import read_config
     from .methods import limit_sigma
 
@@ -136,12 +135,11 @@ def smooth(
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, source.calibration_file, config_file])
     config = read_config(config_file, processes, anatomy, body_height)
-    with DiskStore() as store, ExitStack() as ended:
+    with ExitStack() as ended:
         if session is not None:
             folder = Path(ended.enter_context(TemporaryDirectory(prefix="unocclude-")))
             source = of_session(recording_file, session, source, config, folder)
-        # memory stays flat however long the recording is
-        arms = source.load(recording_file, store=store, truth=False)
+        arms = source.load(recording_file, truth=False)
         recordings = [recording for recording, _ in arms]
         clocks = [source.clock(one) for one in recordings]
         given = [
@@ -150,7 +148,7 @@ def smooth(
         ]
         with progress_bar("recovering") as progress:
             recoveries = recover_arms(
-                recordings, names[0], given, clocks, config, settings, progress, store, motions, seed or 0
+                recordings, names[0], given, clocks, config, settings, progress, motions, seed or 0
             )
         results = []
         for recovery in recoveries:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ..recording import Recording
     from ..result import Recovery
     from ..runtime.pool import Progress
-    from ..runtime.store import Store
     from .compare import LivePlay
 
     Method = Callable[[Recording], Recovery]
@@ -52,17 +51,16 @@ class SharedGraph:
         calibration: ArmCalibration | None,
         config: Config,
         progress: Progress | None = None,
-        store: Store | None = None,
         clock: Clock | None = None,
     ) -> None:
         self._calibration, self._config, self._progress = calibration, config, progress
-        self._store, self._clock = store, clock
+        self._clock = clock
         self._recording: Recording | None = None
         self._answer: Recovery | UnoccludeError | None = None
 
     def __getstate__(self) -> dict[str, object]:
         """In another process there is no progress to report, and the answer is in its memory."""
-        return {**self.__dict__, "_progress": None, "_store": None}
+        return {**self.__dict__, "_progress": None}
 
     def __call__(self, recording: Recording) -> Recovery:
         """The recovery of this very object."""
@@ -86,9 +84,7 @@ class SharedGraph:
         from .. import smooth
 
         try:
-            return smooth(
-                recording, self._calibration, self._config, self._progress, self._store, clock=self._clock
-            )
+            return smooth(recording, self._calibration, self._config, self._progress, clock=self._clock)
         except UnoccludeError as error:
             return error
 
@@ -99,12 +95,11 @@ def make_methods(
     config: Config,
     settings: BaselineSettings | None = None,
     progress: Progress | None = None,
-    store: Store | None = None,
     clock: Clock | None = None,
     latency_s: float = 0.1,
 ) -> dict[str, Method]:
     """The chosen methods by name; the baselines start from what the graph estimates, which they share."""
-    graph, settings = SharedGraph(calibration, config, progress, store, clock), settings or BaselineSettings()
+    graph, settings = SharedGraph(calibration, config, progress, clock), settings or BaselineSettings()
     live = _SharedPlay(graph, calibration, config, latency_s)
 
     def method(name: str) -> Method:

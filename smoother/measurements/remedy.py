@@ -9,7 +9,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..recording import JOINTS, CameraFrame, ImuStream, JointTracks, Recording
-from ..runtime.store import Store, batches
+from ..runtime.store import batches, large_array
 
 AXES = ("x", "y", "z")
 SENSORS = ("accelerometer", "gyroscope")
@@ -54,28 +54,27 @@ class Remedy:
         ]
         return tuple(f"--{name} {value}" for name, value in options if value)
 
-    def applied(self, recording: Recording, store: Store | None = None) -> Recording:
+    def applied(self, recording: Recording) -> Recording:
         """The recording with these mistakes undone, and a note of each."""
         if not self.options:
             return recording
-        store = store or Store()
         imu, arm, trunk, opposite = recording.imu, recording.arm, recording.trunk, recording.opposite
         if self.sides:
             if opposite is None:
                 raise RecordingError(f"{recording.name}: the camera saw one arm, so sides cannot be swapped")
             arm, opposite = opposite, arm
         for sensor in self.negate:
-            imu = _negated(imu, sensor, store)
+            imu = _negated(imu, sensor)
         if self.mirror:
-            arm = replace(arm, position=_mirrored(arm.position, AXES.index(self.mirror), store))
+            arm = replace(arm, position=_mirrored(arm.position, AXES.index(self.mirror)))
             if trunk is not None and trunk.other_arm is not None:
-                position = _mirrored(trunk.other_arm.position, AXES.index(self.mirror), store)
+                position = _mirrored(trunk.other_arm.position, AXES.index(self.mirror))
                 trunk = replace(trunk, other_arm=replace(trunk.other_arm, position=position))
             if opposite is not None:
-                position = _mirrored(opposite.position, AXES.index(self.mirror), store)
+                position = _mirrored(opposite.position, AXES.index(self.mirror))
                 opposite = replace(opposite, position=position)
         if self.swap:
-            arm = _swapped(arm, self.swap, store)
+            arm = _swapped(arm, self.swap)
         return replace(
             recording,
             imu=imu,
@@ -101,31 +100,31 @@ class Remedy:
         return notes
 
 
-def _negated(imu: ImuStream, sensor: str, store: Store) -> ImuStream:
+def _negated(imu: ImuStream, sensor: str) -> ImuStream:
     turn = np.full(3, -1.0)
     if sensor == "accelerometer":
-        return replace(imu, acc=_scaled(imu.acc, turn, store))
-    return replace(imu, gyro=_scaled(imu.gyro, turn, store))
+        return replace(imu, acc=_scaled(imu.acc, turn))
+    return replace(imu, gyro=_scaled(imu.gyro, turn))
 
 
-def _mirrored(position: FloatArray, axis: int, store: Store) -> FloatArray:
+def _mirrored(position: FloatArray, axis: int) -> FloatArray:
     sign = np.ones(3)
     sign[axis] = -1.0
-    return _scaled(position, sign, store)
+    return _scaled(position, sign)
 
 
-def _scaled(values: FloatArray, factor: FloatArray, store: Store) -> FloatArray:
-    out = store.array(values.shape)
+def _scaled(values: FloatArray, factor: FloatArray) -> FloatArray:
+    out = large_array(values.shape)
     for rows in batches(len(values)):
         out[rows] = values[rows] * factor
     return out
 
 
-def _swapped(arm: JointTracks, joints: tuple[str, ...], store: Store) -> JointTracks:
+def _swapped(arm: JointTracks, joints: tuple[str, ...]) -> JointTracks:
     first, second = (JOINTS.index(joint) for joint in joints)
     order = list(range(len(JOINTS)))
     order[first], order[second] = second, first
-    position = store.array(arm.position.shape)
+    position = large_array(arm.position.shape)
     for rows in batches(len(position)):
         position[rows] = arm.position[rows][:, order]
     return replace(arm, position=position, state=np.asarray(arm.state)[:, order])

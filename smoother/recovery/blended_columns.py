@@ -13,7 +13,7 @@ from ..recording import JOINTS, Recording
 from ..result import Draws, FrameResiduals
 from ..result.segment_motion import SegmentMotion
 from ..rotation import Rotation
-from ..runtime.store import Store
+from ..runtime.store import large_array
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.draw_plan import DrawPlan
 from ..window.trajectory import mix, share_after, turn_to
@@ -51,8 +51,8 @@ class FurtherColumns:
     border.
     """
 
-    def __init__(self, count: int, store: Store) -> None:
-        self._count, self._store = count, store
+    def __init__(self, count: int) -> None:
+        self._count = count
         self._columns: dict[str, dict[str, FloatArray]] = {}
         self._elbow: dict[str, list[ElbowAxis]] = {}
 
@@ -61,7 +61,7 @@ class FurtherColumns:
         name = answer.segment
         if name not in self._columns:
             self._columns[name] = {
-                column: self._store.array((self._count, *size))
+                column: large_array((self._count, *size))
                 for column, size in (("position", (3,)), ("quaternion", (4,)), ("pose_covariance", (6, 6)))
             }
         columns = self._columns[name]
@@ -103,8 +103,8 @@ class FurtherColumns:
 class DrawColumns:
     """The drawn motions of a recording, neighbouring sections blended over their border."""
 
-    def __init__(self, imu_t: FloatArray, plan: DrawPlan | None, store: Store) -> None:
-        self._imu_t, self._plan, self._store = imu_t, plan, store
+    def __init__(self, imu_t: FloatArray, plan: DrawPlan | None) -> None:
+        self._imu_t, self._plan = imu_t, plan
         self._columns: dict[str, FloatArray] = {}
         self._end = 0  # first drawn time that is not filled yet; on disk, filling all at once takes seconds
 
@@ -117,7 +117,7 @@ class DrawColumns:
         drawn = slice(first, first + len(answer.samples))
         for name, values in answer.columns.items():
             if name not in self._columns:
-                self._columns[name] = self._store.array((count, *values.shape[1:]), 0.0, np.float32)
+                self._columns[name] = large_array((count, *values.shape[1:]), 0.0, np.float32)
                 self._columns[name][: self._end] = np.nan
         for column in self._columns.values():
             column[self._end : drawn.stop] = np.nan
@@ -139,20 +139,20 @@ class DrawColumns:
 class ArmColumns:
     """What grows with the recording: filled section by section, neighbours blended over their border."""
 
-    def __init__(self, recording: Recording, names: tuple[str, ...], store: Store) -> None:
+    def __init__(self, recording: Recording, names: tuple[str, ...]) -> None:
         self._recording = recording
         samples, frames = len(recording.imu), len(recording.arm)
         self.motion = {
-            "position": store.array((samples, 3)),
-            "quaternion": store.array((samples, 4)),
-            "velocity": store.array((samples, 3)),
-            "pose_covariance": store.array((samples, 6, 6)),
-            "velocity_covariance": store.array((samples, 3, 3)),
+            "position": large_array((samples, 3)),
+            "quaternion": large_array((samples, 4)),
+            "velocity": large_array((samples, 3)),
+            "pose_covariance": large_array((samples, 6, 6)),
+            "velocity_covariance": large_array((samples, 3, 3)),
         }
-        self.joints = {joint: store.array((samples, 3)) for joint in names}
-        self.joint_covariance = {joint: store.array((samples, 3, 3)) for joint in names}
+        self.joints = {joint: large_array((samples, 3)) for joint in names}
+        self.joint_covariance = {joint: large_array((samples, 3, 3)) for joint in names}
         self.occluded = np.ones(samples, bool)
-        self._residual = store.array((frames, len(JOINTS), 3))
+        self._residual = large_array((frames, len(JOINTS), 3))
         self._used = np.zeros((frames, len(JOINTS)), bool)
         self._reason = np.zeros((frames, len(JOINTS)), np.uint8)
         self.gaps: list[Gap] = []

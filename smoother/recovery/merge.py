@@ -15,7 +15,6 @@ from ..measurements.visibility import Gap
 from ..recording import JOINTS, Recording
 from ..result import Estimates, Recovery
 from ..result.verdict import Sign
-from ..runtime.store import Store
 from ..selfcal.self_calibration import SelfCalibration
 from .blended_columns import ArmColumns, DrawColumns, FurtherColumns, merged_gaps
 from .magnetometer import Magnetometer
@@ -31,12 +30,11 @@ def merge(
     task: Task,
     magnetometer: Magnetometer,
     coarse_clock: Clock | None,
-    store: Store,
 ) -> Recovery:
     """The answer at every IMU sample; nan where no section has one."""
-    columns = ArmColumns(recording, task.joints, store)
-    further = FurtherColumns(len(recording.imu), store)
-    drawn = DrawColumns(recording.imu.t_s, task.plan, store)
+    columns = ArmColumns(recording, task.joints)
+    further = FurtherColumns(len(recording.imu))
+    drawn = DrawColumns(recording.imu.t_s, task.plan)
     unexplained: list[Gap] = []
     for answer in answers:
         share, rows = columns.add(answer.answer), answer.answer.samples

@@ -20,7 +20,7 @@ from ..recording import ImuStream, JointTracks, Recording, TrunkSensors
 from ..result import Recovery
 from ..result.segment_motion import TrunkMotion
 from ..rotation import Rotation
-from ..runtime.store import Store
+from ..runtime.store import large_array
 from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_trunk
 from .blended_columns import between_quaternions
 from .trunk_by_shoulders import JOINT_BIAS_M, shoulder_lines, trunk_by_shoulders
@@ -39,19 +39,17 @@ VERTICAL_RAD = np.radians(1.0)
 WRONG_LIMB_RAD = np.radians(15.0)
 
 
-def with_trunk(recovery: Recovery, recording: Recording, store: Store) -> Recovery:
+def with_trunk(recovery: Recovery, recording: Recording) -> Recovery:
     """The recovery with the thorax's orientation, or with a note on why there is none."""
     trunk = recording.trunk
     if trunk is None:
-        by_shoulders = trunk_by_shoulders(recovery, recording, store)
+        by_shoulders = trunk_by_shoulders(recovery, recording)
         return recovery if by_shoulders is None else replace(recovery, trunk=by_shoulders)
-    motion, note = _motion(trunk, recovery, recording, store)
+    motion, note = _motion(trunk, recovery, recording)
     return replace(recovery, trunk=motion, notes=(*recovery.notes, note))
 
 
-def _motion(
-    trunk: TrunkSensors, recovery: Recovery, recording: Recording, store: Store
-) -> tuple[TrunkMotion | None, str]:
+def _motion(trunk: TrunkSensors, recovery: Recovery, recording: Recording) -> tuple[TrunkMotion | None, str]:
     name = trunk.imu.name
     if not np.isfinite(recovery.gravity_direction).all() or not len(recovery):
         return None, f"{name} was left out: the direction of gravity is not known"
@@ -71,7 +69,7 @@ def _motion(
             f"{name} was left out: the line of shoulders departs from its motion by"
             f" {np.degrees(mount.line_sigma_rad):.0f} degrees; check that it was on the trunk"
         )
-    quaternion, covariance = store.array((len(recovery), 4)), store.array((len(recovery), 3, 3))
+    quaternion, covariance = large_array((len(recovery), 4)), large_array((len(recovery), 3, 3))
     for start in starts:
         for line in data.lines(start, mount.offset_s):
             _fill(quaternion, covariance, recovery.t_s, start, line, mount, up_K)

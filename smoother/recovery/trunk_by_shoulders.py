@@ -14,7 +14,7 @@ from ..recording import JointTracks, Recording
 from ..result import Recovery
 from ..result.segment_motion import TrunkMotion
 from ..rotation import Rotation
-from ..runtime.store import Store
+from ..runtime.store import large_array
 from ..selfcal.trunk_mount import GIRDLE_M
 
 #: Worked on at a time, s.
@@ -34,7 +34,7 @@ LEAN_RAD = (np.radians(5.0), np.radians(8.0))
 FEWEST_FRAMES = 60
 
 
-def trunk_by_shoulders(recovery: Recovery, recording: Recording, store: Store) -> TrunkMotion | None:
+def trunk_by_shoulders(recovery: Recovery, recording: Recording) -> TrunkMotion | None:
     """The thorax upright by gravity, its heading by the line of shoulders."""
     other = recording.opposite
     if other is None or recording.side not in ("left", "right") or not len(recovery):
@@ -42,7 +42,7 @@ def trunk_by_shoulders(recovery: Recovery, recording: Recording, store: Store) -
     if not np.isfinite(recovery.gravity_direction).all():
         return None
     up = -unit(recovery.gravity_direction)
-    quaternion, covariance = store.array((len(recovery), 4)), store.array((len(recovery), 3, 3))
+    quaternion, covariance = large_array((len(recovery), 4)), large_array((len(recovery), 3, 3))
     quaternion[:], covariance[:] = np.nan, np.nan
     frames = 0
     bias = recovery.estimates.joint_bias_sigma_m or JOINT_BIAS_M

@@ -1,87 +1,66 @@
-"""Where arrays that grow with the recording live: here in memory; columns that grow, and passes over them."""
+"""Arrays that grow with a recording, in nameless files instead of memory; passes over them.
+
+A file goes when its last array does, whatever happens to the program; forked processes see what is written.
+"""
 
 from __future__ import annotations
 
+import errno
+import os
+import tempfile
 from collections.abc import Iterator
-from typing import Any
+from contextlib import contextmanager
+from typing import IO
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ..errors import UnoccludeError
 
-class Store:
-    """Space for what grows with a recording's length, in memory."""
-
-    def array(self, shape: tuple[int, ...], fill: float = np.nan, dtype: DTypeLike = np.float64) -> NDArray:
-        """A new array, every value `fill`."""
-        return np.full(shape, fill, dtype)
-
-    def put(self, value: object) -> object:
-        """Put a value aside; `pop` gives it back for what this returns."""
-        return value
-
-    def pop(self, kept: Any) -> Any:
-        """The value that was put aside; it can be taken once."""
-        return kept
-
-
+#: Arrays smaller than this stay in memory.
+_SMALL_BYTES = 1 << 20
 #: Rows that are looked at together; keeps memory flat however long the column is.
 BATCH_ROWS = 1 << 15
 #: Statistics of longer columns are taken of an even sub-sample of at least this many rows.
 _ENOUGH = 50_000
 
 
-class Column:
-    """Rows of one shape, gathered batch after batch in a store."""
+def large_array(shape: tuple[int, ...], fill: float = np.nan, dtype: DTypeLike = np.float64) -> NDArray:
+    """A new array, every value `fill`; a large one lies in a file where the system has its temporary ones."""
+    kind = np.dtype(dtype)
+    size = int(np.prod(shape, dtype=np.int64)) * kind.itemsize
+    if size < _SMALL_BYTES:
+        return np.full(shape, fill, kind)
+    with _named_failures(), tempfile.TemporaryFile(buffering=0) as file:
+        _allocate(file, size, np.full(1, fill, kind))
+        return np.asarray(np.memmap(file, kind, "r+", shape=shape))
 
-    def __init__(
-        self,
-        store: Store,
-        tail: tuple[int, ...] = (),
-        dtype: DTypeLike = np.float64,
-        optional: bool = False,
-    ):
-        self._store = store
-        self._array: NDArray = np.empty((0, *tail), dtype)
-        self._count = 0
-        self._blank = optional
+
+class Column:
+    """Rows of one shape, gathered batch after batch."""
+
+    def __init__(self, tail: tuple[int, ...] = (), dtype: DTypeLike = np.float64):
+        self._tail, self._kind, self._count = tail, np.dtype(dtype), 0
+        self._file = tempfile.SpooledTemporaryFile(_SMALL_BYTES)  # noqa: SIM115 (goes with the column)
 
     def __len__(self) -> int:
         return self._count
 
     def append(self, values: NDArray) -> None:
         """Take rows (n, ...)."""
-        end = self._count + len(values)
-        if self._blank and np.isnan(values).all():
-            self._count = end
-            return
-        if self._blank:
-            before, self._count, self._blank = self._count, 0, False
-            for part in batches(before):
-                self.append(np.full((part.stop - part.start, *self._array.shape[1:]), np.nan))
-        if end > len(self._array):
-            self._array = self._moved(max(end, 2 * len(self._array)))
-        self._array[self._count : end] = values
-        self._count = end
-
-    @property
-    def is_blank(self) -> bool:
-        """Optional, and nothing but nan so far."""
-        return self._blank
+        with _named_failures():
+            self._file.write(np.ascontiguousarray(values, self._kind).data)
+        self._count += len(values)
 
     def done(self) -> NDArray:
-        """All rows (none of a blank column); nothing can be taken after this."""
-        if self._blank:
-            return self._array
-        array = self._array if len(self._array) == self._count else self._moved(self._count)
-        self._array = array[:0]
-        return array
-
-    def _moved(self, length: int) -> NDArray:
-        array = self._store.array((length, *self._array.shape[1:]), 0, self._array.dtype)
-        for part in batches(self._count):
-            array[part] = self._array[part]
-        return array
+        """All rows; nothing can be taken after this."""
+        shape = (self._count, *self._tail)
+        if self._file.tell() < _SMALL_BYTES:
+            self._file.seek(0)
+            return np.frombuffer(bytearray(self._file.read()), self._kind).reshape(shape)
+        with _named_failures():
+            self._file.flush()
+            return np.asarray(np.memmap(self._file, self._kind, "r+", shape=shape))
 
 
 def batches(count: int) -> Iterator[slice]:
@@ -94,3 +73,36 @@ def sampled(values: NDArray) -> NDArray:
     """Rows for a statistic: all of up to 100,000, else a copy of every second, third, .. one."""
     step = max(len(values) // _ENOUGH, 1)
     return values if step == 1 else values[::step].copy()
+
+
+@contextmanager
+def _named_failures() -> Iterator[None]:
+    """Say what to do where the system's temporary folder cannot be written to, or its disk is full."""
+    try:
+        yield
+    except OSError as failure:
+        folder = tempfile.tempdir or "the system's temporary folder"
+        if failure.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise UnoccludeError(
+                f"There is no space left for temporary files in {folder}; make room there, or name a "
+                "folder on a larger disk in the environment variable TMPDIR."
+            ) from failure
+        raise UnoccludeError(
+            f"No temporary files can be made in {folder} ({failure.strerror or failure}); name a "
+            "folder of your own in the environment variable TMPDIR."
+        ) from failure
+
+
+def _allocate(file: IO[bytes], size: int, fill: NDArray) -> None:
+    """Give a file its size and content; a map of space that is not reserved could kill the program."""
+    if not any(fill.tobytes()) and hasattr(os, "posix_fallocate"):
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+            return
+        except OSError as failure:
+            if failure.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENODEV):
+                raise
+    piece = memoryview(np.repeat(fill, max(_SMALL_BYTES // fill.itemsize, 1)).tobytes())
+    left = size
+    while left:
+        left -= file.write(piece[: min(left, len(piece))])

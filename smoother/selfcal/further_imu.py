@@ -23,7 +23,7 @@ from ..measurements.segment import Segment, Timeline, without_spikes
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import JOINTS, ImuStream, Recording
 from ..runtime.pool import Pool
-from ..runtime.store import Store
+from ..runtime.store import large_array
 from .excerpts import informative_excerpts
 from .pairing import synchronise_coarsely
 from .rounds import self_calibrate
@@ -95,9 +95,9 @@ class FurtherImu:
             further_clock_offset_s=forearm.further_clock_offset_s | {name: self.clock.mean_s},
         )
 
-    def on_clock(self, forearm: Clock, store: Store) -> tuple[FurtherImu, str]:
+    def on_clock(self, forearm: Clock) -> tuple[FurtherImu, str]:
         """With its samples on the forearm IMU's clock, dejittered, and a sentence on that."""
-        t_s = _on_forearm_clock(self.imu.t_s, self.clock, forearm, store)
+        t_s = _on_forearm_clock(self.imu.t_s, self.clock, forearm)
         imu = replace(self.imu, t_s=t_s)
         for rows in split_at_pauses(imu):
             t_s[rows] = dejitter(np.array(t_s[rows]))
@@ -134,13 +134,13 @@ def without_joints_of(excerpt: Segment, further: Sequence[FurtherImu]) -> Segmen
 
 
 def joined(
-    forearm: SelfCalibration, further: Sequence[FurtherImu], store: Store
+    forearm: SelfCalibration, further: Sequence[FurtherImu]
 ) -> tuple[SelfCalibration, list[FurtherImu], list[str]]:
     """The forearm's model with the further IMUs, these on the forearm IMU's clock, and a sentence on each."""
     placed, notes = [], []
     for imu in further:
         forearm = imu.joined(forearm)
-        moved, note = imu.on_clock(forearm.clock, store)
+        moved, note = imu.on_clock(forearm.clock)
         placed.append(moved)
         notes.append(note)
     return forearm, placed, notes
@@ -206,9 +206,9 @@ def _longer(run: ImuStream) -> ImuStream:
     return replace(run, t_s=t_s, acc=acc, gyro=gyro)
 
 
-def _on_forearm_clock(t_own: FloatArray, own: Clock, forearm: Clock, store: Store) -> FloatArray:
+def _on_forearm_clock(t_own: FloatArray, own: Clock, forearm: Clock) -> FloatArray:
     """Stamps of an IMU on the forearm IMU's clock, by way of the camera's."""
-    t_s = store.array((len(t_own),))
+    t_s = large_array((len(t_own),))
     batch = 1 << 16
     for start in range(0, len(t_own), batch):
         rows = slice(start, start + batch)

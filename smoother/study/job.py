@@ -213,7 +213,6 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began:
 
     from ..io import write_recovery
     from ..io.recording.read import read_arms
-    from ..runtime.disk_store import DiskStore
     from ..several_arms import smooth_arms
 
     if job.calibration and file_hash(job.calibration) != job.calibration_hash:
@@ -221,36 +220,35 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began:
     settings, output = job.settings, folder.output(job.name)
     windows = settings.config.windows.model_copy(update={"processes": 1})  # a recording a process
     config = settings.config.model_copy(update={"windows": windows})
-    with DiskStore() as store:
-        arms = read_arms(job.source, job.calibration or None, store=store, truth=False, **settings.selection)
-        recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
-        results = []
-        for recovery in smooth_arms(recordings, calibrations, config, store=store, draws=settings.draws):
-            recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
-            results.append((recording, with_given(recovery, calibration)))
-        answers = [recovery for _, recovery in results]
-        measured = measured_arms(answers) if settings.measures else {"measures": None}
-        # the result is that of `smooth --draws 0`
-        answers = [replace(recovery, draws=None) for recovery in answers]
-        if settings.hash_names:
-            answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
-        output.parent.mkdir(parents=True, exist_ok=True)
-        write_recovery(answers, output, source=job.source, force=True)
-        about = os.stat(output)
-        row = job.row(
-            DONE,
-            input_hash,
-            **before,
-            output=job.name,
-            output_hash=file_hash(output),
-            output_bytes=about.st_size,
-            output_mtime_ns=about.st_mtime_ns,
-            **figures_of_arms(results),
-            **measured,
-            recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
-            seconds=time.perf_counter() - began,
-        )
-        folder.write_row(row)
+    arms = read_arms(job.source, job.calibration or None, truth=False, **settings.selection)
+    recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
+    results = []
+    for recovery in smooth_arms(recordings, calibrations, config, draws=settings.draws):
+        recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
+        results.append((recording, with_given(recovery, calibration)))
+    answers = [recovery for _, recovery in results]
+    measured = measured_arms(answers) if settings.measures else {"measures": None}
+    # the result is that of `smooth --draws 0`
+    answers = [replace(recovery, draws=None) for recovery in answers]
+    if settings.hash_names:
+        answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
+    output.parent.mkdir(parents=True, exist_ok=True)
+    write_recovery(answers, output, source=job.source, force=True)
+    about = os.stat(output)
+    row = job.row(
+        DONE,
+        input_hash,
+        **before,
+        output=job.name,
+        output_hash=file_hash(output),
+        output_bytes=about.st_size,
+        output_mtime_ns=about.st_mtime_ns,
+        **figures_of_arms(results),
+        **measured,
+        recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
+        seconds=time.perf_counter() - began,
+    )
+    folder.write_row(row)
     return row
 
 

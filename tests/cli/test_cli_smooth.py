@@ -14,15 +14,13 @@ from arms import make_recording, make_truth
 from commands import done
 from results import made
 
-import smoother.runtime.disk_store
+import smoother.runtime.store
 from calib.file import read_calibration
 from calib.imu.sensor import corrected
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.io import import_broad, read_recording, read_recovery, write_recording, write_recovery
 from smoother.recording import Recording
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
-from smoother.runtime.disk_store import DiskStore
-from smoother.runtime.store import Store
 from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
 
 
@@ -158,7 +156,7 @@ DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 
 def test_where_the_columns_lie_does_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, limit in (("memory", 1 << 40), ("files", 1)):
-        monkeypatch.setattr(smoother.runtime.disk_store, "_SMALL_BYTES", limit)
+        monkeypatch.setattr(smoother.runtime.store, "_SMALL_BYTES", limit)
         done(
             *("smooth", DEMO, "-o", tmp_path / f"{name}.mcap", "--json", tmp_path / f"{name}.json"),
             *("--report", tmp_path / f"{name}.html", "--processes", 1),
@@ -171,7 +169,7 @@ def test_where_the_columns_lie_does_not_show(tmp_path: Path, monkeypatch: pytest
 def test_no_room_for_temporary_files_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(smoother.runtime.disk_store, "_SMALL_BYTES", 1)
+    monkeypatch.setattr(smoother.runtime.store, "_SMALL_BYTES", 1)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
     assert run(["smooth", str(DEMO), "-o", str(tmp_path / "out.mcap"), "--processes", "1"]) != 0
     said = capsys.readouterr().err
@@ -191,13 +189,12 @@ def test_an_imu_is_corrected_part_by_part(
     )
     calibration = read_calibration(tmp_path / "cal.toml")
     monkeypatch.setattr("calib.imu.sensor._SAMPLES", 10**9)
-    whole = corrected(recording, calibration, Store())
+    whole = corrected(recording, calibration)
     assert not np.array_equal(whole.imu.acc, recording.imu.acc)
     monkeypatch.setattr("calib.imu.sensor._SAMPLES", samples)
-    with DiskStore(tmp_path) as store:
-        parts = corrected(recording, calibration, store)
-        for name in ("t_s", "acc", "gyro"):
-            np.testing.assert_allclose(getattr(parts.imu, name), getattr(whole.imu, name), rtol=1e-14)
+    parts = corrected(recording, calibration)
+    for name in ("t_s", "acc", "gyro"):
+        np.testing.assert_allclose(getattr(parts.imu, name), getattr(whole.imu, name), rtol=1e-14)
 
 
 BODY = UntrustedInterval(9.0, 12.0, ("another person's joints",))

@@ -25,19 +25,19 @@ from smoother.io.recording.read import read_arm
 from smoother.io.recording.streams import ArmFrames, RecordingFile
 from smoother.io.recording.write import as_file
 from smoother.recording import JOINTS, ImuStream, JointState
-from smoother.runtime import disk_store
 from smoother.runtime import store as store_module
-from smoother.runtime.disk_store import DiskStore
-from smoother.runtime.store import Column, Store, batches, sampled
+from smoother.runtime.store import Column, batches, sampled
 
 ZERO = 1_700_000_000 * 10**9
 
 
-@pytest.fixture
-def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+def in_small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every array on disk, every pass in many parts."""
-    monkeypatch.setattr(disk_store, "_SMALL_BYTES", 1)
+    monkeypatch.setattr(store_module, "_SMALL_BYTES", 1)
     monkeypatch.setattr(store_module, "BATCH_ROWS", 13)
+
+
+small_parts = pytest.fixture(in_small_parts)
 
 
 def assert_equal(found: object, expected: object) -> None:
@@ -104,14 +104,13 @@ def several_imus(_: Path) -> RecordingFile:
 
 
 @pytest.mark.parametrize("made", [plain, two_arms, dropped_samples, renumbered_body, several_imus])
-@pytest.mark.usefixtures("small_parts")
-def test_a_store_on_disk_holds_the_same(made: object, tmp_path: Path):
+def test_columns_in_files_are_the_same(made: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.mcap"
     write_recording(made(tmp_path), path)  # type: ignore[operator]
     chosen = {"side": "right"} if made is two_arms else {"imu": "/imu/a"} if made is several_imus else {}
-    with DiskStore() as store:
-        assert_equal(open_recording(path, store=store), open_recording(path))
-        assert_equal(read_recording(path, store=store, **chosen), read_recording(path, **chosen))
+    expected = open_recording(path), read_recording(path, **chosen)
+    in_small_parts(monkeypatch)
+    assert_equal((open_recording(path), read_recording(path, **chosen)), expected)
 
 
 @pytest.mark.usefixtures("small_parts")
@@ -131,15 +130,13 @@ def test_field_of_a_topic_of_its_own_and_markers(tmp_path: Path):
             markers = {"markers": [ros.marker(ns, number, place) for number, place in places.items()]}
             kind = "visualization_msgs/msg/MarkerArray"
             bag.write("/body_tracking_data", kind, ros.marker_array(), markers, ns)
-    with DiskStore() as store:
-        found = read_recording(path, side="right", store=store)
+    found = read_recording(path, side="right")
     stamps = np.rint(t * 1e9)
     have, values = stamps[::3] - 7_000_000, np.sin(np.arange(3.0) + 3 * np.arange(len(t[::3]))[:, None])
     expected = np.stack([np.interp(stamps, have, values[:, k]) for k in range(3)], axis=1)
     np.testing.assert_allclose(found.imu.mag, expected, atol=1e-12)  # times differ in their last digit
     np.testing.assert_array_equal(found.arm.joint("wrist")[found.arm.tracked("wrist")][:40], wrist[:40])
     assert not found.arm.tracked("wrist")[41:50].any()
-    assert_equal(found, read_recording(path, side="right"))
 
 
 def test_without_truth_all_else_is_the_same(tmp_path: Path):
@@ -149,8 +146,7 @@ def test_without_truth_all_else_is_the_same(tmp_path: Path):
     assert found.truth is None and whole.truth is not None
     assert_equal(replace(found, truth=whole.truth), whole)
     assert open_recording(path, truth=False).poses == []
-    with DiskStore() as store:
-        assert_equal(read_arm(path, store=store, truth=False)[0], found)
+    assert_equal(read_arm(path, truth=False)[0], found)
 
 
 LONG = """
@@ -159,16 +155,13 @@ from pathlib import Path
 import numpy as np
 from smoother.io import read_recording
 from private_memory import PrivatePeak
-from smoother.runtime.disk_store import DiskStore
 
 peak = PrivatePeak()
 short, long, truth = sys.argv[1:]
-with DiskStore() as store:
-    read_recording(short, store=store)  # all that is imported on the way
-    begin = peak.mb()
-    recording = read_recording(long, store=store, truth=truth == "True")
-    rows = len(recording.imu), len(recording.arm)
-print(peak.mb() - begin, *rows)
+read_recording(short)  # all that is imported on the way
+begin = peak.mb()
+recording = read_recording(long, truth=truth == "True")
+print(peak.mb() - begin, len(recording.imu), len(recording.arm))
 """
 
 
@@ -246,23 +239,20 @@ def test_a_base_imu_is_averaged_in_parts(monkeypatch: pytest.MonkeyPatch):
     np.testing.assert_allclose(found, expected, atol=1e-12)  # sums of 70 in another order
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.lists(st.integers(0, 40), max_size=12), st.booleans(), st.integers(0, 12))
-@pytest.mark.usefixtures("small_parts")
-def test_columns_are_their_parts_put_together(sizes: list[int], on_disk: bool, blank: int):
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(0, 40), max_size=12), st.sampled_from([1, 400, 1 << 20]))
+def test_columns_are_their_parts_put_together(sizes: list[int], small: int):
     rng = np.random.default_rng(0)
     parts = [rng.normal(size=(size, 2)) for size in sizes]
-    for part in parts[:blank]:
-        part[:] = np.nan
-    expected = np.concatenate([np.empty((0, 2)), *parts])
-    for optional in (False, True):
-        gathered = Column(DiskStore() if on_disk else Store(), (2,), optional=optional)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(store_module, "_SMALL_BYTES", small)
+        gathered = Column((2,))
         for part in parts:
             gathered.append(part)
-        assert len(gathered) == len(expected)
-        is_blank = optional and bool(np.isnan(expected).all())
-        assert gathered.is_blank == is_blank
-        np.testing.assert_array_equal(gathered.done(), expected[: 0 if is_blank else None])
+        assert len(gathered) == sum(sizes)
+        found = gathered.done()
+    np.testing.assert_array_equal(found, np.concatenate([np.empty((0, 2)), *parts]))
+    found += 1.0  # as any other array
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -291,7 +281,7 @@ def test_arms_are_what_a_loop_over_joints_makes(
     events: list[tuple[int, int, int, int, int]], stamps: np.ndarray, ordered: bool
 ):
     stamps = np.sort(stamps) if ordered else stamps
-    rows = JointRows(DiskStore())
+    rows = JointRows()
     position = np.random.default_rng(0).normal(size=(len(events), 3))
     half = len(events) // 2
     half += sum(event[0] == events[half][0] for event in events[half:]) if events else 0  # whole messages

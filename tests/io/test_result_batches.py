@@ -23,8 +23,8 @@ from smoother.io import read_recovery, write_recording, write_recovery
 from smoother.io.mcap.merge import END, TimeAxis, time_batches
 from smoother.recording import Recording
 from smoother.result import Recovery
-from smoother.runtime.disk_store import DiskStore
-from smoother.runtime.store import Store
+from smoother.runtime import store
+from smoother.runtime.store import large_array
 
 
 def cut(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
@@ -107,11 +107,11 @@ def test_log_times_that_run_back_are_held_across_parts(
         assert len(log) == len(t) and min(np.diff(log)) >= 0
 
 
-def on_disk(made: Recovery, store: Store) -> Recovery:
-    """The recovery with its columns in a store."""
+def on_disk(made: Recovery) -> Recovery:
+    """The recovery with its columns in files."""
 
     def put(values: np.ndarray) -> np.ndarray:
-        array = store.array(values.shape, 0, values.dtype)
+        array = large_array(values.shape, 0, values.dtype)
         array[:] = values
         return array
 
@@ -133,18 +133,15 @@ def on_disk(made: Recovery, store: Store) -> Recovery:
 
 
 def test_columns_in_files_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import smoother.runtime.disk_store
-
-    monkeypatch.setattr(smoother.runtime.disk_store, "_SMALL_BYTES", 1)
+    monkeypatch.setattr(store, "_SMALL_BYTES", 1)
     cut(monkeypatch, 64)
     made = recovery()
     write_recovery(made, tmp_path / "memory.mcap")
-    with DiskStore(tmp_path) as store:
-        kept = on_disk(made, store)
-        write_recovery(kept, tmp_path / "files.mcap")
-        for batch in kept.batches():
-            assert len(batch)
-        assert_same(made, kept)
+    kept = on_disk(made)
+    write_recovery(kept, tmp_path / "files.mcap")
+    for batch in kept.batches():
+        assert len(batch)
+    assert_same(made, kept)
     assert (tmp_path / "files.mcap").read_bytes() == (tmp_path / "memory.mcap").read_bytes()
 
 

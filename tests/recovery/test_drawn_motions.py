@@ -13,7 +13,6 @@ from smoother.errors import UnoccludeError
 from smoother.recovery.blended_columns import DrawColumns
 from smoother.recovery.drawn_samples import SectionDraws, _hermite, _widened
 from smoother.recovery.samples import widen_turns
-from smoother.runtime.store import Store
 from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
 from smoother.window.draw_plan import DrawPlan
@@ -113,7 +112,7 @@ def test_between_nodes_a_motion_of_constant_acceleration_is_exact() -> None:
 
 def test_sections_are_joined_as_the_answer_is() -> None:
     t = np.arange(400) / 100
-    columns = DrawColumns(t, DrawPlan(2, 0, "", 4, np.eye(1)), Store())
+    columns = DrawColumns(t, DrawPlan(2, 0, "", 4, np.eye(1)))
     everywhere = {"position": 1.0, "rotation": 2.0}
 
     def add(rows: slice, border_s: float, value: float) -> None:
@@ -134,7 +133,7 @@ def test_sections_are_joined_as_the_answer_is() -> None:
 
 def test_where_no_section_has_a_motion_there_is_none() -> None:
     t = np.arange(400) / 100
-    columns = DrawColumns(t, DrawPlan(2, 0, "", 4, np.eye(1)), Store())
+    columns = DrawColumns(t, DrawPlan(2, 0, "", 4, np.eye(1)))
     for rows, names in ((slice(0, 120), ("position",)), (slice(200, 320), ("position", "rotation"))):
         samples = np.arange(0, rows.stop - rows.start, 4)
         filled = {name: np.ones((len(samples), 2, 3)) for name in names}

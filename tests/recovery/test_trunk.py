@@ -19,7 +19,6 @@ from smoother.recovery.trunk import with_trunk
 from smoother.recovery.trunk_by_shoulders import LEAN_RAD, trunk_by_shoulders
 from smoother.result import Recovery
 from smoother.result.segment_motion import SegmentMotion
-from smoother.runtime.store import Store
 from smoother.shoulder_angles import trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
@@ -79,7 +78,7 @@ def made(request: pytest.FixtureRequest) -> SimulatedArm:
 
 @pytest.fixture(scope="module")
 def recovery(made: SimulatedArm) -> Recovery:
-    return with_trunk(recovered(made), made.recording, Store())
+    return with_trunk(recovered(made), made.recording)
 
 
 def test_orientation_mounting_and_clock(made: SimulatedArm, recovery: Recovery) -> None:
@@ -130,7 +129,7 @@ def test_a_pause_of_the_trunks_imu_is_left_open() -> None:
     trunk = made.recording.trunk
     imu = trunk.imu.select((trunk.imu.t_s < 20.0) | (trunk.imu.t_s > 30.0))
     recording = replace(made.recording, trunk=replace(trunk, imu=imu))
-    recovery = with_trunk(recovered(made), recording, Store())
+    recovery = with_trunk(recovered(made), recording)
     known = np.isfinite(recovery.trunk.quaternion[:, 0])
     inside = (recovery.t_s > 20.2) & (recovery.t_s < 29.8)
     assert not known[inside].any() and known[(recovery.t_s < 19.0) | (recovery.t_s > 31.0)].all()
@@ -140,12 +139,12 @@ def test_a_pause_of_the_trunks_imu_is_left_open() -> None:
 def test_what_it_cannot_do_without_is_said() -> None:
     made = simulated(duration_s=20.0)
     trunk, truth = made.recording.trunk, recovered(made)
-    alone = with_trunk(truth, replace(made.recording, trunk=TrunkSensors(trunk.imu)), Store())
+    alone = with_trunk(truth, replace(made.recording, trunk=TrunkSensors(trunk.imu)))
     assert alone.trunk is None and "needs both shoulders" in alone.notes[-1]
     hidden = trunk.other_arm.hide(np.ones(len(trunk.other_arm), bool), ("shoulder",))
-    unseen = with_trunk(truth, replace(made.recording, trunk=replace(trunk, other_arm=hidden)), Store())
+    unseen = with_trunk(truth, replace(made.recording, trunk=replace(trunk, other_arm=hidden)))
     assert unseen.trunk is None and "hardly saw both shoulders" in unseen.notes[-1]
-    assert with_trunk(truth, replace(made.recording, trunk=None), Store()) is truth
+    assert with_trunk(truth, replace(made.recording, trunk=None)) is truth
 
 
 def test_an_imu_that_is_not_on_the_trunk() -> None:
@@ -154,7 +153,7 @@ def test_an_imu_that_is_not_on_the_trunk() -> None:
     trunk = made.recording.trunk
     assert trunk is not None
     recording = replace(made.recording, trunk=replace(trunk, imu=made.recording.imu))
-    recovery = with_trunk(recovered(made), recording, Store())
+    recovery = with_trunk(recovered(made), recording)
     assert recovery.trunk is None and "check that it was on the trunk" in recovery.notes[-1]
 
 
@@ -191,7 +190,7 @@ def turning(side: str, seed: int = 0, turn_deg: float = 30.0) -> tuple[Recovery,
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_heading_follows_both_shoulders(side: str) -> None:
     made, recording, true = turning(side)
-    trunk = trunk_by_shoulders(made, recording, Store())
+    trunk = trunk_by_shoulders(made, recording)
     assert trunk is not None and not trunk.by_imu
     R = Rotation.from_quat(trunk.quaternion, scalar_first=True).as_matrix()
     off = Rotation.from_matrix(R @ true.transpose(0, 2, 1)).as_rotvec()
@@ -210,7 +209,7 @@ def test_hidden_shoulders_leave_nothing_a_second_later() -> None:
     frames = recording.opposite.t_s
     hidden = (frames > 6.0) & (frames < 12.0)
     recording = replace(recording, opposite=recording.opposite.hide(hidden, ("shoulder",)))
-    trunk = trunk_by_shoulders(made, recording, Store())
+    trunk = trunk_by_shoulders(made, recording)
     empty = np.isnan(trunk.quaternion[:, 0])
     # the recording's clock is 0.3 s behind the IMU's
     inside = (made.t_s > 7.35) & (made.t_s < 11.25)
@@ -221,17 +220,17 @@ def test_hidden_shoulders_leave_nothing_a_second_later() -> None:
 
 def test_what_does_not_show_it() -> None:
     made, recording, _ = turning("right")
-    assert trunk_by_shoulders(made, replace(recording, opposite=None), Store()) is None
-    assert trunk_by_shoulders(made, replace(recording, side=""), Store()) is None
+    assert trunk_by_shoulders(made, replace(recording, opposite=None)) is None
+    assert trunk_by_shoulders(made, replace(recording, side="")) is None
     blind = replace(made, gravity_direction=np.full(3, np.nan))
-    assert trunk_by_shoulders(blind, recording, Store()) is None
+    assert trunk_by_shoulders(blind, recording) is None
     never = recording.opposite.hide(np.ones(len(recording.opposite), bool), ("shoulder",))
-    assert trunk_by_shoulders(made, replace(recording, opposite=never), Store()) is None
+    assert trunk_by_shoulders(made, replace(recording, opposite=never)) is None
 
 
 def test_a_file_keeps_where_it_comes_from(tmp_path: Path) -> None:
     made, recording, _ = turning("right")
-    made = with_trunk(made, recording, Store())
+    made = with_trunk(made, recording)
     write_recovery(made, tmp_path / "a.mcap")
     (back,) = read_recovery(tmp_path / "a.mcap")
     assert back.trunk is not None and made.trunk is not None and not back.trunk.by_imu
@@ -244,7 +243,7 @@ def test_a_file_keeps_where_it_comes_from(tmp_path: Path) -> None:
 
 def test_measures_still_count_the_trunk_as_upright() -> None:
     made, recording, _ = turning("right")
-    with_one = with_trunk(made, recording, Store())
+    with_one = with_trunk(made, recording)
     assert with_one.trunk is not None
     before, after = (measure(each).by_key for each in (made, with_one))
     assert before.keys() == after.keys()

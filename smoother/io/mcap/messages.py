@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
 from ...runtime.printable import printable
-from ...runtime.store import Store, batches
+from ...runtime.store import batches, large_array
 from ..wire.layout import Block, Buffer, MessageLayout
 
 SECOND_NS = 1_000_000_000
@@ -24,12 +24,9 @@ SECOND_NS = 1_000_000_000
 def seconds(
     stamp_ns: IntArray,  # (n,) ns
     origin_ns: int,
-    store: Store | None = None,
 ) -> FloatArray:  # (n,) s
     """Stamps as seconds after an origin; `nanoseconds` gives the same stamps back."""
-    if store is None:
-        return (stamp_ns - origin_ns) / 1e9
-    t_s = store.array((len(stamp_ns),), 0.0)
+    t_s = large_array((len(stamp_ns),), 0.0)
     for part in batches(len(stamp_ns)):
         t_s[part] = (stamp_ns[part] - origin_ns) / 1e9
     return t_s

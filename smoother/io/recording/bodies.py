@@ -12,7 +12,7 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import runs
 from ...recording import FOREARM_JOINTS, JOINTS, JointState
-from ...runtime.store import Store, batches
+from ...runtime.store import batches, large_array
 from .names import role
 from .streams import ArmFrames, RecordingFile
 
@@ -27,9 +27,7 @@ _APART_M = 0.4
 _ASKED = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand", "strap")]
 
 
-def join_bodies(
-    arms: list[ArmFrames], store: Store | None = None, worn: WornImus | None = None
-) -> tuple[list[ArmFrames], list[str]]:
+def join_bodies(arms: list[ArmFrames], worn: WornImus | None = None) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost."""
     joined: list[ArmFrames] = []
     numbers: list[list[int]] = []  # that each of them had so far
@@ -58,7 +56,7 @@ def join_bodies(
             continue
         place = (by_imu or by_place)[0]
         earlier = joined[place]
-        joined[place] = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED, store or Store())
+        joined[place] = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED)
         numbers[place].append(arm.body)
         how = (
             "numbered it anew where it was"
@@ -72,9 +70,9 @@ def join_bodies(
     return joined, notes
 
 
-def _merged(own: ArmFrames, other: ArmFrames, taken: BoolArray, store: Store) -> ArmFrames:
+def _merged(own: ArmFrames, other: ArmFrames, taken: BoolArray) -> ArmFrames:
     """An arm with another's joints where `taken` (F, 5)."""
-    position = store.array(own.position.shape, 0.0)
+    position = large_array(own.position.shape, 0.0)
     for part in batches(len(position)):
         position[part] = np.where(taken[part, :, None], other.position[part], own.position[part])
     return replace(own, position=position, state=np.where(taken, other.state, own.state))
@@ -115,7 +113,7 @@ _JUMP_M, _LEFT = 0.4, 0.35
 _SHOULDER = JOINTS.index("shoulder")
 
 
-def unswap_bodies(arms: list[ArmFrames], store: Store | None = None) -> tuple[list[ArmFrames], list[str]]:
+def unswap_bodies(arms: list[ArmFrames]) -> tuple[list[ArmFrames], list[str]]:
     """Give bodies their numbers back where two of one topic exchanged them."""
     arms, notes = list(arms), []
     bodies = sorted({(arm.topic, arm.body) for arm in arms})
@@ -139,8 +137,8 @@ def unswap_bodies(arms: list[ArmFrames], store: Store | None = None) -> tuple[li
         taken = np.repeat(exchanged[:, None], len(JOINTS), axis=1)
         for i, k in pairs:
             one, other = arms[i], arms[k]
-            arms[i] = _merged(one, other, taken, store or Store())
-            arms[k] = _merged(other, one, taken, store or Store())
+            arms[i] = _merged(one, other, taken)
+            arms[k] = _merged(other, one, taken)
         seconds = [f"{(int(stamp[run.start]) - int(stamp[0])) / 1e9:.1f}" for run in runs(exchanged)]
         notes.append(
             f"Bodies {first} and {second} of {topic} exchange their numbers {', '.join(seconds[:5])} s after"
@@ -192,8 +190,8 @@ NOT_WORN_FROM = 0.95
 class WornImus:
     """Which IMUs each body of a file wears, worked out when it is asked for."""
 
-    def __init__(self, file: RecordingFile, store: Store | None = None) -> None:
-        self._file, self._store = file, store
+    def __init__(self, file: RecordingFile) -> None:
+        self._file = file
         self._imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
         self._matches: dict[tuple[str, int], dict[str, ImuMatch]] = {}
         bodies = {(arm.topic, arm.body) for arm in file.arms if arm.tracked}
@@ -228,7 +226,7 @@ class WornImus:
         if (topic, body) not in self._matches:
             arms = [arm for arm in self._file.arms if (arm.topic, arm.body) == (topic, body)]
             try:
-                matches, _ = match_streams(self._file, self._imus, seen_frames(arms), store=self._store)
+                matches, _ = match_streams(self._file, self._imus, seen_frames(arms))
             except RecordingError:
                 matches = []
             self._matches[topic, body] = {match.imu: match for match in matches}
@@ -246,8 +244,8 @@ def seen_frames(arms: list[ArmFrames]) -> list[ArmFrames]:
     ]
 
 
-def people(file: RecordingFile, store: Store | None = None) -> tuple[list[ArmFrames], list[str]]:
+def people(file: RecordingFile) -> tuple[list[ArmFrames], list[str]]:
     """The arms of every person, each under one number."""
-    arms, swapped = unswap_bodies(file.arms, store)
-    arms, joined = join_bodies(arms, store, WornImus(replace(file, arms=arms), store))
+    arms, swapped = unswap_bodies(file.arms)
+    arms, joined = join_bodies(arms, WornImus(replace(file, arms=arms)))
     return arms, swapped + joined

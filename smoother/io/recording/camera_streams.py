@@ -11,7 +11,6 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import Camera, CameraFrame
-from ...runtime.store import Store
 from ..mcap.messages import seconds
 from .bodies import people
 from .clean import clean_arm
@@ -58,7 +57,7 @@ def _without_doubles(file: RecordingFile) -> RecordingFile:
 
 
 def same_arm(
-    others: RecordingFile | None, arm: ArmFrames, imu: ImuSamples, store: Store | None
+    others: RecordingFile | None, arm: ArmFrames, imu: ImuSamples
 ) -> tuple[list[tuple[CameraStream, ArmFrames]], list[str]]:
     """What each further camera saw of an arm: the skeleton of its side, of several people by the motion."""
     if others is None:
@@ -66,7 +65,7 @@ def same_arm(
     found, notes = [], []
     for topic, camera in others.cameras.items():
         own = replace(others, arms=[each for each in others.arms if each.topic == topic], cameras={})
-        arms, said = people(own, store)
+        arms, said = people(own)
         notes += said
         candidates = [each for each in arms if each.side == arm.side and each.tracked]
         if not candidates:
@@ -91,15 +90,14 @@ def camera_of(
     arm: ArmFrames,
     source: str,
     origin_ns: int,
-    store: Store,
     lenses: Mapping[str, KnownLens] | None = None,
 ) -> tuple[Camera | None, list[str]]:
     """A further camera with cleaned frames; None and a sentence where they cannot be used."""
     try:
-        clean, notes = clean_arm(arm, source, store)
+        clean, notes = clean_arm(arm, source)
     except RecordingError as error:
         return None, [f"{stream.name} was left out: {error}"]
-    tracks = tracks_of(clean, seconds(clean.stamp_ns, origin_ns, store), store)
+    tracks = tracks_of(clean, seconds(clean.stamp_ns, origin_ns))
     frame = stream.camera_frame or clean.camera_frame
     known = (lenses or {}).get(arm.topic)
     pose = None if known is None else known.pose

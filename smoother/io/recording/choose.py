@@ -10,7 +10,6 @@ import numpy as np
 
 from ...body import FURTHER, BodySegment
 from ...errors import RecordingError
-from ...runtime.store import Store
 from .bodies import people
 from .camera_streams import of_first_camera, same_arm
 from .names import OTHER_SIDE, is_named, is_of_other_arm, named_side, role, role_among, words
@@ -32,7 +31,6 @@ class Selection(TypedDict, total=False):
 class FileReading(Selection, total=False):
     """How a file is read, and what of it: keywords that are handed on to `read_recording`."""
 
-    store: Store | None  # Where samples and frames are to lie
     truth: bool  # False passes over the reference motion
     swap_sides: bool  # The skeleton's left arm is the right one, and the other way round
 
@@ -244,22 +242,20 @@ def choose(
     file: RecordingFile,
     *,
     prefer_side: str | None = None,
-    store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> StreamChoice:
     """Settle which IMU and arm are meant, where one arm is: by option, else by name, else by motion."""
-    return _one_arm(_Scene.of(file, store, selection), prefer_side, selection)
+    return _one_arm(_Scene.of(file, selection), prefer_side, selection)
 
 
 def choose_arms(
     file: RecordingFile,
     *,
     prefer_side: str | None = None,
-    store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> tuple[list[StreamChoice], list[str]]:
     """Settle which IMUs and arms belong together, in order of body and side, and why an arm is left out."""
-    scene = _Scene.of(file, store, selection)
+    scene = _Scene.of(file, selection)
     if selection.get("imu") is None:
         arms = wanted_arms(scene.file, selection)
         imus = forearm_imus(scene.file, None)
@@ -281,15 +277,14 @@ class _Scene:
     file: RecordingFile
     others: RecordingFile | None
     notes: list[str]
-    store: Store | None
 
     @classmethod
-    def of(cls, file: RecordingFile, store: Store | None, selection: Selection) -> _Scene:
+    def of(cls, file: RecordingFile, selection: Selection) -> _Scene:
         file, others = of_first_camera(file, selection.get("skeleton"))
         if selection.get("body") is not None:
-            return cls(file, others, [], store)
-        arms, notes = people(file, store)
-        return cls(replace(file, arms=arms), others, notes, store)
+            return cls(file, others, [])
+        arms, notes = people(file)
+        return cls(replace(file, arms=arms), others, notes)
 
     def choice(
         self,
@@ -321,7 +316,7 @@ class _Scene:
                 f"IMU {imu.topic} is named after the hand and used as the forearm's: where the wrist"
                 " bends, the result is off by centimetres. Wear one on the forearm too."
             )
-        cameras, more = same_arm(self.others, arm, imu, self.store)
+        cameras, more = same_arm(self.others, arm, imu)
         return StreamChoice(imu, arm, side, base, truth, notes + more, further, body, cameras)
 
 
@@ -389,7 +384,7 @@ def _assigned(
     from .match import match_streams  # SciPy: where it is used
 
     try:
-        return match_streams(scene.file, imus, arms, store=scene.store, may_be=may_be)
+        return match_streams(scene.file, imus, arms, may_be=may_be)
     except RecordingError:
         return [], []  # what cannot be used is said when it is read, if it is what is meant
 

@@ -12,7 +12,7 @@ from ...errors import RecordingError
 from ...linalg import runs
 from ...measurements.timestamps import clock_resets, even_times, in_packets, increasing
 from ...recording import JOINTS, JointState
-from ...runtime.store import Store, batches, sampled
+from ...runtime.store import batches, large_array, sampled
 from ...units import STANDARD_GRAVITY
 from ..tables.units import unit_of_rest
 from .streams import ArmFrames, ImuSamples, PoseSamples, kept, rows_of
@@ -144,9 +144,8 @@ _FARTHEST_M = 20.0
 _FOREARM_CM = 70.0
 
 
-def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tuple[ImuSamples, list[str]]:
+def clean_imu(stream: ImuSamples, source: str) -> tuple[ImuSamples, list[str]]:
     """Drop what cannot be used of an IMU, and check its units."""
-    store = store or Store()
     stream, packets = _out_of_packets(stream)
     _refuse_set_back(stream.stamp_ns, stream.acc, stream.topic, source, "samples")
     finite = _finite(stream.acc) & _finite(stream.gyro)
@@ -157,7 +156,7 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
             usable &= ~causes[cause]
     _check_units(stream, usable, source)  # values beyond any range may be due to a wrong unit
     keep, notes = _keep(stream.stamp_ns, finite, causes, stream.topic, source, "samples")
-    cleaned = rows_of(stream, keep, store)
+    cleaned = rows_of(stream, keep)
     if len(cleaned.stamp_ns) < 2:
         raise RecordingError(
             f"{source}: {stream.topic} has {len(cleaned.stamp_ns)} usable samples, too few; record it again."
@@ -178,12 +177,11 @@ def _out_of_packets(stream: ImuSamples) -> tuple[ImuSamples, list[str]]:
     ]
 
 
-def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[ArmFrames, list[str]]:
+def clean_arm(arm: ArmFrames, source: str) -> tuple[ArmFrames, list[str]]:
     """Drop frames with repeated or backward stamps, and tracked joints without a position."""
-    store = store or Store()
     _refuse_set_back(arm.stamp_ns, arm.position[:, _WRIST], arm.label, source, "frames")
     keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), {}, arm.label, source, "frames")
-    position, state = kept(arm.position, keep, store), arm.state[keep]
+    position, state = kept(arm.position, keep), arm.state[keep]
     broken, far, same = (np.zeros(state.shape, bool) for _ in range(3))
     for part in batches(len(position)):
         place = np.asarray(position[part])
@@ -213,23 +211,22 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
             )
         notes.append(f"{arm.label}: {count} {what}; treated as not tracked.")
         state[gone] = JointState.NOT_TRACKED
-    position = _without(position, state == JointState.NOT_TRACKED, store)
-    return replace(arm, stamp_ns=kept(arm.stamp_ns, keep, store), position=position, state=state), notes
+    position = _without(position, state == JointState.NOT_TRACKED)
+    return replace(arm, stamp_ns=kept(arm.stamp_ns, keep), position=position, state=state), notes
 
 
-def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSamples, list[str]]:
+def clean_poses(poses: PoseSamples) -> tuple[PoseSamples, list[str]]:
     """Drop poses with repeated or backward stamps; those that are not finite stay as nan."""
-    store = store or Store()
     keep = increasing(poses.stamp_ns)
     dropped = int((~keep).sum())
     notes = [f"{poses.topic}: {dropped} poses with repeated or backward stamps dropped."] if dropped else []
-    poses = rows_of(poses, keep, store)
+    poses = rows_of(poses, keep)
     turned = np.empty(len(poses.quaternion), bool)
     for part in batches(len(turned)):
         length = np.linalg.norm(poses.quaternion[part], axis=1)
         turned[part] = np.isfinite(length) & (length > 0.5)
-    position = _without(poses.position, ~_finite(poses.position), store)
-    return replace(poses, position=position, quaternion=_without(poses.quaternion, ~turned, store)), notes
+    position = _without(poses.position, ~_finite(poses.position))
+    return replace(poses, position=position, quaternion=_without(poses.quaternion, ~turned)), notes
 
 
 def _finite(values: FloatArray) -> BoolArray:
@@ -240,11 +237,11 @@ def _finite(values: FloatArray) -> BoolArray:
     return finite
 
 
-def _without(values: FloatArray, gone: BoolArray, store: Store) -> FloatArray:
+def _without(values: FloatArray, gone: BoolArray) -> FloatArray:
     """A copy with nan where values are to go; the same array where they are nan already."""
     if all(np.isnan(values[part][gone[part]]).all() for part in batches(len(values))):
         return values
-    out = store.array(values.shape, 0.0)
+    out = large_array(values.shape, 0.0)
     for part in batches(len(values)):
         out[part] = values[part]
         out[part][gone[part]] = np.nan

@@ -20,7 +20,6 @@ from ...array_types import IntArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from ...runtime.outputs import writing
-from ...runtime.store import Store
 from ..mcap.container import Container
 from ..mcap.merge import Output
 from ..mcap.messages import Topic
@@ -57,17 +56,16 @@ def cut_file(
     parts: Sequence[Part],
     *,
     force: bool = False,
-    store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> tuple[list[dict[str, object]], list[str]]:
     """Write parts of a recording; every command reads them, and times are those of the whole."""
     name = Path(source).name
-    file = open_recording(source, truth=False, store=store)
+    file = open_recording(source, truth=False)
     if any(topic.name.startswith(RESULT_PREFIX) for topic in file.topics):
         raise RecordingError(
             f"{name} is a result of `unocclude smooth`; cut the recording, and smooth the part"
         )
-    recording = select_recordings(file, store=store, **selection)[0]
+    recording = select_recordings(file, **selection)[0]
     shift_ns = next((imu.log_shift_ns for imu in file.imus if imu.topic == recording.imu.name), 0)
     streams = (recording.imu.t_s, recording.arm.t_s)
     first_s, last_s = max(float(t[0]) for t in streams), min(float(t[-1]) for t in streams)

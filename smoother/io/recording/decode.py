@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS, CameraFrame, JointState
-from ...runtime.store import Column, Store, batches, sampled
+from ...runtime.store import Column, batches, large_array, sampled
 from ..mcap.messages import Topic, TopicMessages, ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
@@ -54,7 +54,6 @@ class PlainDecoder:
     topic: Topic
     kind: str  # Of `_COLUMNS`
     grouper: Grouper  # Sorts its messages by layout
-    store: Store = field(default_factory=Store)
     frame_id: str = ""
     gathered: list[Column] = field(default_factory=list)
 
@@ -69,8 +68,7 @@ class PlainDecoder:
             parts.append((index, stamp, log_ns - stamp, *columns))
         for column, values in enumerate(in_order(parts)):
             if column == len(self.gathered):
-                is_optional = self.kind == "imu" and column == 4  # a magnetometer
-                self.gathered.append(Column(self.store, values.shape[1:], values.dtype, is_optional))
+                self.gathered.append(Column(values.shape[1:], values.dtype))
             self.gathered[column].append(values)
 
     def _column(self, block: Block, layout: MessageLayout, ros: str, name: str, letters: str) -> FloatArray:
@@ -142,13 +140,12 @@ UNREPORTED = -128
 class JointRows:
     """Arms in messages, gathered over a recording: a row is one arm in one message."""
 
-    def __init__(self, store: Store | None = None):
-        self._store = store or Store()
-        self._message = Column(self._store, (), np.int64)
-        self._arm = Column(self._store, (), np.int64)
+    def __init__(self) -> None:
+        self._message = Column((), np.int64)
+        self._arm = Column((), np.int64)
         self._arms: set[int] = set()
-        self._position = Column(self._store, (len(JOINTS), 3))
-        self._state = Column(self._store, (len(JOINTS),), np.int8)
+        self._position = Column((len(JOINTS), 3))
+        self._state = Column((len(JOINTS),), np.int8)
 
     def add(
         self, message: IntArray, body: IntArray, side: IntArray, state: NDArray[np.int8], position: FloatArray
@@ -217,7 +214,7 @@ class JointRows:
         count: int,
     ) -> tuple[FloatArray, NDArray[np.int8]]:
         """Rows to the frames that they are of."""
-        positions = self._store.array((count, len(JOINTS), 3))
+        positions = large_array((count, len(JOINTS), 3))
         states = np.zeros((count, len(JOINTS)), np.int8)
         for part in batches(len(frame)):
             at, said, there = frame[part][mine[part]], state[part][mine[part]], position[part][mine[part]]
@@ -264,13 +261,12 @@ class SkeletonDecoder:
 
     topic: Topic
     grouper: Grouper
-    store: Store = field(default_factory=Store)
     frame_id: str = ""
     camera_frame: CameraFrame | None = None
 
     def __post_init__(self) -> None:
-        self._rows = JointRows(self.store)
-        self._stamps = Column(self.store, (), np.int64)
+        self._rows = JointRows()
+        self._stamps = Column((), np.int64)
 
     def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
@@ -336,13 +332,12 @@ class MarkerDecoder:
 
     topic: Topic
     grouper: Grouper
-    store: Store = field(default_factory=Store)
     frame_id: str = ""
     foreign: int = 0
     seen: int = 0
 
     def __post_init__(self) -> None:
-        self._rows = JointRows(self.store)
+        self._rows = JointRows()
         self._log: list[IntArray] = []
         self._stamp: list[IntArray] = []
         self._fed = 0
@@ -398,17 +393,16 @@ class MarkerDecoder:
 Decoder = PlainDecoder | SkeletonDecoder | MarkerDecoder
 
 
-def decoder_of(topic: Topic, store: Store | None = None) -> Decoder | None:
+def decoder_of(topic: Topic) -> Decoder | None:
     """The decoder of a topic of IMU samples, magnetic fields, poses or skeletons; None for other topics."""
-    store = store or Store()
     key = topic.encoding, topic.schema.replace("/msg/", "/")
     if key in _PLAIN:
         kind, walk = _PLAIN[key]
         grouper = proto_grouper(topic.schema) if walk is None else Grouper(walk)
-        return PlainDecoder(topic, kind, grouper, store)
+        return PlainDecoder(topic, kind, grouper)
     if key in (("protobuf", "unocclude.Skeleton"), ("protobuf", KEYPOINTS)):
-        return SkeletonDecoder(topic, proto_grouper(topic.schema), store)
+        return SkeletonDecoder(topic, proto_grouper(topic.schema))
     if key == ("cdr", "visualization_msgs/MarkerArray"):
         textured = b"texture_resource" in topic.schema_data or not topic.schema_data
-        return MarkerDecoder(topic, Grouper(partial(cdr.marker_array, textured=textured)), store)
+        return MarkerDecoder(topic, Grouper(partial(cdr.marker_array, textured=textured)))
     return None

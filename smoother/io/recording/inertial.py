@@ -9,7 +9,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...measurements.timestamps import increasing
-from ...runtime.store import Store, batches, sampled
+from ...runtime.store import batches, sampled
 from ..mcap.messages import nanoseconds, seconds
 from ..tables.imu import WRONG_SCALE, ImuTable, turn_scale, with_halves_joined
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, unit_of_rest
@@ -24,14 +24,14 @@ _MOST_BACK = 0.05
 _FEWEST = 100
 
 
-def settle_imus(file: RecordingFile, store: Store) -> None:
+def settle_imus(file: RecordingFile) -> None:
     """Join the IMUs whose accelerometer and gyroscope are topics of their own, and settle all units."""
     kinds = {id(imu): _only_sensor(imu) for imu in file.imus}
     halves = [imu for imu in file.imus if kinds[id(imu)]]
     if halves:
         file.imus = [imu for imu in file.imus if not kinds[id(imu)]]
         origin = min(int(imu.stamp_ns.min()) for imu in halves)
-        tables = [_half(imu, kinds[id(imu)], origin, file, store) for imu in halves]
+        tables = [_half(imu, kinds[id(imu)], origin, file) for imu in halves]
         joined, alone, why = with_halves_joined(tables, str(file.path))
         file.halves = [replace(half, t_s=half.t_s + origin / 1e9) for half in alone if half.t_s is not None]
         file.notes += [f"{each}: its other sensor reads zero throughout{LEFT_OUT}" for each in why]
@@ -43,7 +43,7 @@ def settle_imus(file: RecordingFile, store: Store) -> None:
             gyro = replace(gyro, stamp_ns=stamp, acc=table.acc, gyro=table.gyro, mag=table.mag)
             file.imus.append(replace(gyro, made_of=table.made_of))
     for imu in file.imus:
-        t_s = seconds(imu.stamp_ns, int(imu.stamp_ns[0]), store)
+        t_s = seconds(imu.stamp_ns, int(imu.stamp_ns[0]))
         acc_unit, gyro_unit = shown_units(t_s, imu.acc, imu.gyro)
         file.notes += scale_to_si(imu.topic, imu.acc, imu.gyro, acc_unit, gyro_unit)
         imu.units = f"{acc_unit}, {gyro_unit}"
@@ -62,9 +62,9 @@ def _only_sensor(imu: ImuSamples) -> str:
     return name if len(values) >= _FEWEST and (np.ptp(sampled(values), axis=0) != 0).any() else ""
 
 
-def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile, store: Store) -> ImuTable:
+def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile) -> ImuTable:
     """One sensor of an IMU as a table, with increasing times."""
-    stream = without_outlying(imu, file.notes, store)
+    stream = without_outlying(imu, file.notes)
     keep = increasing(stream.stamp_ns)
     if (~keep).mean() > _MOST_BACK:
         raise RecordingError(

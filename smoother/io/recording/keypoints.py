@@ -13,7 +13,7 @@ from calib.intrinsics import LARGEST_SHARE, SHARE_RANGE, Intrinsics
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTracks
-from ...runtime.store import Store, batches
+from ...runtime.store import batches, large_array
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..wire.protobuf_encode import encoded
 from .decode import INFERRED_SCORE, KEYPOINTS, TRACKED_SCORE
@@ -45,12 +45,12 @@ def with_lenses(file: RecordingFile, topics: set[str]) -> None:
     file.arms = kept
 
 
-def tracks_of(arm: ArmFrames, t_s: FloatArray, store: Store) -> JointTracks:
+def tracks_of(arm: ArmFrames, t_s: FloatArray) -> JointTracks:
     """Cleaned frames as a recording has them: of a camera without depth the points become rays."""
     if arm.lens is None:
         return JointTracks(arm.topic, t_s, arm.position, arm.state)
     check_mode(arm, arm.lens)
-    position = store.array(arm.position.shape, 0.0)
+    position = large_array(arm.position.shape, 0.0)
     for part in batches(len(position)):
         pixels = np.asarray(arm.position[part])[..., :2]
         rays = arm.lens.rays(pixels.reshape(-1, 2)).reshape(pixels.shape)

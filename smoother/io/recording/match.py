@@ -11,7 +11,6 @@ from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...matching import ImuMatch, Limb, limbs_of, match_imus
 from ...recording import ImuStream, JointTracks
-from ...runtime.store import Store
 from ...selfcal.agreement import agreement_of
 from ...selfcal.pairing import chosen
 from ..mcap.messages import seconds
@@ -65,35 +64,32 @@ def match_streams(
     *,
     method: str = "motion",
     reach_s: float = REACH_S,
-    store: Store | None = None,
     may_be: Callable[[int, Limb], bool] | None = None,
 ) -> tuple[list[ImuMatch], list[str]]:
     """Match some IMUs of a file to some of its arms, by motion alone."""
-    store, source = store or Store(), str(file.path)
+    source = str(file.path)
     notes: list[str] = []
     stamps = [*(imu.stamp_ns for imu in imus), *(arm.stamp_ns for arm in arms)]
     origin = min((int(stamp[0]) for stamp in stamps if len(stamp)), default=0)
     limbs: list[Limb] = []
     for arm in arms:
         if arm.tracked:
-            frames, dropped = clean_arm(arm, source, store)
+            frames, dropped = clean_arm(arm, source)
             notes += dropped
-            t_s = seconds(frames.stamp_ns, origin, store)
+            t_s = seconds(frames.stamp_ns, origin)
             tracks = JointTracks(arm.topic, t_s, frames.position, frames.state)
             limbs += limbs_of(tracks, arm.body, arm.side, arm.topic)
     streams: list[ImuStream] = []
     for imu in imus:
         try:
-            samples, dropped = clean_imu(imu, source, store)
+            samples, dropped = clean_imu(imu, source)
         except RecordingError as error:
             # one broken sensor of a box does not keep the others from being matched
             notes.append(f"{imu.topic} cannot be matched: {error}")
             streams.append(ImuStream(imu.topic, np.empty(0), np.empty((0, 3)), np.empty((0, 3))))
             continue
         notes += dropped
-        streams.append(
-            ImuStream(imu.topic, seconds(samples.stamp_ns, origin, store), samples.acc, samples.gyro)
-        )
+        streams.append(ImuStream(imu.topic, seconds(samples.stamp_ns, origin), samples.acc, samples.gyro))
     allowed = None
     if may_be is not None:
         allowed = np.array([[may_be(i, limb) for limb in limbs] for i in range(len(streams))], bool)
@@ -137,7 +133,6 @@ def match_file(
     file: RecordingFile,
     method: str = "motion",
     reach_s: float | None = None,
-    store: Store | None = None,
     skeleton: str | None = None,
 ) -> tuple[list[ImuMatch], list[str]]:
     """Settle which IMU of a file is on which body and limb, by motion alone; names are not asked."""
@@ -152,9 +147,9 @@ def match_file(
             f"{file.path} shows no arm to match IMUs to (no forearm joint is tracked); "
             "record again with the arms in view of the camera for some seconds."
         )
-    arms, notes = people(replace(file, arms=arms), store)
+    arms, notes = people(replace(file, arms=arms))
     reach_s = REACH_S if reach_s is None else reach_s
-    matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s, store=store)
+    matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s)
     return matches, notes + more + _contradicted(file.imus, matches)
 
 

@@ -20,7 +20,7 @@ from ...linalg import unit
 from ...measurements.remedy import Remedy
 from ...recording import JOINTS, CameraFrame, ImportNote, ImuStream, Recording
 from ...runtime.printable import printable
-from ...runtime.store import Store, batches
+from ...runtime.store import batches, large_array
 from ..mcap.container import Container
 from ..mcap.messages import SECOND_NS, Topic, damage_note, plain_name, seconds
 from ..mcap.repair import repair_notes
@@ -45,7 +45,7 @@ from .streams import (
 TRUTH_PREFIX = "/truth"
 
 
-def join_truth_joints(file: RecordingFile, store: Store) -> None:
+def join_truth_joints(file: RecordingFile) -> None:
     """Skeletons on truth topics are reference joints of the truth beside them."""
     for arm in [arm for arm in file.arms if arm.topic.startswith(TRUTH_PREFIX)]:
         file.arms.remove(arm)
@@ -54,7 +54,7 @@ def join_truth_joints(file: RecordingFile, store: Store) -> None:
                 continue
             for i, joint in enumerate(JOINTS):
                 if arm.state[:, i].any():
-                    poses.joints[joint] = store.array((len(poses.stamp_ns), 3), 0.0)
+                    poses.joints[joint] = large_array((len(poses.stamp_ns), 3), 0.0)
             for part in batches(len(poses.stamp_ns)):
                 row = np.searchsorted(arm.stamp_ns, poses.stamp_ns[part])
                 row = np.minimum(row, len(arm.stamp_ns) - 1)
@@ -64,7 +64,7 @@ def join_truth_joints(file: RecordingFile, store: Store) -> None:
                     values[part] = np.where(same[:, None], there, np.nan)
 
 
-def join_field(file: RecordingFile, field: FieldSamples, store: Store) -> None:
+def join_field(file: RecordingFile, field: FieldSamples) -> None:
     """Give a magnetometer to the IMU of its frame, or under the same name."""
 
     def beside(imu: ImuSamples) -> bool:
@@ -80,7 +80,7 @@ def join_field(file: RecordingFile, field: FieldSamples, store: Store) -> None:
     if not len(stamp):
         return
     zero = int(stamp[0])
-    mag = store.array((len(mine[0].stamp_ns), 3), 0.0)
+    mag = large_array((len(mine[0].stamp_ns), 3), 0.0)
     for part in batches(len(mag)):
         at = mine[0].stamp_ns[part]
         first, last = np.searchsorted(stamp, [at.min(), at.max()], "right")
@@ -116,17 +116,15 @@ def open_recording(
     path: str | os.PathLike[str],
     *,
     only: Collection[str] = (),
-    store: Store | None = None,
     truth: bool = True,
 ) -> RecordingFile:
     """Read all streams of an MCAP file that a recording can be made of."""
-    store = store or Store()
     container = Container(path)
     decoders: dict[int, Decoder | None] = {}  # by topic, in the order in which they are met
 
     def wanted(topic: Topic) -> bool:
         if id(topic) not in decoders:
-            decoders[id(topic)] = _decoder(topic, store, truth)
+            decoders[id(topic)] = _decoder(topic, truth)
         return decoders[id(topic)] is not None
 
     for batch in container.by_topic(wanted):
@@ -145,10 +143,10 @@ def open_recording(
         TopicInfo(t.label, plain_name(t.schema), plain_name(t.encoding), t.count, t.first_ns, t.last_ns)
         for t in container.topics
     ]
-    _gather(file, found, store)
+    _gather(file, found)
     _refuse_json(file, container.topics)
-    sort_arrivals(file, file.metadata.get(METADATA, {}), store)
-    drop_timestamp_outliers(file, store)
+    sort_arrivals(file, file.metadata.get(METADATA, {}))
+    drop_timestamp_outliers(file)
     angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
     if angles:
         file.notes.append(
@@ -163,14 +161,14 @@ def open_recording(
 
 def is_motion(topic: Topic) -> bool:
     """Whether a recording's streams are made of a topic: no image, sound, text or position on Earth is."""
-    return _decoder(topic, Store(), truth=True) is not None
+    return _decoder(topic, truth=True) is not None
 
 
-def _decoder(topic: Topic, store: Store, truth: bool) -> Decoder | None:
+def _decoder(topic: Topic, truth: bool) -> Decoder | None:
     """What decodes a topic; None where it is not wanted."""
     if topic.name.startswith(RESULT_PREFIX):
         return None
-    decoder = decoder_of(topic, store)
+    decoder = decoder_of(topic)
     is_pose = isinstance(decoder, PlainDecoder) and decoder.kind == "pose"
     is_skeleton = isinstance(decoder, SkeletonDecoder | MarkerDecoder)
     is_reference = is_pose or (is_skeleton and topic.name.startswith(TRUTH_PREFIX))
@@ -215,7 +213,6 @@ def read_recording(
     path: str | os.PathLike[str],
     *,
     prefer_side: str | None = None,
-    store: Store | None = None,
     truth: bool = True,
     swap_sides: bool = False,
     **selection: Unpack[Selection],
@@ -228,8 +225,6 @@ def read_recording(
         The file.
     prefer_side : str, optional
         Side to take where the file leaves it open (a calibration's).
-    store : Store, optional
-        Where samples and frames are to lie: memory stays flat with a `DiskStore`. None = in memory.
     truth : bool
         False passes over the reference motion; the recording has none.
     swap_sides : bool
@@ -251,15 +246,14 @@ def read_recording(
     RecordingError
         The file cannot be read or used as it is, or leaves open what is meant.
     """
-    file = _opened(path, store, truth, swap_sides)
-    return select_recording(file, prefer_side=prefer_side, store=store, **selection)
+    file = _opened(path, truth, swap_sides)
+    return select_recording(file, prefer_side=prefer_side, **selection)
 
 
 def read_recordings(
     path: str | os.PathLike[str],
     *,
     prefer_side: str | None = None,
-    store: Store | None = None,
     truth: bool = True,
     swap_sides: bool = False,
     **selection: Unpack[Selection],
@@ -271,7 +265,7 @@ def read_recordings(
 
     Parameters
     ----------
-    path, prefer_side, store, truth, swap_sides, imu, skeleton, side, body
+    path, prefer_side, truth, swap_sides, imu, skeleton, side, body
         As in `read_recording`; the last four restrict.
 
     Returns
@@ -285,14 +279,12 @@ def read_recordings(
     RecordingError
         As `read_recording`; no arm can be used.
     """
-    file = _opened(path, store, truth, swap_sides)
-    return select_recordings(file, prefer_side=prefer_side, store=store, **selection)
+    file = _opened(path, truth, swap_sides)
+    return select_recordings(file, prefer_side=prefer_side, **selection)
 
 
-def _opened(
-    path: str | os.PathLike[str], store: Store | None, truth: bool, swap_sides: bool
-) -> RecordingFile:
-    file = open_recording(path, store=store, truth=truth)
+def _opened(path: str | os.PathLike[str], truth: bool, swap_sides: bool) -> RecordingFile:
+    file = open_recording(path, truth=truth)
     if swap_sides:
         for arm in file.arms:
             arm.side = OTHER_SIDE.get(arm.side, arm.side)
@@ -301,7 +293,7 @@ def _opened(
     return file
 
 
-def _gather(file: RecordingFile, decoders: list[Decoder], store: Store) -> None:
+def _gather(file: RecordingFile, decoders: list[Decoder]) -> None:
     fields: list[FieldSamples] = []
     for decoder in decoders:
         if decoder.grouper.broken:
@@ -323,10 +315,10 @@ def _gather(file: RecordingFile, decoders: list[Decoder], store: Store) -> None:
             file.poses.append(stream)
         elif isinstance(stream, FieldSamples):
             fields.append(stream)
-    settle_imus(file, store)
-    join_truth_joints(file, store)
+    settle_imus(file)
+    join_truth_joints(file)
     for field in fields:
-        join_field(file, field, store)
+        join_field(file, field)
 
 
 def _take_metadata(file: RecordingFile) -> None:
@@ -395,7 +387,7 @@ def read_arms(
     **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
     """Read every arm of a recording that has an IMU, or the one that is meant, each with its calibration."""
-    store, remedy = reading.get("store"), remedy or Remedy()
+    remedy = remedy or Remedy()
 
     def read(prefer: str | None) -> list[Recording]:
         if alone:
@@ -403,7 +395,7 @@ def read_arms(
         return read_recordings(path, prefer_side=prefer, **reading)
 
     if calibration_file is None:
-        return [(remedy.applied(recording, store), None) for recording in read(None)]
+        return [(remedy.applied(recording), None) for recording in read(None)]
     from calib.camera_poses import camera_poses, with_camera_poses
     from calib.file import read_calibration, sigma_factors_of
     from calib.imu.sensor import corrected
@@ -415,8 +407,8 @@ def read_arms(
     arms: list[tuple[Recording, ArmCalibration | None]] = []
     recordings = read(sides[0] if len(sides) == 1 else None)
     for recording in recordings:
-        recording = remedy.applied(recording, store)
-        recording = with_gravity(corrected(recording, calibration, store), calibration)
+        recording = remedy.applied(recording)
+        recording = with_gravity(corrected(recording, calibration), calibration)
         recording = with_camera_poses(recording, poses)
         other_arm = len(recordings) > 1 and not {recording.side, "any"} & set(calibration.arms)
         if calibration.arms and other_arm:

@@ -14,7 +14,6 @@ import numpy as np
 from ...array_types import IntArray
 from ...errors import RecordingError
 from ...recording import ImuStream, JointTracks, Recording, TrunkSensors, Truth, arm_words
-from ...runtime.store import Store
 from ..mcap.messages import SECOND_NS, seconds
 from .bodies import join_bodies
 from .camera_streams import camera_of
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def trunk_of(
-    file: RecordingFile, choice: StreamChoice, origin_ns: int, store: Store
+    file: RecordingFile, choice: StreamChoice, origin_ns: int
 ) -> tuple[TrunkSensors | None, list[str]]:
     """The trunk's IMU by its name, and sentences on it."""
     named = [imu for imu in file.imus if imu is not choice.imu and role(imu) == "trunk"]
@@ -38,32 +37,30 @@ def trunk_of(
     if len(named) > 1:
         names = ", ".join(imu.topic for imu in named)
         return None, [f"Of the trunk IMUs {names} none was taken: their names do not show which is meant."]
-    samples, notes = clean_imu(named[0], str(file.path), store)
-    t_s = seconds(samples.stamp_ns, origin_ns, store)
+    samples, notes = clean_imu(named[0], str(file.path))
+    t_s = seconds(samples.stamp_ns, origin_ns)
     imu = ImuStream(samples.topic, t_s, samples.acc, samples.gyro)
     notes = [f"IMU {samples.topic} is on the trunk by its name.", *notes]
-    return TrunkSensors(imu, opposite_arm(file, choice, origin_ns, store)), notes
+    return TrunkSensors(imu, opposite_arm(file, choice, origin_ns)), notes
 
 
-def opposite_arm(
-    file: RecordingFile, choice: StreamChoice, origin_ns: int, store: Store
-) -> JointTracks | None:
+def opposite_arm(file: RecordingFile, choice: StreamChoice, origin_ns: int) -> JointTracks | None:
     """The camera's joints of the same person's other arm; None where there is none. Parameters as above."""
     mine = choice.arm
     if not any({arm.side, mine.side} == {"left", "right"} for arm in file.arms):
         return None
     others = [
         arm
-        for arm in join_bodies(file.arms, store)[0]
+        for arm in join_bodies(file.arms)[0]
         if (arm.topic, arm.body) == (mine.topic, mine.body) and {arm.side, mine.side} == {"left", "right"}
     ]
     if not others:
         return None
     try:
-        other, _ = clean_arm(others[0], str(file.path), store)
+        other, _ = clean_arm(others[0], str(file.path))
     except RecordingError:  # that arm cannot be used, and it was not asked for
         return None
-    return tracks_of(other, seconds(other.stamp_ns, origin_ns, store), store)
+    return tracks_of(other, seconds(other.stamp_ns, origin_ns))
 
 
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
@@ -78,53 +75,49 @@ def select_recording(
     file: RecordingFile,
     *,
     prefer_side: str | None = None,
-    store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> Recording:
     """Make a recording of one arm from all that a file contains; options as in `read_recording`."""
-    store = store or Store()
     with file.damage_told():
-        choice = _cleaned(choose(file, prefer_side=prefer_side, store=store, **selection), file, store)
-        return _recording(choice, file, _origin_ns([choice]), store)
+        choice = _cleaned(choose(file, prefer_side=prefer_side, **selection), file)
+        return _recording(choice, file, _origin_ns([choice]))
 
 
 def select_recordings(
     file: RecordingFile,
     *,
     prefer_side: str | None = None,
-    store: Store | None = None,
     **selection: Unpack[Selection],
 ) -> list[Recording]:
     """Make a recording of every arm with an IMU from all that a file contains; as `read_recordings`."""
-    store = store or Store()
     with file.damage_told():
-        choices, left_out = choose_arms(file, prefer_side=prefer_side, store=store, **selection)
+        choices, left_out = choose_arms(file, prefer_side=prefer_side, **selection)
     arms: list[StreamChoice] = []
     errors: list[RecordingError] = []
     for choice in choices:
         try:
-            arms.append(_cleaned(choice, file, store))
+            arms.append(_cleaned(choice, file))
         except RecordingError as error:
             errors.append(error)
             left_out.append(left_out_words(arm_words(choice.side, choice.body), error))
     if not arms:
         raise errors[0]
     origin = _origin_ns(arms)  # one zero for all
-    recordings = [_recording(arm, file, origin, store) for arm in arms]
+    recordings = [_recording(arm, file, origin) for arm in arms]
     return [replace(one, notes=(*one.notes, *left_out)) for one in recordings]
 
 
-def _cleaned(choice: StreamChoice, file: RecordingFile, store: Store) -> StreamChoice:
+def _cleaned(choice: StreamChoice, file: RecordingFile) -> StreamChoice:
     """The same with streams that are cleaned, still with their stamps."""
     source, notes = str(file.path), [*file.notes, *choice.notes]
 
     def imu(stream: ImuSamples) -> ImuSamples:
-        cleaned, dropped = clean_imu(stream, source, store)
+        cleaned, dropped = clean_imu(stream, source)
         notes.extend(dropped)
         return cleaned
 
     forearm = imu(choice.imu)
-    arm, dropped = clean_arm(choice.arm, source, store)
+    arm, dropped = clean_arm(choice.arm, source)
     notes += dropped
     if file.clocks_unrelated:  # their stamps do not show what they have in common: at most the shorter one
         first_ns, length_ns = (
@@ -138,34 +131,34 @@ def _cleaned(choice: StreamChoice, file: RecordingFile, store: Store) -> StreamC
     base = None if choice.base is None else imu(choice.base)
     truth = choice.truth
     if truth is not None:
-        truth, dropped = clean_poses(truth, store)
+        truth, dropped = clean_poses(truth)
         notes += dropped
     further = {segment: imu(stream) for segment, stream in choice.further.items()}
     return replace(choice, imu=forearm, arm=arm, base=base, truth=truth, further=further, notes=notes)
 
 
-def _recording(choice: StreamChoice, file: RecordingFile, origin: int, store: Store) -> Recording:
+def _recording(choice: StreamChoice, file: RecordingFile, origin: int) -> Recording:
     arm, base, truth = choice.arm, choice.base, choice.truth
-    trunk, trunk_notes = trunk_of(file, choice, origin, store)
-    found = [camera_of(*each, str(file.path), origin, store, file.lenses) for each in choice.cameras]
+    trunk, trunk_notes = trunk_of(file, choice, origin)
+    found = [camera_of(*each, str(file.path), origin, file.lenses) for each in choice.cameras]
     more = [note for _, notes in found for note in notes]
     return Recording(
-        imu=_imu_stream(choice.imu, origin, store),
-        arm=tracks_of(arm, seconds(arm.stamp_ns, origin, store), store),
+        imu=_imu_stream(choice.imu, origin),
+        arm=tracks_of(arm, seconds(arm.stamp_ns, origin)),
         side=choice.side,
         camera_frame=arm.camera_frame if arm.lens is not None else file.camera_frame or arm.camera_frame,
         gravity_hint=file.gravity_hint,
-        base_imu=None if base is None else _imu_stream(base, origin, store),
-        truth=None if truth is None else _truth(truth, origin, store),
+        base_imu=None if base is None else _imu_stream(base, origin),
+        truth=None if truth is None else _truth(truth, origin),
         origin_ns=origin,
         name=file.name,
         notes=(*choice.notes, *trunk_notes, *more),
-        further_imus={name: _imu_stream(stream, origin, store) for name, stream in choice.further.items()},
+        further_imus={name: _imu_stream(stream, origin) for name, stream in choice.further.items()},
         body=choice.body,
         trunk=trunk,
         clocks_unrelated=file.clocks_unrelated,
         applied_fixes=file.applied_fixes,
-        opposite=opposite_arm(file, choice, origin, store),
+        opposite=opposite_arm(file, choice, origin),
         cameras=tuple(camera for camera, _ in found if camera is not None),
     )
 
@@ -231,12 +224,12 @@ def _span(stamp_ns: IntArray) -> str:
     return f"{stamp_ns[0] / 1e9:.3f} .. {stamp_ns[-1] / 1e9:.3f} s"
 
 
-def _imu_stream(stream: ImuSamples, origin: int, store: Store) -> ImuStream:
-    t_s = seconds(stream.stamp_ns, origin, store)
+def _imu_stream(stream: ImuSamples, origin: int) -> ImuStream:
+    t_s = seconds(stream.stamp_ns, origin)
     return ImuStream(stream.topic, t_s, stream.acc, stream.gyro, stream.mag)
 
 
-def _truth(poses: PoseSamples, origin: int, store: Store) -> Truth:
+def _truth(poses: PoseSamples, origin: int) -> Truth:
     score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
-    t_s = seconds(poses.stamp_ns, origin, store)
+    t_s = seconds(poses.stamp_ns, origin)
     return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))

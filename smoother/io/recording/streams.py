@@ -21,7 +21,7 @@ from ...errors import RecordingError
 from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, JointState
-from ...runtime.store import Store, batches
+from ...runtime.store import batches, large_array
 from ..mcap.messages import told_behind
 from ..tables.imu import ImuTable
 
@@ -191,49 +191,49 @@ _COLUMNS = ("stamp_ns", "acc", "gyro", "mag", "position", "state", "quaternion",
 Stream = TypeVar("Stream", "ImuSamples", "ArmFrames", "PoseSamples", "FieldSamples")
 
 
-def sort_arrivals(file: RecordingFile, metadata: dict[str, str], store: Store) -> None:
+def sort_arrivals(file: RecordingFile, metadata: dict[str, str]) -> None:
     """Put the samples and frames of a live recording in the order of their stamps."""
     if metadata.get(ORDER) == ARRIVAL:
-        file.imus = [_sorted(imu, store) for imu in file.imus]
-        file.arms = [_sorted(arm, store) for arm in file.arms]
+        file.imus = [_sorted(imu) for imu in file.imus]
+        file.arms = [_sorted(arm) for arm in file.arms]
 
 
-def _sorted(stream: Stream, store: Store) -> Stream:
+def _sorted(stream: Stream) -> Stream:
     stamp = stream.stamp_ns
     if all((np.diff(stamp[part.start : part.stop + 1]) >= 0).all() for part in batches(len(stamp))):
         return stream
-    return rows_of(stream, np.argsort(stamp, kind="stable"), store)
+    return rows_of(stream, np.argsort(stamp, kind="stable"))
 
 
-def rows_of(stream: Stream, rows: NDArray, store: Store) -> Stream:
+def rows_of(stream: Stream, rows: NDArray) -> Stream:
     """Rows of a stream, by their numbers or by a mask."""
     columns: dict[str, Any] = {name: getattr(stream, name, None) for name in _COLUMNS}
-    columns = {name: kept(values, rows, store) for name, values in columns.items() if values is not None}
+    columns = {name: kept(values, rows) for name, values in columns.items() if values is not None}
     if isinstance(stream, PoseSamples):
-        columns["joints"] = {name: kept(values, rows, store) for name, values in stream.joints.items()}
+        columns["joints"] = {name: kept(values, rows) for name, values in stream.joints.items()}
     return replace(stream, **columns)
 
 
-def kept(values: NDArray, rows: NDArray, store: Store) -> NDArray:
+def kept(values: NDArray, rows: NDArray) -> NDArray:
     """Rows of a column (N, ...), by their numbers or by a mask; the same array where that is all."""
     if rows.dtype == bool:
         if rows.all():
             return values
         rows = np.flatnonzero(rows)
-    rest = store.array((len(rows), *values.shape[1:]), 0, values.dtype)
+    rest = large_array((len(rows), *values.shape[1:]), 0, values.dtype)
     for part in batches(len(rows)):
         rest[part] = values[rows[part]]
     return rest
 
 
-def drop_timestamp_outliers(file: RecordingFile, store: Store) -> None:
+def drop_timestamp_outliers(file: RecordingFile) -> None:
     """Drop samples whose stamps lie far from all others of their stream; a note gives the number."""
-    file.imus = [without_outlying(imu, file.notes, store) for imu in file.imus]
-    file.arms = [without_outlying(arm, file.notes, store) for arm in file.arms]
-    file.poses = [without_outlying(poses, file.notes, store) for poses in file.poses]
+    file.imus = [without_outlying(imu, file.notes) for imu in file.imus]
+    file.arms = [without_outlying(arm, file.notes) for arm in file.arms]
+    file.poses = [without_outlying(poses, file.notes) for poses in file.poses]
 
 
-def without_outlying(stream: Stream, notes: list[str], store: Store) -> Stream:
+def without_outlying(stream: Stream, notes: list[str]) -> Stream:
     """The stream without samples whose stamps lie far from all others; itself where there are none."""
     mask = largest_group(stream.stamp_ns)
     if mask is None:
@@ -245,4 +245,4 @@ def without_outlying(stream: Stream, notes: list[str], store: Store) -> Stream:
         f"{stream.topic}: {int(dropped.sum())} of {len(mask)} stamps lie far from all others, the first by"
         f" {days:.1f} days; these samples were dropped."
     )
-    return rows_of(stream, mask, store)
+    return rows_of(stream, mask)

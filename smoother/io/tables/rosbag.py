@@ -11,7 +11,6 @@ import numpy as np
 from ...errors import RecordingError
 from ...linalg import interpolate
 from ...recording import JOINTS, CameraFrame
-from ...runtime.store import Store
 from ..mcap.messages import nanoseconds, seconds
 from ..recording.inertial import LEFT_OUT, settle_imus
 from ..recording.read import open_recording
@@ -151,7 +150,7 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
     ]
     streams = [_imu(topic, np.array(rows), fields) for topic, rows in sorted(imus.items())]
     file = RecordingFile(path, imus=streams)
-    settle_imus(file, Store())
+    settle_imus(file)
     tables += _imu_tables(file) or file.halves
     if not tables:
         listed = ", ".join(
