@@ -9,9 +9,9 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[2]))
 
-from tools.benchmark import isolated
+from tools import benchmark
 
-PrivatePeak = partial(isolated.PrivatePeak, look_s=0.002)
+PrivatePeak = partial(benchmark.PrivatePeak, look_s=0.002)
 
 
 def program_output(program: str, *arguments: object) -> str:

@@ -2,8 +2,8 @@
 
 Simulates recordings (80 Hz IMU, 30 Hz camera, an occlusion of 2 s about every 10 s) and runs the command on
 them with nothing calibrated: how many times faster than real time, how much memory, how far off in the gaps.
-`--against PYTHON` runs the command of another installation in turn with ours and prints ratios; `--waiting`
-times what a person waits for, command by command. Let nothing else run meanwhile.
+`--against PYTHON` runs the command of another installation in turn with ours and prints ratios. Let nothing
+else run meanwhile.
 """
 
 from __future__ import annotations
@@ -16,22 +16,21 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
+
 import calib
 import smoother
-from smoother.cli.output import PROGRESS_FILE
 from smoother.evaluation.validate import sample_errors
 from smoother.io import read_recovery, write_recording
 from smoother.recording import Truth
 from smoother.runtime.printable import plain
 from smoother.simulation import ArmSimulation, simulate_arm
-from tools.benchmark.isolated import PrivatePeak
 
-COMMAND = "from smoother.cli import main; main()"
 #: The recordings that are measured on, s and Hz.
 MADE = {
     "protocol": "random",
@@ -40,20 +39,63 @@ MADE = {
     "occlusion_lengths_s": (2.0,),
     "occlusion_every_s": 10.0,
 }
-#: Longest time without a display of progress, and after which a command is given up, s.
-PATIENCE_S, LIMIT_S = 3.0, 1800.0
-EXPORTS = ("csv", "parquet", "trc", "mot", "c3d", "sto")
 Figures = dict[str, float]
+
+
+class PrivatePeak:
+    """Looks at the private memory of a process and of its workers again and again.
+
+    Private is what a process has for itself (RssAnon): mapped files are the system's, and libraries are
+    shared. The kernel keeps no peak of this.
+    """
+
+    def __init__(self, pid: int | None = None, look_s: float = 0.02) -> None:
+        self._process, self._most, self.workers = psutil.Process(pid), dict[int, float](), 0
+        self._look()
+        threading.Thread(target=self._watch, args=(look_s,), daemon=True).start()
+
+    def mb(self) -> float:
+        """The peak of the process so far, 10^6 bytes."""
+        self._look()
+        return self._most[self._process.pid]
+
+    def worker_mb(self) -> float:
+        """The peak of the largest worker so far, 10^6 bytes; 0 without one."""
+        return max((mb for pid, mb in list(self._most.items()) if pid != self._process.pid), default=0.0)
+
+    def _watch(self, look_s: float) -> None:
+        while self._look():
+            time.sleep(look_s)
+
+    def _look(self) -> bool:
+        """Look once; False where the process has ended."""
+        try:
+            seen = [self._process, *self._process.children(recursive=True)]
+        except psutil.Error:
+            return False
+        workers = 0
+        for each in seen:
+            try:
+                # Python's own bookkeeper is no worker
+                if each is not self._process and any("resource_tracker" in word for word in each.cmdline()):
+                    continue
+                memory = each.memory_info()
+            except psutil.Error:
+                continue
+            workers += each is not self._process
+            mb = (memory.rss - memory.shared) / 1e6
+            self._most[each.pid] = max(self._most.get(each.pid, 0.0), mb)
+        self.workers = max(self.workers, workers)
+        return self._process.status() != psutil.STATUS_ZOMBIE
 
 
 def make(path: Path, minutes: float, preset: str, seed: int) -> Truth:
     """Simulate and write a recording; its truth."""
     config = ArmSimulation.preset(preset, duration_s=60.0 * minutes, **MADE)
     recording = simulate_arm(config, seed).recording
-    truth = recording.truth
-    assert truth is not None
     write_recording(recording, path)
-    return truth
+    assert recording.truth is not None
+    return recording.truth
 
 
 def smoothed(source: Path, result: Path, processes: int, python: str = sys.executable) -> Figures:
@@ -61,7 +103,8 @@ def smoothed(source: Path, result: Path, processes: int, python: str = sys.execu
     words = ["smooth", str(source), "-o", str(result), "--force", "--processes", str(processes)]
     began = time.perf_counter()
     # -P: not what is in the folder where this runs
-    command = subprocess.Popen([python, "-P", "-c", COMMAND, *words], stdout=subprocess.DEVNULL)
+    start = [python, "-P", "-c", "from smoother.cli import main; main()"]
+    command = subprocess.Popen([*start, *words], stdout=subprocess.DEVNULL)
     peak = PrivatePeak(command.pid)
     _, status, usage = os.wait4(command.pid, 0)
     seconds = time.perf_counter() - began
@@ -93,61 +136,21 @@ def exactness(result: Path, truth: Truth) -> Figures:
 
 def against(python: str, source: Path, result: Path, processes: int, runs: int) -> Figures:
     """Medians of another installation over ours, both run in turn on one recording."""
-    pairs = [
-        (smoothed(source, result, processes, python), smoothed(source, result, processes))
-        for _ in range(runs)
-    ]
+    rows: list[list[Figures]] = [[], []]
+    for _ in range(runs):
+        for own, of in zip(rows, (python, sys.executable), strict=True):
+            own.append(smoothed(source, result, processes, of))
     names = ("seconds", "cpu_s", "main_mb", "worker_mb")
-    medians = {
-        name: [statistics.median(each[name] for each in own) for own in zip(*pairs, strict=True)]
-        for name in names
-    }
-    return {name: theirs / (ours or float("nan")) for name, (theirs, ours) in medians.items()}
-
-
-def commands(source: str, folder: Path) -> Iterator[list[str]]:
-    """Commands in an order in which each finds what it reads."""
-    result = str(folder / "waited.mcap")
-    yield from (["info", source], ["check", source], ["match", source], ["smooth", source, "-o", result])
-    yield ["smooth", source, "-o", result, "--force", "--report", str(folder / "waited.html")]
-    yield from (["measures", result], ["validate", result, "--truth", source], ["methods", result])
-    for kind in EXPORTS:
-        yield ["export", result, "--format", kind, "-o", str(folder / f"waited.{kind}")]
-    yield from (["gaps", source], ["compare", source])
-
-
-def waited(words: list[str], progress: Path) -> tuple[float, bool]:
-    """Seconds that a command takes, and whether it shows how far it is."""
-    progress.unlink(missing_ok=True)
-    began = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", COMMAND, *words],
-        env=os.environ | {PROGRESS_FILE: str(progress)},
-        capture_output=True,
-        timeout=LIMIT_S,
-    )
-    seconds = time.perf_counter() - began
-    if done.returncode not in (0, 3):
-        sys.exit(f"unocclude {' '.join(words)}: {done.stderr.decode(errors='replace')}")
-    return seconds, progress.exists()
-
-
-def shown(title: str, figures: Figures) -> str:
-    """A line of figures."""
-    return f"{title:>14}: " + ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
+    theirs, ours = ({name: statistics.median(each[name] for each in own) for name in names} for own in rows)
+    return {name: theirs[name] / (ours[name] or float("nan")) for name in names}
 
 
 def main() -> None:
     """Make the recordings one after the other, measure, print, and keep the figures."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.benchmark",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = argparse.ArgumentParser(prog="python -m tools.benchmark", description=__doc__)
     parser.add_argument("--minutes", type=float, nargs="+", default=[0.5333, 6.0, 60.0], help="lengths")
     parser.add_argument("--against", metavar="PYTHON", help="interpreter of another installation: ratios")
     parser.add_argument("--runs", type=int, default=5, help="of each, with --against")
-    parser.add_argument("--waiting", action="store_true", help="every command instead")
     parser.add_argument("--preset", default="white", help="errors of the simulation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=0, help="worker processes; 0 = one per core")
@@ -163,26 +166,15 @@ def main() -> None:
     figures: dict[str, Figures] = {}
     for minutes in options.minutes:
         with tempfile.TemporaryDirectory(dir=options.folder) as name:
-            folder = Path(name)
-            source, result, title = folder / "rec.mcap", folder / "out.mcap", f"{minutes:g} min"
+            source, result, title = Path(name) / "rec.mcap", Path(name) / "out.mcap", f"{minutes:g} min"
             truth = make(source, minutes, options.preset, options.seed)
-            if options.waiting:
-                for words in commands(str(source), folder):
-                    seconds, has_progress = waited(words, folder / "progress.json")
-                    kind = " ".join(
-                        word for word in words if not word.startswith(name) and word not in ("-o", "--force")
-                    )
-                    figures[f"{title}, {kind}"] = {"seconds": seconds}
-                    silent = " <-- without progress" if seconds > PATIENCE_S and not has_progress else ""
-                    print(f"{seconds:7.1f} s  {kind}{silent}", flush=True)
-                continue
             if options.against:
                 found = against(options.against, source, result, options.processes, options.runs)
             else:
                 found = smoothed(source, result, options.processes) | exactness(result, truth)
                 found = {"times_real_time": 60.0 * minutes / found["seconds"]} | found
-            figures[title] = found
-            print(shown(title, found), flush=True)
+        figures[title] = found
+        print(f"{title:>14}: " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()), flush=True)
     if options.json:
         options.json.write_text(json.dumps(plain(figures), indent=1) + "\n", encoding="utf-8")
 

@@ -1,1 +1,0 @@
-"""How fast and how big: `python -m tools.benchmark`."""

@@ -1,0 +1,391 @@
+"""Faults fed into the live smoother: `python -m tools.live_faults [--seeds 1 2] [--only TEXT ..] [--say]`.
+
+Prints for each kind the time with an error beyond three stated sigmas, that without an answer, the largest
+error in sigmas with the sigma that was stated, the error of the last five seconds, after how long something
+was said or doubted, and the first sentence; ends with 1 where it was wrong for longer than 0.5 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from smoother.body import FOREARM
+from smoother.live.answers import LiveOutput, LiveState
+from smoother.live.calibrations import InlineCalibrator
+from smoother.live.smoother import LiveSmoother
+from smoother.recording import JOINTS, ImuStream
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.streams.arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
+from smoother.streams.session import LiveSession
+from smoother.units import GRAVITY
+
+#: A kind holds where the answer is wrong for no longer, s: its error exceeds this many of its sigmas.
+MOST_S, SIGMAS = 0.5, 3.0
+#: A session of a minute on a busy machine takes no longer, s.
+LONGEST_S = 400.0
+LATENCY_S, OFFSET_S, STEP_S = 0.1, -0.02, 1 / 30
+#: Samples that a sensor sends together.
+TOGETHER = 3
+
+Rows = ImuRows | FrameRows
+#: Rows by stream: "imu", "frames", and IMUs beyond the forearm by segment.
+Streams = dict[str, Rows]
+#: Rows of a stream, when each arrives after the fault began (s), random numbers: the damaged rows.
+Damage = Callable[[Any, np.ndarray, np.random.Generator], Rows]
+
+# Single values, for a time: `change` gets acc and gyro (n, 3), or positions (n, 5, 3), and changes them.
+
+
+def _values(length_s: float, change: Callable[..., None]) -> Damage:
+    def damage(rows: Rows, s: np.ndarray, rng: np.random.Generator) -> Rows:
+        names = ("acc", "gyro") if isinstance(rows, ImuRows) else ("position",)
+        at, columns = (s >= 0) & (s < length_s), {name: getattr(rows, name).copy() for name in names}
+        parts = [columns[name][at] for name in names]
+        change(rng, *parts)
+        for name, part in zip(names, parts, strict=True):
+            columns[name][at] = part
+        return replace(rows, **columns)
+
+    return damage
+
+
+def _hold(*arrays: np.ndarray) -> None:
+    for values in arrays:
+        values[:] = values[0]
+
+
+def _scale(factor: float, *arrays: np.ndarray) -> None:
+    for values in arrays:
+        values *= factor
+
+
+def _spikes(values: np.ndarray, size: float, rng: np.random.Generator) -> None:
+    hit = rng.random(len(values)) < 0.01
+    axes = rng.normal(size=(int(hit.sum()), 3))
+    values[hit] += size * axes / np.linalg.norm(axes, axis=1)[:, None]
+
+
+def _noisy_hold(rng: np.random.Generator, position: np.ndarray) -> None:
+    position[:] = position[0] + rng.normal(scale=0.003, size=position.shape)
+
+
+def _shorter(rng: np.random.Generator, position: np.ndarray) -> None:
+    """A child 0.6 m beside: every bone a quarter shorter."""
+    middle = position[:, [JOINTS.index("shoulder")]]
+    position[:] = middle + 0.75 * (position - middle) + np.array([0.6, 0.0, 0.0])
+
+
+def _at_the_hip(rng: np.random.Generator, position: np.ndarray) -> None:
+    """Elbow and wrist guessed: beside the trunk, a little noise."""
+    shoulder, noise = JOINTS.index("shoulder"), rng.normal(scale=0.005, size=(len(position), 2, 3))
+    for place, (joint, down_m) in enumerate((("elbow", 0.28), ("wrist", 0.52))):
+        column = JOINTS.index(joint)
+        off, sunk = position[:, column] - position[:, shoulder], np.zeros(3)
+        sunk[int(np.argmax(np.abs(np.nanmean(off[:, :2], axis=0))))] = 0.05
+        sunk[1] += down_m
+        position[:, column] = position[:, shoulder] + sunk + noise[:, place]
+
+
+def _other_arm(rng: np.random.Generator, position: np.ndarray) -> None:
+    """Left and right exchanged: the arm 0.36 m beside, which hangs still."""
+    first = position[0].copy()
+    position[:] = first + np.array([0.36, 0.0, 0.0]) + 0.1 * (position - first)
+
+
+def _jumps(rng: np.random.Generator, position: np.ndarray) -> None:
+    """One frame in twenty is half a metre off."""
+    hit = rng.random(len(position)) < 0.05
+    position[hit] += rng.choice([-0.5, 0.5], (int(hit.sum()), 1, 3))
+
+
+# Rows that do not come, come again, late, or with other stamps.
+
+
+def _kept(rows: Any, wanted: np.ndarray) -> Rows:
+    return rows.select(np.flatnonzero(wanted))
+
+
+def _lost(length_s: float) -> Damage:
+    return lambda rows, s, rng: _kept(rows, (s < 0) | (s >= length_s))
+
+
+def _thinned(share: float) -> Damage:
+    return lambda rows, s, rng: _kept(rows, (s < 0) | (rng.random(len(s)) >= share))
+
+
+def _halved(rows: Any, s: np.ndarray, rng: np.random.Generator) -> Rows:
+    return _kept(rows, (s < 0) | (np.arange(len(s)) % 2 == 0))
+
+
+def _twice(rows: Any, s: np.ndarray, rng: np.random.Generator) -> Rows:
+    return rows.select(np.repeat(np.arange(len(s)), np.where(s < 0, 1, 2)))
+
+
+def _arriving(rows: Any, later_s: np.ndarray) -> Rows:
+    return replace(rows, arrival_s=rows.arrival_s + later_s)
+
+
+def _bursts(each_s: float, length_s: float) -> Damage:
+    """Held up, then all at once, again and again."""
+    return lambda rows, s, rng: _arriving(
+        rows, np.where((s >= 0) & (s < length_s), each_s * np.ceil((s + 1e-9) / each_s) - s, 0.0)
+    )
+
+
+def _later(seconds: float, length_s: float = np.inf) -> Damage:
+    """The latency is longer; the stamps stay right."""
+    return lambda rows, s, rng: _arriving(rows, np.where((s >= 0) & (s < length_s), seconds, 0.0))
+
+
+def _disorder(seconds: float) -> Damage:
+    """Each row late by a time of its own."""
+    return lambda rows, s, rng: _arriving(rows, np.where(s >= 0, rng.uniform(0.0, seconds, len(s)), 0.0))
+
+
+def _clock(seconds: float) -> Damage:
+    """The clock of the stamps is set forward (or back)."""
+    return lambda rows, s, rng: replace(rows, t_s=rows.t_s + np.where(s >= 0, seconds, 0.0))
+
+
+def _single_stamps(rows: Any, s: np.ndarray, rng: np.random.Generator) -> Rows:
+    """One stamp in fifty is wrong by a second."""
+    wrong = (s >= 0) & (rng.random(len(s)) < 0.02)
+    return replace(rows, t_s=rows.t_s + np.where(wrong, rng.choice([-1.0, 1.0], len(s)), 0.0))
+
+
+#: Every kind: what it is called, and the damages to which streams. The first is none.
+KINDS: dict[str, dict[str, tuple[Damage, ...]]] = {
+    "nothing wrong": {},
+    "IMU held for 1 s": {"imu": (_values(1.0, lambda rng, acc, gyro: _hold(acc, gyro)),)},
+    "gyroscope held for 1 s": {"imu": (_values(1.0, lambda rng, acc, gyro: _hold(gyro)),)},
+    "accelerometer held for 1 s": {"imu": (_values(1.0, lambda rng, acc, gyro: _hold(acc)),)},
+    "accelerometer spikes of 30 m/s^2, 1 %": {"imu": (_values(10.0, lambda r, a, g: _spikes(a, 30.0, r)),)},
+    "accelerometer spikes of 100 m/s^2, 1 %": {"imu": (_values(10.0, lambda r, a, g: _spikes(a, 100.0, r)),)},
+    "gyroscope spikes of 30 rad/s, 1 %": {"imu": (_values(10.0, lambda r, a, g: _spikes(g, 30.0, r)),)},
+    "IMU of 1e6 for 1 s": {"imu": (_values(1.0, lambda rng, *both: _scale(1e6, *both)),)},
+    "IMU ten times too large for 1 s": {"imu": (_values(1.0, lambda rng, *both: _scale(10.0, *both)),)},
+    "IMU zero for 1 s": {"imu": (_values(1.0, lambda rng, *both: _scale(0.0, *both)),)},
+    "IMU nan for 1 s": {"imu": (_values(1.0, lambda rng, *both: _scale(np.nan, *both)),)},
+    "accelerometer clips at 12 m/s^2": {"imu": (_values(10.0, lambda r, a, g: np.clip(a, -12, 12, out=a)),)},
+    "gyroscope clips at 2 rad/s": {"imu": (_values(10.0, lambda r, a, g: np.clip(g, -2, 2, out=g)),)},
+    "accelerometer in g from then on": {"imu": (_values(np.inf, lambda r, a, g: _scale(1 / GRAVITY, a)),)},
+    "gyroscope in deg/s from then on": {"imu": (_values(np.inf, lambda r, a, g: _scale(180 / np.pi, g)),)},
+    "IMU pauses 0.2 s": {"imu": (_lost(0.2),)},
+    "IMU away for 1 s": {"imu": (_lost(1.0),)},
+    "IMU away for 5 s": {"imu": (_lost(5.0),)},
+    "IMU restarts after 2 s, with a clock of its own": {"imu": (_lost(2.0), _clock(5000.0))},
+    "IMU rate halved": {"imu": (_halved,)},
+    "IMU loses 20 % of its samples": {"imu": (_thinned(0.2),)},
+    "IMU samples twice": {"imu": (_twice,)},
+    "IMU in bursts of 0.4 s": {"imu": (_bursts(0.4, 6.0),)},
+    "IMU 0.15 s later": {"imu": (_later(0.15),)},
+    "IMU in disorder, 0.3 s": {"imu": (_disorder(0.3),)},
+    "IMU clock set forward 0.1 s": {"imu": (_clock(0.1),)},
+    "IMU clock set back 0.1 s": {"imu": (_clock(-0.1),)},
+    "IMU clock set forward 2 s": {"imu": (_clock(2.0),)},
+    "IMU clock set back 2 s": {"imu": (_clock(-2.0),)},
+    "single IMU stamps wrong": {"imu": (_single_stamps,)},
+    "camera frozen for 5 s": {"frames": (_values(5.0, lambda rng, position: _hold(position)),)},
+    "camera frozen with noise for 5 s": {"frames": (_values(5.0, _noisy_hold),)},
+    "other body 1 m away for 3 s": {"frames": (_values(3.0, lambda r, p: np.add(p, [1.0, 0, 0], out=p)),)},
+    "child 0.6 m away for 3 s": {"frames": (_values(3.0, _shorter),)},
+    "joints guessed at the hip for 3 s": {"frames": (_values(3.0, _at_the_hip),)},
+    "other arm for 3 s": {"frames": (_values(3.0, _other_arm),)},
+    "joints jump, 5 %": {"frames": (_values(10.0, _jumps),)},
+    "camera nan for 2 s": {"frames": (_values(2.0, lambda rng, position: position.fill(np.nan)),)},
+    "camera in mm from then on": {"frames": (_values(np.inf, lambda rng, p: _scale(1000.0, p)),)},
+    "camera away for 3 s": {"frames": (_lost(3.0),)},
+    "camera restarts after 2 s, with a clock of its own": {"frames": (_lost(2.0), _clock(5000.0))},
+    "camera rate halved": {"frames": (_halved,)},
+    "frames twice": {"frames": (_twice,)},
+    "frames in bursts of 0.5 s": {"frames": (_bursts(0.5, 6.0),)},
+    "frames 0.1 s later": {"frames": (_later(0.1),)},
+    "frames 0.1 s later for 5 s": {"frames": (_later(0.1, 5.0),)},
+    "frames in disorder, 0.2 s": {"frames": (_disorder(0.2),)},
+    "camera clock set forward 0.3 s": {"frames": (_clock(0.3),)},
+    "camera clock set back 0.3 s": {"frames": (_clock(-0.3),)},
+    "camera clock set forward 0.05 s": {"frames": (_clock(0.05),)},
+    "camera clock set back 2 s": {"frames": (_clock(-2.0),)},
+    "both away for 3 s": {"imu": (_lost(3.0),), "frames": (_lost(3.0),)},
+}
+
+
+def damaged(streams: Streams, kind: str, at_s: float, rng: np.random.Generator, segment: str) -> Streams:
+    """Streams with a fault; one of the IMU may be of another segment's."""
+    found = dict(streams)
+    for name, damages in KINDS[kind].items():
+        at = segment if name == "imu" and segment in found else name
+        for damage in damages:
+            found[at] = damage(found[at], found[at].arrival_s - at_s, rng)
+    return found
+
+
+def imu_rows(imu: ImuStream) -> ImuRows:
+    """Samples by threes, as they are taken."""
+    t = np.asarray(imu.t_s, float)
+    last = np.minimum((np.arange(len(t)) // TOGETHER + 1) * TOGETHER - 1, len(t) - 1)
+    return ImuRows(t, np.array(imu.acc, float), np.array(imu.gyro, float), t[last] + 0.004)
+
+
+class Sound:
+    """A sound session until a moment; a source that never waits. Faults branch off, each in a process."""
+
+    speed = 0.0
+
+    def __init__(self, made: SimulatedArm, until_s: float):
+        recording, self.made, self.until_s = made.recording, made, until_s
+        arm, t_s = recording.arm, np.asarray(recording.arm.t_s, float)
+        frames = FrameRows(
+            t_s, np.array(arm.position, float), np.array(arm.state), t_s + OFFSET_S + LATENCY_S
+        )
+        further = {segment: imu_rows(imu) for segment, imu in recording.further_imus.items()}
+        self.streams: Streams = {"imu": imu_rows(recording.imu), "frames": frames, **further}
+        self.info = SourceInfo(
+            "imu",
+            "camera",
+            recording.side,
+            (),
+            0,
+            recording.camera_frame,
+            recording.gravity_hint,
+            further={segment: segment for segment in further},
+        )
+        self.outputs: list[LiveOutput] = []
+        self.events: list[tuple[float, str]] = []  # when, and what was said
+        self._now = min(float(rows.arrival_s[0]) for rows in self.streams.values())
+        self._go_on_with(self.streams)
+        engine = LiveSmoother(
+            recording.side,
+            camera_frame=recording.camera_frame,
+            calibrator=InlineCalibrator(15),
+            further=list(further),
+        )
+        self._session = LiveSession(self, engine, receivers=[self._take])
+        self._session.run(lambda: self._now >= until_s - STEP_S, lambda view: None)
+
+    def end_with(self, streams: Streams) -> None:
+        """Go on with other streams, which are the same until now."""
+        self._go_on_with(streams)
+        self._session.run(lambda: False, lambda view: None)
+
+    def _go_on_with(self, streams: Streams) -> None:
+        order = {name: np.argsort(rows.arrival_s, kind="stable") for name, rows in streams.items()}
+        self._streams = {name: rows.select(order[name]) for name, rows in streams.items()}
+        self._next = {name: self._reached(name) for name in streams}
+        self._last = max(float(rows.arrival_s[-1]) for rows in self._streams.values())
+
+    def _reached(self, name: str) -> int:
+        return int(np.searchsorted(self._streams[name].arrival_s, self._now, "right"))
+
+    def _take(self, output: LiveOutput, frames: FrameRows, gap: object, events: list[str]) -> None:
+        self.outputs.append(output)
+        self.events += [(output.now_s, text) for text in events]
+
+    @property
+    def ended(self) -> bool:
+        """Everything was played."""
+        return self._now >= self._last
+
+    def now_s(self) -> float:
+        """The session's time, s."""
+        return self._now
+
+    def wait(self, seconds: float) -> None:
+        """Nobody is waited for."""
+
+    def arrivals(self) -> Arrivals:
+        """What came since the last call."""
+        self._now += STEP_S
+        before, self._next = self._next, {name: self._reached(name) for name in self._streams}
+        new: Any = {
+            name: rows.select(slice(before[name], self._next[name])) for name, rows in self._streams.items()
+        }
+        return Arrivals(new.pop("imu"), new.pop("frames"), further=new)
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+
+sound: Sound  # of the seed at work; workers are forked with it
+
+
+def verdict(kind: str, seed: int, segment: str) -> tuple[list[float], list[str]]:
+    """Of a kind of fault on one arm: its row of figures, and what was said."""
+    rng, at_s = np.random.default_rng([seed, sum(kind.encode())]), sound.until_s
+    sound.end_with(damaged(sound.streams, kind, at_s, rng, segment))
+    answers = [(each.now_s, each.now) for each in sound.outputs]
+    t = np.array([now_s for now_s, _ in answers])
+    error, sigma, visible = np.full((3, len(t)), np.nan)
+    for row, now in ((row, now) for row, (_, now) in enumerate(answers) if now is not None):
+        true = sound.made.motion.imu_pose(np.array([now.t_s]))[1][0]
+        error[row], sigma[row] = np.linalg.norm(now.position - true), now.sigma_m
+        visible[row] = now.state is LiveState.VISIBLE
+    worst, last = int(np.nanargmax(error / sigma)), (visible > 0) & (t > t[-1] - 5.0)
+    said = [(when - at_s, text) for when, text in sound.events if when > at_s]
+    usual = {each.doubt for each in sound.outputs if each.now_s <= at_s}
+    doubts = [each.now_s - at_s for each in sound.outputs if each.now_s > at_s and each.doubt not in usual]
+    row = [
+        float((error > SIGMAS * sigma).sum() * STEP_S),
+        float((np.isnan(error) & (t > at_s)).sum() * STEP_S),
+        100 * float(error[worst]),
+        100 * float(sigma[worst]),
+        float(100 * np.sqrt(np.mean(error[last] ** 2))) if last.any() else float("nan"),
+        min([when for when, _ in said] + doubts, default=float("nan")),
+    ]
+    return row, [f"{when:+.1f} s: {text}" for when, text in said]
+
+
+def main() -> int:
+    """Run the kinds, and print the table."""
+    global sound
+    parser = argparse.ArgumentParser(prog="python -m tools.live_faults", description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--only", nargs="+", default=[""], help="kinds whose name contains one of these")
+    parser.add_argument("--duration-s", type=float, default=32.0)
+    parser.add_argument("--at-s", type=float, default=17.0, help="when the fault begins")
+    parser.add_argument("--preset", default="realistic", help="the camera")
+    parser.add_argument("--imus", default="wrist", help="where IMUs are worn, as `simulate arm --imus`")
+    parser.add_argument("--on", default=FOREARM.name, help="the segment whose IMU is at fault: upper_arm")
+    parser.add_argument("--say", action="store_true", help="print all that the session said")
+    options = parser.parse_args()
+    bad = set()
+    print(f"{'kind':51} seed  wrong s   no answer  worst cm  sigma  end cm  said s  what")
+    kinds = [kind for kind in KINDS if any(text in kind for text in options.only)]
+    for seed in options.seeds:
+        config = ArmSimulation.preset(
+            options.preset,
+            protocol="random",
+            duration_s=options.duration_s,
+            imu_rate_hz=100,
+            occlusion_lengths_s=(1.0,),
+            imus=options.imus,
+        )
+        sound = Sound(simulate_arm(config, seed), options.at_s)
+        for kind in kinds:
+            with multiprocessing.get_context("fork").Pool(1) as pool:
+                row, said = pool.apply_async(verdict, (kind, seed, options.on)).get(LONGEST_S)
+            bad |= {kind} if row[0] > MOST_S else set()
+            cells = "".join(f"{value:{width}}" for value, width in zip(row, WIDTHS, strict=True))
+            mark = " <--" if row[0] > MOST_S else ""
+            print(f"{kind:51} {seed:4} {cells}  {said[0] if said else '-'}{mark}", flush=True)
+            if options.say:
+                print(*(f"    {line}" for line in said), sep="\n", flush=True)
+    print(f"{len(bad)} of {len(kinds)} kinds are wrong for more than {MOST_S:g} s")
+    return 1 if bad else 0
+
+
+#: Of the table's columns.
+WIDTHS = ("8.2f", "12.2f", "10.1f", "7.1f", "8.1f", "8.2f")
+
+if __name__ == "__main__":
+    sys.exit(main())

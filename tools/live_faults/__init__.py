@@ -1,1 +1,0 @@
-"""Faults of streams fed into the live smoother: for how long is it wrong beyond what it states?"""
