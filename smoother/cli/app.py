@@ -21,7 +21,7 @@ _SHARED = {
         *("config", "orientation", "boundary-s", "solve-lever-arms", "processes", "draws", "seed", "anatomy"),
         "body-height",
         *("live", "latency", "gaps-per-run", "scheduler", "retry-failed", "time-limit"),
-        *("memory-limit", "hash-names", "keep-paths", "outside", "skeleton-format", "imu-format", "wait"),
+        *("hash-names", "outside", "skeleton-format", "imu-format", "wait"),
         *("one-session", "port", "lsl-out", "gravity", "mocap-sigma-mm", "panel-topic"),
         *("base-topic", "colour-topic", "depth-topic", "sound-clocks", "motion-clocks", "audio-topic"),
         *("audio-rate-hz", "sound-start", "tone-hz", "distance-m", "resolution-ms"),

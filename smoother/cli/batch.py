@@ -128,18 +128,9 @@ def batch(
             "--time-limit",
             metavar="MINUTES",
             min=0,
-            help="A recording that takes longer fails; 0 = no limit.",
+            help="A recording that takes longer fails (on this machine); 0 = no limit.",
         ),
     ] = TIME_LIMIT_MINUTES,
-    memory_limit: Annotated[
-        float,
-        typer.Option(
-            "--memory-limit",
-            metavar="GB",
-            min=0,
-            help="A recording that needs more memory fails (Linux); 0 = no limit.",
-        ),
-    ] = 0.0,
     measures: Annotated[
         bool,
         typer.Option("--measures", help="Also measure each arm, for `unocclude progress`."),
@@ -158,10 +149,6 @@ def batch(
         bool,
         typer.Option("--hash-names", help="Replace recording names in rows and results by hashes."),
     ] = False,
-    keep_paths: Annotated[
-        bool,
-        typer.Option("--keep-paths", help="Keep absolute paths and the machine's name in rows and JSON."),
-    ] = False,
     strict: Strict = False,
     force: Annotated[
         bool,
@@ -177,7 +164,7 @@ def batch(
     """
     from ..measures.definitions import FEWEST_DRAWS
     from ..runtime.outputs import check_output
-    from ..study.inputs import find_entries, left_out_note
+    from ..study.inputs import find_entries
     from ..study.job import StudySettings
     from ..study.run import run_study, study_folder
     from ..study.workers import cluster, local
@@ -193,8 +180,6 @@ def batch(
             f"--draws {draws} are too few for the intervals of the measures: {FEWEST_DRAWS} are needed, 64"
             " are usual, 0 = no intervals"
         )
-    if hash_names and keep_paths:
-        raise typer.BadParameter("--keep-paths shows the names that --hash-names hides; give one of them")
     folder = study_folder(output)
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
@@ -203,9 +188,7 @@ def batch(
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,
-        keep_paths=keep_paths,
         time_limit_s=60 * time_limit,
-        memory_limit_bytes=round(1e9 * memory_limit),
         measures=measures,
         draws=usual_draws(draws) if measures else 0,
         hash_names=hash_names,
@@ -245,13 +228,13 @@ def batch(
         json_file,
         figures
         | {
-            "folder": folder.path if keep_paths else folder.path.name,
+            "folder": folder.path.name,
             "rows": rows.slice(0, MOST_JSON).to_pylist(),
         },
         True,
     )
     _print(rows, tally, figures)
-    print_notes([*tally.notes, *([note] if (note := left_out_note(source)) else [])])
+    print_notes(tally.notes)
     say_written(folder.path, page, json_file)
     if figures["failed"]:
         raise typer.Exit(1)

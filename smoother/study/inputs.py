@@ -26,7 +26,6 @@ from ..errors import UnoccludeError
 from ..io.recording.choose import Selection
 from ..runtime.csv_rows import read_cell
 from ..runtime.inputs import check_input
-from ..runtime.outputs import is_temporary
 from .folder import StudyFolder, text_hash
 
 
@@ -51,16 +50,6 @@ _DAY_NS = 86_400 * 10**9
 EARLIEST_NS = 10_957 * _DAY_NS
 #: Days of a person are shifted by up to this many.
 MOST_DAYS = 3650.0
-
-
-def place_of(word: str, source: str) -> str:
-    """A recording's place as a hash with the study's word as its key: known again, but not read."""
-    return text_hash("place", word, source)[:32]
-
-
-def state_of(word: str, size_bytes: int, mtime_ns: int) -> str:
-    """A file's size and time of change as a hash with the study's word as its key: equal, but not read."""
-    return text_hash("state", word, str(size_bytes), str(mtime_ns))[:32]
 
 
 def hashed_name(word: str, name: str) -> str:
@@ -98,8 +87,6 @@ def without_places(text: str, names: Mapping[str, str]) -> str:
 
 
 ENDING = ".mcap"
-#: This many of the recordings that are left out are named.
-MOST_NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -127,8 +114,7 @@ def find_entries(source: str, output: Path) -> list[Entry]:
     if files and not recordings:
         raise UnoccludeError(f"{source} is in {output}, where results go; give -o another folder")
     if not recordings:
-        hidden = f"; {note}" if (note := left_out_note(source)) else "; name a folder that has some"
-        raise UnoccludeError(f"{source}: there is no recording ({ENDING}) here{hidden}")
+        raise UnoccludeError(f"{source}: there is no recording ({ENDING}) here; name a folder that has some")
     entries = {
         entry.path: entry
         for entry in (
@@ -136,34 +122,6 @@ def find_entries(source: str, output: Path) -> list[Entry]:
         )
     }
     return sorted(_told_apart(entries.values()), key=lambda entry: entry.name)
-
-
-def left_out_note(source: str) -> str:
-    """A sentence on the recordings of a folder or pattern whose names begin with a dot; "" without any."""
-    path = Path(source)
-    if path.is_dir():
-        files = [here / name for here, names in _folders(path) for name in names]
-    elif glob.has_magic(source) and not path.exists():
-        files = [Path(file) for file in glob.iglob(source, recursive=True, include_hidden=True)]
-    else:
-        return ""
-    hidden = sorted(str(file) for file in files if file.suffix == ENDING and _is_hidden(file))
-    if not hidden:
-        return ""
-    names = ", ".join(hidden[:MOST_NAMED]) + (" ..." if len(hidden) > MOST_NAMED else "")
-    if len(hidden) == 1:
-        return f"1 recording whose name begins with a dot is left out ({names}); rename it to include it"
-    return (
-        f"{len(hidden)} recordings whose names begin with a dot are left out ({names});"
-        " rename them to include them"
-    )
-
-
-def _is_hidden(file: Path) -> bool:
-    """Whether a file's name alone keeps it out of a study."""
-    name = file.name
-    of_mac = name.startswith("._") and file.with_name(name[2:]).exists()
-    return name.startswith(".") and not of_mac and not is_temporary(name)
 
 
 def _told_apart(entries: Iterable[Entry]) -> Iterator[Entry]:
@@ -183,18 +141,8 @@ def _as_text(name: str) -> str:
     return re.sub(r"[\x00-\x1f\x7f]", lambda control: f"%{ord(control[0]):02X}", raw)
 
 
-def _below(folder: Path) -> list[Path]:
+def _below(folder: Path) -> Iterator[Path]:
     """Recordings below a folder; not those of hidden folders, nor the outputs of other studies."""
-    return [
-        here / name
-        for here, names in _folders(folder)
-        for name in names
-        if name.endswith(ENDING) and not name.startswith(".")
-    ]
-
-
-def _folders(folder: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Folders that may hold recordings, and the names of the files in each."""
     for place, folders, names in os.walk(folder):
         here = Path(place)
         folders[:] = [
@@ -202,7 +150,7 @@ def _folders(folder: Path) -> Iterator[tuple[Path, list[str]]]:
             for each in folders
             if not each.startswith(".") and not StudyFolder(here / each).mark.exists()
         ]
-        yield here, names
+        yield from (here / name for name in names if name.endswith(ENDING) and not name.startswith("."))
 
 
 def _fixed_part(pattern: str) -> Path:

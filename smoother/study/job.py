@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,36 +16,7 @@ from ..io.recording.choose import Selection
 from ..result import is_of_arm
 from ..runtime.inputs import check_input
 from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measured_arms, text_hash
-from .inputs import file_hash, person_of, place_of, relative_day, state_of, without_places
-
-
-@contextmanager
-def limited_memory(allowed: int) -> Iterator[None]:
-    """Let the system refuse this process more private memory than it has now and is allowed."""
-    if not allowed:
-        yield
-        return
-    if sys.platform != "linux":
-        raise UnoccludeError("--memory-limit needs Linux; give fewer --processes instead")
-    import resource
-
-    before = resource.getrlimit(resource.RLIMIT_DATA)
-    highest = before[1]
-    wanted = _data_bytes() + allowed
-    if highest != resource.RLIM_INFINITY:
-        wanted = min(wanted, highest)
-    resource.setrlimit(resource.RLIMIT_DATA, (wanted, highest))
-    try:
-        yield
-    finally:
-        with suppress(OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_DATA, before)
-
-
-def _data_bytes() -> int:
-    """What counts for the limit already: libraries and their threads' stacks."""
-    with open("/proc/self/status", encoding="ascii") as status:
-        return 1024 * int(next(line for line in status if line.startswith("VmData:")).split()[1])
+from .inputs import file_hash, person_of, relative_day, without_places
 
 
 @dataclass(frozen=True)
@@ -60,9 +28,7 @@ class StudySettings:
     calibration: str = ""  # File for all recordings that have none of their own; "" without one
     again: bool = False  # Compute everything anew
     retry_failed: bool = False  # Try again what failed before by the recording itself
-    keep_paths: bool = False  # Let rows contain absolute paths and the machine's name
-    time_limit_s: float = 0.0  # What one recording may take; 0 = no limit
-    memory_limit_bytes: int = 0  # Private memory of its process; long columns are in files and do not count
+    time_limit_s: float = 0.0  # What one recording may take on this machine; 0 = no limit
     measures: bool = False  # Measure what is recovered: rows contain it
     draws: int = 0  # Motions to draw for the intervals of the measures
     hash_names: bool = False  # Call recordings by hashes of their names
@@ -89,34 +55,26 @@ class Job:
 
     def row(self, status: str, input_hash: str = "", **more: object) -> Row:
         """A row of the results about this recording."""
-        keep = self.settings.keep_paths
         row: Row = {
             "id": text_hash(self.name, input_hash, *self.hashes)[:32],
             "recording": self.name,
             "status": status,
             "retry": False,
-            "input": self.source if keep else self.name,
-            "input_place": place_of(self.word, self.source),
             "input_hash": input_hash,
             "config_hash": self.config_hash,
-            "calibration": self.calibration if keep else Path(self.calibration).name,
+            "calibration": Path(self.calibration).name,
             "calibration_hash": self.calibration_hash,
             "version": self.version,
-            "host": socket.gethostname() if keep else "",
             "finished": datetime.now(UTC).replace(tzinfo=None),
             **more,
         }
-        if error := row.get("error"):
-            row["error"] = self._shown(str(error))
-        if verdict := row.get("verdict"):
-            row["verdict"] = self._shown(str(verdict))
+        names = self._names()
+        for column in ("error", "verdict"):
+            if text := row.get(column):
+                row[column] = without_places(str(text), names)
         if notes := row.get("note_texts"):
-            row["note_texts"] = [self._shown(text) for text in notes]
+            row["note_texts"] = [without_places(text, names) for text in notes]
         return row
-
-    def _shown(self, text: str) -> str:
-        """A sentence as a row contains it: without the folders of this machine."""
-        return text if self.settings.keep_paths else without_places(text, self._names())
 
     def _names(self) -> dict[str, str]:
         """Paths as in rows: the name in the study, "." for the study's folder, else the last name."""
@@ -140,29 +98,17 @@ def run_job(job: Job) -> Row:
     The row of a failure is left to the caller: this machine may not see the folder.
     """
     began = time.perf_counter()
-    input_hash, before, folder = "", Row(), StudyFolder(Path(job.folder))
+    input_hash, folder = "", StudyFolder(Path(job.folder))
     try:
         _check_machine(job, folder)
-        about = os.stat(job.source)
-        before = {
-            "input_bytes": about.st_size,
-            "input_mtime_ns": about.st_mtime_ns if job.settings.keep_paths else None,
-            "input_state": state_of(job.word, about.st_size, about.st_mtime_ns),
-        }
         check_output_place(job, folder)
         input_hash = file_hash(job.source)
-        if same := _same(job, folder, input_hash):
-            row = same | before | {"input_place": place_of(job.word, job.source)}
-            folder.write_row(row)
-            return row
-        with limited_memory(job.settings.memory_limit_bytes):
-            return _recover(job, folder, input_hash, before, began)
+        return _same(job, folder, input_hash) or _recover(job, folder, input_hash, began)
     except Exception as error:
         if debugging():
             raise
         sentence, retry = explain(error)
-        row = job.row(FAILED, input_hash, error=sentence, retry=retry, seconds=time.perf_counter() - began)
-        return row | (before if input_hash else {})
+        return job.row(FAILED, input_hash, error=sentence, retry=retry, seconds=time.perf_counter() - began)
 
 
 def _check_machine(job: Job, folder: StudyFolder) -> None:
@@ -208,7 +154,7 @@ def _same(job: Job, folder: StudyFolder, input_hash: str) -> Row | None:
     return row if output.is_file() and file_hash(output) == row["output_hash"] else None
 
 
-def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
+def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Row:
     from calib.motion.motion_calibration import with_given
 
     from ..io import write_recovery
@@ -234,15 +180,13 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began:
         answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
     output.parent.mkdir(parents=True, exist_ok=True)
     write_recovery(answers, output, source=job.source, force=True)
-    about = os.stat(output)
     row = job.row(
         DONE,
         input_hash,
-        **before,
+        input_bytes=os.stat(job.source).st_size,
         output=job.name,
         output_hash=file_hash(output),
-        output_bytes=about.st_size,
-        output_mtime_ns=about.st_mtime_ns,
+        output_bytes=os.stat(output).st_size,
         **figures_of_arms(results),
         **measured,
         recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
@@ -262,8 +206,7 @@ def explain(error: Exception) -> tuple[str, bool]:
         text, retry = str(error), not isinstance(error, RecordingError | CalibrationError | SolveError)
     elif is_out_of_memory(error):
         text, retry = (
-            "not enough memory for this recording; use fewer processes per machine, or allow it more"
-            " (--memory-limit)",
+            "not enough memory for this recording; use fewer processes per machine (--processes)",
             True,
         )
     elif isinstance(error, OSError):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,20 +15,14 @@ import numpy as np
 
 from .. import __version__
 from ..errors import UnoccludeError
-from .folder import DONE, FAILED, Row, StudyFolder, text_hash
-from .inputs import Entry, config_hash, file_hash, hashed_name, place_of, state_of
+from .folder import FAILED, Row, StudyFolder, text_hash
+from .inputs import Entry, config_hash, file_hash, hashed_name
 from .job import Job, StudySettings
 from .sessions import with_sessions
 from .workers import Workers, rows_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-#: By which a recording is known to be done.
-_KNOWN = (
-    *("recording", "status", "retry", "finished", "config_hash", "calibration_hash", "version"),
-    *("input_place", "input_state", "output_bytes", "output_mtime_ns"),
-)
 
 
 @dataclass
@@ -80,31 +75,28 @@ def run_study(
             tally.notes += notes
             found = {entry.calibration for entry in entries} - calibrations.keys() - {""}
             calibrations |= {path: _checked(path) for path in found}
-        earlier = {row["recording"]: row for row in folder.rows(_KNOWN, tally.notes).to_pylist()}
-
-        def todo() -> Iterator[Job]:
-            for entry in entries:
-                calibration = entry.calibration or settings.calibration
-                job = Job(
-                    name=entry.name,
-                    source=entry.path,
-                    folder=str(folder.path),
-                    word=word,
-                    settings=settings,
-                    config_hash=hashed,
-                    calibration=calibration,
-                    calibration_hash=calibrations.get(calibration, ""),
-                )
-                if entry.name in earlier and _is_done(job, earlier[entry.name]):
-                    tally.before += 1
-                else:
-                    yield job
-
+        before = {
+            row["recording"]: row["finished"]
+            for row in folder.rows(("recording", "finished"), tally.notes).to_pylist()
+        }
+        jobs = (
+            Job(
+                name=entry.name,
+                source=entry.path,
+                folder=str(folder.path),
+                word=word,
+                settings=settings,
+                config_hash=hashed,
+                calibration=(calibration := entry.calibration or settings.calibration),
+                calibration_hash=calibrations.get(calibration, ""),
+            )
+            for entry in entries
+        )
         try:
             with workers as ready:
-                for row in rows_of(todo(), ready):
+                for row in rows_of(jobs, ready):
                     if row is not None:
-                        _take(row, earlier.get(row["recording"]), tally, folder)
+                        _take(row, before.get(row["recording"]), tally, folder)
                     progress(tally, row)
         finally:
             folder.sweep(names)  # of processes that were ended in the middle of an output
@@ -112,9 +104,9 @@ def run_study(
     return tally, rows.filter(np.array([name in names for name in rows["recording"].to_pylist()], bool))
 
 
-def _take(row: Row, earlier: Row | None, tally: Tally, folder: StudyFolder) -> None:
-    """Count a row; a failure's is written here."""
-    if earlier is not None and row["finished"] == earlier["finished"]:
+def _take(row: Row, finished: datetime | None, tally: Tally, folder: StudyFolder) -> None:
+    """Count a row, whose recording may have been `finished` before; a failure's is written here."""
+    if row["finished"] == finished:
         tally.before += 1
     elif row["status"] == FAILED:
         tally.failed += 1
@@ -122,25 +114,6 @@ def _take(row: Row, earlier: Row | None, tally: Tally, folder: StudyFolder) -> N
     else:
         tally.computed += 1
         tally.recorded_s += row["duration_s"]
-
-
-def _is_done(job: Job, row: Row) -> bool:
-    """Whether a recording needs no work, by place, size and time of its files."""
-    settings = job.settings
-    if settings.again or (row["config_hash"], row["calibration_hash"], row["version"]) != job.hashes:
-        return False
-    if row["status"] != DONE and (row["retry"] or settings.retry_failed):
-        return False
-    try:
-        about = os.stat(job.source)
-        if row["status"] == DONE:
-            output = os.stat(StudyFolder(Path(job.folder)).output(job.name))
-            if (output.st_size, output.st_mtime_ns) != (row["output_bytes"], row["output_mtime_ns"]):
-                return False
-    except OSError:
-        return False
-    state = state_of(job.word, about.st_size, about.st_mtime_ns)
-    return (row["input_place"], row["input_state"]) == (place_of(job.word, job.source), state)
 
 
 def _checked(path: str) -> str:

@@ -1,33 +1,30 @@
-"""Where a study's recordings are worked on: processes of this machine, or a cluster's.
+"""Where a study's recordings are worked on: processes of this machine, or a Dask scheduler's workers.
 
-Each recording is done by a process that does one at a time and ends with the one that started it. One that
-takes too long, or dies, stops no other.
+On this machine a process does one recording at a time. One that takes too long, or dies, stops no other.
 """
 
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
-import pickle
-import queue
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError, debugging
-from ..runtime.pool import check_allowance
+from ..runtime.pool import blank_main, check_allowance, interrupts_wait, prepare_worker
 from .folder import Row
 from .job import Job, run_job
 
 if TYPE_CHECKING:
+    from multiprocessing.context import SpawnProcess
+
     from distributed import Client
 
-#: Runs the jobs of `run_apart`.
-COMMAND = [sys.executable, "-m", __name__]
 #: How long a scheduler may take to answer, and how long to wait for its first worker, s.
 CONNECT_S, FIRST_WORKER_S = 10.0, 120.0
 _TICK_S = 0.5
@@ -37,73 +34,56 @@ _DIED = (
     " of them a machine (--processes)"
 )
 
-#: What does jobs, and how many of them it can take.
-Workers = tuple[Executor, Callable[[], int]]
+#: What does jobs, by which function, and how many of them it can take.
+Workers = tuple[Executor, Callable[[Job], Row | None], Callable[[], int]]
 _own = threading.local()
-_started: list[subprocess.Popen[bytes]] = []
+_starting = threading.Lock()
+_started: list[SpawnProcess] = []
 _ended = threading.Event()
+
+
+def do_jobs(pipe: Connection) -> None:
+    """Do the jobs that arrive in a process of a study, until it ends."""
+    prepare_worker()
+    if not debugging():  # what a library prints is not for the terminal
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+    with suppress(EOFError):
+        while True:
+            pipe.send(run_job(pipe.recv()))
 
 
 def run_apart(job: Job) -> Row | None:
     """Do a job in this thread's own process; None where that died."""
-    process: subprocess.Popen[bytes] | None = getattr(_own, "process", None)
-    if process is None or process.poll() is not None:
-        process = _own.process = _start()
-    assert process.stdin is not None and process.stdout is not None
-    late = threading.Event()
-
-    def end() -> None:
-        late.set()
-        process.kill()
-
-    timer = threading.Timer(job.settings.time_limit_s, end)
-    if job.settings.time_limit_s:
-        timer.start()
+    if getattr(_own, "process", None) is None or not _own.process.is_alive():
+        _own.process, _own.pipe = _start()
+    limit_s = job.settings.time_limit_s or None
     try:
-        pickle.dump(job, process.stdin)
-        process.stdin.flush()
-        row: Row = pickle.load(process.stdout)
-        return row
-    except (EOFError, OSError, pickle.UnpicklingError):
-        process.kill()
-        process.wait()
-        return job.failed(_LATE) if late.is_set() else None
-    finally:
-        timer.cancel()
+        _own.pipe.send(job)
+        if _own.pipe.poll(limit_s):
+            row: Row = _own.pipe.recv()
+            return row
+        late = True
+    except (EOFError, OSError):
+        late = False
+    _own.process.kill()
+    _own.process.join()
+    return job.failed(_LATE) if late else None
 
 
-def _start() -> subprocess.Popen[bytes]:
-    """A process that does jobs; Ctrl-C in a terminal does not reach it."""
-    process = subprocess.Popen(
-        COMMAND,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=None if debugging() else subprocess.DEVNULL,
-        start_new_session=True,
-        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
-    )
-    _started.append(process)
-    if _ended.is_set():
-        process.kill()
-    return process
-
-
-def serve() -> None:
-    """Do the jobs that arrive on standard input, until it ends."""
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints is not an answer
-    jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
-
-    def receive() -> None:
-        with suppress(EOFError, OSError, pickle.UnpicklingError):
-            while True:
-                jobs.put(pickle.load(sys.stdin.buffer))
-        os._exit(0)  # in the middle of a recording, too: nobody would hear of it
-
-    threading.Thread(target=receive, daemon=True).start()
-    while True:
-        pickle.dump(run_job(jobs.get()), answers)
-        answers.flush()
+def _start() -> tuple[SpawnProcess, Connection]:
+    """A process that does jobs, and the pipe to it."""
+    context = multiprocessing.get_context("spawn")
+    with _starting, blank_main(), interrupts_wait():
+        pipe, theirs = context.Pipe()
+        process = context.Process(target=do_jobs, args=(theirs,), daemon=True)
+        process.start()
+        theirs.close()
+        _started.append(process)
+        if _ended.is_set():
+            process.kill()
+    return process, pipe
 
 
 @contextmanager
@@ -114,14 +94,14 @@ def local(processes: int = 0) -> Iterator[Workers]:
     _ended.clear()
     with ThreadPoolExecutor(count) as threads:
         try:
-            yield threads, lambda: count
+            yield threads, run_apart, lambda: count
         finally:  # after an error or Ctrl-C in the middle of what they are doing
-            _ended.set()
             threads.shutdown(wait=False, cancel_futures=True)
-            for process in _started:
-                process.kill()
-                process.wait()
-            _started.clear()
+            with _starting:
+                _ended.set()
+                for process in _started:
+                    process.kill()
+                _started.clear()
 
 
 @contextmanager
@@ -138,7 +118,7 @@ def cluster(scheduler: str) -> Iterator[Workers]:
         )
 
     try:
-        yield client.get_executor(pure=False), slots
+        yield client.get_executor(pure=False), run_job, slots
     finally:
         client.close(timeout=CONNECT_S)
 
@@ -172,19 +152,19 @@ def rows_of(jobs: Iterator[Job], workers: Workers) -> Iterator[Row | None]:
 
     A recording whose process died is tried once more, alone, after the others.
     """
-    executor, slots = workers
+    executor, work, slots = workers
     running: dict[Future[Row | None], Job] = {}
     again: list[Job] = []
     retried: set[str] = set()
     while True:
         while len(running) < slots() and (job := next(jobs, None)) is not None:
-            running[executor.submit(run_apart, job)] = job
+            running[executor.submit(work, job)] = job
         if not running:
             if not again:
                 return
             job = again.pop(0)
             retried.add(job.name)
-            running[executor.submit(run_apart, job)] = job
+            running[executor.submit(work, job)] = job
         done, _ = wait(running, _TICK_S, FIRST_COMPLETED)
         if not done:
             yield None
@@ -208,7 +188,3 @@ def _row(future: Future[Any], job: Job) -> Row | None:
         return job.failed(f"a worker could not do it: {type(error).__name__}: {' '.join(str(error).split())}")
     row: Row | None = future.result()
     return row
-
-
-if __name__ == "__main__":
-    serve()

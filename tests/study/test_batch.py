@@ -22,7 +22,7 @@ from smoother.io import write_recording
 from smoother.runtime import pool
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.study.folder import StudyFolder
-from smoother.study.inputs import file_hash, find_entries, left_out_note
+from smoother.study.inputs import file_hash, find_entries
 
 
 def test_a_study_and_what_is_done_again(recordings, tmp_path, capsys):
@@ -137,7 +137,6 @@ def test_what_is_no_file_stops_no_other(in_here, recordings, tmp_path, capsys):
     folder = tmp_path / "study"
     folder.mkdir()
     shutil.copy(recordings / NAMES[0], folder / "a.mcap")
-    shutil.copy(recordings / NAMES[0], folder / ".b.mcap")
     os.mkfifo(folder / "pipe.mcap")
     (folder / "device.mcap").symlink_to(os.devnull)
     (folder / "gone.mcap").symlink_to("nowhere")
@@ -149,7 +148,7 @@ def test_what_is_no_file_stops_no_other(in_here, recordings, tmp_path, capsys):
     again = ["-o", tmp_path / "out", "--processes", 1, "--report", "--json", figures]
     assert batch(f"{folder}/*.mcap", *again) == 1
     printed = capsys.readouterr()
-    assert printed.err == "" and ".b.mcap" in printed.out
+    assert printed.err == ""
     rows = {row["recording"]: row for row in json.loads(figures.read_text())["rows"]}
     assert rows.pop("a.mcap")["status"] == "done"
     said = {
@@ -307,31 +306,6 @@ def test_nothing_there(tree, source):
     (tree / "empty").mkdir()
     with pytest.raises(UnoccludeError, match=source.replace("*", r"\*")):
         find_entries(str(tree / source), tree / "out")
-
-
-def test_hidden_recordings_are_left_out_with_a_word(tree, monkeypatch):
-    """They were left out without one."""
-    assert left_out_note(str(tree)) == (
-        f"1 recording whose name begins with a dot is left out ({tree / 'p2' / '.hidden.mcap'}); rename it to"
-        " include it"
-    )
-    monkeypatch.chdir(tree)
-    (tree / "p1" / ".a.mcap").touch()
-    assert left_out_note("p*/*.mcap").startswith(
-        "2 recordings whose names begin with a dot are left out (p1/.a"
-    )
-    assert left_out_note("p*/a.mcap") == left_out_note("p1/a.mcap") == ""
-    # what a Mac writes beside every file on a foreign disk, and an output of ours that is being written
-    (tree / "p1" / ".a.mcap").unlink()
-    for name in ("._a.mcap", f".a.mcap.{24 * '0'}.unocclude.tmp.mcap"):
-        (tree / "p1" / name).touch()
-    assert left_out_note("p1") == ""
-    (tree / "only").mkdir()
-    (tree / "only" / ".x.mcap").touch()
-    with pytest.raises(
-        UnoccludeError, match=r"no recording .* here; 1 recording whose name begins with a dot"
-    ):
-        find_entries("only", tree / "out")
 
 
 def test_any_number_of_processes_any_time(tmp_path, monkeypatch):

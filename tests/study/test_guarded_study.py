@@ -8,11 +8,9 @@ import shutil
 import socket
 import subprocess
 import sys
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
@@ -20,8 +18,6 @@ from studies import BROKEN, NAMES, batch
 
 from smoother.study.folder import StudyFolder, schema
 from smoother.study.inputs import find_entries
-from smoother.study.job import Job, limited_memory, run_job
-from smoother.study.run import _is_done
 
 
 def only_the_first(recordings: Path) -> None:
@@ -36,17 +32,12 @@ def test_rows_tell_nothing_of_the_machine(in_here: None, recordings: Path, tmp_p
     rows = [row for file in out.glob("results/*.parquet") for row in parquet.read_table(file).to_pylist()]
     listed = json.loads(figures.read_text())
     assert len(rows) == len(listed["rows"]) == len(NAMES) + 1
-    assert {row["host"] for row in [*rows, *listed["rows"]]} == {""}
+    assert socket.gethostname() not in json.dumps([*rows, *listed["rows"]], default=str)
     for text in (json.dumps(rows, default=str), figures.read_text()):
         assert BROKEN in text and NAMES[0] in text
         assert str(tmp_path) not in text and os.sep + "tmp" not in text
         changed = [str((recordings / name).stat().st_mtime_ns) for name in (*NAMES, BROKEN)]
         assert not any(time_ns in text for time_ns in changed)  # the day of the recording, mostly
-    kept = tmp_path / "kept"
-    assert batch(recordings, "-o", kept, "--processes", 1, "--keep-paths", "--json", figures, "--force") == 1
-    listed = json.loads(figures.read_text())
-    assert {row["host"] for row in listed["rows"]} == {socket.gethostname()}
-    assert listed["rows"][0]["input"] == str(recordings / listed["rows"][0]["recording"])
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the memory as Linux does")
@@ -61,17 +52,6 @@ def test_too_little_memory_for_any_process(recordings: Path, tmp_path: Path, meg
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1 and f"{megabytes} MB per process here (ulimit -d)" in done.stderr
-
-
-def test_it_is_known_again_without_its_path(job: Job):
-    row = run_job(job)
-    assert _is_done(job, row)
-    elsewhere = job.source + "x"
-    shutil.copy2(job.source, elsewhere)
-    try:
-        assert not _is_done(replace(job, source=elsewhere), row)
-    finally:
-        os.unlink(elsewhere)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="names as bytes")
@@ -139,13 +119,6 @@ def test_a_result_never_replaces_its_recording(in_here: None, recordings: Path, 
         (out / NAMES[0]).symlink_to(recordings / NAMES[0])
     assert batch(recordings, "-o", out, "--processes", 1) == 1
     assert (recordings / NAMES[0]).read_bytes() == before
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux limits memory")
-def test_a_memory_limit_refuses_and_lets_go():
-    with pytest.raises(MemoryError), limited_memory(200_000_000):
-        np.ones(50_000_000)
-    assert np.ones(50_000_000)[-1] == 1.0
 
 
 def test_rows_of_earlier_and_later_versions(tmp_path: Path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from studies import (
     BROKEN,
     NAMES,
+    Instead,
     batch,
     children,
     ended,
@@ -56,25 +56,10 @@ def test_a_killed_client(recordings, tmp_path):
     assert not half.exists(), "what is left half written is swept up"
 
 
-#: A process of a study in which the recordings of a name do something else.
-INSTEAD = """
-import os, signal, time
-import numpy as np
-from smoother.study import job, workers
-recover = job._recover
-def instead(mine, *rest):
-    if mine.name == {!r}:
-        {}
-    return recover(mine, *rest)
-job._recover = instead
-workers.serve()
-"""
-
-
 def others_too(job: Job, made: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> list[dict]:
     """The rows of four recordings and of one in which a process does something else."""
-    monkeypatch.setattr(workers, "COMMAND", [sys.executable, "-c", INSTEAD.format("other.mcap", what)])
-    jobs = [replace(job, name=name, source=str(made / name)) for name in NAMES]
+    monkeypatch.setattr(workers, "do_jobs", Instead("other.mcap", what))
+    jobs = [replace(job, name=name, source=str(made / name), settings=StudySettings()) for name in NAMES]
     jobs.insert(2, replace(job, name="other.mcap"))
     with workers.local(2) as ready:
         return [row for row in workers.rows_of(iter(jobs), ready) if row is not None]
@@ -86,7 +71,7 @@ def others_too(job: Job, made: Path, monkeypatch: pytest.MonkeyPatch, what: str)
     [
         ({}, "os.kill(os.getpid(), signal.SIGKILL)", "died one after the other"),
         ({"time_limit_s": 10.0}, "time.sleep(100)", "--time-limit"),
-        ({"memory_limit_bytes": 1_500_000_000}, "[np.ones(10**8) for _ in range(9)]", "--memory-limit"),
+        ({}, "(_ for _ in ()).throw(MemoryError)", "not enough memory"),
     ],
 )
 def test_a_recording_that_ends_its_process_fails_alone(job, made, monkeypatch, settings, what, said):
