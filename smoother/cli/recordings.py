@@ -378,8 +378,7 @@ def _figures(recovery: Recovery) -> dict[str, Any]:
 
     estimates = recovery.estimates
     signs = [reason for reason in estimates.reasons if reason != estimates.cause]
-    seen = {"cameras": [each.plain() for each in estimates.cameras]} if estimates.cameras else {}
-    return {**verdict_figures(estimates), "trusted": bool(estimates.trusted), "signs": signs, **seen}
+    return verdict_figures(estimates) | {"trusted": bool(estimates.trusted), "signs": signs}
 
 
 def _refused(sentence: str) -> dict[str, Any]:

@@ -214,7 +214,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     from ..evaluation.summary import recovery_figures, verdict_figures
     from ..result.untrusted import usable
 
-    found, cameras = found_in(recovery, recording), recovery.estimates.cameras
+    found = found_in(recovery, recording)
     return recovery_figures(recovery) | {
         **verdict_figures(recovery.estimates),
         "usable": int(usable(recovery).sum()),
@@ -222,7 +222,6 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
         "not_determined": [] if found is None else list(found.not_determined),
         "rejected": [row.to_dict() for row in rejected(recovery)],
         "advice": advice(recovery, found),
-        **({"cameras": [each.plain() for each in cameras]} if cameras else {}),
     }
 
 

@@ -176,16 +176,14 @@ def error_figures(
 
 def verdict_figures(estimates: Estimates) -> dict[str, object]:
     """The verdict as plain values, as `smooth --json` and `check --json` write it."""
-    check, pairing = estimates.self_check, estimates.pairing
+    stated = estimates.plain()
+    cameras = {"cameras": stated["cameras"]} if estimates.cameras else {}
     return {
         "trusted": estimates.trusted,
         "verdict": estimates.verdict,
-        "reasons": list(estimates.reasons),
-        "cautions": list(estimates.cautions),
-        "cause": estimates.cause,
-        "remedies": list(estimates.remedies),
-        "self_check": None if check is None else check.plain(),
-        "pairing": None if pairing is None else pairing.plain(),
+        **{name: stated.get(name, []) for name in ("reasons", "cautions", "remedies")},
+        **{name: stated.get(name) for name in ("cause", "self_check", "pairing")},
+        **cameras,
     }
 
 

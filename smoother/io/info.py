@@ -15,7 +15,7 @@ from ..errors import RecordingError
 from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Camera, Recording
-from ..result.verdict import intervals_plain
+from ..result.plain import plain
 from .recording.choose import Selection
 from .recording.names import named_side, role
 from .recording.read import METADATA, open_recording
@@ -184,7 +184,7 @@ def describe(
     info.result = any(RESULT in name for name in file.metadata)
     for arm, estimates in stated_estimates(file.metadata).items():
         verdict: dict[str, object] = {"arm": arm, "trusted": estimates.trusted, "verdict": estimates.verdict}
-        info.verdicts.append(verdict | {"untrusted": intervals_plain(estimates.untrusted)})
+        info.verdicts.append(verdict | {"untrusted": [plain(each) for each in estimates.untrusted]})
     return info
 
 

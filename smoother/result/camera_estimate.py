@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
-
-Matrix = tuple[tuple[float, ...], ...]
+from .plain import Matrix, Vector
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ class CameraEstimate:
 
     name: str
     R_K_C: Matrix | None = None
-    p_K_C_m: tuple[float, ...] | None = None
+    p_K_C_m: Vector | None = None
     sigma_m: float | None = None
     sigma_deg: float | None = None
     offset_s: float | None = None
@@ -68,51 +65,3 @@ class CameraEstimate:
         start, end = np.array(self.seen_s).T
         row = np.clip(np.searchsorted(start, t_s, side="right") - 1, 0, None)
         return np.asarray((t_s >= start[row]) & (t_s <= end[row]))
-
-    def plain(self) -> dict[str, object]:
-        """Plain values by name; what is not known is left out."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: _listed(value) for name, value in values.items() if value is not None}
-
-    @classmethod
-    def from_plain(cls, value: Any) -> CameraEstimate | None:
-        """From plain values; None where they are of another kind."""
-        if not isinstance(value, Mapping) or not isinstance(value.get("name"), str):
-            return None
-        try:
-            numbers = {
-                name: float(value[name])
-                for name in ("sigma_m", "sigma_deg", "offset_s", "offset_sigma_s", "skew", "misfit_m")
-                if value.get(name) is not None
-            }
-            return cls(
-                value["name"],
-                None if value.get("R_K_C") is None else _rows(value["R_K_C"], 3),
-                None if value.get("p_K_C_m") is None else tuple(float(x) for x in value["p_K_C_m"]),
-                together_s=None if value.get("together_s") is None else float(value["together_s"]),
-                joint_sigma_m={str(k): float(v) for k, v in dict(value.get("joint_sigma_m", {})).items()},
-                reason=str(value.get("reason", "")),
-                seen_s=tuple((float(a), float(b)) for a, b in value.get("seen_s", ())),
-                **numbers,
-            )
-        except (TypeError, ValueError):
-            return None
-
-
-def _rows(value: Sequence[Sequence[float]], width: int) -> Matrix:
-    rows = tuple(tuple(float(x) for x in row) for row in value)
-    if len(rows) != width or any(len(row) != width for row in rows):
-        raise ValueError("no square matrix")
-    return rows
-
-
-def _listed(value: Any) -> Any:
-    return [_listed(item) for item in value] if isinstance(value, tuple) else value
-
-
-def cameras_from_plain(values: Any) -> tuple[CameraEstimate, ...] | None:
-    """A recording's cameras from plain values; None where they are of another kind."""
-    if not isinstance(values, list | tuple):
-        return None
-    cameras = [CameraEstimate.from_plain(value) for value in values]
-    return None if None in cameras else tuple(camera for camera in cameras if camera is not None)

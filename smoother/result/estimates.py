@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from ..recording import JOINTS
-from .camera_estimate import CameraEstimate, cameras_from_plain
-from .verdict import (
-    EVER,
-    Pairing,
-    SelfCheck,
-    Sign,
-    UntrustedInterval,
-    intervals_from_plain,
-    intervals_plain,
-)
+from .camera_estimate import CameraEstimate
+from .plain import Vector, field_from_plain, plain
+from .verdict import EVER, Pairing, SelfCheck, Sign, UntrustedInterval
+
+Joint = Annotated[str, Field(pattern=f"^({'|'.join(JOINTS)})$")]
 
 
 @dataclass(frozen=True)
@@ -69,16 +66,16 @@ class Estimates:
         What else a file or a baseline states, by name.
     """
 
-    camera_sigma_m: dict[str, float] | None = None
-    camera_effective_sigma_m: dict[str, float] | None = None
-    joint_bias_m: dict[str, tuple[float, ...]] | None = None
+    camera_sigma_m: dict[Joint, float] | None = None
+    camera_effective_sigma_m: dict[Joint, float] | None = None
+    joint_bias_m: dict[Joint, Vector] | None = None
     joint_bias_sigma_m: float | None = None
-    accelerometer_bias: tuple[float, ...] | None = None
-    gyroscope_bias: tuple[float, ...] | None = None
+    accelerometer_bias: Vector | None = None
+    gyroscope_bias: Vector | None = None
     magnetometer_blocks: int | None = None
     magnetometer_blocks_used: int | None = None
     magnetometer_sigma_deg: float | None = None
-    magnetic_field_direction: tuple[float, ...] | None = None
+    magnetic_field_direction: Vector | None = None
     given: tuple[str, ...] = ()
     max_sigma_m: float | None = None
     sigma_factors: tuple[float, ...] = ()
@@ -90,7 +87,7 @@ class Estimates:
     untrusted: tuple[UntrustedInterval, ...] = ()
     self_check: SelfCheck | None = None
     pairing: Pairing | None = None
-    clock_given_s: tuple[float, ...] | None = None
+    clock_given_s: Annotated[tuple[float, ...], Field(min_length=2, max_length=2)] | None = None
     cameras: tuple[CameraEstimate, ...] = ()
     further: Mapping[str, object] = field(default_factory=dict)
 
@@ -125,91 +122,21 @@ class Estimates:
 
     def plain(self) -> dict[str, object]:
         """Plain values by name, as files and `--json` state them; what is not stated is left out."""
-
-        def listed(value: Any) -> Any:
-            if isinstance(value, SelfCheck | Pairing | CameraEstimate):
-                return value.plain()
-            if isinstance(value, dict):
-                return {name: listed(item) for name, item in value.items()}
-            return [listed(item) for item in value] if isinstance(value, tuple) else value
-
-        stated = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "further"}
-        plain = {name: listed(value) for name, value in stated.items() if value is not None and value != ()}
-        if self.untrusted:
-            plain["untrusted"] = intervals_plain(self.untrusted)
-        return plain | dict(self.further)
+        stated = plain(replace(self, further={}))
+        stated["cameras"] = [_stated(camera, None) for camera in stated["cameras"]]
+        del stated["further"]
+        return _stated(stated, None, []) | dict(self.further)
 
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> Estimates:
         """From plain values; unknown names, or values of another kind, stay in `further`."""
-        stated: dict[str, Any] = {}
-        further: dict[str, object] = {}
-        for name, value in values.items():
-            kind = _KINDS.get(name)
-            if kind is None or (checked := kind(value)) is None:
-                further[name] = value
-            else:
-                stated[name] = checked
-        return cls(**stated, further=further)
+        names = {each.name for each in fields(cls)} - {"further"}
+        checked = {
+            name: field_from_plain(cls, name, value) for name, value in values.items() if name in names
+        }
+        stated = {name: value for name, value in checked.items() if value is not None}
+        return cls(**stated, further={name: value for name, value in values.items() if name not in stated})
 
 
-def _number(value: object) -> float | None:
-    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
-
-
-def _vector(value: object) -> tuple[float, ...] | None:
-    is_vector = isinstance(value, list | tuple) and [_number(item) is None for item in value] == [False] * 3
-    return tuple(value) if is_vector else None  # type: ignore[arg-type]
-
-
-def _numbers(value: object) -> tuple[float, ...] | None:
-    is_numbers = isinstance(value, list | tuple) and all(_number(item) is not None for item in value)
-    return tuple(value) if is_numbers else None  # type: ignore[arg-type]
-
-
-def _pair(value: object) -> tuple[float, ...] | None:
-    pair = _numbers(value)
-    return pair if pair is not None and len(pair) == 2 else None
-
-
-def _names(value: object) -> tuple[str, ...] | None:
-    is_names = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
-    return tuple(value) if is_names else None  # type: ignore[arg-type]
-
-
-def _by_joint(kind: Callable[[object], Any]) -> Callable[[object], dict[str, Any] | None]:
-    def checked(value: object) -> dict[str, Any] | None:
-        if not isinstance(value, Mapping):
-            return None
-        by_joint = {name: kind(item) for name, item in value.items() if name in JOINTS}
-        return None if len(by_joint) < len(value) or None in by_joint.values() else by_joint
-
-    return checked
-
-
-#: How a plain value becomes an estimate: None where it is of another kind.
-_KINDS: dict[str, Callable[[object], Any]] = {
-    "camera_sigma_m": _by_joint(_number),
-    "camera_effective_sigma_m": _by_joint(_number),
-    "joint_bias_m": _by_joint(_vector),
-    "joint_bias_sigma_m": _number,
-    "accelerometer_bias": _vector,
-    "gyroscope_bias": _vector,
-    "magnetometer_blocks": _number,
-    "magnetometer_blocks_used": _number,
-    "magnetometer_sigma_deg": _number,
-    "magnetic_field_direction": _vector,
-    "given": _names,
-    "max_sigma_m": _number,
-    "sigma_factors": _numbers,
-    "trusted": lambda value: value if isinstance(value, bool) else None,
-    "reasons": _names,
-    "cautions": _names,
-    "cause": lambda value: value if isinstance(value, str) else None,
-    "remedies": _names,
-    "untrusted": intervals_from_plain,
-    "self_check": SelfCheck.from_plain,
-    "pairing": Pairing.from_plain,
-    "clock_given_s": _pair,
-    "cameras": cameras_from_plain,
-}
+def _stated(values: dict[str, Any], *left_out: object) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value not in left_out}

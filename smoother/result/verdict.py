@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..error_radius import in_cm, within_words
 from ..measurements.visibility import Gap
+from .plain import Known
 
 
 @dataclass(frozen=True)
@@ -141,15 +142,15 @@ class SelfCheck:
     stretches: int
     unanswered: int = 0
     length_s: float = 0.0
-    rms_m: float = float("nan")
-    stated_sigma_m: float = float("nan")
-    inside_95: float = float("nan")
-    worst_nees: float = float("nan")
+    rms_m: Known = float("nan")
+    stated_sigma_m: Known = float("nan")
+    inside_95: Known = float("nan")
+    worst_nees: Known = float("nan")
     sigma_factor: float = 1.0
     note: str = ""
     failed: int = 0
-    error_95_m: float = float("nan")
-    stated_95_m: float = float("nan")
+    error_95_m: Known = float("nan")
+    stated_95_m: Known = float("nan")
 
     @property
     def sentence(self) -> str:
@@ -166,15 +167,6 @@ class SelfCheck:
         else:  # of a file that states the rms only
             found = f"{in_cm(self.rms_m)} rms (stated {in_cm(self.stated_sigma_m)})"
         return f"{hidden}: recovered to {found}{lost}."
-
-    def plain(self) -> dict[str, object]:
-        """Plain values by name; None for what is not known."""
-        return {name: _or_none(value) for name, value in asdict(self).items()}
-
-    @classmethod
-    def from_plain(cls, values: object) -> SelfCheck | None:
-        """From plain values; None where they are of another kind."""
-        return _from_plain(cls, values, ("stretches",))
 
 
 @dataclass(frozen=True)
@@ -198,57 +190,8 @@ class Pairing:
     """
 
     proved: bool
-    chance: float = float("nan")
-    evidence: float = float("nan")
-    offset_s: float = float("nan")
+    chance: Known = float("nan")
+    evidence: Known = float("nan")
+    offset_s: Known = float("nan")
     reason: str = ""
     caution: str = ""
-
-    def plain(self) -> dict[str, object]:
-        """Plain values by name; None for what is not known."""
-        return {name: _or_none(value) for name, value in asdict(self).items()}
-
-    @classmethod
-    def from_plain(cls, values: object) -> Pairing | None:
-        """From plain values; None where they are of another kind."""
-        return _from_plain(cls, values, ("proved",))
-
-
-def intervals_plain(intervals: Sequence[UntrustedInterval]) -> list[dict[str, object]]:
-    """Untrusted intervals as plain values."""
-    return [
-        {"start_s": each.start_s, "end_s": each.end_s, "reasons": list(each.reasons)} for each in intervals
-    ]
-
-
-def intervals_from_plain(values: object) -> tuple[UntrustedInterval, ...] | None:
-    """Untrusted intervals from plain values; None where they are of another kind."""
-    if not isinstance(values, list | tuple):
-        return None
-    try:
-        return tuple(
-            UntrustedInterval(
-                float(each["start_s"]), float(each["end_s"]), tuple(str(why) for why in each["reasons"])
-            )
-            for each in values
-        )
-    except (KeyError, TypeError, ValueError):
-        return None
-
-
-def _or_none(value: object) -> object:
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def _from_plain(kind: Any, values: object, needed: tuple[str, ...]) -> Any:
-    """A dataclass of numbers from plain values; None where one is of another kind."""
-    if not isinstance(values, Mapping) or any(values.get(name) is None for name in needed):
-        return None
-    defaults = {name: each.default for name, each in kind.__dataclass_fields__.items()}
-    known = {name: value for name, value in values.items() if name in defaults and value is not None}
-    for name, value in known.items():
-        if isinstance(defaults[name], str) != isinstance(value, str):
-            return None
-        if not isinstance(value, bool | int | float | str):
-            return None
-    return kind(**known)

@@ -19,6 +19,7 @@ from smoother.evaluation.summary import camera_sentences
 from smoother.recording import JointState, Recording
 from smoother.recovery.cameras import spans
 from smoother.result import CameraEstimate, Estimates, Recovery
+from smoother.result.plain import from_plain
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 from smoother.window.nodes import GROUPED_S, group_frames_of_cameras
@@ -120,8 +121,8 @@ def test_baselines_get_the_camera_that_saw_most() -> None:
 
 
 def test_a_camera_estimate_of_another_kind_is_no_estimate() -> None:
-    assert CameraEstimate.from_plain({"name": 3}) is None
-    assert CameraEstimate.from_plain({"name": "a", "R_K_C": [[1, 0], [0, 1]]}) is None
+    assert from_plain(CameraEstimate, {"name": 3}) is None
+    assert from_plain(CameraEstimate, {"name": "a", "R_K_C": [[1, 0], [0, 1]]}) is None
     assert CameraEstimate("a").saw_at(np.zeros(2)).tolist() == [False, False]
 
 

@@ -100,7 +100,11 @@ def test_a_value_of_another_kind_is_kept_beside(name: str, value: object) -> Non
 
 
 values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=5),
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**53), 2**53)
+    | st.floats(allow_nan=False)
+    | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(JOINTS), inner, max_size=3),
     max_leaves=8,
 )
