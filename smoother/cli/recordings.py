@@ -243,8 +243,8 @@ def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Fo
     print_losses(report)
     write_json(json_file, report.to_dict(), force)
     print_notes(report.notes)
-    if report.attachments:
-        say(f"note: {report.attachments} attachments were not carried over.")
+    if report.attachments_left_out:
+        say(f"note: {report.attachments_left_out} damaged attachments were left out.")
     say_written(output, json_file)
 
 
@@ -263,15 +263,14 @@ def print_losses(report: RepairReport) -> None:
     start = min((loss.first_ns for loss in report.losses if loss.first_ns is not None), default=0)
     lines = [
         (
-            f"{loss.start} .. {loss.stop}",
+            f"{loss.start_byte} .. {loss.stop_byte}",
             "-" if loss.first_ns is None else f"{(loss.first_ns - start) / 1e9:.3f}",
             "-" if loss.last_ns is None else f"{(loss.last_ns - start) / 1e9:.3f}",
-            sum(loss.counts.values()) if loss.counts else "-",
             loss.what,
         )
         for loss in report.losses
     ]
-    columns = ("bytes", "from, s", "to, s", "messages", "what")
+    columns = ("bytes", "from, s", "to, s", "what")
     print_table("What is damaged (s after the first damage)", columns, lines[:MOST_ROWS])
     if len(lines) > MOST_ROWS:
         say(f".. and {len(lines) - MOST_ROWS} places more; --json has them all")

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from mcap.reader import make_reader
 
+from smoother.io.mcap.container import Container
+from smoother.io.mcap.messages import McapMessage
 from smoother.io.wire.schemas import message_class
+
+
+def every(container: Container) -> Iterator[McapMessage]:
+    """All messages, chunk by chunk."""
+    for batch in container.batches(lambda topic: True):
+        for messages in batch.values():
+            yield from messages
 
 
 def decoded(path: Path) -> dict[str, list[Any]]:

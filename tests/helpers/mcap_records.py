@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from smoother.io.mcap.records import HEAD, MAGIC
+from smoother.io.mcap.container import HEAD, MAGIC
 
 
 def places(data: bytes, opcode: int) -> list[int]:

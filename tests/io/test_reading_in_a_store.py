@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_recordings import make, swing
 from mcap.writer import CompressionType, Writer
+from mcap_messages import every
 from private_memory import program_output
 
 from calib.world import world_table as apply
@@ -213,7 +214,7 @@ def test_images_cost_no_memory(tmp_path: Path, compression: CompressionType):
         schema = writer.register_schema("sensor_msgs/msg/CompressedImage", "ros2msg", b"")
         images = writer.register_channel("/rgb", "cdr", schema)
         ours: dict[str, int] = {}
-        for count, message in enumerate(Container(tmp_path / "short.mcap").messages()):
+        for count, message in enumerate(every(Container(tmp_path / "short.mcap"))):
             topic = message.topic
             if topic.name not in ours:
                 schema = writer.register_schema(topic.schema, topic.schema_encoding, topic.schema_data)

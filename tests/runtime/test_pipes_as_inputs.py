@@ -50,7 +50,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "d.mcap": read_imu,
     "e.mcap": read_recovery,
     "f.mcap": smoother.smooth,
-    "g.mcap": lambda path: list(Container(path).messages()),
+    "g.mcap": lambda path: list(Container(path).chunks()),
     "h.mcap": lambda path: list(read_images(path)),
     "i.mcap": read_sound,
     "a.toml": read_calibration,

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from commands import done, refused
+from mcap_messages import every
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
@@ -253,7 +254,7 @@ def test_folder_and_recording_hold_the_session(tmp_path: Path):
     assert {imu.topic for imu in recording.imus} == {"/imu/panel", "/imu/base"}
     assert all(len(imu.stamp_ns) == 650 for imu in recording.imus)  # 2 + 2.5 + 2 s at 100 Hz
     images = {}
-    for message in Container(mcap).messages():
+    for message in every(Container(mcap)):
         if message.topic.schema == "foxglove.RawImage":
             image = message_class("foxglove.RawImage").FromString(bytes(message.data))
             pixels = np.frombuffer(image.data, "<u2").reshape(image.height, image.width)

@@ -1,34 +1,46 @@
 """An MCAP file read front to back in flat memory.
 
 Records are the mcap package's; the messages of a chunk stay columns (0.05 s where the package takes 0.75 s).
-Messages are read in file order, so that a truncated file gives all that it still has. Behind a damage reading
-resumes at the next records that make sense; what was lost is counted. The summary at the file's end serves
-for channels whose own records are lost, and shows how many messages are missing.
+A damaged chunk is left out and its times are noted. Behind broken framing reading resumes at the next place
+that the summary at the file's end names; without one the rest is for `mcap recover`.
 """
 
 from __future__ import annotations
 
 import os
+import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
-from numpy.typing import NDArray
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import StreamReader
 
 from ...array_types import IntArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
-from ..wire.layout import Buffer, cut_out, joined
+from ..wire.layout import cut_out, joined
 from .messages import (
     ChunkMessages,
-    Loss,
+    Damage,
     McapMessage,
     Topic,
     TopicMessages,
@@ -37,20 +49,14 @@ from .messages import (
     plain_name,
     sentences,
 )
-from .records import (
-    BROKEN,
-    CHUNK,
-    CUT,
-    DAMAGED,
-    HEAD,
-    INDEX,
-    MAGIC,
-    Summary,
-    TopRecord,
-    read_summary,
-    top_records,
-)
 
+#: An MCAP file begins and ends with these bytes.
+MAGIC = b"\x89MCAP0\r\n"
+#: Opcode and length that every record begins with.
+HEAD = struct.Struct("<BQ")
+#: What a chunk begins with, up to the name of its compression: first and last log time, size and checksum of
+#: its records, letters of the name. Behind the name stand the compressed size (u64) and the records.
+CHUNK = struct.Struct("<QQQII")
 #: A message record up to its payload.
 MESSAGE = np.dtype(
     [
@@ -62,78 +68,63 @@ MESSAGE = np.dtype(
         ("publish", "<u8"),
     ]
 )
+_FOOTER = struct.Struct("<BQQQI")
+#: A name of a compression is no longer than this.
+_LETTERS = 16
+#: Records of the data section with their least length; opcodes from `_PRIVATE` on are a program's own.
+_LEAST: dict[int, int] = {
+    Opcode.HEADER: 8,
+    Opcode.SCHEMA: 14,
+    Opcode.CHANNEL: 16,
+    Opcode.MESSAGE: 22,
+    Opcode.CHUNK: 40,
+    Opcode.MESSAGE_INDEX: 6,
+    Opcode.ATTACHMENT: 36,
+    Opcode.METADATA: 8,
+    Opcode.DATA_END: 4,
+}
+_PRIVATE = 128
 #: Log times beyond this, ns, do not fit what times are counted in.
 _LATEST = np.uint64(np.iinfo(np.int64).max - 1)
-#: Messages outside chunks are gathered to chunks of this size.
-_GATHER = 1 << 20
-#: All metadata records together have no more bytes than this.
-_METADATA_LIMIT = 1 << 26
-#: What data of the compressions that are read begin with; a chunk is unpacked a part at a time, and no
-#: further than this. Recorders make chunks of 1 to 64 MB.
-_COMPRESSIONS = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
-_PART, CHUNK_LIMIT = 1 << 18, 1 << 28
+#: Messages outside chunks are gathered to chunks of this size; recorders make chunks of 1 to 64 MB.
+_GATHER, CHUNK_LIMIT = 1 << 20, 1 << 28
+#: What reading a damaged record raises.
+_BROKEN = (McapError, struct.error, ValueError, OverflowError, MemoryError, EOFError)
 
 
-class _Block(NamedTuple):
-    """Schema, channel and message records one behind the other."""
-
-    data: bytes
-    place: int  # bytes: where in the file it is
-    is_checked: bool  # Its checksum is right
-
-
-class _Messages(NamedTuple):
-    """The messages of a block, as columns (n,)."""
-
-    data: bytes
-    heads: NDArray  # What they begin with, `MESSAGE`
-    start: IntArray  # Where in `data` each payload begins and ends
-    stop: IntArray
-    number: IntArray  # Position of each one's topic
+#: A chunk: its records, where it is, its first and last log time.
+_Block = tuple[bytes, int, tuple[int | None, int | None]]
 
 
 class Container:
     """A file to be read once, front to back."""
 
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        unverified: bool = False,
-        described: Mapping[int, Topic] | None = None,
-    ):
-        self.path = Path(path)
+    def __init__(self, path: str | os.PathLike[str], unverified: bool = False):
+        self.path, self._unverified = Path(path), unverified
         self.topics: list[Topic] = []
         self.metadata: dict[str, dict[str, str]] = {}
+        # Content of the record by the attachment's name: first byte, length, and where in it its data begin
+        self.attachments: dict[str, tuple[int, int, int]] = {}
         self.notes: list[str] = []
-        self.losses: list[Loss] = []
+        self.damage: list[Damage] = []
         self.missing: dict[str, int] = {}  # by topic, where the file's own count says so
-        self.attachments = 0  # met so far; they are not read
-        self.undescribed = 0  # messages dropped for want of their channel's record
-        self.described: dict[int, Topic] = {}  # channels met so far, by their numbers
-        self._elsewhere = dict(described or {})
-        self._unverified = unverified
+        self._summary = Summary()
         self._schemas: dict[int, Schema] = {}
         self._number = np.full(1 << 16, -1, np.int64)  # position in `topics` by channel
-        self._read = np.zeros(1 << 16, np.int64)  # messages by position in `topics`
-        self._summary = Summary()
         self._first_ns: int | None = None
         self._last_ns: int | None = None
-        self._open: list[Loss] = []  # which ended at a time that is not known yet
-        self._is_cut = False
-        self._metadata_bytes = 0
+        self._unknown = ""  # A compression that is not read
 
     # -- messages -------------------------------------------------------------------------------------------
 
     def by_topic(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, TopicMessages]]:
         """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`."""
-        for data, heads, start, stop, number in self._messages():
+        for chunk in self._messages():
             by_topic: dict[int, TopicMessages] = {}
-            for position in dict.fromkeys(number.tolist()):
-                mine = np.flatnonzero(number == position)
-                topic, log_ns = self.topics[position], heads["log"][mine]
-                topic.note(log_ns)
-                if wanted(topic):
-                    by_topic[position] = TopicMessages(log_ns.view(np.int64), data, start[mine], stop[mine])
+            for position in dict.fromkeys(chunk.topic.tolist()):
+                if wanted(self.topics[position]):
+                    mine = chunk.select(np.flatnonzero(chunk.topic == position))
+                    by_topic[position] = TopicMessages(mine.log_ns, mine.chunk, mine.start, mine.stop)
             if by_topic:
                 yield by_topic
 
@@ -150,119 +141,106 @@ class Container:
                 for position, rows in chunk.items()
             }
 
-    def messages(self) -> Iterator[McapMessage]:
-        """Yield all messages in the file's order."""
-        for chunk in self.chunks(lambda topic: True):
-            for number, log_ns, data in zip(
-                chunk.topic.tolist(), chunk.log_ns.tolist(), chunk.data, strict=True
-            ):
-                yield McapMessage(chunk.topics[number], log_ns, memoryview(data))
-
-    def chunks(self, wanted: Callable[[Topic], bool]) -> Iterator[ChunkMessages]:
+    def chunks(self, wanted: Callable[[Topic], bool] = lambda topic: True) -> Iterator[ChunkMessages]:
         """Yield the messages of wanted topics a chunk at a time, in the file's order."""
-        for data, heads, start, stop, number in self._messages():
-            positions = [position for position in set(number.tolist()) if wanted(self.topics[position])]
-            mine = np.isin(number, positions)
-            payloads: Buffer = data
-            if not mine.all():
-                heads, number = heads[mine], number[mine]
-                payloads, start, stop = joined(data, start[mine], stop[mine])  # the others need not be kept
-            if len(heads):
-                sequence, log_ns, publish_ns = (
-                    heads[n].astype(np.int64) for n in ("sequence", "log", "publish")
-                )
-                columns = (number, sequence, log_ns, publish_ns)
-                yield ChunkMessages(self.topics, *columns, payloads, start, stop)
+        for chunk in self._messages():
+            positions = [position for position in set(chunk.topic.tolist()) if wanted(self.topics[position])]
+            mine = chunk.select(np.flatnonzero(np.isin(chunk.topic, positions)))
+            if len(mine.topic) < len(chunk.topic):  # the others need not be kept
+                data, start, stop = joined(mine.chunk, mine.start, mine.stop)
+                mine = mine._replace(chunk=data, start=start, stop=stop)
+            if len(mine.topic):
+                yield mine
 
-    def _messages(self) -> Iterator[_Messages]:
-        for block in self._blocks():
-            place, definitions, end = _walked(block.data)
+    def skimmed(self) -> Container:
+        """With its metadata and attachments; chunks are not unpacked."""
+        for _ in self._blocks(unpack=False):
+            pass
+        return self
+
+    def attachment(self, name: str) -> memoryview:
+        """The data of an attachment, mapped into the memory; ValueError where they are damaged."""
+        start, length, data = self.attachments[name]
+        content = np.memmap(self.path, np.uint8, "r", start, (length,)).data
+        if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little"):
+            raise ValueError(f"the attachment {name} fails its checksum")
+        return content[data:-4]
+
+    def _messages(self) -> Iterator[ChunkMessages]:
+        for data, place, times in self._blocks():
+            at, definitions, end = _walked(data)
             for opcode, content in definitions:
-                self._define(opcode, content, block.is_checked)
-            if end < len(block.data) and not self._is_cut:
-                lost = f"the last {len(block.data) - end} bytes of the chunk at byte {block.place}"
-                self._lost(Loss(f"{lost} are damaged and were passed over", block.place, block.place))
-            heads = cut_out(block.data, place, MESSAGE.itemsize).reshape(-1).view(MESSAGE)
-            late = heads["log"] > _LATEST
-            if late.any():
+                self._define(opcode, content)
+            if end < len(data):
+                lost = f"the last {len(data) - end} bytes of the chunk at byte {place}"
+                self._lost(f"{lost} are damaged and were passed over", place, place, *times)
+            heads = cut_out(data, at, MESSAGE.itemsize).reshape(-1).view(MESSAGE)
+            if (late := heads["log"] > _LATEST).any():
                 heads["log"][late] = _LATEST
                 what = f"{int(late.sum())} messages have log times after the year 2262, the latest possible"
-                self._lost(Loss(what, block.place, block.place))
+                self._lost(what, place, place)
             for channel in np.unique(heads["channel"][self._number[heads["channel"]] < 0]).tolist():
-                self._describe_lost(channel)
-            number = self._number[heads["channel"]]
-            known = number >= 0
-            if not known.all():
-                times = heads["log"][~known]
-                self.undescribed += len(times)
-                what = f"{len(times)} messages of channels that no record before them describes were dropped"
-                self._lost(Loss(what, block.place, block.place, int(times.min()), int(times.max())))
-                heads, place, number = heads[known], place[known], number[known]
-            if len(heads):
-                self._met(heads["log"])
-                self._read += np.bincount(number, minlength=len(self._read))
-            stop = place + HEAD.size + heads["length"].astype(np.int64)
-            yield _Messages(block.data, heads, place + MESSAGE.itemsize, stop, number)
+                if (stated := self._summary.channels.get(channel)) is not None:
+                    self._enter(stated)
+                    self._note(
+                        f"the record of channel {plain_name(stated.topic)} is missing before its messages"
+                    )
+            number, log_ns = self._number[heads["channel"]], heads["log"].astype(np.int64)
+            chunk = ChunkMessages(
+                *(self.topics, number, heads["sequence"].astype(np.int64), log_ns),
+                *(heads["publish"].astype(np.int64), data, at + MESSAGE.itemsize),
+                at + HEAD.size + heads["length"].astype(np.int64),
+            )
+            if not (known := number >= 0).all():
+                what = f"{int((~known).sum())} messages of channels that no record describes were dropped"
+                self._lost(what, place, place, int(log_ns[~known].min()), int(log_ns[~known].max()))
+                chunk = chunk.select(np.flatnonzero(known))
+            if len(chunk.topic):
+                first, last = int(chunk.log_ns.min()), int(chunk.log_ns.max())
+                self._first_ns = first if self._first_ns is None else self._first_ns
+                self._last_ns = last if self._last_ns is None else max(self._last_ns, last)
+                for position in np.unique(chunk.topic).tolist():
+                    self.topics[position].note(chunk.log_ns[chunk.topic == position])
+            yield chunk
 
     # -- channels -------------------------------------------------------------------------------------------
 
-    def _define(self, opcode: int, content: bytes, is_checked: bool, is_known: bool = True) -> None:
-        """Take in a schema or channel; of two descriptions that with a checksum counts, else the first."""
+    def _define(self, opcode: int, content: bytes) -> None:
+        """Take in a schema or channel; the summary's own description counts."""
         stream = ReadDataStream(BytesIO(content))
-        summary = self._summary
         try:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)
-                twin = summary.schemas.get(schema.id, schema)
-                is_wrong = twin.name != schema.name and summary.is_checked and not is_checked
-                self._schemas[schema.id] = twin if is_wrong else schema
-                return
-            channel = Channel.read(stream)
-        except BROKEN:
+                self._schemas[schema.id] = self._summary.schemas.get(schema.id, schema)
+                is_other = self._schemas[schema.id].name != schema.name
+            else:
+                channel = Channel.read(stream)
+                stated = self._summary.channels.get(channel.id, channel)
+                is_other = stated.topic != channel.topic
+                self._enter(stated)
+        except _BROKEN:
             self._note("a schema or channel record is damaged")
             return
-        stated = summary.channels.get(channel.id, channel)
-        if stated.topic != channel.topic:
-            self._note(f"channel {channel.id} is described in two ways")
-            channel = stated if summary.is_checked and not is_checked else channel
-        if not is_known:
-            self._elsewhere.setdefault(channel.id, self._topic(channel))
-        elif self._number[channel.id] < 0:
-            self._enter(channel.id, self._topic(channel))
+        if is_other:
+            self._note("a schema or channel is described in two ways")
 
-    def _describe_lost(self, channel: int) -> None:
-        """A channel whose own record is lost or comes late, as the file's end describes it."""
-        stated = self._summary.channels.get(channel)
-        topic = self._elsewhere.get(channel) or (None if stated is None else self._topic(stated))
-        if topic is not None:
-            self._enter(channel, topic)
-            self._note(f"the record of channel {topic.label} is missing and was taken from elsewhere")
-
-    def _topic(self, channel: Channel) -> Topic:
+    def _enter(self, channel: Channel) -> None:
+        """A channel; recorders that split or restart make a second one of the same topic."""
+        if self._number[channel.id] >= 0:
+            return
         its = self._schemas.get(channel.schema_id) or self._summary.schemas.get(channel.schema_id)
         schema = (its.name, its.encoding, its.data) if its else ("", "", b"")
-        return Topic(channel.topic, *schema, channel.message_encoding, dict(channel.metadata))
-
-    def _enter(self, channel: int, topic: Topic) -> None:
-        # Recorders that split or restart make a second channel of the same topic.
+        topic = Topic(channel.topic, *schema, channel.message_encoding, dict(channel.metadata))
         keys = [(known.name, known.schema, known.encoding) for known in self.topics]
         key = (topic.name, topic.schema, topic.encoding)
-        self.described[channel] = topic
-        self._number[channel] = keys.index(key) if key in keys else len(keys)
+        self._number[channel.id] = keys.index(key) if key in keys else len(keys)
         if key not in keys:
-            self.topics.append(
-                Topic(*key[:2], topic.schema_encoding, topic.schema_data, key[2], topic.metadata)
-            )
-
-    def _name_of(self, channel: int) -> str:
-        """Topic of a channel, as far as it is known."""
-        named = self.described.get(channel) or self._elsewhere.get(channel)
-        stated = self._summary.channels.get(channel)
-        return named.name if named else stated.topic if stated else f"channel {channel}"
+            self.topics.append(topic)
 
     # -- records --------------------------------------------------------------------------------------------
 
-    def _blocks(self) -> Iterator[_Block]:
+    def _blocks(self, unpack: bool = True) -> Iterator[_Block]:
+        """Schema, channel and message records, a chunk at a time."""
         check_input(self.path, RecordingError)
         try:
             size = self.path.stat().st_size
@@ -272,115 +250,120 @@ class Container:
                 self._check_magic(magic)
                 if self._summary.chunks:
                     self._first_ns = min(chunk.message_start_time for chunk in self._summary.chunks)
-                yield from self._read_blocks(file, size)
+                yield from self._read_blocks(file, size, unpack)
         except OSError as error:
             raise RecordingError(_unreadable(self.path, error)) from error
-        for clause in sentences(self.losses, self._first_ns):
+        for clause in sentences(self.damage, self._first_ns):
             self._note(clause)
-        self._compare_counts()
+        if self._unknown and not any(topic.count for topic in self.topics):
+            name = plain_name(self._unknown)
+            raise RecordingError(f"{self.path} is compressed with {name}; rewrite it with `mcap compress`.")
+        if unpack:
+            self._compare_counts()
         if self._summary.is_damaged:
             self._note("the index at its end is damaged, so it is not known how many messages it had")
-        if self._is_cut:
-            self._note("the file ends in the middle of the recording; everything before the cut was read")
 
-    def _read_blocks(self, file: IO[bytes], size: int) -> Iterator[_Block]:
+    def _read_blocks(self, file: IO[bytes], size: int, unpack: bool) -> Iterator[_Block]:
         loose = bytearray()  # messages outside chunks
-        place = 0
-        left_out: Loss | None = None  # a chunk whose index records follow
-        for record in top_records(file, size):
-            opcode, start, length, is_mended = record
+        for opcode, start, length in self._records(file, size):
             if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
-                place = place if loose else start - HEAD.size
-                loose += _at(file, start - HEAD.size, HEAD.size + length)
+                loose += _at(file, start - HEAD.size, HEAD.size + length) if unpack else b""
                 if len(loose) < _GATHER:
                     continue
             if loose:
-                yield _Block(bytes(loose), place, False)
+                yield bytes(loose), start, (None, None)
                 loose.clear()
-            if opcode == Opcode.MESSAGE_INDEX:
-                if left_out is not None:
-                    channel, entries = INDEX.unpack(_at(file, start, INDEX.size))
-                    name = self._name_of(channel)
-                    left_out.counts[name] = left_out.counts.get(name, 0) + entries // 16
-                continue
-            left_out = None
-            if opcode == Opcode.ATTACHMENT:
-                self.attachments += 1
-            elif opcode == Opcode.METADATA:
-                self._take_metadata(_at(file, start, length))
-            elif opcode == DAMAGED:
-                what = f"the {length} bytes from byte {start} on are damaged and were left out"
-                self._lost(self._timed(Loss(what, start, start + length)))
-            elif opcode == CUT and not length:
-                self._is_cut = True
-            elif opcode in (Opcode.CHUNK, CUT):
-                self._is_cut |= opcode == CUT
-                if is_mended:
-                    self._note(f"the head of the chunk at byte {start} is damaged; the chunk was read")
-                found = self._unpacked(_at(file, start, length), record)
-                if isinstance(found, Loss):
-                    left_out = found
-                    self._lost(self._timed(found))
+            if opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
+                try:
+                    self._take(opcode, file, start, length)
+                except _BROKEN:
+                    self._note(f"the record at byte {start}, metadata or an attachment, is damaged")
+            elif opcode == Opcode.CHUNK and unpack:
+                data, times = self._unpacked(_at(file, start, length), start)
+                if data is None:
+                    self._lost(
+                        f"the chunk at byte {start} is damaged and was left out",
+                        start,
+                        start + length,
+                        *times,
+                    )
                 else:
-                    yield found
+                    yield data, start, times
         if loose:
-            yield _Block(bytes(loose), place, False)
+            yield bytes(loose), size, (None, None)
 
-    def _unpacked(self, content: bytes, record: TopRecord) -> _Block | Loss:
-        """A chunk's records, of a cut chunk those before the place; what was lost of one left out."""
-        place = record.start
-        at = (
-            CHUNK.size + CHUNK.unpack_from(content)[4] + 8 if len(content) >= CHUNK.size else len(content) + 1
-        )
-        if len(content) < at:  # cut off before its records
-            return _Block(b"", place, False)
-        first, last, stated, crc, letters = CHUNK.unpack_from(content)
-        packed = memoryview(content)[at:]
-        name = content[CHUNK.size : CHUNK.size + letters].decode("latin-1")
-        loss = Loss(
-            f"the chunk at byte {place} is damaged and was left out", place, place + len(content), first, last
-        )
-        if name not in ("", *_COMPRESSIONS.values()):
-            damaged, name = name, _COMPRESSIONS.get(bytes(packed[:4]), "?")
-            if name == "?" and not self._read.any():
-                raise RecordingError(
-                    f"{self.path} is compressed with {plain_name(damaged)}; rewrite it with `mcap compress`."
-                )
-        if stated > CHUNK_LIMIT or name == "?":
-            if stated > CHUNK_LIMIT:
-                loss.what = f"the chunk at byte {place} states {stated} bytes, too many, and was left out"
-            return loss
-        data = _unpack(name, packed, stated)
-        is_whole = len(data) == stated and crc in (0, zlib.crc32(data))
-        if is_whole or record.opcode == CUT:
-            return _Block(data, place, is_whole and bool(crc))
-        if len(data) < stated:
-            loss.what = f"the chunk at byte {place} is damaged; {len(data)} of its {stated} bytes were read"
-            self._lost(loss)
-            return _Block(data, place, False)
-        loss.what = f"the chunk at byte {place} fails its checksum and was left out"
-        if not self._unverified:
-            for opcode, definition in _walked(data)[1]:  # for want of better ones
-                self._define(opcode, definition, False, is_known=False)
-            return loss
-        loss.what, loss.is_kept = (
-            f"the chunk at byte {place} fails its checksum; its messages are not verified",
-            True,
-        )
-        self._lost(loss)
-        return _Block(data, place, False)
+    def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[int, int, int]]:
+        """Opcode, first byte and length of the content of each record up to the end of the data section."""
+        place = len(MAGIC)
+        while True:
+            head = _at(file, place, HEAD.size + CHUNK.size + _LETTERS + 8)
+            opcode, length = HEAD.unpack_from(head) if len(head) >= HEAD.size else (0, 0)
+            start, inner = place + HEAD.size, _chunk_length(head[HEAD.size :])
+            if inner == length and opcode != Opcode.CHUNK:
+                self._note(f"the head of the chunk at byte {start} is damaged; the chunk was read")
+                opcode = Opcode.CHUNK
+            is_sound = start + length <= size and (
+                opcode >= _PRIVATE or length >= _LEAST.get(opcode, 1 << 64)
+            )
+            if is_sound and (opcode != Opcode.CHUNK or inner == length):
+                yield opcode, start, length
+                if opcode == Opcode.DATA_END:
+                    return
+                place = start + length
+                continue
+            resume = next((each for each in self._summary.places if each > place), None)
+            stop = size if resume is None else resume
+            lost = [each for each in self._summary.chunks if place <= each.chunk_start_offset < stop]
+            first_ns = min((each.message_start_time for each in lost), default=self._last_ns)
+            last_ns = max((each.message_end_time for each in lost), default=None)
+            if opcode == Opcode.CHUNK and not lost and len(head) >= HEAD.size + CHUNK.size:
+                first_ns, last_ns = CHUNK.unpack_from(head, HEAD.size)[:2]
+            if stop > place:
+                what = f"the {stop - place} bytes from byte {place} on are damaged or cut and were left out"
+                more = "; `mcap recover` may find more in them" if resume is None else ""
+                self._lost(what + more, place, stop, first_ns, last_ns)
+            if resume is None:
+                if not self._summary.is_there:
+                    self._note(
+                        "the file ends in the middle of the recording; everything before the cut was read"
+                    )
+                return
+            place = resume
 
-    def _take_metadata(self, content: bytes) -> None:
-        self._metadata_bytes += len(content)
-        if self._metadata_bytes > _METADATA_LIMIT:
-            self._note("its metadata records are too long and were left out")
+    def _take(self, opcode: int, file: IO[bytes], start: int, length: int) -> None:
+        """Metadata, or where the data of an attachment are."""
+        if opcode == Opcode.METADATA:
+            record = Metadata.read(ReadDataStream(BytesIO(_at(file, start, length))))
+            self.metadata[record.name] = dict(record.metadata)
             return
+        file.seek(start + 16)  # behind two times
+        stream = ReadDataStream(file)
+        name, _, size = stream.read_prefixed_string(), stream.read_prefixed_string(), stream.read8()
+        data = file.tell() - start
+        if data + size + 4 != length:
+            raise ValueError("its sizes contradict each other")
+        self.attachments[name] = (start, length, data)
+
+    def _unpacked(self, content: bytes, place: int) -> tuple[bytes | None, tuple[int | None, int | None]]:
+        """A chunk's records, None where it is damaged; its first and last log time."""
         try:
-            record = Metadata.read(ReadDataStream(BytesIO(content)))
-        except BROKEN:
-            self._note("a metadata record is damaged")
-            return
-        self.metadata[record.name] = dict(record.metadata)
+            chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+        except _BROKEN:
+            return None, (self._last_ns, None)
+        times, size = (chunk.message_start_time, chunk.message_end_time), chunk.uncompressed_size
+        data = None
+        if chunk.compression in ("", "zstd", "lz4"):
+            data = _unpack(chunk.compression, chunk.data, size) if size <= CHUNK_LIMIT else None
+        else:
+            self._unknown = chunk.compression
+        if data is None or len(data) != size:
+            return None, times
+        if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+            if not self._unverified:
+                return None, times
+            what = f"the chunk at byte {place} fails its checksum; its messages are not verified"
+            self._lost(what, place, place + len(content), *times)
+        return data, times
 
     def _check_magic(self, magic: bytes) -> None:
         if not magic:
@@ -403,44 +386,87 @@ class Container:
         if note not in self.notes:
             self.notes.append(note)
 
-    def _lost(self, loss: Loss) -> None:
-        """Take down a loss; if its time is unknown, it is between the messages around it."""
-        if loss.first_ns is None and self._last_ns is not None:
-            loss.first_ns = self._last_ns
-            self._open.append(loss)
-        self.losses.append(loss)
-
-    def _timed(self, loss: Loss) -> Loss:
-        """With the times of the chunks that were there, by the file's own index."""
-        indexes = self._summary.chunks
-        lost = [each for each in indexes if loss.start - HEAD.size <= each.chunk_start_offset < loss.stop]
-        if lost:
-            loss.first_ns = min(each.message_start_time for each in lost)
-            loss.last_ns = max(each.message_end_time for each in lost)
-        return loss
-
-    def _met(self, log_ns: NDArray[np.uint64]) -> None:
-        """Messages (n,), at least one: what was lost before is between the ones before and these."""
-        first, last = int(log_ns.min()), int(log_ns.max())
-        for loss in self._open:
-            loss.last_ns = max(first, loss.first_ns or 0)
-        self._open.clear()
-        self._first_ns = first if self._first_ns is None else self._first_ns
-        self._last_ns = last if self._last_ns is None else max(self._last_ns, last)
+    def _lost(
+        self, what: str, start: int, stop: int, first_ns: int | None = None, last_ns: int | None = None
+    ) -> None:
+        """Take down a damage; if its time is unknown, it is behind the messages before."""
+        self.damage.append(
+            Damage(what, start, stop, self._last_ns if first_ns is None else first_ns, last_ns)
+        )
 
     def _compare_counts(self) -> None:
         """Compare what was read with the file's own count."""
         stated, read = Counter[str](), Counter[str]()
-        for channel, count in self._summary.counts.items():
-            stated[self._name_of(channel)] += count
-        for topic, count in zip(self.topics, self._read.tolist(), strict=False):
-            read[topic.name] += count
+        for number, count in self._summary.counts.items():
+            channel = self._summary.channels.get(number)
+            stated[f"channel {number}" if channel is None else channel.topic] += count
+        for topic in self.topics:
+            read[topic.name] += topic.count
         self.missing = {name: count - read[name] for name, count in stated.items() if count > read[name]}
         more = {name: count - stated[name] for name, count in read.items() if 0 < stated[name] < count}
         if more:
             self._note(f"there are more messages than the file's own count says: {listed(more)}")
         if self.missing:
             self._note(f"by the file's own count messages are missing: {listed(self.missing, stated)}")
+
+
+@dataclass
+class Summary:
+    """Records of the summary; empty where there is none that can be read."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)  # By their numbers
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)  # In the file's order
+    places: list[int] = field(default_factory=list)  # Where chunks, attachments and metadata begin
+    counts: dict[int, int] = field(default_factory=dict)  # Messages by channel
+    is_there: bool = False  # The file ends as a whole file does
+    is_damaged: bool = False  # It is there and cannot be read
+
+
+def read_summary(file: IO[bytes], size: int) -> Summary:
+    """Read what is at a file's end; nothing is raised where it is damaged or missing."""
+    tail = _FOOTER.size + len(MAGIC)
+    end = _at(file, size - tail, tail) if size >= tail + len(MAGIC) else b""
+    if end[-len(MAGIC) :] != MAGIC:
+        return Summary()
+    opcode, length, start, _, crc = _FOOTER.unpack_from(end)
+    if not start:
+        return Summary(is_there=True)
+    content = _at(file, start, size - tail - start) if len(MAGIC) <= start < size - tail else b""
+    is_checked = not crc or zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(content)) == crc
+    if opcode != Opcode.FOOTER or length != 20 or not content or not is_checked:
+        return Summary(is_there=True, is_damaged=True)
+    summary = Summary(is_there=True)
+    try:
+        for record in StreamReader(BytesIO(content + end), skip_magic=True).records:
+            _add(summary, record)
+    except _BROKEN:
+        return Summary(is_there=True, is_damaged=True)
+    summary.places.sort()
+    return summary
+
+
+def _add(summary: Summary, record: McapRecord) -> None:
+    if isinstance(record, Schema):
+        summary.schemas[record.id] = record
+    elif isinstance(record, Channel):
+        summary.channels[record.id] = record
+    elif isinstance(record, Statistics):
+        summary.counts = dict(record.channel_message_counts)
+    elif isinstance(record, ChunkIndex):
+        summary.chunks.append(record)
+        summary.places.append(record.chunk_start_offset)
+    elif isinstance(record, AttachmentIndex | MetadataIndex):
+        summary.places.append(record.offset)
+
+
+def _chunk_length(content: bytes) -> int | None:
+    """The length that the sizes inside a chunk add up to; None for what is not a chunk."""
+    letters = CHUNK.unpack_from(content)[4] if len(content) >= CHUNK.size else _LETTERS + 1
+    at = CHUNK.size + letters
+    if letters > _LETTERS or len(content) < at + 8 or not content[CHUNK.size : at].isalnum() | (letters == 0):
+        return None
+    return at + 8 + int.from_bytes(content[at : at + 8], "little")
 
 
 def _walked(data: bytes) -> tuple[IntArray, list[tuple[int, bytes]], int]:
@@ -462,27 +488,21 @@ def _walked(data: bytes) -> tuple[IntArray, list[tuple[int, bytes]], int]:
     return np.array(places, np.int64), definitions, place
 
 
-def _unpack(compression: str, packed: memoryview, size: int) -> bytes:
-    """A chunk's records; of a damaged chunk those before the damage, never more than `size` bytes."""
+def _unpack(compression: str, packed: bytes, size: int) -> bytes | None:
+    """A chunk's records, never more than `size` bytes; None where they cannot be unpacked."""
     if not compression:
-        return bytes(packed[:size])
+        return packed
     import zstandard
-    from lz4.frame import LZ4FrameFile  # type: ignore[import-untyped]
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
-    out = bytearray()
     try:
-        zstd = zstandard.ZstdDecompressor()
-        if compression == "zstd" and zstandard.get_frame_parameters(packed).content_size == size:
-            return zstd.decompress(packed)  # twice as fast
-    except (zstandard.ZstdError, MemoryError):
-        pass
-    source = zstd.stream_reader(packed) if compression == "zstd" else LZ4FrameFile(BytesIO(packed))
-    try:
-        while len(out) < size and (more := source.read(min(_PART, size - len(out)))):
-            out += more
+        if compression == "lz4":
+            return bytes(LZ4FrameDecompressor().decompress(packed, max_length=size))
+        if zstandard.frame_content_size(packed) > size:
+            return None
+        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
-        pass
-    return bytes(out)
+        return None
 
 
 def _at(file: IO[bytes], place: int, size: int) -> bytes:

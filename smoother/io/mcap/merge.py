@@ -21,6 +21,7 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    AttachmentIndex,
     Channel,
     ChunkIndex,
     DataEnd,
@@ -37,9 +38,8 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray, IntArray
 from ..wire.layout import Buffer, copy_runs, runs
 from ..wire.schemas import schema_data
-from .container import MESSAGE
+from .container import CHUNK, HEAD, MAGIC, MESSAGE
 from .messages import ChunkMessages, Topic, nanoseconds
-from .records import CHUNK, HEAD, INDEX, MAGIC
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 SLICE = 2048
@@ -48,6 +48,8 @@ _HELD_BYTES = 1 << 23
 #: After all times.
 END = int(np.iinfo(np.int64).max)
 _CHUNK_BYTES = 1 << 20
+#: A chunk's index of a channel up to its entries: the channel, and the bytes of the entries.
+_INDEX = struct.Struct("<HI")
 #: Compression. Level 1 takes half as long again, on drawn motions six times, for files that are 1 % smaller.
 _COMPRESSION, _LEVEL = "zstd", -1
 
@@ -104,6 +106,7 @@ class Output:
         self._chunks, self._first_ns, self._last_ns = 0, END, 0
         self._chunk_indexes = RecordBuilder()  # 0.1 kB a chunk, so that a session may last a day
         self._metadata: list[MetadataIndex] = []
+        self._attachments: list[AttachmentIndex] = []
 
     def __enter__(self) -> Output:
         self._file = open(self._path, "wb")
@@ -123,6 +126,22 @@ class Output:
         """Write a metadata record."""
         record = _packed(Metadata(name=name, metadata=values))
         self._metadata.append(MetadataIndex(offset=self._put(record), length=len(record), name=name))
+
+    def attachment(self, name: str, data: Buffer, media_type: str = "application/octet-stream") -> None:
+        """Write an attachment; only its head passes through the memory."""
+        builder = RecordBuilder()
+        builder.write8(0)  # times
+        builder.write8(0)
+        builder.write_prefixed_string(name)
+        builder.write_prefixed_string(media_type)
+        builder.write8(len(data))
+        head, size = builder.end(), len(data)
+        crc = struct.pack("<I", zlib.crc32(data, zlib.crc32(head)))
+        at = self._put(HEAD.pack(Opcode.ATTACHMENT, len(head) + size + len(crc)) + head)
+        for part in (data, crc):
+            self._put(part)
+        length = HEAD.size + len(head) + size + len(crc)
+        self._attachments.append(AttachmentIndex(at, length, 0, 0, size, name, media_type))
 
     def channel(self, topic: str, schema: str) -> int:
         """Number of a topic of protobuf messages by the schema's full name."""
@@ -236,7 +255,7 @@ class Output:
         for number in np.unique(channel).tolist():
             mine = channel == number
             entries = np.stack([log_ns[mine], offsets[mine]], axis=1).astype("<u8").tobytes()
-            content = INDEX.pack(number, len(entries)) + entries
+            content = _INDEX.pack(number, len(entries)) + entries
             index[number] = HEAD.pack(Opcode.MESSAGE_INDEX, len(content)) + content
             self._counts[number] += int(mine.sum())
         index_at = self._put(b"".join(index.values()))
@@ -261,7 +280,7 @@ class Output:
         end = _packed(DataEnd(data_section_crc=0))
         start = place = self._put(end) + len(end)
         statistics = Statistics(
-            attachment_count=0,
+            attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
             chunk_count=self._chunks,
@@ -276,6 +295,7 @@ class Output:
             Opcode.CHANNEL: _packed(*self._channels.values()),
             Opcode.STATISTICS: _packed(statistics),
             Opcode.CHUNK_INDEX: self._chunk_indexes.end(),
+            Opcode.ATTACHMENT_INDEX: _packed(*self._attachments),
             Opcode.METADATA_INDEX: _packed(*self._metadata),
         }
         offsets = []
@@ -288,7 +308,7 @@ class Output:
         footer = Footer(summary_start=start, summary_offset_start=place, summary_crc=crc)
         self._put(summary + _packed(footer) + MAGIC)
 
-    def _put(self, data: bytes) -> int:
+    def _put(self, data: Buffer) -> int:
         """Write bytes; where they begin."""
         assert self._file is not None
         self._file.write(data)

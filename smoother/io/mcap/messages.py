@@ -5,13 +5,11 @@ Stamps in nanoseconds, as files have them, and seconds after an origin.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
 from ...runtime.printable import printable
@@ -63,58 +61,38 @@ def told_behind(notes: Sequence[str]) -> str:
     return f" {text[:1].upper()}{text[1:]}" if text else ""
 
 
-#: This many losses have a sentence of their own.
+#: This many damages have a sentence of their own; so many names are listed.
 _MOST = 6
 #: Names in messages are cut to this length.
 _LONGEST_NAME = 80
 
 
-@dataclass
-class Loss:
-    """A part of the file that gave nothing, or gave what cannot be vouched for."""
+@dataclass(frozen=True)
+class Damage:
+    """A part of the file that gave nothing."""
 
     what: str  # What is there and what became of it
-    start: int  # bytes: Where it is in the file
-    stop: int  # bytes: Where it is in the file
-    first_ns: int | None = None  # Log times before and after it; None if unknown
-    last_ns: int | None = None  # Log times before and after it; None if unknown
-    counts: dict[str, int] = field(default_factory=dict)  # Messages lost by topic, as far as indexes tell
-    is_kept: bool = False  # They were read all the same, and cannot be vouched for
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, fit for JSON."""
-        return {
-            "what": self.what,
-            "start_byte": self.start,
-            "stop_byte": self.stop,
-            "first_ns": self.first_ns,
-            "last_ns": self.last_ns,
-            "messages": self.counts,
-            "messages_kept_unverified": self.is_kept,
-        }
+    start_byte: int  # Where it is in the file
+    stop_byte: int
+    first_ns: int | None = None  # Log times that it is between; None if unknown
+    last_ns: int | None = None
 
     def sentence(self, zero_ns: int | None) -> str:
         """One clause for a note; times count from `zero_ns`."""
-        parts = []
-        if self.counts:
-            parts.append(f"messages: {listed(self.counts)}")
-        if zero_ns is not None and self.first_ns is not None and self.last_ns is not None:
-            first, last = (max((time - zero_ns) / 1e9, 0.0) for time in (self.first_ns, self.last_ns))
-            if last < 1e8:  # a time that is damaged itself is of no use
-                parts.append(f"{first:.3f} to {max(first, last):.3f} s after the first message")
-        return f"{self.what} ({', '.join(parts)})" if parts else self.what
+        if zero_ns is None or self.first_ns is None:
+            return self.what
+        first, last = (max(((time or 0) - zero_ns) / 1e9, 0.0) for time in (self.first_ns, self.last_ns))
+        if max(first, last) > 1e8:  # a time that is damaged itself is of no use
+            return self.what
+        until = "on" if self.last_ns is None else f"to {max(first, last):.3f} s"
+        return f"{self.what} (from {first:.3f} s {until} after the first message)"
 
 
-def sentences(losses: Sequence[Loss], zero_ns: int | None) -> list[str]:
-    """A clause for each of the first losses, and one for all others."""
-    clauses = list(dict.fromkeys(loss.sentence(zero_ns) for loss in losses[:_MOST]))
-    rest = losses[_MOST:]
-    if rest:
-        counts: Counter[str] = Counter()
-        for loss in rest:
-            counts.update(loss.counts)
-        lost = f" (messages: {listed(counts)})" if counts else ""
-        clauses.append(f"{len(rest)} places more are damaged{lost}; `unocclude repair` lists them all")
+def sentences(damage: Sequence[Damage], zero_ns: int | None) -> list[str]:
+    """A clause for each of the first damages, and one for all others."""
+    clauses = list(dict.fromkeys(each.sentence(zero_ns) for each in damage[:_MOST]))
+    if rest := len(damage) - _MOST:
+        clauses += [f"{rest} places more are damaged; `unocclude repair` lists them all"] * (rest > 0)
     return clauses
 
 
@@ -157,7 +135,7 @@ class Topic:
         """Its name, fit for a message: no control characters, at most 80 letters."""
         return plain_name(self.name)
 
-    def note(self, log_ns: NDArray[np.uint64]) -> None:
+    def note(self, log_ns: IntArray) -> None:
         """Count messages (n,), at least one."""
         first, last = int(log_ns.min()), int(log_ns.max())
         self.first_ns = min(self.first_ns, first) if self.count else first
@@ -177,7 +155,7 @@ class TopicMessages(NamedTuple):
     """Messages of one topic in a chunk, as columns (n,) in the file's order."""
 
     log_ns: IntArray  # int (n,) ns: log times
-    chunk: bytes  # Its bytes; payloads stay where they are in them
+    chunk: Buffer  # Its bytes; payloads stay where they are in them
     start: IntArray  # int (n,): Where each payload begins and ends
     stop: IntArray  # int (n,): Where each payload begins and ends
 
@@ -194,21 +172,9 @@ class ChunkMessages(NamedTuple):
     start: IntArray  # int (n,): Where each payload begins and ends
     stop: IntArray  # int (n,): Where each payload begins and ends
 
-    @property
-    def data(self) -> list[bytes]:
-        """Copies of the payloads."""
-        view = memoryview(self.chunk)
-        return [bytes(view[a:b]) for a, b in zip(self.start.tolist(), self.stop.tolist(), strict=True)]
-
-    def select(self, rows: slice) -> ChunkMessages:
+    def select(self, rows: slice | IntArray) -> ChunkMessages:
         """Some of the messages."""
-        return ChunkMessages(
-            self.topics,
-            self.topic[rows],
-            self.sequence[rows],
-            self.log_ns[rows],
-            self.publish_ns[rows],
-            self.chunk,
-            self.start[rows],
-            self.stop[rows],
-        )
+        columns = (each[rows] for each in (self.topic, self.sequence, self.log_ns, self.publish_ns))
+        topic, sequence, log_ns, publish_ns = columns
+        place = (self.chunk, self.start[rows], self.stop[rows])
+        return ChunkMessages(self.topics, topic, sequence, log_ns, publish_ns, *place)

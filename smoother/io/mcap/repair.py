@@ -1,13 +1,13 @@
-"""A damaged MCAP file written anew: every complete message, in the order of time, with a new index."""
+"""A damaged MCAP file written anew: every message that is whole, in the order of time, with a new index."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import IO, Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from ...runtime.printable import printable
 from ..wire.layout import joined
 from .container import Container
 from .merge import Output
-from .messages import ChunkMessages, Loss, Topic, damage_note
+from .messages import ChunkMessages, Damage, Topic, damage_note
 
 #: Metadata record that lists what the file had lost when it was repaired.
 REPAIRED = "unocclude.repair"
@@ -27,28 +27,20 @@ REPAIRED = "unocclude.repair"
 _TOGETHER = 4096
 
 
-@dataclass
+@dataclasses.dataclass
 class RepairReport:
     """What was still in a damaged file."""
 
     source: str  # The damaged file's name
-    messages: dict[str, int] = field(default_factory=dict)  # Written, by topic
-    # Lost by topic, as the damaged file's own count says; empty where it has none
-    missing: dict[str, int] = field(default_factory=dict)
-    losses: list[Loss] = field(default_factory=list)  # What is damaged, in the file's order
-    notes: list[str] = field(default_factory=list)  # What was wrong, one sentence each
-    attachments: int = 0  # That were not carried over
+    messages: dict[str, int]  # Written, by topic
+    missing: dict[str, int]  # Lost by topic, as the damaged file's own count says; empty where it has none
+    losses: list[Damage]  # What is damaged, in the file's order
+    notes: list[str]  # What was wrong, one sentence each
+    attachments_left_out: int
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, fit for JSON."""
-        return {
-            "source": self.source,
-            "messages": self.messages,
-            "missing": self.missing,
-            "losses": [loss.to_dict() for loss in self.losses],
-            "attachments_left_out": self.attachments,
-            "notes": self.notes,
-        }
+        return dataclasses.asdict(self)
 
 
 def repair_container(
@@ -58,66 +50,60 @@ def repair_container(
     container = Container(source, unverified=True)
     with tempfile.TemporaryFile() as payloads:
         rows, topics = spooled(container, payloads)
-        if container.undescribed:
-            container = Container(source, unverified=True, described=container.described)
-            payloads.seek(0)
-            payloads.truncate()
-            rows, topics = spooled(container, payloads)
-        counts = np.bincount(rows[:, 0], minlength=len(topics)).tolist()
-        messages: Counter[str] = Counter()
-        for topic, count in zip(topics, counts, strict=True):
-            messages[topic.name] += count
-        report = RepairReport(
-            container.path.name,
-            dict(+messages),
-            container.missing,
-            container.losses,
-            list(container.notes),
-            container.attachments,
-        )
         if not len(rows):
             raise RecordingError(
-                " ".join([f"{source} has no complete message; nothing can be repaired.", *report.notes[:3]])
+                " ".join(
+                    [f"{source} has no complete message; nothing can be repaired.", *container.notes[:3]]
+                )
             )
+        messages: Counter[str] = Counter()
+        for topic in topics:
+            messages[topic.name] += topic.count
         with writing(output, force) as temporary, Output(temporary) as file:
             for name, values in container.metadata.items():
                 if name != REPAIRED:
                     file.metadata(name, values)
-            if report.notes or REPAIRED in container.metadata:
-                file.metadata(REPAIRED, _told(report, container.metadata.get(REPAIRED, {})))
+            earlier = _noted(container.metadata)
+            if notes := list(dict.fromkeys([*earlier, *container.notes])):
+                file.metadata(
+                    REPAIRED, {"notes": json.dumps(notes), "missing": json.dumps(container.missing)}
+                )
+            left_out = _carried_over(container, file)
             file.interleave(by_time(rows, topics, payloads))
             file.write([])
-    return report
+    return RepairReport(
+        container.path.name, dict(+messages), container.missing, container.damage, container.notes, left_out
+    )
+
+
+def _carried_over(container: Container, file: Output) -> int:
+    """Write the attachments that are whole; how many are not."""
+    left_out = 0
+    for name in container.attachments:
+        try:
+            file.attachment(name, container.attachment(name))
+        except ValueError:
+            left_out += 1
+    return left_out
 
 
 def repair_notes(metadata: dict[str, dict[str, str]]) -> list[str]:
     """What a repaired file had lost by its own record, as notes."""
-    try:
-        notes = json.loads(metadata.get(REPAIRED, {}).get("notes", "[]"))
-    except (ValueError, RecursionError):
-        notes = ["nothing of the lost part can be read."]
-    if not isinstance(notes, list):
-        notes = [notes]
-    return [damage_note("that was repaired", printable(str(note)[:1000])) for note in notes[:20]]
+    return [damage_note("that was repaired", printable(note[:1000])) for note in _noted(metadata)[:20]]
 
 
-def _told(report: RepairReport, before: dict[str, str]) -> dict[str, str]:
-    """The metadata record of a repaired file; what an earlier repair said stays."""
+def _noted(metadata: dict[str, dict[str, str]]) -> list[str]:
     try:
-        earlier = [str(note) for note in json.loads(before.get("notes", "[]"))]
+        return [str(note) for note in json.loads(metadata.get(REPAIRED, {}).get("notes", "[]"))]
     except (ValueError, TypeError, RecursionError):
-        earlier = []
-    return {
-        "notes": json.dumps(list(dict.fromkeys([*earlier, *report.notes]))),
-        "missing": json.dumps(report.missing),
-    }
+        return ["nothing of the lost part can be read."]
 
 
 def spooled(container: Container, payloads: IO[bytes]) -> tuple[IntArray, list[Topic]]:
     """All payloads in a file; by message topic, number, log and publish time, place and size, (n, 6)."""
     parts: list[IntArray] = []
     place = 0
-    for chunk in container.chunks(lambda topic: True):
+    for chunk in container.chunks():
         data, start, stop = joined(chunk.chunk, chunk.start, chunk.stop)
         columns = (chunk.topic, chunk.sequence, chunk.log_ns, chunk.publish_ns, place + start, stop - start)
         parts.append(np.stack(columns, axis=1))

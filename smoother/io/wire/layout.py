@@ -101,7 +101,7 @@ class Grouper:
         yield from self.groups_in(b"".join(payloads), start, stop)
 
     def groups_in(
-        self, data: bytes, start: IntArray, stop: IntArray
+        self, data: Buffer, start: IntArray, stop: IntArray
     ) -> Iterator[tuple[IntArray, Block, MessageLayout]]:
         """The same for payloads that are in `data` from `start` to `stop`, (n,) each."""
         sizes = stop - start
@@ -141,7 +141,7 @@ def axes(name: str, letters: str = "xyz") -> list[str]:
     return [f"{name}.{letter}" for letter in letters]
 
 
-def cut_out(data: bytes, start: IntArray, size: int) -> Block:
+def cut_out(data: Buffer, start: IntArray, size: int) -> Block:
     """Bytes (n, size) from where they start (n,)."""
     if not size or not len(start):
         return np.empty((len(start), size), np.uint8)

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from mcap_messages import every
 from pose_videos import (
     HEIGHT,
     WIDTH,
@@ -188,7 +189,7 @@ def test_the_recording_keeps_both(scene, tmp_path: Path):
     container = Container(output)
     found = [
         parsed("unocclude.Keypoints2D", bytes(message.data))
-        for message in container.messages()
+        for message in every(container)
         if message.topic.name == "/camera/keypoints_2d"
     ]
     right = [m for m in found if any(k.name == "wrist_right" for k in m.keypoints)]
