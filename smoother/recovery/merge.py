@@ -8,19 +8,29 @@ from dataclasses import replace
 import numpy as np
 
 from ..array_types import FloatArray
+from ..calibration import ArmCalibration
 from ..errors import SolveError
 from ..measurements.clock import Clock
 from ..measurements.segment import Timeline
-from ..measurements.visibility import Gap
+from ..measurements.visibility import REASONS, Gap
 from ..recording import JOINTS, Recording
-from ..result import Estimates, Recovery
+from ..result import Draws, Estimates, FrameResiduals, Recovery
+from ..result.segment_motion import SegmentMotion
 from ..result.verdict import Sign
+from ..runtime.store import large_array
 from ..selfcal.self_calibration import SelfCalibration
-from .blended_columns import ArmColumns, DrawColumns, FurtherColumns, merged_gaps
+from ..window.draw_plan import DrawPlan
+from ..window.trajectory import share_after
+from .blended_columns import BlendedColumns
 from .magnetometer import Magnetometer
 from .notes import notes_on, unexplained_gaps
+from .samples import ElbowAxis, bone_axes
 from .solve_section import SolvedSection
 from .task import Task
+
+#: Columns of the forearm's IMU, and of one on a further segment.
+_MOTION = ("position", "quaternion", "velocity", "pose_covariance", "velocity_covariance")
+_FURTHER = ("position", "quaternion", "pose_covariance")
 
 
 def merge(
@@ -32,33 +42,61 @@ def merge(
     coarse_clock: Clock | None,
 ) -> Recovery:
     """The answer at every IMU sample; nan where no section has one."""
-    columns = ArmColumns(recording, task.joints)
-    further = FurtherColumns(len(recording.imu))
-    drawn = DrawColumns(recording.imu.t_s, task.plan)
+    samples, frames = len(recording.imu), len(recording.arm)
+    motion, places, spreads = BlendedColumns(samples), BlendedColumns(samples), BlendedColumns(samples)
+    further: dict[str, BlendedColumns] = {}
+    elbow: dict[str, list[ElbowAxis]] = {}
+    every = 1 if task.plan is None else task.plan.every
+    drawn = BlendedColumns(-(-samples // every), np.float32)
+    occluded = np.ones(samples, bool)
+    residual = large_array((frames, len(JOINTS), 3))
+    used, reason = np.zeros((frames, len(JOINTS)), bool), np.zeros((frames, len(JOINTS)), np.uint8)
+    gaps: list[Gap] = []
     unexplained: list[Gap] = []
-    for answer in answers:
-        share, rows = columns.add(answer.answer), answer.answer.samples
-        for each in answer.answer.further:
-            further.add(each, rows, share)
-        drawn.add(answer.draws, rows, share)
-        unexplained = merged_gaps(unexplained, answer.unexplained)
-    if not columns.bias:
+    downs: list[FloatArray] = []
+    biases: list[FloatArray] = []
+    end = 0  # first sample without an answer yet
+    for solved in answers:
+        answer, rows = solved.answer, solved.answer.samples
+        t = recording.imu.t_s[rows]
+        share = share_after(t, answer.border_s)
+        motion.add(rows, {name: getattr(answer, name) for name in _MOTION}, share)
+        places.add(rows, answer.joints, share)
+        spreads.add(rows, answer.joint_covariance, share)
+        for each in answer.further:
+            columns = further.setdefault(each.segment, BlendedColumns(samples))
+            columns.add(rows, {name: getattr(each, name) for name in _FURTHER}, share)
+            elbow.setdefault(each.segment, []).append(each.elbow)
+        if solved.draws is not None and len(solved.draws.samples):
+            first = (rows.start + int(solved.draws.samples[0])) // every
+            own = slice(first, first + len(solved.draws.samples))
+            drawn.add(own, solved.draws.columns, share[solved.draws.samples])
+        mine = (t >= answer.border_s) | (np.arange(rows.start, rows.stop) >= end)
+        occluded[rows] = np.where(mine, answer.occluded, occluded[rows])
+        residual[answer.frames] = answer.residual
+        used[answer.frames], reason[answer.frames] = answer.used, answer.reason
+        gaps, unexplained = merged_gaps(gaps, answer.gaps), merged_gaps(unexplained, solved.unexplained)
+        downs.append(answer.gravity)
+        biases.append(answer.bias)
+        end = rows.stop
+    if not biases:
         raise SolveError(f"{recording.name}: in no part of the recording camera and IMU give one motion")
     model = task.model
     clock = model.clock.after(coarse_clock)
     arm = replace(recording.arm, t_s=model.clock.to_imu(recording.arm.t_s))
-    residuals = columns.residuals(arm.t_s)
-    gaps = tuple(columns.gaps)
+    residuals = FrameResiduals(arm.t_s, residual, used, reason, REASONS)
+    calibration, segments = _further(further, elbow, recording, model, coarse_clock)
+    down = np.mean(downs, axis=0)
     recovery = Recovery(
         method="graph",
         t_s=recording.imu.t_s,
-        occluded=columns.occluded,
-        **columns.motion,
-        joints=columns.joints,
-        joint_covariance=columns.joint_covariance,
-        gaps=gaps,
-        calibration=further.calibration(model, recording.side),
-        gravity_direction=columns.gravity_direction(),
+        occluded=occluded,
+        **motion.done(),
+        joints=places.done(),
+        joint_covariance=spreads.done(),
+        gaps=tuple(gaps),
+        calibration=calibration,
+        gravity_direction=down / np.linalg.norm(down),
         clock_offset_s=clock.mean_s,
         clock_offset_sigma_s=clock.sigma_s,
         arm=arm,
@@ -66,19 +104,62 @@ def merge(
         origin_ns=recording.origin_ns,
         side=recording.side,
         name=recording.name,
-        notes=notes_on(recording, timeline, model, clock, residuals, gaps, unexplained),
+        notes=notes_on(recording, timeline, model, clock, residuals, tuple(gaps), unexplained),
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}, exclude_none=True),
-        estimates=_estimates(model, np.mean(columns.bias, axis=0)).with_signs(
+        estimates=_estimates(model, np.mean(biases, axis=0)).with_signs(
             Sign(note, (gap.start_s, gap.end_s))
             for gap, note in zip(unexplained, unexplained_gaps(unexplained), strict=True)
         ),
-        segments=further.motions(recording, model, coarse_clock),
+        segments=segments,
         body=recording.body,
         trunk=None,  # beside the arm: `with_trunk`
-        draws=drawn.draws(),
+        draws=_draws(drawn, recording, task.plan),
     )
     return magnetometer.noted(recovery)
+
+
+def _further(
+    columns: dict[str, BlendedColumns],
+    elbow: dict[str, list[ElbowAxis]],
+    recording: Recording,
+    model: SelfCalibration,
+    coarse_clock: Clock | None,
+) -> tuple[ArmCalibration, dict[str, SegmentMotion]]:
+    """The arm's calibration with the bones' axes in IMUs on further segments, and the motions of these."""
+    calibration, motions = model.estimate, {}
+    moved_s = 0.0 if coarse_clock is None else coarse_clock.mean_s  # of the camera's stamps, before
+    for name, of_segment in columns.items():
+        mounting = model.estimate.mountings[name]
+        R_bone, mount_sigma_rad = bone_axes(name, elbow[name], mounting, recording.side)
+        calibration = calibration.with_bone_axes(name, R_bone)
+        motions[name] = SegmentMotion(
+            **of_segment.done(),
+            mount_sigma_rad=mount_sigma_rad,
+            clock_offset_s=model.further_clock_offset_s[name] + moved_s,
+            name=recording.further_imus[name].name,
+        )
+    return calibration, motions
+
+
+def _draws(drawn: BlendedColumns, recording: Recording, plan: DrawPlan | None) -> Draws | None:
+    if plan is None:
+        return None
+    # a draw at a time is how they are read; a time after the other is how they lie
+    columns = {name: np.moveaxis(values, 0, 1) for name, values in drawn.done().items()}
+    return Draws.from_columns(recording.imu.t_s[:: plan.every], plan.seed, columns)
+
+
+def merged_gaps(gaps: list[Gap], more: tuple[Gap, ...]) -> list[Gap]:
+    """Gaps in order of time; one that both sections saw a part of counts once."""
+    gaps = list(gaps)
+    for gap in more:
+        if gaps and gap.start_s < gaps[-1].end_s:
+            last = gaps.pop()
+            start, end = min(last, gap, key=lambda g: g.start_s), max(last, gap, key=lambda g: g.end_s)
+            gap = Gap(start.start_s, end.end_s, start.open_start, end.open_end)
+        gaps.append(gap)
+    return gaps
 
 
 def _estimates(model: SelfCalibration, bias: FloatArray) -> Estimates:

@@ -24,20 +24,6 @@ def share_after(t: FloatArray, border_s: float, half_s: float = BLEND_HALF_S) ->
     return u * u * (3.0 - 2.0 * u)
 
 
-def turn_to(R: FloatArray, target: FloatArray, filled: np.ndarray) -> FloatArray:
-    """Rotation vectors (k, 3) from R to the target (k, 3, 3); zero where R is not filled yet."""
-    turn = np.zeros((len(R), 3))
-    if filled.any():
-        turn[filled] = Rotation.from_matrix(np.swapaxes(R[filled], 1, 2) @ target[filled]).as_rotvec()
-    return turn
-
-
-def mix(target: FloatArray, rows: np.ndarray, value: FloatArray, share: FloatArray) -> None:
-    """Move the target's rows (k,) towards the values (k, ...) by the share (k,) of the way."""
-    weight = share.reshape(-1, *([1] * (value.ndim - 1)))
-    target[rows] = (1.0 - weight) * target[rows] + weight * value
-
-
 def joint_from_pose(
     R: FloatArray,  # (n, 3, 3)
     p: FloatArray,  # (n, 3) m

@@ -10,13 +10,10 @@ from scenes import ALONE, arm
 
 from smoother import Recovery
 from smoother.errors import UnoccludeError
-from smoother.recovery.blended_columns import DrawColumns
-from smoother.recovery.drawn_samples import SectionDraws, _hermite, _widened
+from smoother.recovery.drawn_samples import _hermite, _widened
 from smoother.recovery.samples import widen_turns
 from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
-from smoother.window.draw_plan import DrawPlan
-from smoother.window.trajectory import share_after
 
 DRAWS = 300
 
@@ -108,37 +105,3 @@ def test_between_nodes_a_motion_of_constant_acceleration_is_exact() -> None:
 
     speed = np.stack([np.ones(4), 2 * nodes, -3 * nodes**2], axis=-1)[:, None]
     np.testing.assert_allclose(_hermite(nodes, path(nodes), speed, t), path(t), atol=1e-12)
-
-
-def test_sections_are_joined_as_the_answer_is() -> None:
-    t = np.arange(400) / 100
-    columns = DrawColumns(t, DrawPlan(2, 0, "", 4, np.eye(1)))
-    everywhere = {"position": 1.0, "rotation": 2.0}
-
-    def add(rows: slice, border_s: float, value: float) -> None:
-        samples = np.arange(-rows.start % 4, rows.stop - rows.start, 4)
-        filled = {name: np.full((len(samples), 2, 3), value * size) for name, size in everywhere.items()}
-        share = share_after(t[rows], border_s)
-        columns.add(SectionDraws(samples, filled), rows, share)
-
-    add(slice(10, 250), -np.inf, 1.0)
-    add(slice(150, 390), 2.0, 3.0)
-    draws = columns.draws()
-    assert draws is not None and len(draws) == 2
-    np.testing.assert_array_equal(draws.t_s, t[::4])
-    expected = 1.0 + 2.0 * share_after(draws.t_s, 2.0)
-    expected[(draws.t_s < 0.1) | (draws.t_s > 3.89)] = np.nan
-    np.testing.assert_allclose(draws.rotation[1, :, 2], 2.0 * expected, rtol=1e-6)
-
-
-def test_where_no_section_has_a_motion_there_is_none() -> None:
-    t = np.arange(400) / 100
-    columns = DrawColumns(t, DrawPlan(2, 0, "", 4, np.eye(1)))
-    for rows, names in ((slice(0, 120), ("position",)), (slice(200, 320), ("position", "rotation"))):
-        samples = np.arange(0, rows.stop - rows.start, 4)
-        filled = {name: np.ones((len(samples), 2, 3)) for name in names}
-        columns.add(SectionDraws(samples, filled), rows, np.ones(rows.stop - rows.start))
-    draws = columns.draws()
-    first, second = (draws.t_s < 1.2), (draws.t_s >= 2.0) & (draws.t_s < 3.2)
-    np.testing.assert_array_equal(np.isfinite(draws.position).all(axis=(0, 2)), first | second)
-    np.testing.assert_array_equal(np.isfinite(draws.rotation).all(axis=(0, 2)), second)

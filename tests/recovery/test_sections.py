@@ -18,7 +18,7 @@ from smoother.measurements.clock import constant_clock
 from smoother.measurements.segment import Timeline
 from smoother.measurements.visibility import Gap
 from smoother.recording import FOREARM_JOINTS, JOINTS, Recording
-from smoother.recovery.blended_columns import between_quaternions, blend
+from smoother.recovery.blended_columns import BlendedColumns, between_quaternions
 from smoother.recovery.merge import merged_gaps
 from smoother.recovery.sections import (
     SECTION_S,
@@ -142,24 +142,20 @@ def test_visible_time_by_its_gaps() -> None:
 SHARE = np.array([0.0, 0.2, 0.5, 0.8, 1.0, 1.0])
 
 
-def test_both_known():
-    column = np.ones((7, 3))
-    blend(column, slice(1, 7), np.full((6, 3), 3.0), SHARE)
-    np.testing.assert_allclose(column[:, 0], [1.0, *(1.0 + 2.0 * SHARE)])
-
-
-def test_what_the_later_section_does_not_know_stays():
-    column, later = np.ones((6, 2)), np.full((6, 2), 3.0)
-    later[[1, 2, 5], 0] = np.nan
-    blend(column, slice(0, 6), later, SHARE)
-    np.testing.assert_allclose(column[:, 0], [1.0, 1.0, 1.0, 2.6, 3.0, np.nan])
-    np.testing.assert_allclose(column[:, 1], 1.0 + 2.0 * SHARE)
-
-
-def test_what_the_earlier_section_does_not_know_is_taken_from_the_later():
-    column = np.full((6, 2, 2), np.nan)
-    blend(column, slice(0, 6), np.full((6, 2, 2), 3.0), SHARE)
-    np.testing.assert_array_equal(column, 3.0)
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_columns_are_blended_where_both_sections_know_them(dtype: type) -> None:
+    """What either section does not know is the other's; what none knows is nan."""
+    columns = BlendedColumns(12, dtype)
+    first, later = np.ones((5, 2)), np.full((6, 2), 3.0)
+    first[4, 1] = later[1, 0] = later[5, 0] = np.nan
+    columns.add(slice(1, 6), {"place": first}, np.ones(5))
+    columns.add(slice(3, 9), {"place": later, "late": later}, SHARE)
+    columns.add(slice(9, 11), {"place": first[:2]}, np.zeros(2))  # nothing is there to blend with
+    values = columns.done()
+    none = np.nan
+    np.testing.assert_allclose(values["place"][:, 0], [none, 1, 1, 1, 1, 2, 3, 3, none, 1, 1, none])
+    np.testing.assert_allclose(values["place"][:, 1], [none, 1, 1, 1, 1.4, 3, 3, 3, 3, 1, 1, none])
+    np.testing.assert_allclose(values["late"][:, 1], [none] * 3 + [3.0] * 6 + [none] * 3)
 
 
 def test_quaternions_on_the_way():
