@@ -226,7 +226,7 @@ def test_markers_of_a_file_that_people_make(tmp_path: Path):
     assert list(found) == ["C", "A"]
     np.testing.assert_allclose(found["C"], [0.1, 0.2, -3])
     path.write_text("marker,x,y,z\na,,,\n")
-    with pytest.raises(RecordingError, match="no marker"):
+    with pytest.raises(RecordingError, match="no rows"):
         read_positions(path)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import re
@@ -33,18 +32,16 @@ from .imu import (
     usual_size,
 )
 from .joints import JointColumns, find_joint_columns, joint_name
-from .skeletons import PIXELS, BodyRows, SkeletonTable, unit_by_arm
+from .skeletons import PIXELS, BodyRows, SkeletonTable, gathered, unit_by_arm
 from .table import (
-    ROWS_BEFORE,
+    CUT,
     SEPARATORS,
     Table,
     check_lines,
     file_text,
-    is_cut_number,
     is_data,
     layout_of,
     plain_label,
-    plain_minus,
     read_table,
     shown,
     split_line,
@@ -125,8 +122,8 @@ class CameraKeys(TableKeys):
 
     @property
     def is_plain(self) -> bool:
-        """Whether the file is one with the product's own columns."""
-        return not self.model_fields_set & (LAYOUT_KEYS | {"states"})
+        """Whether the file is a skeleton with the product's own columns."""
+        return self.keypoints is None and not self.model_fields_set & (LAYOUT_KEYS | {"states"})
 
 
 # --------------------------------------------------------------------------------------- columns as stated
@@ -148,7 +145,7 @@ def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
     tables = []
     for file, columns in zip(files, given, strict=True):
         _refuse_others(folder / file, columns or {}, IMU_COLUMNS)
-        table = _described(folder / file, keys, columns or {})
+        table = _described(folder / file, keys, columns or {}, keys.is_plain)
         tables.append(imu_by_columns(table, columns or {}, keys, len(files) > 1))
     return tables
 
@@ -219,15 +216,15 @@ def _times(
     return times, None
 
 
-def _described(path: Path, keys: TableKeys, columns: Mapping[str, Column | list[Column]]) -> Table:
+def _described(
+    path: Path, keys: TableKeys, columns: Mapping[str, Column | list[Column]], strict: bool = False
+) -> Table:
     """The table of a file, laid out as said."""
     check_input(path, RecordingError)
     if not path.is_file():
-        raise RecordingError(
-            f"{path} does not exist, but recording.toml names it; add it or correct the name."
-        )
+        raise RecordingError(f"{path} does not exist; add it, or correct the name.")
     if keys.separator is None and keys.skip_rows is None:
-        return read_table(path, "the table that recording.toml describes", quote=False)
+        return read_table(path, "the table that recording.toml describes", quote=False, strict=strict)
     lines = file_text(path).split("\n")
     check_lines(path, lines)
     first = keys.skip_rows or 0
@@ -254,7 +251,8 @@ def _described(path: Path, keys: TableKeys, columns: Mapping[str, Column | list[
     names = tuple(cells + [""] * (width - len(cells))) if has_header else ()
     labels, header = tuple(map(plain_label, names)), first if has_header else -1
     above = tuple(lines[:first])
-    return Table(path, separator, above, names, ("",) * width, labels, header, row, width, lines)
+    units = ("",) * width
+    return Table(path, separator, above, names, units, labels, header, row, width, lines, strict=strict)
 
 
 def _place(table: Table, column: Column | list[Column]) -> int | None:
@@ -280,6 +278,7 @@ def _needed(table: Table, what: str, column: Column | list[Column]) -> int:
 def _no_column(table: Table, what: str, column: Column | list[Column]) -> RecordingError:
     return RecordingError(
         f"{table.path} has no column {column!r} ({what}); its columns are {_listed(table)}."
+        f" `unocclude import describe {table.path}` prints a recording.toml for them."
     )
 
 
@@ -308,7 +307,7 @@ _LONG_COLUMNS = ("t", "joint", "x", "y", "z", "state", "body")
 def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     """The bodies of a skeleton's table."""
     columns = keys.columns or dict(zip(_LONG_COLUMNS, ("t_s", *_LONG_COLUMNS[1:]), strict=True))
-    table = _described(path, keys, columns)
+    table = _described(path, keys, columns, keys.is_plain)
     rows = _long_rows(table, keys, columns) if "joint" in columns else _wide_rows(table, keys, columns)
     metres = METRES[keys.position_unit]
     rows.position = {joint: values * metres for joint, values in rows.position.items()}
@@ -319,6 +318,9 @@ def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     tables = rows.skeletons(pattern, 1.0 if "t" in columns else None)
     if not tables:
         raise RecordingError(f"{path} has no rows of a skeleton; export it again.")
+    for one in tables if len(tables) > 1 else ():  # not every body has all joints
+        seen = [joint for joint, states in one.state.items() if states.any()] or list(one.state)
+        one.position = {joint: one.position[joint] for joint in seen}
     return tables
 
 
@@ -382,27 +384,28 @@ def _long_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[
     bodies = np.zeros(len(table)) if body is None else table.numbers(body)
     names = table.texts(_needed(table, "joint", columns["joint"]))
     meaning = {name: _joint_of(name) for name in set(names)}
-    joints = sorted({joint for joint in meaning.values() if joint})
-    if not joints:
+    unknown = sorted(name for name, joint in meaning.items() if not joint)
+    if unknown and (table.strict or len(unknown) == len(meaning)):
         raise RecordingError(
-            f"{table.path}: none of the joints ({shown(', '.join(sorted(meaning)), 120)}) is of an arm; they"
-            " are shoulder, elbow, wrist, hand or strap with _left or _right."
+            f"{table.path}, line {table.line(names.index(unknown[0]))}: joint"
+            f" '{shown(', '.join(unknown), 120)}' is not known; it is shoulder, elbow, wrist, hand or strap"
+            " with _left or _right."
         )
     said = np.full(len(table), JointState.TRACKED) if place is None else _states(table, place, keys)
+    if (bare := (said != JointState.NOT_TRACKED) & _lost(values)).any():
+        table.notes.append(
+            f"{int(bare.sum())} rows that are tracked or inferred have no position, the first at"
+            f" {t_s[bare][0]:.3f} s."
+        )
     said = np.where(_lost(values), JointState.NOT_TRACKED, said)
-    key, first, row = np.unique(np.stack([t_s, bodies]), axis=1, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))  # frames in the order of the file
-    row, key = rank[np.reshape(row, -1)], key[:, np.argsort(first)]
-    written = np.array([meaning[name] for name in names])
-    position, state = {}, {}
-    for joint in joints:
-        mine = written == joint
-        position[joint] = np.full((key.shape[1], 3), np.nan)
-        position[joint][row[mine]] = values[mine]
-        state[joint] = np.zeros(key.shape[1], np.int8)
-        state[joint][row[mine]] = said[mine]
-    return BodyRows(key[0], key[1], position, state)
+    first, joints = gathered(t_s, bodies, [meaning[name] for name in names], values, said)
+    joints.pop("", None)
+    if len(table) > len(first) * len(meaning):
+        table.notes.append("Rows repeat a joint and time; the last of each was taken.")
+    position = {joint: rows for joint, (rows, _) in joints.items()}
+    return BodyRows(
+        t_s[first], bodies[first], position, {joint: state for joint, (_, state) in joints.items()}
+    )
 
 
 def _joint_of(name: str) -> str:
@@ -825,12 +828,6 @@ def guess_skeleton(table: Table, joints: JointColumns) -> Guess:
 
 # ------------------------------------------------------------------------------ tables with exactly our names
 
-#: Bytes at the end of a file that contain its last rows.
-_TAIL = 1 << 14
-#: A cell that is nothing but cut off is one of a column with at least this many rows.
-_FEWEST_CUT = 20
-Exact = tuple[dict[str, FloatArray], dict[str, list[str]]]
-
 
 def read_exact(
     path: str | os.PathLike[str],
@@ -839,112 +836,33 @@ def read_exact(
     *,
     words: Sequence[str] = (),
     empty: Sequence[str] = (),
-) -> Exact:  # numbers dict of (n,), texts
-    """The named columns of a comma-separated file whose first line is a header; a wrong cell is refused."""
+) -> tuple[dict[str, FloatArray], dict[str, list[str]]]:  # numbers dict of (n,), texts
+    """The named columns of a table whose first line is a header; a cell that is no number is refused."""
     path = Path(path)
-    check_input(path, RecordingError)
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            header = [cell.strip() for cell in next(csv.reader(file, skipinitialspace=True), [])]
-        _check_header(header, path, required)
-        with open(path, "rb") as raw:
-            raw.seek(max(path.stat().st_size - _TAIL, 0))
-            lines = raw.read().split(b"\n")[1:]  # behind the header, or a line that is not whole
-        cells = [line.rsplit(b",", 1)[-1].decode(errors="replace") for line in lines[-ROWS_BEFORE:]]
-        if cells and cells[-1].strip() and is_cut_number(cells, _FEWEST_CUT):
-            raise RecordingError(
-                f"{path} ends within a number of its last line; copy it again, or delete the line."
-            )
-        place = {name: header.index(name) for name in (*required, *optional) if name in header}
-        return _fast(path, len(header), place, words, empty) or _careful(path, place, words, empty)
-    except FileNotFoundError:
-        raise RecordingError(f"{path} does not exist; add it, or correct the name.") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise RecordingError(
-            f"{path} cannot be read as comma-separated text: {shown(str(reason))}."
-        ) from error
-
-
-def _check_header(header: list[str], path: Path, required: Sequence[str]) -> None:
-    if not any(header):
-        raise RecordingError(f"{path} is empty; its first line must be the header {', '.join(required)}.")
-    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        mark = "semicolons" if ";" in header[0] else "tabs"
-        raise RecordingError(
-            f"{path} is separated by {mark}; export it with commas, and points as decimal marks."
-        )
-    missing = [name for name in required if name not in header]
-    if not missing:
-        return
-    what = f"has no column {', '.join(missing)}; its columns are {shown(', '.join(header))}."
+    table = _described(
+        path, TableKeys(separator=",", skip_rows=0, rate_hz=None), {name: name for name in required}, True
+    )
+    missing = [name for name in required if name not in table.names]
     if len(missing) == len(required):  # another kind of file, whose first line may be private
-        what = f"has none of the columns {', '.join(required)} in its first line; name the right file."
-    raise RecordingError(f"{path} {what} `unocclude import describe {path}` helps with other layouts.")
-
-
-def _fast(
-    path: Path, width: int, place: dict[str, int], words: Sequence[str], empty: Sequence[str]
-) -> Exact | None:
-    """The columns of a file as programs write it; None where there is anything else in it."""
-    import pyarrow as pa
-    from pyarrow import csv as arrow_csv
-
-    word = pa.dictionary(pa.int32(), pa.string())
-    kinds = {str(at): word if name in words else pa.float64() for name, at in place.items()}
-    try:
-        table = arrow_csv.read_csv(
-            path,
-            arrow_csv.ReadOptions(skip_rows=1, column_names=[str(at) for at in range(width)]),
-            convert_options=arrow_csv.ConvertOptions(
-                column_types=kinds, include_columns=list(kinds), null_values=["", " "]
-            ),
-        ).unify_dictionaries()
-    except pa.ArrowException:
-        return None
+        raise RecordingError(f"{path} has none of the columns {', '.join(required)} in its first line.")
+    if missing:
+        raise RecordingError(
+            f"{path} has no column {', '.join(missing)}; its columns are {_listed(table)}."
+            f" `unocclude import describe {path}` helps with other layouts."
+        )
+    if len(table) and CUT in table.notes:
+        raise RecordingError(f"{path} ends within a number of its last line; copy it again, or delete it.")
     numbers, texts = {}, {}
-    for name, at in place.items():
-        column = table[str(at)].combine_chunks()
+    for name in (name for name in (*required, *optional) if name in table.names):
+        at = table.names.index(name)
         if name in words:
-            spelled = [cell.strip() for cell in column.dictionary.to_pylist()]
-            if any('"' in cell for cell in spelled):  # a quote behind a space, say, is none to Arrow
-                return None
-            texts[name] = [spelled[code] for code in column.indices.to_numpy().tolist()]
-        elif column.null_count and name not in empty:
-            return None
-        else:
-            numbers[name] = column.to_numpy(zero_copy_only=False, writable=True)
-    return (numbers, texts) if len(table) else None
-
-
-def _careful(path: Path, place: dict[str, int], words: Sequence[str], empty: Sequence[str]) -> Exact:
-    """The same with quotes and blanks, cell by cell; what cannot be read is named by its line."""
-    numbers: dict[str, list[float]] = {name: [] for name in place if name not in words}
-    texts: dict[str, list[str]] = {name: [] for name in place if name in words}
-    with open(path, encoding="utf-8-sig", newline="") as file:
-        rows = csv.reader(file, skipinitialspace=True)
-        width = len(next(rows))
-        for cells in rows:
-            if len(cells) != width:
-                if not any(cell.strip() for cell in cells):
-                    continue
-                raise RecordingError(
-                    f"{path}, line {rows.line_num}: {len(cells)} cells where the header has {width}; correct"
-                    " the line."
-                )
-            for name, text in texts.items():
-                text.append(cells[place[name]].strip())
-            for name, values in numbers.items():
-                cell = plain_minus(cells[place[name]].strip())
-                try:
-                    values.append(float(cell or ("nan" if name in empty else "")))
-                except ValueError:
-                    wrong = f"'{shown(cell, 40)}' in column {name} is not a number"
-                    what = wrong if cell else f"column {name} is empty"
-                    raise RecordingError(f"{path}, line {rows.line_num}: {what}; correct the cell.") from None
-    if not any([*numbers.values(), *texts.values()]):
-        raise RecordingError(f"{path} has a header and no rows; export it again.")
-    return {name: np.array(values) for name, values in numbers.items()}, texts
+            texts[name] = table.texts(at)
+            continue
+        numbers[name] = table.numbers(at)
+        if name not in empty and (missing_at := np.isnan(numbers[name])).any():
+            line = table.line(int(np.argmax(missing_at)))
+            raise RecordingError(f"{path}, line {line}: {table.name(at)} is empty; correct the cell.")
+    return numbers, texts
 
 
 def stacked(columns: dict[str, FloatArray], *names: str) -> FloatArray:
@@ -952,21 +870,14 @@ def stacked(columns: dict[str, FloatArray], *names: str) -> FloatArray:
     return np.stack([columns[name] for name in names], axis=1)
 
 
-def exact_imu(path: str | os.PathLike[str]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
-    """Times (n,), specific force, angular velocity and magnetic field (n, 3), in the file's units."""
-    columns, _ = read_exact(path, ("t_s", *IMU_COLUMNS[1:7]), IMU_COLUMNS[7:], empty=IMU_COLUMNS[7:])
-    acc, gyro = (stacked(columns, *(letter + axis for axis in "xyz")) for letter in "ag")
-    mag = stacked(columns, *IMU_COLUMNS[7:]) if set(IMU_COLUMNS[7:]) <= columns.keys() else None
-    return columns["t_s"], acc, gyro, mag
-
-
 def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
     """Read `t_s, ax, ay, az, gx, gy, gz [, mx, my, mz]`: s, m/s^2, rad/s, any unit for the field."""
-    if not os.path.isfile(path):
-        raise RecordingError(f"{path} does not exist; check the name.")
-    t_s, acc, gyro, mag = exact_imu(path)
-    if len(t_s) < 2 or not (np.diff(t_s) > 0).all():
+    path = Path(path)
+    (table,) = read_imu_columns(path.parent, ImuKeys.model_validate({"file": path.name}))
+    assert table.t_s is not None and table.acc is not None and table.gyro is not None
+    if len(table) < 2 or not (np.diff(table.t_s) > 0).all():
         raise RecordingError(f"{path}: t_s must increase from row to row and have at least two rows.")
-    if np.median(np.linalg.norm(acc, axis=1)) < 3:
+    if usual_size(table.acc) < 3:
         raise RecordingError(f"{path}: the specific force is near 1, not near 9.81; give it in m/s^2.")
-    return ImuStream(name, t_s, acc, gyro, mag if mag is not None and np.isfinite(mag).all() else None)
+    mag = table.mag if table.mag is not None and np.isfinite(table.mag).all() else None
+    return ImuStream(name, table.t_s, table.acc, table.gyro, mag)

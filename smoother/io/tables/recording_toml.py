@@ -17,7 +17,6 @@ it by the table's columns:
 
 from __future__ import annotations
 
-import codecs
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,20 +29,17 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
-from ...measurements.timestamps import begins_frames, clock_resets, resets_message, strayed
-from ...recording import JointState, Recording
-from ...runtime.inputs import check_input, inside, marked_encoding, read_toml
-from ..files import add_imu, add_skeleton, rate_note, times_of
+from ...recording import Recording
+from ...runtime.inputs import check_input, inside, read_toml
+from ..files import add_imu, add_skeleton, times_of
 from ..mcap.messages import nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.choose import Selection
-from ..recording.decode import JointRows, frames_of, joint_code
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
 from ..recording.read import select_recording
 from ..recording.streams import (
     ArmFrames,
     CameraStream,
-    ImuSamples,
     KnownLens,
     PoseSamples,
     RecordingFile,
@@ -52,11 +48,9 @@ from ..recording.streams import (
 from ..registry import FileReader, recognise
 from .columns import (
     LAYOUT_KEYS,
-    STATES,
     CameraKeys,
     ImuKeys,
     TableKeys,
-    exact_imu,
     read_exact,
     read_imu_columns,
     read_keypoint_columns,
@@ -65,7 +59,7 @@ from .columns import (
 )
 from .imu import ImuTable, paired
 from .skeletons import SkeletonTable
-from .table import HEAD_BYTES, FileHead, Format, Tables, is_data, read_head, shown
+from .table import FileHead, Format, Tables, read_head, shown
 from .times import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES
 
@@ -249,14 +243,7 @@ def open_csv(
     file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
     if camera is not None and camera.gravity is not None:
         file.gravity_hint = _down(camera.gravity, folder, "camera")
-    if camera is not None and _is_plain_camera(camera, folder):
-        _plain_skeleton(file, folder / str(camera.skeleton), METRES[camera.position_unit])
-        camera = None
-    for name, keys in list(imus.items()):
-        if keys.is_plain and _is_plain_text(folder / str(keys.file)):
-            _plain_imu(file, folder / str(keys.file), name, keys)
-            del imus[name]
-    _add_columns(file, folder, camera, imus)
+    _add_streams(file, folder, camera, imus)
     for name, further in description.cameras.items():
         _add_camera(file, folder, name, further)
     if description.truth is not None:
@@ -326,23 +313,18 @@ def _add_camera(file: RecordingFile, folder: Path, name: str, keys: CameraKeys) 
         )
     path, topic = folder / keys.file, f"{CAMERA_TOPIC}{name}"
     hint = None if keys.gravity is None else _down(keys.gravity, folder, section)
-    if _is_plain_camera(keys, folder):
-        _plain_skeleton(file, path, METRES[keys.position_unit], topic, name)
-    else:
-        known = _known_lens(keys, folder, section)
-        if known is not None:
-            topic = NAMED_TOPIC.format(name)
-            file.lenses[topic] = known
-        add_skeleton(file, _bodies(file, path, keys), str(folder), topic, 0.0, name, known)
+    known = _known_lens(keys, folder, section)
+    if known is not None:
+        topic = NAMED_TOPIC.format(name)
+        file.lenses[topic] = known
+    add_skeleton(file, _bodies(file, path, keys), str(folder), topic, 0.0, name, known)
     file.cameras[topic] = CameraStream(name, keys.frame, hint)
 
 
-def _add_columns(
+def _add_streams(
     file: RecordingFile, folder: Path, camera: CameraKeys | None, imus: dict[str, ImuKeys]
 ) -> None:
-    """Tables of other layouts, their times corrected, on one clock with the rest."""
-    if camera is None and not imus:
-        return
+    """The first camera and the IMUs, their times corrected, on one clock."""
     bodies: list[SkeletonTable] = []
     if camera is not None and camera.file is not None:  # IMUs alone can still be calibrated
         bodies = _bodies(file, folder / camera.file, camera)
@@ -351,37 +333,32 @@ def _add_columns(
         source = f"[imu.{name}] of {folder / 'recording.toml'}"
         sensors[name] = paired([repaired_imu(each, source) for each in _sensors(folder, name, keys)], source)
         file.notes += [f"imu.{name}: {note}" for note in sensors[name].notes]
-    streams = [Timed(arm.topic, arm.stamp_ns / 1e9, False) for arm in file.arms[:1]]
-    streams += [Timed(table.units, times_of(table), False) for table in bodies]
-    streams += [Timed(imu.topic, imu.stamp_ns / 1e9, True) for imu in file.imus]
-    streams += [Timed(f"imu.{name}", times_of(table), True) for name, table in sensors.items()]
-    shift, sentences = shifts(streams)
-    file.notes += sentences
-    own_starts = count_from_zero(streams) and not of_one_length(streams)
-    if own_starts:
-        file.notes.append(
-            "Camera and IMU both count from about zero and differ in length, so only the motion shows their"
-            " offset and whether they belong together."
-        )
-    # what is counted at a rate has no clock at all
-    counted = any(keys.rate_hz is not None for keys in (*imus.values(), *([camera] if camera else [])))
-    file.clocks_unrelated = bool(sentences) or own_starts or counted
-    moved = iter(shift)
-    if file.arms:
-        shift_ns = round(next(moved) * 1e9)
-        for arm in file.arms:
-            arm.stamp_ns = arm.stamp_ns + shift_ns
-    skeleton_shift = [next(moved) for _ in bodies]
-    for imu in file.imus:
-        imu.stamp_ns = imu.stamp_ns + round(next(moved) * 1e9)
+    shift = [0.0] * (len(bodies) + len(sensors))
+    all_keys: list[ImuKeys | CameraKeys] = [*imus.values(), *([camera] if camera else [])]
+    described = [keys for keys in all_keys if not keys.is_plain]
+    if described:  # the product's own tables have one clock
+        streams = [Timed(table.units, times_of(table), False) for table in bodies]
+        streams += [Timed(f"imu.{name}", times_of(table), True) for name, table in sensors.items()]
+        shift, sentences = shifts(streams)
+        file.notes += sentences
+        own_starts = count_from_zero(streams) and not of_one_length(streams)
+        if own_starts:
+            file.notes.append(
+                "Camera and IMU both count from about zero and differ in length, so only the motion shows"
+                " their offset and whether they belong together."
+            )
+        # what is counted at a rate has no clock at all
+        counted = any(keys.rate_hz is not None for keys in described)
+        file.clocks_unrelated = bool(sentences) or own_starts or counted
     if camera is not None and bodies:
         known = _known_lens(camera, folder, "camera")
         if known is not None:
             file.lenses[TOPIC] = known
-        topic = "/skeleton" if known is None else TOPIC
-        add_skeleton(file, bodies, str(folder), topic, skeleton_shift[0], known=known)
-    for name, table in sensors.items():
-        add_imu(file, f"/imu/{name}", table, str(folder), next(moved))
+        add_skeleton(
+            file, bodies, str(folder), "/skeleton" if known is None else TOPIC, shift[0], known=known
+        )
+    for (name, table), moved_s in zip(sensors.items(), shift[len(bodies) :], strict=True):
+        add_imu(file, f"/imu/{name}", table, str(folder), moved_s)
 
 
 def _sensors(folder: Path, name: str, keys: ImuKeys) -> list[ImuTable]:
@@ -455,101 +432,7 @@ def _contained(path: Path, kind: str, keys: TableKeys) -> Tables:
     return reader.read(path, of)
 
 
-# ------------------------------------------------------------------------- tables with this program's columns
-
-
-def _is_plain_camera(keys: CameraKeys, folder: Path) -> bool:
-    return keys.is_plain and keys.skeleton is not None and _is_plain_text(folder / keys.skeleton)
-
-
-def _is_plain_text(path: Path) -> bool:
-    """Whether a file begins with UTF-8 and rows right below the names, as this program writes tables."""
-    if not path.is_file():
-        return True  # what is missing is said where it is read
-    with path.open("rb") as file:
-        raw = file.read(HEAD_BYTES)
-    if marked_encoding(raw) not in (None, "utf-8-sig") or b"\0" in raw:
-        return False
-    try:
-        text = codecs.getincrementaldecoder("utf-8")().decode(raw)
-    except UnicodeDecodeError:
-        return False
-    lines = [line for line in text.splitlines() if line.strip()]
-    below = lines[1].split(",") if len(lines) > 2 else []
-    return len(below) < 2 or not any(below) or any(is_data(cell.strip()) for cell in below)
-
-
-def _plain_imu(file: RecordingFile, path: Path, name: str, keys: ImuKeys) -> None:
-    t_s, acc, gyro, mag = exact_imu(path)
-    times, strays = strayed(t_s, "samples")
-    file.notes += [f"{path.name}: {note}" for note in strays]
-    there = np.isfinite(times)
-    acc, gyro, mag = acc[there], gyro[there], None if mag is None else mag[there]
-    t_s, steps = clock_resets(times[there], acc)
-    if steps:
-        file.notes.append(f"{path.name}: {resets_message(steps, 'samples')}")
-    acc, gyro = acc * ACCELERATION[keys.accelerometer_unit], gyro * ANGULAR_VELOCITY[keys.gyroscope_unit]
-    file.imus.append(ImuSamples(f"/imu/{name}", name, _stamps(t_s, path), acc, gyro, mag))
-    file.notes += rate_note(file.imus[-1])
-
-
-def _plain_skeleton(
-    file: RecordingFile, path: Path, metres: float, topic: str = "/skeleton", camera: str = "camera"
-) -> None:
-    columns, words = ("t_s", "joint", "x", "y", "z", "state"), ("joint", "state")
-    numbers, texts = read_exact(path, columns, ("body",), words=words, empty=("x", "y", "z"))
-    codes = {name: joint_code(name) for name in set(texts["joint"])}
-    states = {name: STATES.get(name.lower()) for name in set(texts["state"])}
-    for column, known, allowed in (
-        ("joint", codes, "shoulder, elbow, wrist, hand or strap, with _left or _right where there are both"),
-        ("state", states, "tracked, inferred or not_tracked"),
-    ):
-        unknown = (row for row, cell in enumerate(texts[column]) if known[cell] is None)
-        if (row := next(unknown, None)) is not None:
-            raise RecordingError(
-                f"{path}, line {row + 2}: {column} '{shown(texts[column][row], 40)}' is not known; it is"
-                f" {allowed}."
-            )
-    pairs = np.array([codes[name] for name in texts["joint"]], np.int64)
-    state = np.array([states[name] for name in texts["state"]], np.int64)
-    body = numbers.get("body", np.zeros(len(pairs)))
-    if not (np.isfinite(body).all() and (body >= 0).all() and (body == np.rint(body)).all()):
-        raise RecordingError(f"{path}: column body must contain whole numbers from 0; correct it.")
-    position = stacked(numbers, *"xyz") * metres
-    kind = (body * 100 + pairs[:, 0] * 10 + pairs[:, 1]).astype(np.int64)
-    stamp = _stamps(_frame_times(file, path, numbers["t_s"], kind), path)
-    bare = (state != JointState.NOT_TRACKED) & ~np.isfinite(position).all(axis=1)
-    frames, frame = frames_of(stamp)
-    rows = JointRows()
-    frame = np.arange(len(stamp)) if frame is None else frame
-    rows.add_joints(frame, body.astype(np.int64), pairs[:, 0], pairs[:, 1], state, position)
-    file.arms += rows.arms(frames, topic, camera, file.camera_frame if topic == "/skeleton" else None)
-    if bare.any():
-        file.notes.append(
-            f"{path.name}: {int(bare.sum())} rows that are tracked or inferred have no position, the first "
-            f"at {numbers['t_s'][bare][0]:.3f} s."
-        )
-    key = np.stack([stamp, kind])
-    repeated = len(stamp) - np.unique(key, axis=1).shape[1] if len(stamp) < 3_000_000 else 0
-    if repeated:
-        file.notes.append(
-            f"{path.name}: {repeated} rows repeat a joint and time; the last of each was taken."
-        )
-
-
-def _frame_times(file: RecordingFile, path: Path, t_s: FloatArray, kind: IntArray) -> FloatArray:
-    """Times of the rows; behind a clock that was set back they go on, with a note."""
-    is_new = np.append(True, t_s[1:] != t_s[:-1])[: len(t_s)]
-    times, strays = strayed(t_s[is_new], "frames")
-    if strays and np.isfinite(times).all():  # others are left out with the stamps that are far from all
-        file.notes += [f"{path.name}: {note}" for note in strays]
-        t_s = times[np.cumsum(is_new) - 1]
-    if not begins_frames(t_s, kind):
-        return t_s
-    times, steps = clock_resets(t_s[is_new])
-    if steps:
-        file.notes.append(f"{path.name}: {resets_message(steps, 'frames')}")
-    return times[np.cumsum(is_new) - 1]
+# ----------------------------------------------------------------------------------------------- the truth
 
 
 def read_pose_table(path: Path) -> PoseSamples:

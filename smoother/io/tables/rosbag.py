@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
 from ...errors import RecordingError
-from ...linalg import interpolate
-from ...recording import JOINTS, CameraFrame
-from ..mcap.messages import nanoseconds, seconds
-from ..recording.inertial import LEFT_OUT, settle_imus
+from ...recording import JOINTS
+from ..mcap.messages import seconds
+from ..recording.inertial import LEFT_OUT
 from ..recording.read import open_recording
-from ..recording.streams import ArmFrames, ImuSamples, RecordingFile
+from ..recording.streams import ArmFrames, RecordingFile
 from .imu import ImuTable
-from .joints import AZURE
-from .skeletons import Conventions, RawSkeleton, SkeletonTable
+from .skeletons import SkeletonTable
 from .table import Format, begins, shown
 
 
@@ -78,25 +74,15 @@ def _skeleton(arms: list[ArmFrames]) -> SkeletonTable:
     return table
 
 
-_IMU = "sensor_msgs/msg/Imu"
-_MARKERS = "visualization_msgs/msg/MarkerArray"
-_FIELD = "sensor_msgs/msg/MagneticField"
-_JOINT_STATE = "sensor_msgs/msg/JointState"
-_ADD = 0  # Marker.ADD
-
-
-@dataclass
-class _Rows:
-    """Bodies of one topic, one row per frame and body."""
-
-    time: list[float] = field(default_factory=list)
-    body: list[float] = field(default_factory=list)
-    points: list[dict[int, tuple[float, float, float]]] = field(default_factory=list)
-    foreign: int = 0
+#: What is read of a bag; `JointState` so that it can be said that it contains angles.
+_KINDS = (
+    *("sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField", "sensor_msgs/msg/JointState"),
+    *("visualization_msgs/msg/MarkerArray",),
+)
 
 
 def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
-    """Bags of ROS 1; markers are bodies of the Azure Kinect's driver (id = body x 100 + joint)."""
+    """Bags of ROS 1, whose messages become those of ROS 2 in an MCAP file that is read."""
     try:
         from rosbags.rosbag1 import Reader
     except ImportError:
@@ -104,16 +90,20 @@ def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
             f"{path}: ROS 1 bags are read by the library rosbags; install it with: pip install"
             " '.[devices]' in the program's folder"
         ) from None
-    try:
-        with Reader(path) as reader:
-            return _read(reader, path)
-    except RecordingError:
-        raise
-    except Exception as error:  # whatever a damaged file leads the library into
-        raise RecordingError(
-            f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
-            " may correct it, or record again."
-        ) from error
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / path.with_suffix(".mcap").name
+        try:
+            with Reader(path) as reader:
+                _write_messages(reader, copy)
+        except Exception as error:  # whatever a damaged file leads the library into
+            raise RecordingError(
+                f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
+                " may correct it, or record again."
+            ) from error
+        try:
+            return read_mcap(copy)
+        except RecordingError as error:
+            raise RecordingError(str(error).replace(str(copy), str(path))) from error
 
 
 ROSBAG1 = Format(
@@ -126,104 +116,25 @@ ROSBAG1 = Format(
 )
 
 
-def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
-    wanted = [c for c in reader.connections if c.msgtype in (_IMU, _MARKERS, _FIELD)]
-    types = _types(wanted)
-    imus: dict[str, list[tuple[float, ...]]] = {}
-    frame_ids: dict[str, str] = {}
-    fields: dict[str, list[tuple[float, ...]]] = {}
-    bodies: dict[str, _Rows] = {}
-    for connection, log_ns, data in reader.messages(connections=wanted):
-        message = types.deserialize_ros1(data, connection.msgtype)
-        if connection.msgtype == _MARKERS:
-            _add_bodies(bodies.setdefault(connection.topic, _Rows()), message, log_ns)
-            continue
-        t = _seconds(message.header.stamp) or log_ns * 1e-9
-        if connection.msgtype == _FIELD:
-            fields.setdefault(connection.topic, []).append((t, *_xyz(message.magnetic_field)))
-            continue
-        frame_ids[connection.topic] = message.header.frame_id
-        row = (t, *_xyz(message.linear_acceleration), *_xyz(message.angular_velocity))
-        imus.setdefault(connection.topic, []).append(row)
-    tables: list[ImuTable | SkeletonTable] = [
-        table for topic, rows in bodies.items() for table in _skeletons(topic, rows, path)
-    ]
-    streams = [_imu(topic, np.array(rows), fields) for topic, rows in sorted(imus.items())]
-    file = RecordingFile(path, imus=streams)
-    settle_imus(file)
-    tables += _imu_tables(file) or file.halves
-    if not tables:
-        listed = ", ".join(
-            sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in reader.connections})
-        )
-        raise RecordingError(
-            f"{path} has no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)});"
-            " record the IMU's topic and the body tracking's."
-        )
-    tables[0].notes += [note for note in file.notes if file.imus or not note.endswith(LEFT_OUT)]
-    angles = sorted({c.topic for c in reader.connections if c.msgtype == _JOINT_STATE})
-    if angles:
-        tables[0].notes.append(
-            f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not joint positions; ignored."
-        )
-    return tables
-
-
-def _types(connections: list[Any]) -> Any:
-    """The messages' definitions, as the bag has them."""
+def _write_messages(reader: Any, copy: Path) -> None:
+    """Messages of a bag that can be used, as an MCAP file; of the other topics their names."""
+    from mcap.writer import CompressionType, Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    types = get_typestore(Stores.EMPTY)
-    for connection in connections:
-        text = getattr(connection.msgdef, "data", connection.msgdef)
-        types.register(get_types_from_msg(text, connection.msgtype))
-    return types
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
-
-
-def _xyz(vector: Any) -> tuple[float, float, float]:
-    return float(vector.x), float(vector.y), float(vector.z)
-
-
-def _imu(topic: str, rows: np.ndarray, fields: dict[str, list[tuple[float, ...]]]) -> ImuSamples:
-    """One IMU, with the magnetometer of the same name space, if there is one."""
-    imu = ImuSamples(topic, "", nanoseconds(rows[:, 0], 0), rows[:, 1:4], rows[:, 4:7])
-    near = [name for name in fields if name.rpartition("/")[0] == topic.rpartition("/")[0]]
-    if len(near) == 1 and len(fields[near[0]]) > 1:
-        samples = np.array(fields[near[0]])
-        samples = samples[np.argsort(samples[:, 0], kind="stable")]
-        at = np.clip(rows[:, 0], samples[0, 0], samples[-1, 0])
-        imu.mag = interpolate(samples[:, 0], samples[:, 1:], at)
-    return imu
-
-
-def _add_bodies(rows: _Rows, message: Any, log_ns: int) -> None:
-    added = [marker for marker in message.markers if marker.action == _ADD]
-    stamp = next((s for marker in added if (s := _seconds(marker.header.stamp))), log_ns * 1e-9)
-    by_body: dict[int, dict[int, tuple[float, float, float]]] = {}
-    for marker in added:
-        body, joint = divmod(int(marker.id), 100)
-        if not 0 <= joint < len(AZURE) or body < 0:
-            rows.foreign += 1
-        else:
-            by_body.setdefault(body, {})[joint] = _xyz(marker.pose.position)
-    for number, points in by_body.items() or [(None, {})]:
-        rows.time.append(stamp)
-        rows.body.append(float("nan") if number is None else float(number))
-        rows.points.append(points)
-
-
-def _skeletons(topic: str, rows: _Rows, path: Path) -> list[SkeletonTable]:
-    """Bodies of a topic; none where its markers are something else."""
-    count = sum(map(len, rows.points))
-    if not count or rows.foreign > 0.05 * count:
-        return []
-    raw = RawSkeleton(path, time=np.array(rows.time), time_scale=1.0, body=np.array(rows.body))
-    nothing = (float("nan"),) * 3
-    for number, name in enumerate(AZURE):
-        raw.add(name, np.array([points.get(number, nothing) for points in rows.points], dtype=float))
-    raw.notes.append(f"Bodies are of the topic {topic}.")
-    return raw.skeletons(Conventions("m", CameraFrame.OPTICAL))
+    header = {"std_msgs/msg/Header": get_typestore(Stores.ROS2_FOXY).fielddefs["std_msgs/msg/Header"]}
+    types, channels = get_typestore(Stores.EMPTY), {}
+    with copy.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start()
+        for connection in reader.connections:
+            text = ""
+            if connection.msgtype in _KINDS:
+                types.register({**get_types_from_msg(connection.msgdef.data, connection.msgtype), **header})
+                text, _ = types.generate_msgdef(connection.msgtype, ros_version=2)
+            schema = writer.register_schema(connection.msgtype, "ros2msg", text.encode())
+            channels[connection.id] = writer.register_channel(connection.topic, "cdr", schema)
+        wanted = [each for each in reader.connections if each.msgtype in _KINDS]
+        for connection, log_ns, data in reader.messages(connections=wanted) if wanted else ():
+            message = bytes(types.ros1_to_cdr(data, connection.msgtype))
+            writer.add_message(channels[connection.id], log_ns, message, log_ns)
+        writer.finish()

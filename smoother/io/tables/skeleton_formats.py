@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...measurements.timestamps import begins_frames
 from ...recording import CameraFrame, JointState
 from .joints import (
     AZURE,
@@ -35,7 +34,7 @@ from .joints import (
     time_unit_of,
     words_of,
 )
-from .skeletons import Conventions, RawSkeleton, SkeletonTable, camera_time_scale, unit_by_arm
+from .skeletons import Conventions, RawSkeleton, SkeletonTable, camera_time_scale, gathered, unit_by_arm
 from .table import FileHead, Format, Table, begins, read_table, table_of
 from .times import time_among
 from .units import CAMERA_RATES, SECONDS, TIME, plain_unit
@@ -368,7 +367,7 @@ def _read_joint_rows(path: Path) -> list[SkeletonTable]:
             " these."
         )
     names, kind = _joints(table, columns["joint"])
-    raw = _gathered(table, columns, names, azure_states if kind == "azure" else kinect_states)
+    raw = _by_frame(table, columns, names, azure_states if kind == "azure" else kinect_states)
     if kind == "blazepose":
         world = any("world" in plain_words(table.names[columns[axis]]) for axis in "xyz")
         return landmarks_in_metres(raw, world=world)
@@ -409,7 +408,7 @@ def _joints(table: Table, column: int) -> tuple[list[str], str]:
     )
 
 
-def _gathered(table: Table, columns: dict[str, int], names: list[str], states: StateReader) -> RawSkeleton:
+def _by_frame(table: Table, columns: dict[str, int], names: list[str], states: StateReader) -> RawSkeleton:
     """One row per frame and body, out of rows of joints."""
     raw = RawSkeleton(table.path, notes=table.notes)
     time: FloatArray | None = None
@@ -420,28 +419,14 @@ def _gathered(table: Table, columns: dict[str, int], names: list[str], states: S
     key = frame if frame is not None else time
     assert key is not None
     body = body_numbers(table, columns["body"]) if "body" in columns else np.zeros(len(key))
-    written, joint_of = np.unique(names, return_inverse=True)
-    starts = joint_of + len(joint_of) * np.unique(body, return_inverse=True)[1]
-    forward = (np.diff(key[np.isfinite(key)]) >= 0).all() or begins_frames(key, starts)
-    number = (
-        np.cumsum(np.append(True, key[1:] != key[:-1])) if forward else np.unique(key, return_inverse=True)[1]
-    )
-    first_of: dict[tuple[int, float], int] = {}  # a row of the skeleton is one frame and body
-    pairs = zip(number.tolist(), body.tolist(), strict=True)
-    row = np.array([first_of.setdefault(pair, len(first_of)) for pair in pairs])
-    count, first = len(first_of), np.unique(row, return_index=True)[1]
+    said = None
+    if "state" in columns:
+        said = states_of({"all": state_numbers(table, columns["state"])}, states)["all"]
+    first, joints = gathered(key, body, names, table.vectors([columns[axis] for axis in "xyz"]), said)
     raw.time = None if time is None else time[first]
     raw.frame = None if frame is None else frame[first]
     raw.body = body[first] if "body" in columns else None
-    xyz, said = table.vectors([columns[axis] for axis in "xyz"]), None
-    if "state" in columns:
-        said = states_of({"all": state_numbers(table, columns["state"])}, states)["all"]
-    for code, name in enumerate(written.tolist()):
-        mine = np.flatnonzero(joint_of == code)
-        position, state = np.full((count, 3), np.nan), np.zeros(count, np.int8)
-        position[row[mine]] = xyz[mine]
-        if said is not None:
-            state[row[mine]] = said[mine]
+    for name, (position, state) in joints.items():
         raw.add(name, position, None if said is None else state)
     return raw
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
+from ...measurements.timestamps import begins_frames
 from ...recording import CameraFrame, JointState
 from .joints import JointName, joint_name
 from .table import shown
@@ -192,6 +193,31 @@ class BodyRows:
             )
             tables.append(own)
         return tables
+
+
+def gathered(
+    key: FloatArray, body: FloatArray, names: Sequence[str], xyz: FloatArray, state: NDArray | None
+) -> tuple[IntArray, dict[str, tuple[FloatArray, NDArray[np.int8]]]]:
+    """Rows of joints as rows of frames and bodies: the first row of each; positions, states by joint."""
+    written, joint_of = np.unique(names, return_inverse=True)
+    number_of_body = np.unique(body, return_inverse=True)[1]
+    starts = joint_of + len(joint_of) * number_of_body
+    if (np.diff(key[np.isfinite(key)]) >= 0).all() or begins_frames(key, starts):
+        frame = np.cumsum(np.append(True, key[1:] != key[:-1])[: len(key)])
+    else:
+        frame = np.unique(key, return_inverse=True)[1]
+    pairs = np.stack([frame, number_of_body])
+    _, first, row = np.unique(pairs, axis=1, return_index=True, return_inverse=True)
+    order = np.argsort(first)  # frames in the order of the file
+    row = np.argsort(order)[np.reshape(row, -1)]
+    joints = {}
+    for code, name in enumerate(written.tolist()):
+        mine = np.flatnonzero(joint_of == code)
+        position, states = np.full((len(first), 3), np.nan), np.zeros(len(first), np.int8)
+        position[row[mine]] = xyz[mine]
+        states[row[mine]] = JointState.TRACKED if state is None else state[mine]
+        joints[name] = (position, states)
+    return first[order], joints
 
 
 def frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray, FloatArray]:

@@ -49,7 +49,7 @@ MISSING = ("", "nan", "na", "n/a", "none", "null", "-", "--", "#n/a", "+nan", "-
 MOST_COLUMNS, LONGEST_LINE = 10_000, 1 << 20
 CUT = "The last line is cut off and was left out."
 #: Rows at the end of a text that show how numbers are written.
-ROWS_BEFORE = 50
+_ROWS_BEFORE = 50
 
 
 @dataclass(frozen=True)
@@ -193,6 +193,7 @@ class Table:
     width: int  # Number of columns
     lines: Sequence[str] = ()  # Of the text, until the cells are read
     notes: list[str] = field(default_factory=list)  # What was dropped, one sentence each
+    strict: bool = False  # Refuse any cell that is not a number
     _numbers: dict[int, FloatArray] = field(default_factory=dict)
     _line_numbers: Sequence[int] = ()
 
@@ -330,7 +331,7 @@ class Table:
         return shown(self.cells.column(column)[row].as_py(), 40)
 
     def _refuse_many(self, column: int, wrong: np.ndarray, filled: int, what: str) -> None:
-        if len(wrong) > max(_WRONG * filled, 1):
+        if len(wrong) > (0 if self.strict else max(_WRONG * filled, 1)):
             first = int(wrong[0])
             raise RecordingError(
                 f"{self.path}, line {self.line(first)}: '{self._cell(column, first)}' in"
@@ -358,16 +359,18 @@ def file_text(path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
-def read_table(path: Path, expected: str = "a table", quote: bool = True) -> Table:
+def read_table(path: Path, expected: str = "a table", quote: bool = True, strict: bool = False) -> Table:
     """Read a delimited text file, or an Excel workbook."""
     text = file_text(path)
     if not text.strip():
         what = "is not text" if path.stat().st_size else "is empty"
         raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
-    return table_of(path, text, expected, quote)
+    return table_of(path, text, expected, quote, strict)
 
 
-def table_of(path: Path, text: str, expected: str = "a table", quote: bool = True) -> Table:
+def table_of(
+    path: Path, text: str, expected: str = "a table", quote: bool = True, strict: bool = False
+) -> Table:
     """The table in a text."""
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
@@ -378,6 +381,7 @@ def table_of(path: Path, text: str, expected: str = "a table", quote: bool = Tru
         seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
         begins = f"; it begins: {seen}" if quote else "; name the right file."
         raise RecordingError(f"{path} should be {expected}, but no rows of numbers were found{begins}")
+    table.strict = strict
     len(table)  # reads the cells, and drops the lines
     return table
 
@@ -419,10 +423,12 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
     mark = table.separator
     if mark == " ":
         mark, rows = "\t", ["\t".join(row.replace('"', "").split()) for row in rows]
+    else:
+        rows = [row.replace(f'{mark} "', f'{mark}"') if '"' in row else row for row in rows]
     counts = [separators_in(row, mark) for row in rows]
     usual = Counter(counts).most_common(1)[0][0] if counts else 0
     header = lines[table.header].strip() if table.header >= 0 else None
-    notes = [] if whole_end else _end_notes(rows, counts, usual, mark, end)
+    notes = [] if whole_end else _end_notes(rows, counts, usual, mark, end, table.strict)
     if notes == [CUT]:
         rows, counts = rows[:-1], counts[:-1]
     # Separators behind the last column make empty columns, which do no harm.
@@ -435,6 +441,11 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
         if row.strip() == header or (header and row.startswith(header[:40]) and row.strip()[:1].isalpha()):
             repeated += 1
             continue
+        if table.strict and (count < width - 1 or any(split_line(row, mark)[width:])):
+            raise RecordingError(
+                f"{table.path}, line {first + at + 1}: {count + 1} cells where the header has {width};"
+                " correct the line."
+            )
         if count < width - 1:
             short += count < usual
             row += mark * (width - 1 - count)
@@ -457,19 +468,25 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
     return even, indices, notes
 
 
-def _end_notes(rows: list[str], counts: list[int], usual: int, mark: str, line: int) -> list[str]:
+def _end_notes(
+    rows: list[str], counts: list[int], usual: int, mark: str, line: int, strict: bool
+) -> list[str]:
     """What is to be said of a text that does not end with a line's end."""
     if not rows:
         return []
-    cells = [row.rsplit(mark, 1)[-1] for row in rows[-ROWS_BEFORE:]]
-    if counts[-1] < usual or is_cut_number(cells):
+    cells = [row.rsplit(mark, 1)[-1] for row in rows[-_ROWS_BEFORE:]]
+    if counts[-1] < usual or _is_cut_number(cells, _FEWEST_STRICT if strict else _FEWEST):
         return [CUT]
     return [
         f"The file ends without a line break; if it was cut off, what came behind line {line} is missing."
     ]
 
 
-def is_cut_number(cells: Sequence[str], fewest: int = 3) -> bool:
+#: So many rows before show that a number is cut off, and so many where the whole table is refused for it.
+_FEWEST, _FEWEST_STRICT = 3, 20
+
+
+def _is_cut_number(cells: Sequence[str], fewest: int) -> bool:
     """Whether the last of a column's cells has fewer decimals than all before it, which have equally many."""
     *before, last = [cell.strip().strip('"').replace(",", ".").partition(".")[2] for cell in cells]
     decimals = {len(digits) for digits in before if digits.isdigit()}
