@@ -10,7 +10,8 @@ import typer
 
 from ..errors import UnoccludeError
 from ..runtime.printable import printable
-from .output import print_table, say
+from ..table import Table
+from .output import say, say_more, show
 from .run import NOT_TRUSTED
 
 if TYPE_CHECKING:
@@ -82,21 +83,21 @@ def say_arm(arm: Any, count: int) -> None:
 
 def print_arm(estimates: ArmEstimates) -> None:
     """Print lever arms and lengths, each with its sigma."""
-    rows = []
-    for joint, lever in estimates.calibration.lever_arms.items():
-        cells = [
-            f"{1e3 * value:.1f} +- {1e3 * sigma:.1f}"
-            for value, sigma in zip(lever.position_m, lever.sigma_m, strict=True)
-        ]
-        rows.append((joint, *cells))
-    if rows:
-        print_table("Lever arms in the IMU's axes, mm (+- one sigma)", ("joint", "x", "y", "z"), rows)
-    rows = [
-        (name.replace("_", " ").replace("imu", "IMU"), f"{1e3 * value:.1f} +- {1e3 * sigma:.1f}")
+    levers = [
+        (joint, *map(_with_sigma, lever.position_m, lever.sigma_m))
+        for joint, lever in estimates.calibration.lever_arms.items()
+    ]
+    title = "Lever arms in the IMU's axes, mm (+- one sigma)"
+    show(Table(title, ("joint", "x", "y", "z"), levers))
+    lengths = [
+        (name.replace("_", " ").replace("imu", "IMU"), _with_sigma(value, sigma))
         for name, (value, sigma) in estimates.lengths.items()
     ]
-    if rows:
-        print_table("Lengths, mm", ("length", "found"), rows)
+    show(Table("Lengths, mm", ("length", "found"), lengths))
+
+
+def _with_sigma(value_m: float, sigma_m: float) -> str:
+    return f"{1e3 * value_m:.1f} +- {1e3 * sigma_m:.1f}"
 
 
 def print_clock(offset: ClockOffset) -> None:
@@ -118,12 +119,6 @@ def print_camera(estimates: ArmEstimates) -> None:
             f"constant errors of the joints against each other, mm: {', '.join(off)}; "
             f"shared component: {1e3 * estimates.joint_bias_sigma_m:.1f} mm per axis"
         )
-
-
-def print_open(estimates: ArmEstimates) -> None:
-    """Print in words what the motion did not determine."""
-    for sentence in estimates.not_determined:
-        say(f"not determined: {sentence}")
 
 
 #: A clock that wandered less is not worth a word, s.
@@ -153,8 +148,7 @@ def say_untrusted_parts(recovery: Recovery) -> None:
     sentences = untrusted_sentences(recovery)
     for sentence in sentences[:MOST_SENTENCES]:
         say(f"not to be trusted: {sentence}")
-    if len(sentences) > MOST_SENTENCES:
-        say(f".. and {len(sentences) - MOST_SENTENCES} more; --json and the report have them all")
+    say_more(len(sentences), MOST_SENTENCES, "more; --json and the report have them all")
 
 
 def has_doubts(recovery: Recovery) -> bool:

@@ -8,26 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..table import centimetres
-from .app import GroupedCommand
+from ..table import Table, centimetres
+from . import options as o
 from .arm_output import end_strictly
 from .load import camera_frame_of, damage
-from .options import (
-    ANY_ARM,
-    ArmSelection,
-    Calibration,
-    ConfigFile,
-    Json,
-    Processes,
-    Strict,
-)
 from .output import (
     check_outputs,
     print_notes,
-    print_table,
     progress_bar,
     say,
+    say_more,
     say_written,
+    show,
     write_json,
 )
 
@@ -62,97 +54,55 @@ MOST_WORST, MOST_FAILURES = 10, 25
 MOST_JSON = 10_000
 #: Hours of recording take minutes; what takes half a day hangs.
 TIME_LIMIT_MINUTES = 720.0
-_REPORT = "--report"
 #: What the first lines of a study's page, and of its figures, hold.
 _PAGE_MARKS = b'content="unocclude', b"<title>Study</title>"
 _FIGURES_MARKS = b'"recordings"', b'"done_before"'
 
 
-class BatchCommand(GroupedCommand):
-    """Lets `--report` stand alone: the page then is in the study's folder."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Give a `--report` that no page's name follows an empty one."""
-        complete: list[str] = []
-        for place, arg in enumerate(args):
-            complete.append(arg)
-            follows = args[place + 1] if place + 1 < len(args) else ""
-            if arg == _REPORT and not follows.lower().endswith((".html", ".htm")):
-                complete.append("")
-        return list(super().parse_args(ctx, complete))
+#: `--report` alone: the page is in the study's folder.
+ALONE = {"--report": ""}
 
 
 def batch(
     source: Annotated[
         str,
-        typer.Argument(
-            metavar="FOLDER|PATTERN|LIST",
-            help="A folder of .mcap files, a pattern in quotation marks, or a text file with one recording"
+        o.argument(
+            "FOLDER|PATTERN|LIST",
+            "A folder of .mcap files, a pattern in quotation marks, or a text file with one recording"
             " per line (optionally a tab and its calibration).",
-            show_default=False,
         ),
     ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="FOLDER", help="Where results go.", show_default=False),
-    ],
-    calibration_file: Calibration = None,
-    config_file: ConfigFile = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler", metavar="tcp://HOST:PORT", help="Use the workers of this Dask scheduler."
-        ),
-    ] = None,
-    processes: Processes = None,
+    output: Annotated[Path, o.option("Where results go.", "-o", "--output", metavar="FOLDER")],
+    calibration_file: o.Calibration = None,
     report: Annotated[
-        str | None,
-        typer.Option(
-            "--report",
-            metavar="[OUT.html]",
-            help="Also write a page about the study; in FOLDER if not named.",
-        ),
+        str | None, o.option("Also write a page about the study, in FOLDER if alone.", metavar="[OUT.html]")
     ] = None,
-    reports: Annotated[
-        bool,
-        typer.Option("--reports", help="Also write the report of each recording, beside its result."),
+    reports: Annotated[bool, o.option("Also write the report of each recording.", "--reports")] = False,
+    measures: Annotated[bool, o.option("Also measure each arm, for `progress`.", "--measures")] = False,
+    strict: o.Strict = False,
+    json_file: o.Json = None,
+    force: Annotated[
+        bool, o.option("Use a folder that has other files; recompute everything.", "--force")
     ] = False,
-    json_file: Json = None,
-    arm: ArmSelection = ANY_ARM,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Retry failed recordings too.")
-    ] = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+    config_file: o.ConfigFile = None,
+    scheduler: Annotated[
+        str | None, o.rare("Use the workers of this Dask scheduler.", metavar="tcp://HOST:PORT")
+    ] = None,
+    processes: o.Processes = None,
+    retry_failed: Annotated[bool, o.rare("Retry failed recordings too.", "--retry-failed")] = False,
     time_limit: Annotated[
-        float,
-        typer.Option(
-            "--time-limit",
-            metavar="MINUTES",
-            min=0,
-            help="A recording that takes longer fails (on this machine); 0 = no limit.",
-        ),
+        float, o.rare("Longer ones fail (on this machine); 0 = no limit.", metavar="MINUTES", min=0)
     ] = TIME_LIMIT_MINUTES,
-    measures: Annotated[
-        bool,
-        typer.Option("--measures", help="Also measure each arm, for `unocclude progress`."),
-    ] = False,
     draws: Annotated[
         int | None,
-        typer.Option(
-            "--draws",
-            metavar="N",
-            min=0,
-            max=1000,
-            help="With --measures: drawn motions for intervals (20 or more; 0 = none).  [default: 64]",
-        ),
+        o.rare("With --measures: drawn motions (20 or more; 0 = none).  [default: 64]", min=0, max=1000),
     ] = None,
     hash_names: Annotated[
-        bool,
-        typer.Option("--hash-names", help="Replace recording names in rows and results by hashes."),
-    ] = False,
-    strict: Strict = False,
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="Use a folder that has other files; recompute everything."),
+        bool, o.rare("Replace recording names in rows and results by hashes.", "--hash-names")
     ] = False,
 ) -> None:
     """Recover many recordings; run again to continue.
@@ -161,6 +111,8 @@ def batch(
     FOLDER/results/*.parquet.
     One failing recording does not stop the others; the exit code is 1 then. With --strict it is 3 if all
     were recovered and a result is not to be trusted.
+
+    Example: unocclude batch sessions -o recovered --calibration arm.toml --report
     """
     from ..measures.definitions import FEWEST_DRAWS
     from ..runtime.outputs import check_output
@@ -184,7 +136,7 @@ def batch(
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
         config=read_config(config_file),
-        selection=arm.reading(),
+        selection={"imu": imu, "skeleton": skeleton, "side": side, "body": body},
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,
@@ -224,15 +176,8 @@ def batch(
         plain = rows.select(names).to_pylist()
         write_study(rows, page, folder.path, persons=persons_of(plain), long=long_rows(plain), force=True)
     figures = study_figures(rows, tally)
-    write_json(
-        json_file,
-        figures
-        | {
-            "folder": folder.path.name,
-            "rows": rows.slice(0, MOST_JSON).to_pylist(),
-        },
-        True,
-    )
+    figures |= {"folder": folder.path.name, "rows": rows.slice(0, MOST_JSON).to_pylist()}
+    write_json(json_file, figures, True)
     _print(rows, tally, figures)
     print_notes(tally.notes)
     say_written(folder.path, page, json_file)
@@ -320,62 +265,42 @@ def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted(arms, key=least_trusted)[:MOST_WORST]
 
 
-def _print_untrusted(figures: dict[str, Any]) -> None:
-    """Print how many recordings are not to be trusted, and why, a line each."""
-    if not figures["not_trusted"]:
-        return
-    say(f"{figures['not_trusted']} of {figures['done']} results are not to be trusted:")
-    for row in figures["untrusted"][:MOST_FAILURES]:
-        say(f"  {row['recording']}: {row['verdict']}")
-    if figures["not_trusted"] > MOST_FAILURES:
-        say(f".. and {figures['not_trusted'] - MOST_FAILURES} more; the results have them all")
-
-
 def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     """Print what came of a study, the worst recordings first."""
+    import pyarrow.compute as pc
+
+    from ..evaluation.summary import trust_word
+
     times = tally.recorded_s / tally.seconds if tally.computed else 0.0
     speed = f", {times:.1f} times real time by all processes together" if tally.computed else ""
     say(
         f"{tally.total} recordings: {tally.computed} recovered now in {tally.seconds:.0f} s{speed};"
         f" {tally.before} were dealt with before; {figures['failed']} failed in all"
     )
-    import pyarrow.compute as pc
-
-    from ..evaluation.summary import trust_word
-
     columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
     done = rows.filter(pc.equal(rows["status"], "done"))
-    done = done.select([*columns, "trusted", "gaps_untrusted", "arm_figures"])
+    few = done.select([*columns, "trusted", "gaps_untrusted", "arm_figures"])
     order = [("trusted", "ascending"), ("gaps_untrusted", "descending"), ("sigma_max_m", "descending")]
-    worst = worst_arms(done.sort_by(order).slice(0, MOST_WORST).to_pylist())
-    if worst:
-        heads = ("recording", "trusted", "largest sigma, cm", "gaps", "longest gap, s")
-        print_table(
-            "Recordings that are not to be trusted, then the least certain (sigma = one standard deviation)",
-            (*heads, "occluded, s", "length, s", "notes"),
-            [
-                (
-                    row["recording"],
-                    trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"]),
-                    centimetres(row["sigma_max_m"]),
-                    *(row[name] for name in columns[2:]),
-                )
-                for row in worst
-            ],
+    worst = [
+        (
+            row["recording"],
+            trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"]),
+            centimetres(row["sigma_max_m"]),
+            *(row[name] for name in columns[2:]),
         )
-    _print_untrusted(figures)
-    texts = rows.filter(pc.equal(rows["status"], "done"))["note_texts"].to_pylist()
-    notes = [note for each in texts for note in each or []]
-    damaged = damage(notes)
+        for row in worst_arms(few.sort_by(order).slice(0, MOST_WORST).to_pylist())
+    ]
+    heads = ("recording", "trusted", "largest sigma, cm", "gaps", "longest gap, s", "occluded, s")
+    title = "Recordings that are not to be trusted, then the least certain (sigma = one standard deviation)"
+    show(Table(title, (*heads, "length, s", "notes"), worst))
+    rest = "more; the results have them all"
+    if figures["not_trusted"]:
+        say(f"{figures['not_trusted']} of {figures['done']} results are not to be trusted:")
+        for row in figures["untrusted"][:MOST_FAILURES]:
+            say(f"  {row['recording']}: {row['verdict']}")
+        say_more(figures["not_trusted"], MOST_FAILURES, rest)
+    damaged = damage(note for each in done["note_texts"].to_pylist() for note in each or [])
     print_notes(damaged[:MOST_FAILURES])
-    if len(damaged) > MOST_FAILURES:
-        say(f".. and {len(damaged) - MOST_FAILURES} damaged files more; the results have them all")
-    failures = figures["failures"]
-    if failures:
-        print_table(
-            "Failed",
-            ("recording", "why"),
-            [(row["recording"], row["error"]) for row in failures[:MOST_FAILURES]],
-        )
-        if len(failures) > MOST_FAILURES:
-            say(f".. and {figures['failed'] - MOST_FAILURES} failures more; the results have them all")
+    say_more(len(damaged), MOST_FAILURES, f"damaged files {rest}")
+    failures = [(row["recording"], row["error"]) for row in figures["failures"]]
+    show(Table("Failed", ("recording", "why"), failures), MOST_FAILURES, f"failures {rest}")

@@ -10,19 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import CalibrationError
+from . import options as o
 from .arm_output import arms_figures, say_arm
-from .load import AS_USUAL, Solving, load_arm, load_arms
-from .options import (
-    ANY_ARM,
-    NO_FILES,
-    ArmSelection,
-    CalibrationOutput,
-    Force,
-    Imu,
-    Json,
-    Outputs,
-    RecordingPath,
-)
+from .load import load_arm, load_arms, refuse_twice
 from .output import check_outputs, print_notes, say, say_written, show, write_json
 
 if TYPE_CHECKING:
@@ -30,6 +20,7 @@ if TYPE_CHECKING:
     from calib.protocol import Answer
 
     from ..calibration import ArmCalibration
+    from ..io.recording.choose import Selection
     from ..recording import ImuStream, Recording
 
 
@@ -38,21 +29,26 @@ Paths = Iterable[Path | None]
 
 
 def load_existing_calibration(
-    output: Path | None, to: Outputs, inputs: Paths, *, known: Paths = ()
+    output: Path | None, others: Paths, force: bool, inputs: Paths, known: Path | None = None
 ) -> CalibrationFile:
-    """What the file contains already; before the work, as what cannot be read cannot be added to."""
+    """What the file contains already; before the work, as what cannot be read cannot be added to.
+
+    `others` are further outputs; the file may be the `known` one.
+    """
     from calib.file import CalibrationFile, read_calibration
 
-    others = [path for path in (to.json_file, to.report) if path is not None]
+    others = [path for path in others if path is not None]
     check_outputs(True, [output, *others], inputs)
-    check_outputs(to.force, others, known)
+    check_outputs(force, others, [known])
     return read_calibration(output) if output is not None and output.exists() else CalibrationFile()
 
 
 def finish(
     answer: Answer,
     output: Path | None,
-    to: Outputs,
+    report: Path | None,
+    json_file: Path | None,
+    force: bool,
     title: str,
     notes: Iterable[str],
 ) -> None:
@@ -60,16 +56,16 @@ def finish(
     from calib.file import write_calibration
 
     notes = list(dict.fromkeys(notes))
-    if to.report is not None:
+    if report is not None:
         from ..report.calibration_page import calibration_page
 
-        calibration_page(title, answer, notes).write(to.report, to.force)
-    write_json(to.json_file, {**answer.figures, "notes": notes}, to.force)
+        calibration_page(title, answer, notes).write(report, force)
+    write_json(json_file, {**answer.figures, "notes": notes}, force)
     if output is not None:
         write_calibration(output, answer.table)
     print_answer(answer)
     print_notes(notes)
-    say_written(output, to.json_file, to.report)
+    say_written(output, json_file, report)
 
 
 def print_answer(answer: Answer) -> None:
@@ -98,43 +94,42 @@ def error_prefix(what: str) -> Iterator[None]:
 
 def motion(
     recording_files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="REC.mcap", help="Recordings of one person and one mounting.", show_default=False
-        ),
+        list[Path], o.argument("REC.mcap", "Recordings of one person and one mounting.")
     ],
-    output: CalibrationOutput,
-    known_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--known", metavar="CAL.toml", help="Calibration file with known values, used as given."
-        ),
-    ] = None,
-    solving: Solving = AS_USUAL,
-    json_file: Json = None,
-    force: Force = False,
+    output: o.CalibrationOutput,
+    known: o.Known = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+    config_file: o.ConfigFile = None,
+    processes: o.Processes = None,
 ) -> None:
     """Lever arms, limb lengths, IMU mounting, from visible motion.
 
     Several recordings are solved together. An existing calibration file is updated, without --force: the
     arm's values are replaced, everything else is kept. With IMUs on both arms, each arm is calibrated
     separately.
+
+    Example: unocclude calibrate motion a.mcap b.mcap -o arm.toml
     """
     from calib.file import write_calibration
     from calib.motion.motion_calibration import calibrate_motion, motion_answer
 
-    twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
-    if twice:
-        raise typer.BadParameter(f"{twice[0]} is named twice; it would count twice")
-    inputs = [*recording_files, solving.config_file]
-    load_existing_calibration(output, Outputs(None, json_file, force), inputs, known=[known_file])
-    config = solving.config()
-    arms = _by_side(recording_files, known_file, solving.arm)
+    from .config import read_config
+
+    refuse_twice(recording_files)
+    load_existing_calibration(output, [json_file], force, [*recording_files, config_file], known)
+    config = read_config(config_file, processes)
+    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
+    arms = _by_side(recording_files, known, chosen)
     several = len(arms) > 1
     answers = []
-    for recordings, known in arms:
+    for recordings, given in arms:
         with error_prefix(recordings[0].arm_label) if several else nullcontext():
-            estimates = calibrate_motion(recordings, known, config)
+            estimates = calibrate_motion(recordings, given, config)
             if not estimates.calibration.lever_arms:
                 raise CalibrationError(
                     "only the strap was tracked, which is the IMU's own place: there is no lever arm to find"
@@ -158,10 +153,10 @@ def motion(
 def _by_side(
     recording_files: list[Path],
     known_file: Path | None,
-    selection: ArmSelection,
+    chosen: Selection,
 ) -> list[tuple[list[Recording], ArmCalibration | None]]:
     """The recordings of each arm, with what is known of it; one arm unless recordings have both."""
-    loaded = [(path, *arm) for path in recording_files for arm in load_arms(path, known_file, selection)]
+    loaded = [(path, *arm) for path in recording_files for arm in load_arms(path, known_file, **chosen)]
     for path, recording, _ in loaded:
         if recording.body is not None:
             raise CalibrationError(
@@ -183,49 +178,60 @@ def _by_side(
     return arms
 
 
+Sensor = Annotated[
+    str | None, o.option("The IMU, where the recording has several.", "--imu", metavar="TOPIC")
+]
+
+
 def imu(
-    recording_file: RecordingPath,
-    output: CalibrationOutput,
-    name: Imu = None,
+    recording_file: o.RecordingPath,
+    output: o.CalibrationOutput,
+    name: Sensor = None,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
     gravity: Annotated[
-        float,
-        typer.Option(
-            "--gravity", metavar="M/S^2", help="Gravity at the place of recording; `smooth` assumes 9.81."
-        ),
+        float, o.rare("Gravity where it was recorded; `smooth` assumes 9.81.", metavar="M/S^2")
     ] = 9.81,
-    to: Outputs = NO_FILES,
 ) -> None:
     """An IMU's offsets, scales and noise, from rest poses.
 
     Lay the sensor still for three seconds on each of its six sides and on six edges between them, in any
     order; rests are found automatically. One long rest (an hour) instead gives the noise.
+
+    Example: unocclude calibrate imu poses.mcap -o arm.toml --report imu.html
     """
     from calib.imu.imu_summary import imu_answer
     from calib.imu.sensor_calibration import calibrate_imu
 
     if not 9.7 <= gravity <= 9.9:
         raise typer.BadParameter("--gravity on Earth is between 9.76 and 9.84 m/s^2")
-    stream, notes = _load(recording_file, output, name, to)
+    stream, notes = _load(recording_file, output, name, [report, json_file], force)
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
-    finish(imu_answer(calibration), output, to, f"Accelerometer and gyroscope of {stream.name}", notes)
+    title = f"Accelerometer and gyroscope of {stream.name}"
+    finish(imu_answer(calibration), output, report, json_file, force, title, notes)
 
 
 def magnetometer(
-    recording_file: RecordingPath,
-    output: CalibrationOutput,
-    name: Imu = None,
-    to: Outputs = NO_FILES,
+    recording_file: o.RecordingPath,
+    output: o.CalibrationOutput,
+    name: Sensor = None,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
     """A magnetometer's hard and soft iron.
 
     Turn the sensor slowly about all its axes for a minute, on one spot and away from iron, until every side
     has pointed in every direction.
+
+    Example: unocclude calibrate magnetometer turning.mcap -o arm.toml
     """
     from calib.imu.imu_summary import magnetometer_answer
     from calib.imu.magnetometer import calibrate_magnetometer
 
-    stream, notes = _load(recording_file, output, name, to)
+    stream, notes = _load(recording_file, output, name, [report, json_file], force)
     if stream.mag is None:
         raise CalibrationError(
             f"{recording_file}: {stream.name} has no magnetometer; record its magnetic field as well."
@@ -233,61 +239,64 @@ def magnetometer(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
     answer = magnetometer_answer(calibration, stream.name)
-    finish(answer, output, to, f"Magnetometer of {stream.name}", notes)
+    finish(answer, output, report, json_file, force, f"Magnetometer of {stream.name}", notes)
 
 
-def _load(path: Path, output: Path, name: str | None, to: Outputs) -> tuple[ImuStream, list[str]]:
+def _load(
+    path: Path, output: Path, name: str | None, others: Paths, force: bool
+) -> tuple[ImuStream, list[str]]:
     """The stream to calibrate, once it is certain that the outputs can be written."""
     from calib.imu.sensor import sensors_in
 
     from ..io import read_imu
 
-    sensors_in(load_existing_calibration(output, to, [path]))
+    sensors_in(load_existing_calibration(output, others, force, [path]))
     stream, notes = read_imu(path, name)
     say(f"{path}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {stream.t_s[-1] - stream.t_s[0]:.0f} s")
     return stream, notes
 
 
 def forearm(
-    recording_file: RecordingPath,
-    output: CalibrationOutput,
+    recording_file: o.RecordingPath,
+    output: o.CalibrationOutput,
     from_s: Annotated[
-        float | None,
-        typer.Option("--from", metavar="S", help="Start of the held pose, s on the camera's clock."),
+        float | None, o.option("Start of the held pose, s on the camera's clock.", "--from", metavar="S")
     ] = None,
-    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="End of the held pose, s.")] = None,
+    to_s: Annotated[float | None, o.option("End of the held pose, s.", "--to", metavar="S")] = None,
     radius_m: Annotated[
-        float | None,
-        typer.Option(
-            "--radius-m",
-            min=0.005,
-            max=0.15,
-            help="Axis of the forearm to the sensor, measured with a ruler.",
-        ),
+        float | None, o.option("Axis of the forearm to the sensor, by ruler.", min=0.005, max=0.15)
     ] = None,
     strap_to_wrist_m: Annotated[
-        float | None,
-        typer.Option(
-            "--strap-to-wrist-m", min=-0.1, max=0.3, help="Strap to the wrist joint, measured with a ruler."
-        ),
+        float | None, o.option("Strap to the wrist joint, by ruler.", min=-0.1, max=0.3)
     ] = None,
-    solving: Solving = AS_USUAL,
-    to: Outputs = NO_FILES,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+    config_file: o.ConfigFile = None,
+    processes: o.Processes = None,
 ) -> None:
     """Lever arms, lengths, mounting, from a held pose.
 
     The forearm raised beside the head, palm to the camera, still for a second or more; motion in the same
     recording gives the sensor's orientation to the camera, and is compared with the pose. An existing
     calibration file is updated, without --force.
+
+    Example: unocclude calibrate forearm session.mcap -o arm.toml --report forearm.html
     """
     from calib.forearm.forearm_summary import forearm_answer
     from calib.forearm.held_pose import calibrate_forearm
 
+    from .config import read_config
+
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and to_s <= from_s):
         raise typer.BadParameter("--from and --to belong together, --to later than --from")
-    load_existing_calibration(output, to, [recording_file, solving.config_file])
-    config = solving.config()
-    recording, _ = load_arm(recording_file, None, solving.arm)
+    load_existing_calibration(output, [report, json_file], force, [recording_file, config_file])
+    config = read_config(config_file, processes)
+    recording, _ = load_arm(recording_file, imu=imu, skeleton=skeleton, side=side, body=body)
     calibration = calibrate_forearm(
         recording,
         from_s=from_s,
@@ -296,29 +305,31 @@ def forearm(
         strap_to_wrist_m=strap_to_wrist_m,
         config=config,
     )
-    answer = forearm_answer(calibration)
-    finish(answer, output, to, f"Forearm from a held pose: {recording.name}", recording.notes)
+    title = f"Forearm from a held pose: {recording.name}"
+    finish(forearm_answer(calibration), output, report, json_file, force, title, recording.notes)
 
 
 def cameras(
-    recording_files: Annotated[
-        list[Path],
-        typer.Argument(metavar="REC.mcap..", help="Recordings of the set-up.", show_default=False),
-    ],
-    output: CalibrationOutput,
-    arm: ArmSelection = ANY_ARM,
-    json_file: Json = None,
+    recording_files: Annotated[list[Path], o.argument("REC.mcap..", "Recordings of the set-up.")],
+    output: o.CalibrationOutput,
+    json_file: o.Json = None,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
 ) -> None:
     """Poses of further cameras, from joints seen by both.
 
     `smooth --calibration` uses the poses as priors and reports a camera that was moved since. Clock offsets
     belong to one recording: they are shown and not stored. An existing calibration file is updated.
+
+    Example: unocclude calibrate cameras session.mcap -o cal.toml
     """
     from calib.camera_poses import calibrate_cameras, cameras_answer
 
-    to = Outputs(None, json_file, True)
-    load_existing_calibration(output, to, recording_files)
-    recordings = [load_arm(path, None, arm)[0] for path in recording_files]
+    load_existing_calibration(output, [json_file], True, recording_files)
+    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
+    recordings = [load_arm(path, **chosen)[0] for path in recording_files]
     answer = cameras_answer(calibrate_cameras(recordings))
     notes = [note for recording in recordings for note in recording.notes]
-    finish(answer, output, to, "Poses of the cameras", notes)
+    finish(answer, output, None, json_file, True, "Poses of the cameras", notes)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import CalibrationError
+from . import options as o
 from .calibrate import error_prefix, finish, load_existing_calibration
-from .load import AS_USUAL, Solving, load_arm
-from .options import NO_FILES, CalibrationOutput, Depth, Files, Infrared, IntrinsicsFile, Outputs, PanelFile
+from .load import load_arm, refuse_twice
 
 if TYPE_CHECKING:
     from calib.clock.beeps import Beep
@@ -27,50 +27,50 @@ if TYPE_CHECKING:
 
 
 def panel(
-    output: CalibrationOutput,
+    output: o.CalibrationOutput,
     recording: Annotated[
-        Path | None,
-        typer.Argument(metavar="REC.mcap", help="Images, lens and mocap markers, instead of files."),
+        Path | None, o.argument("REC.mcap", "Images, lens and mocap markers, instead of files.")
     ] = None,
-    depth: Depth = None,
-    infrared: Infrared = None,
+    depth: o.Depth = None,
+    infrared: o.Infrared = None,
     markers: Annotated[
-        Files,
-        typer.Option(
-            "--markers",
+        o.Files,
+        o.option(
+            "Mocap markers of the same moment; CSV: marker,x,y,z in metres, any names and order.",
             metavar="M.csv|.trc|.c3d",
-            help="Mocap markers of the same moment; CSV: marker,x,y,z in metres, any names and order.",
         ),
     ] = None,
-    intrinsics_file: IntrinsicsFile = None,
-    panel_file: PanelFile = None,
-    mocap_sigma_mm: Annotated[
-        float,
-        typer.Option("--mocap-sigma-mm", min=0.001, max=20.0, help="Noise of a mocap marker, per axis."),
-    ] = 0.2,
-    to: Outputs = NO_FILES,
+    intrinsics: o.Intrinsics = None,
+    panel: o.Panel = None,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    mocap_sigma_mm: Annotated[float, o.rare("Noise of a mocap marker, per axis.", min=0.001, max=20.0)] = 0.2,
 ) -> None:
     """The camera's pose in motion capture, from a marker panel.
 
     Hold the panel still in each pose; --depth, --infrared and --markers are given once per pose, in the same
     order. The result is added to the calibration file, with sigma and a verdict.
+
+    Example: unocclude calibrate panel --depth d.png --infrared i.png --markers m.csv --intrinsics k.toml
+    --panel panel.toml -o cal.toml
     """
     from calib.panel.definition import read_panel
     from calib.panel.panel_calibration import calibrate_panel
     from calib.panel.panel_table import panel_answer
 
     depths, infrareds, marked = depth or [], infrared or [], markers or []
-    if panel_file is None:
+    if panel is None:
         raise typer.BadParameter("give --panel (marker positions and outline of the panel)")
-    inputs = [*depths, *infrareds, *marked, panel_file, intrinsics_file, recording]
-    load_existing_calibration(output, to, inputs)
-    known = read_panel(panel_file)
+    inputs = [*depths, *infrareds, *marked, panel, intrinsics, recording]
+    load_existing_calibration(output, [report, json_file], force, inputs)
+    known = read_panel(panel)
     notes: list[str] = []
     with pictured(output.with_name(f"{output.stem}.seen.png")):
-        views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file, notes)
+        views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics, notes)
         calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
-    answer = panel_answer(calibration)
-    finish(answer, output, to, "Camera from motion capture, by the marker panel", notes)
+    title = "Camera from motion capture, by the marker panel"
+    finish(panel_answer(calibration), output, report, json_file, force, title, notes)
 
 
 def _session(
@@ -95,21 +95,28 @@ def _session(
         from ..io.rig.panel import read_panel_session
 
         return read_panel_session(recording, positions, lens, notes)
-    if not depths:
-        raise typer.BadParameter("give --depth, --infrared and --markers once per pose, or a recording")
-    if not len(depths) == len(infrareds) == len(marked):
-        raise typer.BadParameter(
-            f"--depth, --infrared and --markers must be given alike often, once per pose; they are given"
-            f" {len(depths)}, {len(infrareds)} and {len(marked)} times"
-        )
+    files = {"--depth": depths, "--infrared": infrareds, "--markers": marked}
+    _check_alike(files)
     if lens is None:
         raise typer.BadParameter("give --intrinsics with --depth")
-    for what, files in (("--depth", depths), ("--infrared", infrareds), ("--markers", marked)):
-        twice = [str(path) for path in files if files.count(path) > 1]
-        if twice:
-            raise typer.BadParameter(f"{what} {twice[0]} is given twice; it would count twice")
+    for name, paths in files.items():
+        refuse_twice(paths, f"{name} ")
     views = [read_view(d, i) for d, i in zip(depths, infrareds, strict=True)]
     return views, positions, lens
+
+
+def _check_alike(files: dict[str, list[Path]]) -> None:
+    """Refuse files that are not given once per pose."""
+    *first, last = files
+    names = f"{', '.join(first)} and {last}"
+    counts = [len(paths) for paths in files.values()]
+    if not counts[0]:
+        raise typer.BadParameter(f"give {names} once per pose, or a recording")
+    if len(set(counts)) > 1:
+        raise typer.BadParameter(
+            f"{names} must be given alike often, once per pose; they are"
+            f" given {', '.join(map(str, counts[:-1]))} and {counts[-1]} times"
+        )
 
 
 @contextmanager
@@ -133,51 +140,47 @@ def pictured(path: Path) -> Iterator[None]:
 
 
 def world(
-    output: CalibrationOutput,
+    output: o.CalibrationOutput,
     recording: Annotated[
-        Path | None,
-        typer.Argument(metavar="[REC.mcap]", help="The session with images, lens and both IMUs."),
+        Path | None, o.argument("[REC.mcap]", "The session with images, lens and both IMUs.")
     ] = None,
-    depth: Depth = None,
-    infrared: Infrared = None,
+    depth: o.Depth = None,
+    infrared: o.Infrared = None,
     panel_imu: Annotated[
-        Files,
-        typer.Option(
-            "--panel-imu",
+        o.Files,
+        o.option(
+            "Samples of the IMU on the panel in that pose: t_s, ax, ay, az, gx, gy, gz [, mx, my, mz].",
             metavar="P.csv",
-            help="Samples of the IMU on the panel in that pose: t_s, ax, ay, az, gx, gy, gz [, mx, my, mz].",
         ),
     ] = None,
-    base_imu: Annotated[
-        Files, typer.Option("--base-imu", metavar="B.csv", help="Those of the IMU on the camera.")
-    ] = None,
-    intrinsics_file: IntrinsicsFile = None,
-    panel_file: PanelFile = None,
-    panel_topic: Annotated[
-        str, typer.Option("--panel-topic", metavar="TOPIC", help="In a recording: the IMU on the panel.")
-    ] = "panel",
-    base_topic: Annotated[
-        str, typer.Option("--base-topic", metavar="TOPIC", help="In a recording: the IMU on the camera.")
-    ] = "base",
-    to: Outputs = NO_FILES,
+    base_imu: Annotated[o.Files, o.option("Those of the IMU on the camera.", metavar="B.csv")] = None,
+    intrinsics: o.Intrinsics = None,
+    panel: o.Panel = None,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    panel_topic: Annotated[str, o.rare("In a recording: the IMU on the panel.", metavar="TOPIC")] = "panel",
+    base_topic: Annotated[str, o.rare("In a recording: the IMU on the camera.", metavar="TOPIC")] = "base",
 ) -> None:
     """The orientation of an IMU on the camera, for gravity.
 
     Hold the panel, with an IMU on it, still for two seconds in each pose. From a recording of the whole
     session the gyroscopes link the poses; from files each pose is independent. The result is added to
     the calibration file; `smooth --calibration` then takes gravity from the recording's base IMU.
+
+    Example: unocclude calibrate world session.mcap --panel panel.toml -o cal.toml
     """
     from calib.panel.definition import read_intrinsics, read_panel
     from calib.world.panel_view import calibrate_world_from_views
     from calib.world.world_table import world_answer
 
     images = (depth or [], infrared or [], panel_imu or [], base_imu or [])
-    if panel_file is None:
+    if panel is None:
         raise typer.BadParameter("give --panel (marker positions and outline of the panel)")
-    inputs = [*(path for paths in images for path in paths), panel_file, intrinsics_file, recording]
-    held = load_existing_calibration(output, to, inputs)
-    known = read_panel(panel_file)
-    lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
+    inputs = [*(path for paths in images for path in paths), panel, intrinsics, recording]
+    held = load_existing_calibration(output, [report, json_file], force, inputs)
+    known = read_panel(panel)
+    lens = read_intrinsics(intrinsics) if intrinsics is not None else None
     if recording is not None:
         if any(images):
             raise typer.BadParameter("give either a recording or files, not both")
@@ -190,7 +193,7 @@ def world(
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
     answer = world_answer(calibration)
-    finish(answer, output, to, "Camera from base IMU, by the panel", notes)
+    finish(answer, output, report, json_file, force, "Camera from base IMU, by the panel", notes)
 
 
 def _from_files(
@@ -202,16 +205,8 @@ def _from_files(
 
     from ..io.tables.columns import read_imu_table
 
-    counts = [len(each) for each in (depths, infrareds, panels, bases)]
-    if not depths:
-        raise typer.BadParameter(
-            "give --depth, --infrared, --panel-imu and --base-imu once per pose, or a recording"
-        )
-    if len(set(counts)) > 1:
-        raise typer.BadParameter(
-            "--depth, --infrared, --panel-imu and --base-imu must be given alike often, once per pose; they "
-            f"are given {', '.join(map(str, counts[:-1]))} and {counts[-1]} times"
-        )
+    names = ("--depth", "--infrared", "--panel-imu", "--base-imu")
+    _check_alike(dict(zip(names, (depths, infrareds, panels, bases), strict=True)))
     views = [read_view(d, i) for d, i in zip(depths, infrareds, strict=True)]
     on_panel = [read_imu_table(path, "panel") for path in panels]
     on_base = [read_imu_table(path, "base") for path in bases]
@@ -237,96 +232,65 @@ def _from_recording(
     return session.views, session.times_s, [session.panel] * count, [session.base] * count, lens, notes
 
 
-#: Clock of the sound, clock of the event time, by default.
-SOUND_CLOCKS = "camera,base"
-
-
 def clock(
     sound: Annotated[
-        Path | None,
-        typer.Option(
-            "--sound", metavar="BEEP.wav", help="The camera's sound: WAV, or MCAP with an audio topic."
-        ),
+        Path | None, o.option("The camera's sound: WAV, or MCAP with an audio topic.", metavar="BEEP.wav")
     ] = None,
     event_time: Annotated[
         list[float] | None,
-        typer.Option(
-            "--event-time", metavar="T", help="When the beep ended on the IMU's clock, s; once for each beep."
-        ),
+        o.option("When the beep ended on the IMU's clock, s; once for each beep.", metavar="T"),
     ] = None,
-    broadcast: Annotated[
-        Path | None,
-        typer.Option("--broadcast", metavar="TIMES.csv", help="Receptions: round,node,t_s."),
-    ] = None,
+    broadcast: Annotated[Path | None, o.option("Receptions: round,node,t_s.", metavar="TIMES.csv")] = None,
     motion: Annotated[
-        Path | None,
-        typer.Option(
-            "--motion", metavar="REC.mcap", help="A recording with the arm in motion; needs no equipment."
-        ),
+        Path | None, o.option("A recording with the arm in motion; no equipment.", metavar="REC.mcap")
+    ] = None,
+    known: Annotated[
+        Path | None, o.option("With --motion: calibration with the IMU's mounting.", metavar="CAL.toml")
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="CAL.toml", help="Calibration file to store the offsets in."),
+        Path | None, o.option("Calibration file for the offsets.", "-o", "--output", metavar="CAL.toml")
     ] = None,
-    session: Annotated[
-        str | None, typer.Option("--session", metavar="NAME", help="Name of the session in the file.")
-    ] = None,
+    session: Annotated[str | None, o.option("Name of the session in the file.", metavar="NAME")] = None,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
     sound_clocks: Annotated[
         str | None,
-        typer.Option(
-            "--sound-clocks",
+        o.rare(
+            "Of sound and event time.  [default: camera,base, or the node with `base` in its name]",
             metavar="A,B",
-            help="Clocks of the sound and of the event time.  [default: camera,base, or the node with"
-            " `base` in its name]",
         ),
     ] = None,
     motion_clocks: Annotated[
-        str | None,
-        typer.Option(
-            "--motion-clocks", metavar="A,B", help="Camera's and IMU's clock [camera, the IMU's name]."
-        ),
+        str | None, o.rare("Camera's and IMU's clock [camera, the IMU's name].", metavar="A,B")
     ] = None,
-    audio_topic: Annotated[
-        str | None, typer.Option("--audio-topic", metavar="TOPIC", help="The audio, where there are several.")
-    ] = None,
-    audio_rate_hz: Annotated[
-        int,
-        typer.Option(
-            "--audio-rate-hz", min=4000, help="Of a ROS audio topic (16-bit PCM), which does not state it."
-        ),
-    ] = 16000,
+    audio_topic: Annotated[str | None, o.rare("The audio, where there are several.", metavar="TOPIC")] = None,
+    audio_rate_hz: Annotated[int, o.rare("Of a ROS audio topic (16-bit PCM).", min=4000)] = 16000,
     sound_start: Annotated[
-        float,
-        typer.Option("--sound-start", metavar="S", help="Time of a WAV's first sample on the sound's clock."),
+        float, o.rare("Time of a WAV's first sample on the sound's clock.", metavar="S")
     ] = 0.0,
-    tone_hz: Annotated[
-        float | None, typer.Option("--tone-hz", help="The buzzer's tone, where it is known.")
-    ] = None,
-    distance_m: Annotated[
-        float, typer.Option("--distance-m", min=0.0, max=20.0, help="Buzzer to microphone.")
-    ] = 0.0,
-    resolution_ms: Annotated[
-        float,
-        typer.Option("--resolution-ms", min=1e-6, help="Step of the broadcast's and the event's stamps."),
-    ] = 0.3125,
-    known_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--known", metavar="CAL.toml", help="With --motion: calibration file with the IMU's mounting."
-        ),
-    ] = None,
-    solving: Solving = AS_USUAL,
-    to: Outputs = NO_FILES,
+    tone_hz: Annotated[float | None, o.rare("The buzzer's tone, where it is known.")] = None,
+    distance_m: Annotated[float, o.rare("Buzzer to microphone.", min=0.0, max=20.0)] = 0.0,
+    resolution_ms: Annotated[float, o.rare("Step of broadcast and event stamps.", min=1e-6)] = 0.3125,
+    config_file: o.ConfigFile = None,
+    processes: o.Processes = None,
 ) -> None:
     """Clock offsets and drift, by sound, broadcast or motion.
 
     t_to = t_from + offset. Offsets belong to this session: `smooth` takes them from this file as a prior.
+
+    Example: unocclude calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv
     """
     from calib.clock.clock_calibration import calibrate_clocks, clock_answer
     from calib.clock.links import beep_receptions, beeps_of_tracks, buzzer_node
     from calib.clock.motion_clock import clock_from_motion
 
     from ..io.rig.clock import read_broadcast, read_sound
+    from .config import read_config
 
     if sound is None and broadcast is None and motion is None:
         raise typer.BadParameter("give --sound with --event-time, --broadcast, --motion, or several of them")
@@ -334,9 +298,9 @@ def clock(
         raise typer.BadParameter("--sound and --event-time belong together")
     if not all(isfinite(t) for t in event_time or []):
         raise typer.BadParameter("--event-time takes seconds on the IMU's clock")
-    clocks = _two("--sound-clocks", sound_clocks or SOUND_CLOCKS)
-    inputs = [sound, broadcast, motion, solving.config_file]
-    load_existing_calibration(output, to, inputs, known=[known_file])
+    clocks = _two("--sound-clocks", sound_clocks or "camera,base")
+    inputs = [sound, broadcast, motion, config_file]
+    load_existing_calibration(output, [report, json_file], force, inputs, known)
     receptions: list[Receptions] = []
     beeps: list[Beep] = []
     clock_in_motion: MotionClock | None = None
@@ -360,16 +324,16 @@ def clock(
             )
         receptions.insert(0, own)
     if motion is not None:
-        config = solving.config()
-        recording, known = load_arm(motion, known_file, solving.arm)
+        config = read_config(config_file, processes)
+        recording, given = load_arm(motion, known, imu=imu, skeleton=skeleton, side=side, body=body)
         names = _two("--motion-clocks", motion_clocks or f"camera,{recording.imu.name.rpartition('/')[2]}")
-        clock_in_motion = clock_from_motion(recording, known, config, names)
+        clock_in_motion = clock_from_motion(recording, given, config, names)
         origin_ns = recording.origin_ns
         notes += recording.notes
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
     calibration = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
-    answer = clock_answer(calibration)
-    finish(answer, output, to, f"Clocks: {calibration.session}", notes)
+    title = f"Clocks: {calibration.session}"
+    finish(clock_answer(calibration), output, report, json_file, force, title, notes)
 
 
 def _two(option: str, text: str) -> tuple[str, str]:

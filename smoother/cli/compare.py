@@ -11,24 +11,13 @@ import typer
 
 from ..errors import UnoccludeError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
+from . import options as o
 from .arm_output import arms_figures, each_arm, say_arm, warn
-from .load import EVERY_ARM, ArmInput
+from .load import ArmInput
 from .methods import baseline_settings, choose, with_strap
-from .options import (
-    NO_FILES,
-    Align,
-    BoundaryS,
-    ConfigFile,
-    LatencyS,
-    Live,
-    Orientation,
-    Outputs,
-    Processes,
-    RecordingPath,
-    SolveLeverArms,
-)
 from .output import (
     check_outputs,
+    part_of,
     print_notes,
     progress_bar,
     say,
@@ -40,126 +29,120 @@ from .output import (
 if TYPE_CHECKING:
     from ..evaluation.compare import Comparison
     from ..evaluation.reference import ReferenceAlignment
+    from ..io.recording.choose import Selection
     from ..recording import Recording, Truth
     from ..result import Recovery
 
 
-def print_comparison(comparison: Comparison) -> None:
-    """Print the tables of a comparison."""
-    errors, joints, lags = comparison.tables
-    show(errors)
-    show(joints)
-    say(comparison.camera_words)
-    show(lags)
-
-
 def compare(
-    recording_file: RecordingPath,
-    truth_file: Annotated[
+    recording_file: o.RecordingPath,
+    truth: Annotated[
         Path | None,
-        typer.Option(
-            "--truth",
-            metavar="TRUTH",
-            help="As `validate` takes it (.c3d, .trc, .csv, .mcap); without it the recording's own truth.",
-            show_default=False,
-        ),
+        o.option("As `validate` takes it; without it the recording's own truth.", metavar="TRUTH"),
     ] = None,
     methods: Annotated[
-        str,
-        typer.Option(
-            "--methods", metavar="M,M,..", help=f"Methods to compare, or all: {', '.join(METHODS)}."
-        ),
+        str, o.option(f"Methods to compare, or all: {', '.join(METHODS)}.", metavar="M,M,..")
     ] = "all",
-    orientation: Orientation = None,
-    boundary_s: BoundaryS = None,
-    source: ArmInput = EVERY_ARM,
     markers: Annotated[
-        Path | None,
-        typer.Option("--markers", metavar="MAP.toml", help="Which markers of the truth form a joint."),
+        Path | None, o.option("Which markers of the truth form a joint.", metavar="MAP.toml")
     ] = None,
-    align: Align = False,
-    config_file: ConfigFile = None,
-    live: Live = False,
-    latency_s: LatencyS = 0.1,
-    solve_lever_arms: SolveLeverArms = False,
-    processes: Processes = None,
-    to: Outputs = NO_FILES,
+    align: o.Align = False,
+    calibration: o.Calibration = None,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+    mirror: o.Mirror = None,
+    swap: o.Swap = None,
+    negate: o.Negate = None,
+    camera_frame: o.CameraAxes = None,
+    clock_offset: o.ClockOffset = None,
+    clock_sigma: o.ClockSigma = None,
+    config_file: o.ConfigFile = None,
+    orientation: o.Orientation = None,
+    boundary_s: o.BoundaryS = None,
+    solve_lever_arms: o.SolveLeverArms = False,
+    live: o.Live = False,
+    latency: o.Latency = 0.1,
+    processes: o.Processes = None,
 ) -> None:
     """Compare all methods on a recording with truth.
 
     The graph runs once; the other methods get its calibration, its clock and the camera samples that it
     accepted. No method sees the truth. With `--live` also what would have been shown live: by the live
     smoother and by two simple methods.
+
+    Example: unocclude compare session.mcap --truth trial.c3d --markers map.toml --report c.html
     """
     from ..evaluation.compare import compare
     from .config import read_config
 
-    names = choose(methods)
-    if live:
-        names = [*names, *LIVE_METHODS]
+    names = [*choose(methods), *(LIVE_METHODS if live else ())]
     settings = baseline_settings(names, orientation, boundary_s)
-    source.check()
-    inputs = [recording_file, truth_file, source.calibration_file, markers, config_file]
-    check_outputs(to.force, [to.report, to.json_file], inputs)
+    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
+    source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
+    inputs = [recording_file, truth, calibration, markers, config_file]
+    check_outputs(force, [report, json_file], inputs)
     config = read_config(config_file, processes)
     arms = source.load(recording_file)
     recordings = [recording for recording, _ in arms]
     for recording in recordings:
-        _check_truth(recording_file, recording, truth_file, markers, align, several=len(arms) > 1)
-
+        _check_truth(recording_file, recording, truth, markers, align, several=len(arms) > 1)
     recovered: dict[int, Recovery] = {}
 
     def compare_arm(place: int) -> Comparison:
-        recording, calibration = arms[place]
-        clock = source.clock(recording)
-        given = with_strap(calibration, recording) if solve_lever_arms else calibration
+        recording, given = arms[place]
+        given = with_strap(given, recording) if solve_lever_arms else given
         blind = replace(recording, truth=None)
-
-        def report_part(part: float, name: str) -> None:
-            progress((place + part) / len(arms), name)
-
+        of_arm = part_of(progress, place, len(arms))
         running = make_methods(
             [GRAPH, *names],
             given,
             config,
             settings,
-            lambda part, _: report_part(part / 2, GRAPH),
-            clock=clock,
-            latency_s=latency_s,
+            lambda part, _: of_arm(part / 2, GRAPH),
+            clock=source.clock(recording),
+            latency_s=latency,
         )
-        graph = running[GRAPH](blind)
-        recovered[place] = graph
-        truth, alignment = truth_for(
-            recording, graph, truth_file, markers=markers, calibration=source.calibration_file, align=align
+        graph = recovered[place] = running[GRAPH](blind)
+        own, alignment = truth_for(
+            recording, graph, truth, markers=markers, calibration=calibration, align=align
         )
         return compare(
             blind,
             graph,
-            truth,
+            own,
             {name: running[name] for name in names},
             alignment,
-            lambda part, name: report_part((1 + part) / 2, name),
+            lambda part, name: of_arm((1 + part) / 2, name),
             config.windows.processes,
         )
 
     with progress_bar("comparing") as progress:
         compared, left_out = each_arm(recordings, compare_arm)
-    if to.report is not None:
-        write_page(compared, to.report, to.force)
-    each = []
+    if report is not None:
+        write_page(compared, report, force)
+    each, notes = [], []
     for recording, comparison in compared:
+        notes.append([*recording.notes, *left_out, *comparison.notes])
+        estimates = recovered[next(k for k, one in enumerate(recordings) if one is recording)].estimates
         figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
-        estimates = recovered[next(k for k, each in enumerate(recordings) if each is recording)].estimates
         figures |= {"trusted": estimates.trusted, "verdict": estimates.verdict}
-        figures["notes"] = list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes]))
-        each.append(figures)
-    write_json(to.json_file, arms_figures([recording for recording, _ in compared], each), to.force)
+        each.append(figures | {"notes": list(dict.fromkeys(notes[-1]))})
+    write_json(json_file, arms_figures([recording for recording, _ in compared], each), force)
     warn(list(recovered.values()))
-    for recording, comparison in compared:
+    for (recording, comparison), of_arm in zip(compared, notes, strict=True):
         say_arm(recording, len(compared))
-        print_comparison(comparison)
-        print_notes([*recording.notes, *left_out, *comparison.notes])
-    say_written(to.report, to.json_file)
+        errors, joints, lags = comparison.tables
+        show(errors)
+        show(joints)
+        say(comparison.camera_words)
+        show(lags)
+        print_notes(of_arm)
+    say_written(report, json_file)
 
 
 def write_page(compared: Sequence[tuple[Recording, Comparison]], path: Path, force: bool) -> None:

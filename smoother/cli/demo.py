@@ -12,17 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..runtime.packages import OPEN3D, extra_module
-from ..table import cell_text, centimetres
+from ..table import Table, centimetres
+from . import options as o
 from .arm_output import say_untrusted_parts, say_verdict
-from .options import ConfigFile, Force, Json, Processes
-from .output import (
-    check_outputs,
-    print_table,
-    progress_bar,
-    say,
-    say_command,
-    write_json,
-)
+from .output import check_outputs, progress_bar, say, say_command, show, write_json
 
 if TYPE_CHECKING:
     from ..evaluation.validate import Validation
@@ -36,14 +29,15 @@ SEED = 1
 def demo(
     folder: Annotated[
         Path,
-        typer.Option(
-            "-o", "--output", metavar="FOLDER", help="Where to write; files of an earlier demo are replaced."
-        ),
+        o.option("Where to write; an earlier demo is replaced.", "-o", "--output", metavar="FOLDER"),
     ] = Path("out/demo"),
-    processes: Processes = None,
-    json_file: Json = None,
+    processes: o.Processes = None,
+    json_file: o.Json = None,
 ) -> None:
-    """Recover a small recording, validate it, write a report."""
+    """Recover a small recording, validate it, write a report.
+
+    Example: unocclude demo
+    """
     from .. import smooth
     from ..evaluation.validate import validate
     from ..io import read_recording, write_recovery
@@ -94,30 +88,20 @@ def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
     from ..evaluation.summary import error_figures, gap_summaries
 
     errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for summary in gap_summaries(recovery):
-        figures = errors.get(summary.gap.start_s)
-        rows.append(
-            (
-                f"{summary.gap.start_s:.2f}",
-                f"{summary.gap.length_s:.2f}",
-                centimetres(summary.error_95_m),
-                *(
-                    ("-", "-", "-")
-                    if figures is None
-                    else (
-                        centimetres(figures.position_p95_m),
-                        centimetres(figures.position_max_m),
-                        cell_text(figures.orientation_rms_deg),
-                    )
-                ),
-            )
-        )
+        found = errors.get(summary.gap.start_s)
+        about = (f"{summary.gap.start_s:.2f}", f"{summary.gap.length_s:.2f}", centimetres(summary.error_95_m))
+        if found is None:
+            rows.append((*about, None, None, None))
+        else:
+            errors_cm = (centimetres(found.position_p95_m), centimetres(found.position_max_m))
+            rows.append((*about, *errors_cm, found.orientation_rms_deg))
     columns = (
         *("gap starts, s", "length, s", "stated within, cm"),
         *("95 % within, cm", "error max, cm", "error rms, deg"),
     )
-    print_table(f"{recovery.name}: the forearm where the camera did not see it", columns, rows)
+    show(Table(f"{recovery.name}: the forearm where the camera did not see it", columns, rows))
     if validation is not None and validation.occluded.position_p95_m is not None:
         stated_m = error_figures(recovery)["occluded"]["all"]
         stated = "" if stated_m is None else f" (stated: {in_cm(stated_m)})"
@@ -157,8 +141,11 @@ PACKAGES = (
 )
 
 
-def doctor(json_file: Json = None, force: Force = False) -> None:
-    """Check the installation."""
+def doctor(json_file: o.Json = None, force: o.Force = False) -> None:
+    """Check the installation.
+
+    Example: unocclude doctor
+    """
     check_outputs(force, [json_file])
     checks = [("python", True, f"{platform.python_version()} on {platform.platform()}")]
     checks += [check_version(name) for name in (*PACKAGES, OPEN3D)]
@@ -168,7 +155,8 @@ def doctor(json_file: Json = None, force: Force = False) -> None:
     checks.append(("memory", True, memory()))
     figures = {name: {"ok": good, "found": text} for name, good, text in checks}
     write_json(json_file, figures, force)
-    print_table("Installation", ("part", "ok", "found"), [(n, "yes" if g else "NO", t) for n, g, t in checks])
+    rows = [(name, "yes" if good else "NO", text) for name, good, text in checks]
+    show(Table("Installation", ("part", "ok", "found"), rows))
     bad = [name for name, good, _ in checks if not good]
     if bad:
         print(f"unocclude: not usable: {', '.join(bad)}; run `make setup`, or install again", file=sys.stderr)
@@ -233,8 +221,11 @@ def memory() -> str:
     return f"{total / 2**30:.1f} GiB"
 
 
-def config(config_file: ConfigFile = None, json_file: Json = None, force: Force = False) -> None:
-    """Print the configuration as TOML."""
+def config(config_file: o.ConfigFile = None, json_file: o.Json = None, force: o.Force = False) -> None:
+    """Print the configuration as TOML.
+
+    Example: unocclude config > settings.toml
+    """
     from .config import read_config, to_toml
 
     check_outputs(force, [json_file], [config_file])
@@ -249,29 +240,22 @@ FOLDER = Path("unocclude")
 
 def app(
     port: Annotated[
-        int | None,
-        typer.Option(
-            "--port", metavar="N", min=0, max=65535, help="Port of the page.  [default: a free one]"
-        ),
+        int | None, o.rare("Port of the page.  [default: a free one]", min=0, max=65535, metavar="N")
     ] = None,
     folder: Annotated[
         Path | None,
-        typer.Option(
-            "--folder",
-            metavar="DIR",
-            help="Folder for recordings and results; created if missing.  [default: unocclude, in your home"
-            " folder]",
-            show_default=False,
-        ),
+        o.option("Of recordings and results.  [default: unocclude, in your home folder]", metavar="DIR"),
     ] = None,
     no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the address only, without opening a browser.")
+        bool, o.option("Print the address only, without opening a browser.", "--no-browser")
     ] = False,
 ) -> None:
     """Open the local page: from files to report in the browser.
 
     The printed address contains a token, which is required. Other computers cannot open the page.
     Ctrl-C ends it: what is running then is stopped and can be repeated, all else is kept in the folder.
+
+    Example: unocclude app --folder recordings
     """
     for name, package in (("uvicorn", "uvicorn"), ("starlette", "starlette")):
         extra_module(name, package, "app")

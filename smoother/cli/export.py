@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
 from ..errors import UnoccludeError
+from . import options as o
 from .arm_output import warn
 from .load import camera_frame_of, damage, load_recoveries
-from .options import Body, Force, Json, Output, Result, Side, one_side
-from .output import check_outputs, print_notes, say, say_written, write_json
+from .output import check_outputs, print_notes, say, say_written, write_json, write_text
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
@@ -19,110 +19,66 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "sto", "rrd", "bids")
-ORIGINS = ("camera", "shoulder")
-FRAMES = ("camera", "opensim")
+Format = Literal["csv", "trc", "mot", "c3d", "parquet", "sto", "rrd", "bids"]
+FORMATS = get_args(Format)
 #: Endings of files that are none of these.
 NO_FORMATS = ("osim", "mcap", "html", "json", "toml", "mat", "xlsx")
 
 
 def export(
-    result: Result,
-    output: Output,
-    format_name: Annotated[
-        str, typer.Option("--format", metavar="|".join(FORMATS), help="Format to write.", show_default=False)
-    ],
-    side: Side = None,
-    body: Body = None,
+    result: o.Result,
+    output: o.Output,
+    format_name: Annotated[Format, o.option("Format to write.", "--format")],
+    side: o.Side = None,
+    body: o.Body = None,
     frame: Annotated[
-        str | None,
-        typer.Option(
-            "--frame",
-            metavar="|".join(FRAMES),
-            help="Axes of trc (default opensim) and c3d (default camera); opensim: y up against gravity, x"
-            " level towards the camera, origin in the camera.",
-            show_default=False,
+        Literal["camera", "opensim"] | None,
+        o.option(
+            "Axes of trc (default opensim) and c3d (default camera); opensim: y up against gravity, x"
+            " level towards the camera, origin in the camera."
         ),
     ] = None,
     rate: Annotated[
         float | None,
-        typer.Option(
-            "--rate",
-            metavar="HZ",
-            help="Rows per second of trc, mot and c3d.  [default: the IMU's]",
-            show_default=False,
-        ),
+        o.option("Rows per second of trc, mot and c3d.  [default: the IMU's]", metavar="HZ"),
     ] = None,
     origin: Annotated[
-        str | None,
-        typer.Option(
-            "--origin",
-            metavar="|".join(ORIGINS),
-            help="Origin of trc and c3d: the camera, or the shoulder's median position.  [default: camera]",
-            show_default=False,
-        ),
+        Literal["camera", "shoulder"] | None,
+        o.option("Of trc and c3d: the camera, or the shoulder's median position.  [default: camera]"),
     ] = None,
     draws: Annotated[
-        bool,
-        typer.Option("--draws", help="For parquet: write the drawn motions instead of the result."),
+        bool, o.option("For parquet: write the drawn motions instead of the result.", "--draws")
     ] = False,
+    json_file: o.Json = None,
+    force: o.Force = False,
     subject: Annotated[
-        str | None,
-        typer.Option(
-            "--subject",
-            metavar="LABEL",
-            help="For bids: participant.  [default: the result's name]",
-            show_default=False,
-        ),
+        str | None, o.rare("For bids: participant.  [default: the result's name]", metavar="LABEL")
     ] = None,
-    session: Annotated[
-        str | None,
-        typer.Option("--session", metavar="LABEL", help="For bids: session.", show_default=False),
-    ] = None,
-    task: Annotated[
-        str | None,
-        typer.Option("--task", metavar="LABEL", help="For bids: task.  [default: arm]", show_default=False),
-    ] = None,
+    session: Annotated[str | None, o.rare("For bids: session.", metavar="LABEL")] = None,
+    task: Annotated[str | None, o.rare("For bids: task.  [default: arm]", metavar="LABEL")] = None,
     recording: Annotated[
-        Path | None,
-        typer.Option(
-            "--recording",
-            metavar="REC.mcap",
-            help="For bids: what the result was made from; its joints and IMUs are the raw data.",
-            show_default=False,
-        ),
+        Path | None, o.rare("For bids: what the result was made from, as raw data.", metavar="REC.mcap")
     ] = None,
-    json_file: Json = None,
-    force: Force = False,
 ) -> None:
     """Write a result for OpenSim, MATLAB, R and others.
 
-    Several arms give one file each; rrd and bids contain all of them.
+    Several arms give one file each; rrd and bids contain all of them. docs/exports.md describes each format.
+    Stretches that are not to be trusted are printed to stderr and marked in the file.
 
-    csv and parquet: one row per sample of the forearm IMU with poses, joints and sigmas, in metres and the
-    camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
-    before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
-    angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
-    straight line bridges a stretch without an answer. sto: orientations of all IMUs for OpenSim's
-    OpenSense, rows without one left out. bids: a session of a Motion-BIDS data set, the folder OUTPUT,
-    which is begun or added to: camera and IMUs as they were recorded, the recovered arm as a derivative.
-    rrd: a recording of Rerun with its views, all arms in one file; `unocclude view` opens it (needs
-    `pip install '.[view]'`).
-
-    Stretches that are not to be trusted are printed to stderr and marked in the file: column or channel
-    `trusted`, dark red in rrd.
+    Example: unocclude export recovered.mcap --format trc -o recovered.trc
     """
+    from .. import __version__
+    from ..io.export.prepare import DEFAULT_FRAME, prepare_export
     from ..result.untrusted import untrusted_sentences
 
-    _check(format_name, frame, rate, origin)
+    _check(format_name, output, frame, rate, origin)
     if draws and format_name != "parquet":
         raise typer.BadParameter(f"--draws is for parquet, not for {format_name}")
     if format_name != "bids" and (subject or session or task or recording):
         raise typer.BadParameter(
             f"--subject, --session, --task and --recording are for bids, not for {format_name}"
         )
-    _check_ending(output, format_name)
-    recoveries = load_recoveries(result, one_side(side), body)
+    recoveries = load_recoveries(result, side, body)
     if format_name == "bids":
         _bids(result, recoveries, output, (subject, session, task), recording, json_file, force)
         return
@@ -130,11 +86,13 @@ def export(
     files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
     # All arms are ready before the first is written.
-    exports = (
-        [prepared_rrd(result, recoveries)]
-        if together
-        else _prepared(result, recoveries, format_name, frame, rate, origin or "camera", draws)
-    )
+    if together:
+        exports = [prepared_rrd(result, recoveries)]
+    else:
+        wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
+        level_down = _level_down(result, recoveries) if wants_up else None
+        chosen = (format_name, frame, rate, level_down, __version__, origin or "camera", draws)
+        exports = [prepare_export(recovery, *chosen) for recovery in recoveries]
     for path, ready in zip(files, exports, strict=True):
         ready.write(path, force)
     figures = []
@@ -213,54 +171,24 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
     return names
 
 
-def _check_ending(output: Path, format_name: str) -> None:
-    """Refuse a name whose ending says another format."""
+def _check(format_name: str, output: Path, frame: str | None, rate: float | None, origin: str | None) -> None:
+    """Refuse what cannot be meant, before any work is done for it."""
+    from ..io.export.prepare import WITH_FRAME, WITH_RATE
+
+    for option, value, formats in (
+        ("--frame", frame, WITH_FRAME),
+        ("--origin", origin, WITH_FRAME),
+        ("--rate", rate, WITH_RATE),
+    ):
+        if value is not None and format_name not in formats:
+            raise typer.BadParameter(f"{option} is for {', '.join(formats)}, not for {format_name}")
+    if rate is not None and not 1 <= rate <= 10_000:
+        raise typer.BadParameter(f"--rate is between 1 and 10000 Hz, not {rate:g}")
     ending = output.suffix.lower().removeprefix(".")
     if ending != format_name and ending in (*FORMATS, *NO_FORMATS):
         other = f", or --format {ending}" if ending in FORMATS else ""
         name = output.with_suffix(f".{format_name}")
         raise typer.BadParameter(f"{output}: the output is {format_name}; name it {name}{other}")
-
-
-def _check(format_name: str, frame: str | None, rate: float | None, origin: str | None) -> None:
-    """Refuse what cannot be meant, before any work is done for it."""
-    from ..io.export.prepare import WITH_FRAME, WITH_RATE
-
-    if format_name not in FORMATS:
-        raise typer.BadParameter(
-            f"the format '{format_name}' is not available; formats: {', '.join(FORMATS)}"
-        )
-    for option, value, values, formats in (
-        ("--frame", frame, FRAMES, WITH_FRAME),
-        ("--origin", origin, ORIGINS, WITH_FRAME),
-        ("--rate", rate, (rate,), WITH_RATE),
-    ):
-        if value is not None and value not in values:
-            raise typer.BadParameter(f"{option} is {' or '.join(map(str, values))}, not '{value}'")
-        if value is not None and format_name not in formats:
-            raise typer.BadParameter(f"{option} is for {', '.join(formats)}, not for {format_name}")
-    if rate is not None and not 1 <= rate <= 10_000:
-        raise typer.BadParameter(f"--rate is between 1 and 10000 Hz, not {rate:g}")
-
-
-def _prepared(
-    result: Path,
-    recoveries: list[Recovery],
-    format_name: str,
-    frame: str | None,
-    rate: float | None,
-    origin: str,
-    draws: bool,
-) -> list[Export]:
-    from .. import __version__
-    from ..io.export.prepare import DEFAULT_FRAME, prepare_export
-
-    wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
-    level_down = _level_down(result, recoveries) if wants_up else None
-    return [
-        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws)
-        for recovery in recoveries
-    ]
 
 
 def _level_down(result: Path, recoveries: list[Recovery]) -> FloatArray | None:
@@ -281,37 +209,34 @@ def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
 
 
 def methods(
-    result: Result,
+    result: o.Result,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", metavar="FILE", help="What to write (Markdown), instead of printing it."
-        ),
+        o.option("What to write (Markdown), instead of printing it.", "-o", "--output", metavar="FILE"),
     ] = None,
-    side: Side = None,
-    body: Body = None,
-    json_file: Json = None,
-    force: Force = False,
+    side: o.Side = None,
+    body: o.Body = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
     """Write a paper's methods section: text, table, references.
 
     It states only what the file contains: sensors and rates, method and version, calibration,
     clocks, gaps, uncertainty, self-check, settings that are not the defaults. What the ISB's recommendations
     on reporting IMUs require beyond that is listed for you to fill in.
+
+    Example: unocclude methods recovered.mcap -o methods.md
     """
     from ..io.result.read import read_origin
     from ..report.methods import methods_section
-    from ..runtime.outputs import writing
 
     check_outputs(force, [output, json_file], [result])
-    recoveries = load_recoveries(result, one_side(side), body)
+    recoveries = load_recoveries(result, side, body)
     origin = read_origin(result)
     text, figures = methods_section(recoveries, origin.version, origin.title if origin.is_simulated else "")
     if output is None:
         print(text, end="")
-    else:
-        with writing(output, force) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+    write_text(output, text, force)
     write_json(json_file, figures, force)
     warn(recoveries)
     if output is not None:

@@ -12,30 +12,19 @@ import typer
 
 from ..errors import CalibrationError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
-from ..table import centimetres, percent
+from ..table import Table, centimetres, percent
+from . import options as o
 from .arm_output import each_arm
-from .load import EVERY_ARM, ArmInput
+from .load import ArmInput, refuse_twice
 from .methods import baseline_settings, choose, with_strap
-from .options import (
-    BoundaryS,
-    ConfigFile,
-    Force,
-    Json,
-    LatencyS,
-    Live,
-    Orientation,
-    Processes,
-    Report,
-    Seed,
-    SolveLeverArms,
-)
 from .output import (
     check_outputs,
+    part_of,
     print_notes,
-    print_table,
     progress_bar,
     say,
     say_written,
+    show,
     write_json,
 )
 
@@ -44,6 +33,7 @@ if TYPE_CHECKING:
 
     from ..calibration import ArmCalibration
     from ..evaluation.gap_table import GapTable, RealGaps, SinceFigures
+    from ..io.recording.choose import Selection
     from ..recording import Recording
 
 
@@ -59,53 +49,31 @@ def gap_figures(table: GapTable, real: RealGaps | None = None) -> dict[str, Any]
     return figures if real is None else figures | {"real_gaps": real.to_dict() | {"sentence": real.sentence}}
 
 
-def tables_by_arm(
-    recordings: Sequence[Recording], tables: Sequence[GapTable]
-) -> dict[tuple[str, int | None], GapTable]:
-    """The gaps of each side (and body), of all recordings together."""
-    from ..evaluation.gap_table import pooled
-
-    arms = sorted({(recording.side, recording.body) for recording in recordings}, key=str)
-    return {
-        arm: pooled(
-            [table for one, table in zip(recordings, tables, strict=True) if (one.side, one.body) == arm]
-        )
-        for arm in arms
-    }
-
-
-def print_gaps(table: GapTable, whose: str = "") -> None:
-    """Print error against gap length; `whose` goes into the title."""
+def gap_table(table: GapTable, whose: str = "") -> Table:
+    """Error against gap length; `whose` goes into the title."""
     reference = next((row.reference for row in table.rows if row.reference), "truth")
     against = "truth" if reference == "truth" else f"camera's hidden samples of the {reference}"
-    rows = []
-    for length, methods in table.lengths.items():
-        for name, result in methods.items():
-            figures = result.figures
-            distances = (
-                figures.position_rms_m,
-                figures.position_median_m,
-                figures.position_p95_m,
-                figures.position_max_m,
-            )
-            rows.append(
-                (
-                    f"{length:g}",
-                    name,
-                    *[None if value is None else f"{100 * value:.2f}" for value in distances],
-                    figures.nees,
-                    percent(figures.coverage_95),
-                    f"{result.gaps}" if not result.failed else f"{result.gaps} ({result.failed} failed)",
-                )
-            )
+    rows = [
+        (
+            f"{length:g}",
+            name,
+            centimetres(result.figures.position_rms_m),
+            centimetres(result.figures.position_median_m),
+            centimetres(result.figures.position_p95_m),
+            centimetres(result.figures.position_max_m),
+            result.figures.nees,
+            percent(result.figures.coverage_95),
+            f"{result.gaps}" if not result.failed else f"{result.gaps} ({result.failed} failed)",
+        )
+        for length, methods in table.lengths.items()
+        for name, result in methods.items()
+    ]
     columns = ("gap, s", "method", "rms, cm", "median", "95 %", "max", "NEES", "inside 95 %", "gaps")
-    print_table(f"Error in hidden gaps against the {against}{whose}", columns, rows)
+    return Table(f"Error in hidden gaps against the {against}{whose}", columns, rows)
 
 
-def print_since(rows: Sequence[SinceFigures]) -> None:
-    """Print what each method has at a time since the last frame."""
-    if not rows:
-        return
+def since_table(rows: Sequence[SinceFigures]) -> Table:
+    """What each method has at a time since the last frame."""
     columns = ("since the last frame, s", "method", "rms, cm", "median", "95 %", "NEES")
     cells = [
         (
@@ -118,13 +86,11 @@ def print_since(rows: Sequence[SinceFigures]) -> None:
         )
         for row in rows
     ]
-    print_table("Error by the time since the last frame that showed the forearm", columns, cells)
+    return Table("Error by the time since the last frame that showed the forearm", columns, cells)
 
 
-def print_factors(factors: Sequence[LengthFactor]) -> None:
-    """Print the sigma correction factors by length of gap."""
-    if not factors:
-        return
+def factor_table(factors: Sequence[LengthFactor]) -> Table:
+    """The sigma correction factors by length of gap."""
     columns = ("gap, s", "for 50 %", "for 95 %", "to be applied", "hidden gaps")
     rows = [
         (
@@ -136,47 +102,43 @@ def print_factors(factors: Sequence[LengthFactor]) -> None:
         )
         for row in factors
     ]
-    print_table("Sigma correction factor", columns, rows)
+    return Table("Sigma correction factor", columns, rows)
 
 
 def gaps(
-    recording_files: Annotated[
-        list[Path],
-        typer.Argument(metavar="REC.mcap", help="The recording, or several of a study.", show_default=False),
-    ],
-    lengths: Annotated[
-        str, typer.Option("--lengths", metavar="S,S,..", help="Lengths of the gaps to hide, s.")
-    ] = "0.5,1,2,3",
+    recording_files: Annotated[list[Path], o.argument("REC.mcap", "The recording, or several of a study.")],
+    lengths: Annotated[str, o.option("Lengths of the gaps to hide, s.", metavar="S,S,..")] = "0.5,1,2,3",
     methods: Annotated[
-        str,
-        typer.Option("--methods", metavar="M,M,..", help=f"Methods to try, or all: {', '.join(METHODS)}."),
+        str, o.option(f"Methods to try, or all: {', '.join(METHODS)}.", metavar="M,M,..")
     ] = "graph",
-    orientation: Orientation = None,
-    boundary_s: BoundaryS = None,
-    source: ArmInput = EVERY_ARM,
-    config_file: ConfigFile = None,
-    live: Live = False,
-    latency_s: LatencyS = 0.1,
-    seed: Seed = 0,
-    repetitions: Annotated[
-        int, typer.Option("--repetitions", min=1, help="Repetitions, each with other gaps.")
-    ] = 1,
-    gaps_per_run: Annotated[
-        int, typer.Option("--gaps-per-run", min=1, help="Most gaps hidden at the same time.")
-    ] = 6,
-    solve_lever_arms: SolveLeverArms = False,
-    processes: Processes = None,
-    report: Report = None,
+    seed: o.Seed = 0,
+    repetitions: Annotated[int, o.option("Repetitions, each with other gaps.", min=1)] = 1,
+    calibration: o.Calibration = None,
+    report: o.Report = None,
     keep_in: Annotated[
         Path | None,
-        typer.Option(
-            "--keep-in",
-            metavar="CAL.toml",
-            help="Save the sigma correction factors; `smooth --calibration CAL.toml` applies them.",
-        ),
+        o.option("Save the sigma correction factors, for `smooth --calibration`.", metavar="CAL.toml"),
     ] = None,
-    json_file: Json = None,
-    force: Force = False,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+    mirror: o.Mirror = None,
+    swap: o.Swap = None,
+    negate: o.Negate = None,
+    camera_frame: o.CameraAxes = None,
+    clock_offset: o.ClockOffset = None,
+    clock_sigma: o.ClockSigma = None,
+    config_file: o.ConfigFile = None,
+    orientation: o.Orientation = None,
+    boundary_s: o.BoundaryS = None,
+    solve_lever_arms: o.SolveLeverArms = False,
+    live: o.Live = False,
+    latency: o.Latency = 0.1,
+    gaps_per_run: Annotated[int, o.rare("Most gaps hidden at the same time.", min=1)] = 6,
+    processes: o.Processes = None,
 ) -> None:
     """Hide visible stretches and measure the error by gap length.
 
@@ -184,7 +146,10 @@ def gaps(
     that were hidden; these carry the camera's own noise. Also prints sigma correction factors,
     which `--keep-in` saves in a calibration file. With `--live` also what would have been shown live, by
     the time since the last frame. Every arm with an IMU is tested, and all together.
+
+    Example: unocclude gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json
     """
+    from calib.file import read_calibration
     from calib.sigma_factor import factor_sentences
 
     from ..evaluation.gap_table import compare_real_gaps, pooled, since_last_frame
@@ -193,26 +158,20 @@ def gaps(
     from .config import read_config, with_processes
 
     lengths_s = parse_lengths(lengths)
-    names = choose(methods)
-    if live:
-        names = [*names, *LIVE_METHODS]
+    names = [*choose(methods), *(LIVE_METHODS if live else ())]
     settings = baseline_settings(names, orientation, boundary_s)
-    source.check()
+    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
+    source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
     if keep_in is not None and GRAPH not in names:
         raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
-    twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
-    if twice:
-        raise typer.BadParameter(f"{twice[0]} is named twice; it would count twice")
-    check_outputs(
-        force, [report, json_file], [*recording_files, source.calibration_file, config_file, keep_in]
-    )
+    refuse_twice(recording_files)
+    check_outputs(force, [report, json_file], [*recording_files, calibration, config_file, keep_in])
     check_outputs(True, [keep_in], [*recording_files, config_file])
     if keep_in is not None and keep_in.exists():
-        from calib.file import read_calibration
-
         read_calibration(keep_in)  # before the work: what cannot be read cannot be added to
     config = read_config(config_file, processes)
     side_by_side = config.windows.processes or os.cpu_count() or 1
+    inner = with_processes(config, max(side_by_side // (len(lengths_s) * repetitions), 1))
     recordings: list[Recording] = []
     tables: list[GapTable] = []
     notes: list[str] = []
@@ -225,7 +184,7 @@ def gaps(
                 label = f"{recording.name}, {recording.arm_label}" if len(arms) > 1 else recording.name
                 others = [each.name for each in (*recordings, *here)]
                 here.append(replace(recording, name=_unlike(label, others)))
-            file_progress = _share(progress, number, len(recording_files))
+            file_progress = part_of(progress, number, len(recording_files))
 
             def hide_and_recover(
                 place: int,
@@ -233,20 +192,19 @@ def gaps(
                 here: Sequence[Recording] = here,
                 file_progress: Callable[[float, str], None] = file_progress,
             ) -> GapTable:
-                recording, calibration = here[place], arms[place][1]
+                recording, given = here[place], arms[place][1]
                 clock = source.clock(recording)
-                given = with_strap(calibration, recording) if solve_lever_arms else calibration
+                given = with_strap(given, recording) if solve_lever_arms else given
                 if keep_in is not None and given is not None:  # what is measured anew is not applied before
                     given = replace(given, sigma_factors=None)
-                inner = with_processes(config, max(side_by_side // (len(lengths_s) * repetitions), 1))
                 return evaluate_gaps(
                     recording,
                     lengths_s,
-                    make_methods(names, given, inner, settings, clock=clock, latency_s=latency_s),
+                    make_methods(names, given, inner, settings, clock=clock, latency_s=latency),
                     seed=seed,
                     repetitions=repetitions,
                     gaps_per_run=gaps_per_run,
-                    progress=_share(file_progress, place, len(here)),
+                    progress=part_of(file_progress, place, len(here)),
                     processes=side_by_side,
                 )
 
@@ -269,28 +227,24 @@ def gaps(
     since = since_last_frame(table, names) if live else []
     if live:
         figures["since_last_frame"] = [row.to_dict() for row in since]
-    by_arm = tables_by_arm(recordings, tables) if several else {}
-    if by_arm:
-        figures["arms"] = [
-            {"side": side, "body": body, **gap_figures(mine)} for (side, body), mine in by_arm.items()
-        ]
+    by_arm: dict[tuple[str, int | None], list[GapTable]] = {}  # of all recordings together
+    for recording, one in zip(recordings, tables, strict=True):
+        by_arm.setdefault((recording.side, recording.body), []).append(one)
+    each = {arm: pooled(by_arm[arm]) for arm in sorted(by_arm, key=str)} if several else {}
+    if each:
+        figures["arms"] = [{"side": arm[0], "body": arm[1], **gap_figures(own)} for arm, own in each.items()]
     write_json(json_file, figures, force)
-    for (arm_side, arm_body), mine in by_arm.items():
-        print_gaps(mine, f" ({arm_words(arm_side, arm_body)})")
-    print_gaps(table, " (all arms together)" if by_arm else "")
-    print_since(since)
-    print_factors(factors)
+    for arm, own in each.items():
+        show(gap_table(own, f" ({arm_words(*arm)})"))
+    show(gap_table(table, " (all arms together)" if each else ""))
+    show(since_table(since))
+    show(factor_table(factors))
     for sentence in sentences:
         say(f"{sentence[0].upper()}{sentence[1:]}.")
     print_notes(notes)
     if keep_in is not None:
         keep(factors, table, recordings, keep_in)
     say_written(report, json_file, keep_in)
-
-
-def _share(progress: Callable[[float, str], None], number: int, count: int) -> Callable[[float, str], None]:
-    """Progress of one recording as that of all."""
-    return lambda share, text: progress((number + share) / count, text)
 
 
 def _unlike(name: str, others: Sequence[str]) -> str:

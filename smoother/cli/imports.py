@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import UnoccludeError
-from .load import AS_USUAL, Solving, load_arm
-from .options import (
-    NO_FILES,
-    Calibration,
-    Force,
-    Json,
-    Lenses,
-    Output,
-    Outputs,
-    RecordingPath,
-    Seed,
+from ..errors import RecordingError, UnoccludeError
+from ..table import Table
+from . import options as o
+from .load import load_arm
+from .output import (
+    check_mcap,
+    check_outputs,
+    print_notes,
+    progress_bar,
+    say,
+    say_written,
+    show,
+    write_json,
 )
-from .output import check_mcap, check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
     from ..io import RecordingFile
@@ -34,36 +34,51 @@ if TYPE_CHECKING:
     from ..recording import Recording
 
 
-Templates = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--template",
-        metavar="FILE.toml",
-        help="Template for your own table layout; tried before all formats.",
+#: More people make MediaPipe slower, and no room holds them.
+_MOST_PEOPLE = 10
+#: One session's files; which IMU; where its samples begin: shared by `files` and `video`.
+OneSession = Annotated[
+    bool, o.rare("Refuse files whose dates are a day apart or more, as in a FOLDER.", "--one-session")
+]
+ImuFile = Annotated[
+    list[str] | None,
+    o.option(
+        "An IMU's file, or its accelerometer's and gyroscope's; NAME as in recording.toml (forearm_right,"
+        " upper_arm_left, ..), FILE#SENSOR for one of several.",
+        "--imu",
+        metavar="[NAME=]FILE[,FILE]",
     ),
+]
+ImuStarts = Annotated[
+    float | None, o.option("First IMU sample, seconds after the camera's first frame.", metavar="S")
 ]
 
 
 def csv(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FOLDER", help="Folder with recording.toml and its tables.", show_default=False
-        ),
-    ],
-    output: Output,
+    folder: Annotated[Path, o.argument("FOLDER", "Folder with recording.toml and its tables.")],
+    output: o.Output,
+    template: o.Templates = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
     outside: Annotated[
-        bool,
-        typer.Option(
-            "--outside",
-            help="Also read files outside FOLDER that recording.toml or a link in FOLDER refers to.",
-        ),
+        bool, o.rare("Also read files outside FOLDER that recording.toml or a link names.", "--outside")
     ] = False,
-    template: Templates = None,
-    json_file: Json = None,
-    force: Force = False,
 ) -> None:
-    """Import recording.toml with skeleton and IMU tables."""
+    """Import recording.toml with skeleton and IMU tables.
+
+    Example: unocclude import csv session -o session.mcap
+
+    session/recording.toml:
+      [camera]
+      frame = "kinect"            # or "optical", "zup"
+      skeleton = "skeleton.csv"   # t_s, joint, x, y, z, state [, body]
+      [imu.forearm_right]
+      file = "imu.csv"            # t_s, ax, ay, az, gx, gy, gz [, mx, my, mz]
+      accelerometer_unit = "g"    # or "m/s^2"
+      gyroscope_unit = "deg/s"    # or "rad/s"
+      [truth]                     # optional
+      file = "truth.csv"          # t_s, x, y, z, qw, qx, qy, qz
+    """
     from ..io import open_csv
     from ..io.tables.recording_toml import read_templates
 
@@ -75,23 +90,20 @@ def csv(
 
 
 def broad(
-    mat: Annotated[Path, typer.Argument(metavar="TRIAL.mat", help="A trial of BROAD.", show_default=False)],
-    output: Output,
-    rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frame rate of the simulated camera.")] = 30.0,
-    noise_m: Annotated[
-        float, typer.Option("--noise-m", help="Noise of the simulated camera, m per axis.")
-    ] = 0.008,
-    seed: Seed = 0,
-    json_file: Json = None,
-    force: Force = False,
+    mat: Annotated[Path, o.argument("TRIAL.mat", "A trial of BROAD.")],
+    output: o.Output,
+    rate_hz: Annotated[float, o.option("Frame rate of the simulated camera.", min=1, max=1000)] = 30.0,
+    noise_m: Annotated[float, o.option("Noise of that camera, m per axis.", min=0, max=1)] = 0.008,
+    seed: o.Seed = 0,
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
-    """Import a BROAD trial: real IMU, optical truth plus noise."""
+    """Import a BROAD trial: real IMU, optical truth plus noise.
+
+    Example: unocclude import broad 01_trial.mat -o trial.mcap
+    """
     from ..io import import_broad
 
-    if not 1 <= rate_hz <= 1000:
-        raise typer.BadParameter("--rate-hz is between 1 and 1000")
-    if not 0 <= noise_m <= 1:
-        raise typer.BadParameter("--noise-m is between 0 and 1")
     check_mcap(output)
     check_outputs(force, [output, json_file], [mat])
     made = import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed)
@@ -99,20 +111,18 @@ def broad(
 
 
 def utd_mhad(
-    inertial: Annotated[
-        Path, typer.Argument(metavar="INERTIAL.mat", help="aA_sS_tT_inertial.mat", show_default=False)
-    ],
-    output: Output,
+    inertial: Annotated[Path, o.argument("INERTIAL.mat", "aA_sS_tT_inertial.mat")],
+    output: o.Output,
     skeleton: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="[SKELETON.mat]", help="aA_sS_tT_skeleton.mat; found beside the first if not given."
-        ),
+        Path | None, o.argument("[SKELETON.mat]", "aA_sS_tT_skeleton.mat; else found beside the first.")
     ] = None,
-    json_file: Json = None,
-    force: Force = False,
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
-    """Import a UTD-MHAD trial: Kinect v1 and one wrist IMU."""
+    """Import a UTD-MHAD trial: Kinect v1 and one wrist IMU.
+
+    Example: unocclude import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap
+    """
     from ..io import import_utd_mhad
 
     skeleton = skeleton or _skeleton_beside(inertial)
@@ -132,69 +142,47 @@ def _skeleton_beside(inertial: Path) -> Path:
 
 
 def files(
-    output: Output,
+    output: o.Output,
     paths: Annotated[
         list[Path] | None,
-        typer.Argument(
-            metavar="FOLDER",
-            help="A folder of device files (or the files), each recognised by what is in it.",
-        ),
+        o.argument("FOLDER", "A folder of device files (or the files), each recognised by what is in it."),
     ] = None,
     skeleton: Annotated[
         list[str] | None,
-        typer.Option(
-            "--skeleton",
+        o.option(
+            "A skeleton's file; of several cameras each with its NAME, results in the first one's frame.",
             metavar="[NAME=]FILE",
-            help="A file with the skeleton; of several cameras each with its NAME, the results in the first"
-            " one's frame.",
         ),
     ] = None,
-    imu: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--imu",
-            metavar="[NAME=]FILE[,FILE]",
-            help="A file with an IMU, or two of its accelerometer and its gyroscope; NAME as in"
-            " recording.toml (forearm_right, upper_arm_left, ..), FILE#SENSOR for one of several.",
-        ),
-    ] = None,
+    imu: ImuFile = None,
     truth: Annotated[
         Path | None,
-        typer.Option(
-            "--truth",
+        o.option(
+            "Poses of the forearm IMU in the camera frame (.csv with t_s,x,y,z,qw,qx,qy,qz); markers are for"
+            " `validate --truth`.",
             metavar="FILE",
-            help="Poses of the forearm IMU in the camera frame (.csv with t_s,x,y,z,qw,qx,qy,qz); keep"
-            " markers in a separate file for `validate --truth`.",
         ),
     ] = None,
-    skeleton_format: Annotated[
-        str | None,
-        typer.Option("--skeleton-format", metavar="FORMAT", help="Format, if recognised wrongly."),
-    ] = None,
-    imu_format: Annotated[
-        str | None, typer.Option("--imu-format", metavar="FORMAT", help="Format, if recognised wrongly.")
-    ] = None,
-    imu_starts_at: Annotated[
-        float | None,
-        typer.Option(
-            "--imu-starts-at",
-            metavar="S",
-            help="When the first IMU sample was taken, seconds after the camera's first frame.",
+    imu_starts_at: ImuStarts = None,
+    intrinsics: Annotated[
+        Path | None,
+        o.option(
+            "Lenses, and places, of cameras with keypoints in images: OpenCV or ROS (YAML, JSON), Kalibr's"
+            " camchain, Pose2Sim's Calib.toml; its names are the NAMEs of --skeleton.",
+            metavar="FILE",
         ),
     ] = None,
-    intrinsics: Lenses = None,
-    template: Templates = None,
-    one_session: Annotated[
-        bool,
-        typer.Option(
-            "--one-session",
-            help="Refuse files whose dates are a day apart or more, as those of a FOLDER always are.",
-        ),
-    ] = False,
-    json_file: Json = None,
-    force: Force = False,
+    template: o.Templates = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    skeleton_format: Annotated[str | None, o.rare("Format, if recognised wrongly.", metavar="FORMAT")] = None,
+    imu_format: Annotated[str | None, o.rare("Format, if recognised wrongly.", metavar="FORMAT")] = None,
+    one_session: OneSession = False,
 ) -> None:
-    """Import files as exported by devices and camera programs."""
+    """Import files as exported by devices and camera programs.
+
+    Example: unocclude import files --skeleton azure.csv --imu forearm_right=dot.csv -o session.mcap
+    """
     from calib.intrinsics import read_camera_file
 
     from ..io.files import add_truth, import_files, sort_files
@@ -225,6 +213,60 @@ def files(
     write_imported(file, output, json_file, force, reports, passed_over)
 
 
+def video(
+    file: Annotated[Path, o.argument("FILE", "MP4, MOV, AVI or MKV of a fixed camera.")],
+    output: o.Output,
+    model: Annotated[
+        Path | None, o.option("The model of MediaPipe's pose landmarker.", metavar="FILE.task")
+    ] = None,
+    imu: ImuFile = None,
+    imu_starts_at: ImuStarts = None,
+    mirrored: Annotated[
+        bool, o.option("The camera stored a mirror image, as front cameras of phones may.", "--mirrored")
+    ] = False,
+    turn: Annotated[
+        int,
+        o.option(
+            "Rotate the pictures clockwise, degrees; the file's own rotation is already applied.",
+            metavar="90|180|270",
+        ),
+    ] = 0,
+    people: Annotated[int, o.option("Find at most this many people.", min=1, max=_MOST_PEOPLE)] = 2,
+    template: o.Templates = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    one_session: OneSession = False,
+) -> None:
+    """Import a video as the camera; MediaPipe finds the joints.
+
+    Joints are stored in metres relative to the hips, and in pixels.
+
+    Example: unocclude import video phone.mp4 --model pose_landmarker_full.task --imu dot.csv -o session.mcap
+    """
+    from ..io.files import import_files
+    from ..io.registry import FileReader
+    from ..io.tables.recording_toml import read_templates
+    from ..io.tables.table import read_head
+    from ..io.tables.video import TURNS, pose_video
+
+    if turn not in TURNS:
+        raise typer.BadParameter("--turn is 90, 180 or 270")
+    check_mcap(output)
+    imus = [imu_files(text) for text in imu or []]
+    check_outputs(force, [output, json_file], [file, model, *(p for files in imus for p in files.paths)])
+    with progress_bar("opening the video") as progress:
+        camera = pose_video(model, people, mirrored, turn, progress)
+        reader = FileReader(templates=[camera, *read_templates(template or [])])
+        if not camera.recognises(read_head(file)):
+            raise RecordingError(
+                f"{file} is not a video (MP4, MOV, AVI, MKV); export or convert it, or name another file."
+            )
+        recording, reports = import_files(
+            [file], imus, imu_starts_at_s=imu_starts_at, reader=reader, one_session=one_session
+        )
+    write_imported(recording, output, json_file, force, reports)
+
+
 def write_imported(
     recording: Recording | RecordingFile,
     output: Path,
@@ -235,7 +277,7 @@ def write_imported(
 ) -> None:
     """Print what was recognised in files, write their recording, and print what it contains."""
     from ..io import describe, write_recording
-    from .recordings import print_topics
+    from .recordings import topic_table
 
     for report in reports or ():
         say(report.sentence)
@@ -243,7 +285,7 @@ def write_imported(
     about = describe(output)
     files = {} if reports is None else {"files": [vars(report) for report in reports]}
     write_json(json_file, {**about.to_dict(), **files}, force)
-    print_topics(about)
+    show(topic_table(about))
     print_notes([*recording.notes, *passed_over], imported=reports is None)
 
 
@@ -297,8 +339,11 @@ def imu_files(text: str) -> ImuFiles:
     return ImuFiles(tuple(Path(part) for part in parts), name, sensor)
 
 
-def formats(json_file: Json = None, force: Force = False) -> None:
-    """List the formats that `import files` recognises."""
+def formats(json_file: o.Json = None, force: o.Force = False) -> None:
+    """List the formats that `import files` recognises.
+
+    Example: unocclude import formats
+    """
     from ..io.registry import formats as importers
 
     check_outputs(force, [json_file])
@@ -308,29 +353,25 @@ def formats(json_file: Json = None, force: Force = False) -> None:
     ]
     write_json(json_file, {"formats": figures}, force)
     columns = ("format", "what it is", "holds", "recognised by")
-    print_table("Formats of device files", columns, [tuple(each.values()) for each in figures])
+    show(Table("Formats of device files", columns, [tuple(each.values()) for each in figures]))
 
 
 def describe(
     paths: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="FILE",
-            help="Any table of text; or several files or a folder, to list what each of them contains.",
-            show_default=False,
-        ),
+        o.argument("FILE", "Any table of text; or several files or a folder, to list what each contains."),
     ],
-    name: Annotated[
-        str, typer.Option("--name", metavar="NAME", help="Of the IMU in recording.toml.")
-    ] = "forearm_right",
-    template: Templates = None,
-    json_file: Json = None,
-    force: Force = False,
+    name: Annotated[str, o.option("Of the IMU in recording.toml.", metavar="NAME")] = "forearm_right",
+    template: o.Templates = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
     """Guess a table's columns and units; print a recording.toml.
 
     Of several files, or those of a folder, list the streams that they contain: rates, units, axes. --json has
     a small plot of each, and the guess about tables of an unknown layout.
+
+    Example: unocclude import describe sensor.csv > session/recording.toml
     """
     from ..io.registry import FileReader
     from ..io.tables.columns import toml_of
@@ -364,26 +405,17 @@ def describe(
 
 def _print_streams(found: list[DescribedFile]) -> None:
     """Print one row per stream, then what is wrong with files and what was decided of them."""
-    rows: list[tuple[object, ...]] = [
-        (
-            Path(each.file).name,
-            each.title or "-",
-            ", ".join(stream.holds) + (f" ({stream.name})" if stream.name else ""),
-            stream.rate_hz,
-            stream.count,
-            f"{stream.duration_s:.1f}",
-            stream.units,
-        )
-        for each in found
-        for stream in each.streams
-    ]
-    rows += [
-        (Path(each.file).name, each.title or "-", "-", None, "-", "-", "-")
-        for each in found
-        if not each.streams
-    ]
+    rows: list[tuple[object, ...]] = []
+    for each in found:
+        about = (Path(each.file).name, each.title or "-")
+        for stream in each.streams:
+            holds = ", ".join(stream.holds) + (f" ({stream.name})" if stream.name else "")
+            length = f"{stream.duration_s:.1f}"
+            rows.append((*about, holds, stream.rate_hz, stream.count, length, stream.units))
+        if not each.streams:
+            rows.append((*about, "-", None, "-", "-", "-"))
     columns = ("file", "what it is", "holds", "rate, Hz", "samples", "length, s", "units")
-    print_table(f"{len(found)} files", columns, rows)
+    show(Table(f"{len(found)} files", columns, rows))
     print_notes(f"{Path(each.file).name}: {note}" for each in found for note in each.notes)
     print_notes(each.error for each in found if each.error)
 
@@ -393,28 +425,30 @@ RULER_SIGMA_M = 0.004
 
 
 def strap(
-    recording_file: RecordingPath,
-    output: Output,
-    calibration_file: Calibration = None,
+    recording_file: o.RecordingPath,
+    output: o.Output,
+    calibration: o.Calibration = None,
     radius_m: Annotated[
-        float | None,
-        typer.Option("--radius-m", min=0.01, max=0.1, help="Axis of the forearm to the sensor."),
+        float | None, o.option("Axis of the forearm to the sensor.", min=0.01, max=0.1)
     ] = None,
-    colour: Annotated[
-        str | None,
-        typer.Option("--colour-topic", metavar="TOPIC", help="Colour images to take."),
-    ] = None,
-    depth: Annotated[
-        str | None,
-        typer.Option("--depth-topic", metavar="TOPIC", help="Depth images to take."),
-    ] = None,
-    solving: Solving = AS_USUAL,
-    to: Outputs = NO_FILES,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+    config_file: o.ConfigFile = None,
+    colour_topic: Annotated[str | None, o.rare("Colour images to take.", metavar="TOPIC")] = None,
+    depth_topic: Annotated[str | None, o.rare("Depth images to take.", metavar="TOPIC")] = None,
+    processes: o.Processes = None,
 ) -> None:
     """Find the strap in colour images and add it as a joint.
 
     The recording is first solved without images; the sensor's orientation then relates the strap in the
     image to the sensor. Detections that contradict the forearm are rejected. Memory does not grow.
+
+    Example: unocclude import strap session.mcap -o with_strap.mcap
     """
     from calib.file import read_calibration
     from calib.strap import held_radius, mounted_on
@@ -424,18 +458,17 @@ def strap(
     from ..report.strap import verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap
+    from .config import read_config
 
     check_mcap(output)
-    check_outputs(
-        to.force, [output, to.json_file, to.report], [recording_file, calibration_file, solving.config_file]
-    )
-    config = solving.config()
-    recording, known = load_arm(recording_file, calibration_file, solving.arm)
-    check_images(recording_file, colour, depth)
+    check_outputs(force, [output, json_file, report], [recording_file, calibration, config_file])
+    config = read_config(config_file, processes)
+    recording, known = load_arm(recording_file, calibration, imu=imu, skeleton=skeleton, side=side, body=body)
+    check_images(recording_file, colour_topic, depth_topic)
     recovery = smooth(recording, known, config)
     radius = None if radius_m is None else Length(radius_m, RULER_SIGMA_M)
-    if radius is None and calibration_file is not None:
-        radius = held_radius(read_calibration(calibration_file), recording.side)
+    if radius is None and calibration is not None:
+        radius = held_radius(read_calibration(calibration), recording.side)
     mounted = mounted_on(recovery, radius)
     sigma = max((recovery.estimates.camera_sigma_m or {}).values(), default=0.008)
     found = import_strap(
@@ -445,29 +478,24 @@ def strap(
         skeleton=recording.arm.name,
         side=recording.side,
         joint_sigma_m=sigma,
-        colour_topic=colour,
-        depth_topic=depth,
-        force=to.force,
+        colour_topic=colour_topic,
+        depth_topic=depth_topic,
+        force=force,
     )
     sentences = verdict(found)
-    write_json(
-        to.json_file,
-        {**_figures(found), "verdict": sentences, "notes": [*recording.notes, *found.notes]},
-        to.force,
-    )
-    if to.report is not None:
+    notes = [*recording.notes, *found.notes]
+    write_json(json_file, {**_figures(found), "verdict": sentences, "notes": notes}, force)
+    if report is not None:
         from ..report.strap import strap_page
 
-        strap_page(recording.name, found).write(to.report, to.force)
+        strap_page(recording.name, found).write(report, force)
     total = len(found.reasons)
-    rows = [
-        (what, count, f"{100 * count / max(total, 1):.0f}") for what, count in sorted(found.counts.items())
-    ]
-    print_table(f"The strap in {total} images", ("", "images", "%"), rows)
+    rows = [(what, n, f"{100 * n / max(total, 1):.0f}") for what, n in sorted(found.counts.items())]
+    show(Table(f"The strap in {total} images", ("", "images", "%"), rows))
     for sentence in sentences:
         say(sentence)
-    print_notes([*recording.notes, *found.notes])
-    say_written(output, to.json_file, to.report)
+    print_notes(notes)
+    say_written(output, json_file, report)
 
 
 def _figures(found: StrapFound) -> dict[str, Any]:

@@ -10,14 +10,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .app import GroupedCommand
+from . import options as o
 from .live_arms import check_arms, further_streams, receivers_of, sides_of, streams_of_arms, together
 from .live_lines import Lines
-from .options import Calibration, ConfigFile, Force, Json, Side, one_side
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
 
 if TYPE_CHECKING:
@@ -92,29 +91,6 @@ class StopRequest:
     def _end(self, number: int, _: FrameType | None) -> None:
         self.wanted = True
         self.killed |= number != signal.SIGINT
-
-
-def lsl_source(
-    imu: str | None,
-    skeleton: str | None,
-    side: str | None,
-    prefer_side: str | None,
-    body: str | None,
-    gyro: str | None,
-    further: dict[str, str],
-    wait_s: float,
-    stop_request: StopRequest,
-    stack: ExitStack,
-    beside: LslSource | None = None,
-) -> LslSource | None:
-    """Streams of the Lab Streaming Layer, once both are there; None where it was ended before."""
-    from ..streams.lsl_source import LslSource
-
-    source = LslSource(imu, skeleton, side, prefer_side, body, gyro, further, beside)
-    stack.callback(source.close)
-    if beside is None:
-        say(f"looking for the streams, at most {wait_s:g} s")
-    return source if source.open(wait_s, stop_request, say) else None
 
 
 @contextmanager
@@ -203,142 +179,87 @@ def print_session(figures: dict[str, Any], arm: str = "") -> None:
         say(f"{event['t_s']:8.1f} s  {event['event']}")
 
 
-def smooth_recording(arguments: Sequence[str]) -> None:
-    """Run `unocclude smooth` on what was recorded."""
-    from .app import app
-
-    app(list(arguments), prog_name="unocclude", standalone_mode=False)
-
-
-_FOXGLOVE, _PORT = "--foxglove", 8765
-
-
-class LiveCommand(GroupedCommand):
-    """Lets `--foxglove` stand alone: the port is then the usual one."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Give one that no number follows its port."""
-        complete: list[str] = []
-        for place, arg in enumerate(args):
-            complete.append(arg)
-            follows = args[place + 1] if place + 1 < len(args) else "-"
-            if arg == _FOXGLOVE and follows.startswith("-"):
-                complete.append(str(_PORT))
-        return list(super().parse_args(ctx, complete))
+#: `--foxglove` alone: the usual port.
+ALONE = {"--foxglove": "8765"}
 
 
 def live(
     imu: Annotated[
         list[str] | None,
-        typer.Option(
-            "--imu",
+        o.option(
+            "The IMU's LSL stream; a topic with --replay. With --arms both right=STREAM and left=STREAM.",
             metavar="STREAM",
-            help="Name of the IMU's LSL stream; a topic with --replay. With --arms both right=STREAM and"
-            " left=STREAM.",
         ),
     ] = None,
     skeleton: Annotated[
-        str | None,
-        typer.Option(
-            "--skeleton", metavar="STREAM", help="Name of the skeleton's LSL stream; a topic with --replay."
-        ),
+        str | None, o.option("The skeleton's LSL stream; a topic with --replay.", metavar="STREAM")
     ] = None,
     gyro: Annotated[
-        str | None,
-        typer.Option(
-            "--gyro", metavar="STREAM", help="Name of the gyroscope's LSL stream, if it has one of its own."
-        ),
+        str | None, o.option("The gyroscope's LSL stream, if it has one of its own.", metavar="STREAM")
     ] = None,
     further_imu: Annotated[
         list[str] | None,
-        typer.Option(
-            "--further-imu",
-            metavar="SEGMENT=STREAM",
-            help="LSL stream of a further IMU of the arm: upper-arm=NAME; may be given again.",
-        ),
+        o.option("A further IMU's: upper-arm=NAME; may be given again.", metavar="SEGMENT=STREAM"),
     ] = None,
-    side: Side = None,
-    arms: Annotated[
-        str, typer.Option("--arms", metavar="one|both", help="Both arms of one person, each with its IMU.")
-    ] = "one",
-    body: Annotated[
-        str | None,
-        typer.Option("--body", metavar="N", help="Which of several bodies of the skeleton's LSL stream."),
-    ] = None,
-    calibration_file: Calibration = None,
-    config_file: ConfigFile = None,
-    lag_s: Annotated[
-        float,
-        typer.Option("--lag", metavar="S", min=0.0, max=2.0, help="Delay of the settled result."),
-    ] = 0.2,
-    record: Annotated[
-        Path | None, typer.Option("--record", metavar="OUT.mcap", help="Record everything that arrives.")
-    ] = None,
+    side: Annotated[Literal["left", "right"] | None, o.option("The arm that wears the IMU.")] = None,
+    arms: Annotated[Literal["one", "both"], o.option("Both arms of a person, each with its IMU.")] = "one",
+    body: Annotated[str | None, o.option("Which of the skeleton's bodies.", metavar="N")] = None,
+    calibration: o.Calibration = None,
+    lag: Annotated[float, o.option("Delay of the settled result.", metavar="S", min=0, max=2)] = 0.2,
+    record: Annotated[Path | None, o.option("Record everything that arrives.", metavar="OUT.mcap")] = None,
     then_smooth: Annotated[
-        bool,
-        typer.Option("--then-smooth", help="Smooth the recording afterwards, as `unocclude smooth` does."),
+        bool, o.option("Smooth the recording afterwards, as `smooth` does.", "--then-smooth")
     ] = False,
-    replay: Annotated[
-        Path | None,
-        typer.Option("--replay", metavar="REC.mcap", help="Replay a recording in real time."),
-    ] = None,
-    speed: Annotated[
-        float,
-        typer.Option("--speed", metavar="X", min=0.0, help="Speed of the replay; 0 = as fast as possible."),
-    ] = 1.0,
-    latency_s: Annotated[
-        float | None,
-        typer.Option(
-            "--latency",
-            metavar="S",
-            min=0.0,
-            max=2.0,
-            help="Latency of the camera in a replay.  [default: the recording's, else 0.1 s]",
-        ),
-    ] = None,
+    replay: Annotated[Path | None, o.option("Replay a recording in real time.", metavar="REC.mcap")] = None,
+    speed: Annotated[float, o.option("Of the replay; 0 = as fast as possible.", metavar="X", min=0)] = 1.0,
     foxglove: Annotated[
         int | None,
-        typer.Option(
-            _FOXGLOVE,
-            metavar="[PORT]",
-            min=0,
-            max=65535,
-            help=f"Show it in Foxglove, on local port {_PORT} (0: a free one).",
-        ),
+        o.option("Show it in Foxglove, on port 8765 (0: a free one).", metavar="[PORT]", min=0, max=65535),
+    ] = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    config_file: o.ConfigFile = None,
+    latency: Annotated[
+        float | None,
+        o.rare("Of a replay's camera.  [default: the recording's, else 0.1 s]", metavar="S", min=0, max=2),
     ] = None,
     lsl_out: Annotated[
-        str | None,
-        typer.Option("--lsl-out", metavar="NAME", help="Send the arm as LSL streams NAME and NAME_settled."),
+        str | None, o.rare("Send the arm as LSL streams NAME and NAME_settled.", metavar="NAME")
     ] = None,
     lsl_network: Annotated[
-        bool,
-        typer.Option("--lsl-network", help="Announce them to the whole network, not only to this computer."),
+        bool, o.rare("Announce them to the whole network, not only here.", "--lsl-network")
     ] = False,
-    wait_s: Annotated[
-        float, typer.Option("--wait", metavar="S", min=0.0, help="How long to wait for the streams.")
-    ] = 30.0,
-    json_file: Json = None,
-    force: Force = False,
+    wait: Annotated[float, o.rare("How long to wait for the streams.", metavar="S", min=0)] = 30.0,
 ) -> None:
     """Recover the arm live: now, and a moment ago with less error.
 
     Streams come from the Lab Streaming Layer, with labelled channels and units. Ctrl-C (or q) ends the
     session with a complete recording; s ends it and smooths the recording. Needs
     `pip install '.[live]'`.
+
+    Example: unocclude live --imu wrist --skeleton kinect --side right --record session.mcap --foxglove
     """
-    side = one_side(side)
     sides = sides_of(arms, side, gyro)
     imus, further = streams_of_arms(imu or (), sides), further_streams(further_imu or (), sides)
-    of_streams = {"--body": body, "--gyro": gyro, "--further-imu": "".join(further_imu or ()) or None}
     if lsl_network and lsl_out is None:
         raise typer.BadParameter("--lsl-network is of what --lsl-out sends; give it as well")
-    _check_use(
-        record, then_smooth, replay, of_streams, {"--speed": speed != 1.0, "--latency": latency_s is not None}
-    )
-    recovered = recovered_name(record) if record is not None and then_smooth else None
-    check_outputs(force, [record, recovered, json_file], [calibration_file, config_file, replay])
+    if then_smooth and record is None:
+        raise typer.BadParameter("--then-smooth smooths what was recorded; give --record as well")
+    for option, given in (("--speed", speed != 1.0), ("--latency", latency is not None)):
+        if given and replay is None:
+            raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
+    for option, name in (("--body", body), ("--gyro", gyro), ("--further-imu", "".join(further_imu or ()))):
+        if replay is not None and name:
+            raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
+    recovered = None
+    if record is not None:
+        check_mcap(record)
+        recovered = record.with_name(f"{record.stem}_recovered.mcap")
+    outputs = [record, recovered if then_smooth else None, json_file]
+    check_outputs(force, outputs, [calibration, config_file, replay])
     from ..streams.foxglove import foxglove_module
     from ..streams.lsl import lsl_module
+    from ..streams.lsl_source import LslSource
     from ..streams.replay import Replay
     from ..streams.session import SessionCalibration, prefer_side, read_calibration_file
     from ..streams.session_recording import Recorder, SessionRecording, check_recording
@@ -350,7 +271,7 @@ def live(
         lsl_module()
     if foxglove is not None:
         foxglove_module()
-    config, file = read_config(config_file), read_calibration_file(calibration_file)
+    config, file = read_config(config_file), read_calibration_file(calibration)
     prefer = prefer_side(file)
     with StopRequest() as stop_request, ExitStack() as stack:
         sources: list[Source] = []
@@ -358,38 +279,29 @@ def live(
         received: LslSource | None = None
         for each in sides:
             if replay is not None:
-                played = Replay(replay, imus[each], skeleton, each, prefer, speed, latency_s, played)
+                played = Replay(replay, imus[each], skeleton, each, prefer, speed, latency, played)
                 sources.append(played)
                 continue
-            received = lsl_source(
-                imus[each],
-                skeleton,
-                each,
-                prefer,
-                body,
-                gyro,
-                further[each],
-                wait_s,
-                stop_request,
-                stack,
-                received,
-            )
-            if received is None:
+            received = LslSource(imus[each], skeleton, each, prefer, body, gyro, further[each], received)
+            stack.callback(received.close)
+            if not sources:
+                say(f"looking for the streams, at most {wait:g} s")
+            if not received.open(wait, stop_request, say):
                 say("ended before the streams were there; nothing was recorded")
                 return
             sources.append(received)
         infos = [source.info for source in sources]
         check_arms(infos, replay)
         calibrations = [SessionCalibration.of(file, info) for info in infos]
-        for source, calibration in zip(sources, calibrations, strict=True):
-            print_source(source, calibration)
+        for source, of_arm in zip(sources, calibrations, strict=True):
+            print_source(source, of_arm)
         receivers = receivers_of(infos, foxglove, lsl_out, lsl_network, stack)
         recording = None
         if record is not None:
             growing = SessionRecording(record, infos[0], force, infos[1:])
             recording = Recorder(growing, patient=not sources[0].speed)
         sessions = stack.enter_context(
-            engine_sessions(sources, calibrations, config, lag_s, recording, receivers)
+            engine_sessions(sources, calibrations, config, lag, recording, receivers)
         )
         figures = run_sessions(sessions, stop_request)
     write_json(json_file, together(infos, figures), force)
@@ -399,8 +311,8 @@ def live(
     say_written(record if has_recording else None, json_file)
     if record is None or not has_recording:
         return
-    arguments = ["smooth", str(record), "-o", str(recovered_name(record))]
-    for option, value in (("--calibration", calibration_file), ("--config", config_file)):
+    arguments = ["smooth", str(record), "-o", str(recovered)]
+    for option, value in (("--calibration", calibration), ("--config", config_file)):
         arguments += [] if value is None else [option, str(value)]
     if (then_smooth or stop_request.smooth) and not stop_request.killed:
         smooth_recording([*arguments, *(["--force"] if force else [])])
@@ -408,26 +320,8 @@ def live(
         say_command(*arguments)
 
 
-def _check_use(
-    record: Path | None,
-    then_smooth: bool,
-    replay: Path | None,
-    of_streams: dict[str, str | None],
-    others: dict[str, bool],
-) -> None:
-    """Refuse options that do not go together."""
-    if then_smooth and record is None:
-        raise typer.BadParameter("--then-smooth smooths what was recorded; give --record as well")
-    for option, given in others.items():
-        if given and replay is None:
-            raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
-    for option, value in of_streams.items():
-        if replay is not None and value is not None:
-            raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
-    if record is not None:
-        check_mcap(record)
+def smooth_recording(arguments: Sequence[str]) -> None:
+    """Run `unocclude smooth` on what was recorded."""
+    from .app import app
 
-
-def recovered_name(record: Path) -> Path:
-    """Where the smoothed session goes."""
-    return record.with_name(f"{record.stem}_recovered.mcap")
+    app(list(arguments), prog_name="unocclude", standalone_mode=False)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 def sides_of(arms: str, side: str | None, gyro: str | None) -> list[str | None]:
     """The arms that are followed, the first one's side first."""
-    if arms not in ("one", "both"):
-        raise typer.BadParameter(f"--arms {arms}: give one or both")
     if arms == "one":
         return [side]
     if gyro is not None:

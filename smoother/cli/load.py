@@ -6,65 +6,39 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import typer
 
 from ..errors import RecordingError, UnoccludeError
 from ..runtime.pool import check_allowance
-from .options import ANY_ARM, ArmSelection, Calibration, ConfigFile, Processes
+from .options import CLOCK_SIGMA_S
 from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
-    from ..config import Config
-    from ..io.recording.choose import FileReading
+    from ..io.recording.choose import FileReading, Selection
     from ..measurements.clock import Clock
     from ..measurements.remedy import Remedy
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
 
 
-@dataclass(frozen=True)
-class Solving:
-    """How a calibration solves a recording of an arm, as a group of its options."""
-
-    config_file: ConfigFile = None  # Settings
-    arm: ArmSelection = ANY_ARM
-    processes: Processes = None
-
-    def config(self) -> Config:
-        """The settings, read."""
-        from .config import read_config
-
-        return read_config(self.config_file, self.processes)
-
-
-#: The defaults, on all cores.
-AS_USUAL = Solving()
-
-
 def load_arm(
-    path: Path,
-    calibration_file: Path | None = None,
-    arm: ArmSelection = ANY_ARM,
-    remedy: Remedy | None = None,
-    **reading: Unpack[FileReading],
+    path: Path, calibration_file: Path | None = None, **reading: Unpack[FileReading]
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read the one arm that is meant; a side that is left open a calibration of one arm settles."""
-    return load_arms(path, calibration_file, arm, remedy, alone=True, **reading)[0]
+    return load_arms(path, calibration_file, alone=True, **reading)[0]
 
 
 def load_arms(
     path: Path,
     calibration_file: Path | None = None,
-    arm: ArmSelection = ANY_ARM,
     remedy: Remedy | None = None,
     alone: bool = False,
     **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
     """Read every arm of a recording that has an IMU, with its calibration, and print what was chosen."""
-    reading.update(arm.reading())
     check_allowance()
     from ..io.recording.read import read_arms
 
@@ -90,6 +64,15 @@ def load_recoveries(path: Path, side: str | None = None, body: int | None = None
     return chosen
 
 
+def refuse_twice(paths: Iterable[Path], option: str = "") -> None:
+    """Refuse a file that is named twice."""
+    seen: set[Path] = set()
+    for path in paths:
+        if path in seen:
+            raise typer.BadParameter(f"{option}{path} is named twice; it would count twice")
+        seen.add(path)
+
+
 def damage(notes: Iterable[str]) -> list[str]:
     """Of some notes those on a file that was cut off or is damaged."""
     from ..io.mcap.messages import damage as of_files
@@ -106,139 +89,72 @@ def camera_frame_of(path: Path) -> CameraFrame | None:
     return file.camera_frame or next((frame for frame in implied if frame is not None), None)
 
 
-Mirror = Annotated[
-    str | None,
-    typer.Option("--mirror", metavar="x|y|z", help="Undo a skeleton that is mirrored along this axis."),
-]
-Swap = Annotated[
-    str | None,
-    typer.Option(
-        "--swap",
-        metavar="A,B",
-        help="Swap two joints (elbow,wrist), or left,right.",
-    ),
-]
-Negate = Annotated[
-    str | None,
-    typer.Option(
-        "--negate", metavar="SENSOR,..", help="Reverse the sign of the accelerometer, gyroscope, or both."
-    ),
-]
-CameraAxes = Annotated[
-    str | None,
-    typer.Option(
-        "--camera-frame", metavar="kinect|optical|zup", help="The camera's axes, overriding the file's."
-    ),
-]
-ClockOffset = Annotated[
-    float | None,
-    typer.Option(
-        "--clock-offset",
-        metavar="S",
-        help="IMU time minus camera time, if measured.  [default: from --calibration, or estimated]",
-    ),
-]
-#: One standard deviation of a clock that was measured, where none is stated, s.
-CLOCK_SIGMA_S = 0.02
-ClockSigma = Annotated[
-    float | None,
-    typer.Option(
-        "--clock-sigma",
-        metavar="S",
-        help=f"Standard deviation of --clock-offset.  [default: {CLOCK_SIGMA_S:g}]",
-    ),
-]
-
-
 @dataclass(frozen=True)
-class SetUp:
-    """Those options together, as a group of a command's options."""
+class ArmInput:
+    """Which arms of a recording are read, and what of their set-up is corrected; checked as it is made."""
 
-    mirror: Mirror = None  # What to undo
-    swap: Swap = None  # What to undo
-    negate: Negate = None  # What to undo
-    camera_frame: CameraAxes = None  # What to undo
-    clock_offset: ClockOffset = None  # s: the measured clock, if any; its sigma is 0.02 s unless given
-    clock_sigma: ClockSigma = None  # s: the measured clock, if any; its sigma is 0.02 s unless given
+    calibration_file: Path | None = None  # Of the arm; its [clock], if any, is a measured clock
+    chosen: Selection | None = None
+    mirror: str | None = None
+    swap: str | None = None
+    negate: str | None = None
+    camera_frame: str | None = None
+    clock_offset: float | None = None  # s, measured
+    clock_sigma: float | None = None  # s
 
     def __post_init__(self) -> None:
         if self.clock_sigma is not None and self.clock_offset is None:
             raise typer.BadParameter("--clock-sigma belongs to --clock-offset: give the measured clock too")
-
-    def remedy(self) -> tuple[Remedy, bool]:
-        """What the options undo, and whether left and right are to be swapped."""
-        from ..measurements.remedy import Remedy
-        from ..recording import CameraFrame
-
-        swapped, negated = _names(self.swap), _names(self.negate)
-        sides = set(swapped) == SIDES and len(swapped) == 2
-        try:
-            frame = None if self.camera_frame is None else CameraFrame(self.camera_frame)
-        except ValueError:
-            names = ", ".join(CameraFrame)
-            raise typer.BadParameter(f"--camera-frame is one of {names}, not '{self.camera_frame}'") from None
+        if not (isfinite(self.clock_offset or 0) and isfinite(self.sigma_s) and self.sigma_s > 0):
+            raise typer.BadParameter("--clock-offset is a time in s, --clock-sigma one above zero")
         if "" in (self.mirror, self.swap, self.negate):
             raise typer.BadParameter("--mirror, --swap and --negate need a name each")
         try:
-            return Remedy(self.mirror or "", () if sides else swapped, negated, frame), sides
+            _ = self.remedy
         except RecordingError as error:
             raise typer.BadParameter(str(error)) from error
 
-    def clock(self, calibration_file: Path | None, recording: Recording) -> Clock | None:
-        """The clock that was measured: by option, else by the calibration file; None where it is to be
-        found.
-        """
-        from calib.clock.links import measured_clock
-        from calib.file import read_calibration
+    @property
+    def sigma_s(self) -> float:
+        """Of the measured clock."""
+        return CLOCK_SIGMA_S if self.clock_sigma is None else self.clock_sigma
 
-        from ..measurements.clock import constant_clock
+    @property
+    def swaps_sides(self) -> bool:
+        """Left and right are to be swapped, not two joints."""
+        return sorted(_names(self.swap)) == ["left", "right"]
 
-        sigma_s = CLOCK_SIGMA_S if self.clock_sigma is None else self.clock_sigma
-        if not sigma_s > 0.0 or not isfinite(sigma_s):
-            raise typer.BadParameter("--clock-sigma is a time above zero, in s")
-        if self.clock_offset is not None:
-            if not isfinite(self.clock_offset):
-                raise typer.BadParameter("--clock-offset is a time in s")
-            return constant_clock(self.clock_offset, sigma_s)
-        if calibration_file is None:
-            return None
-        return measured_clock(read_calibration(calibration_file), recording)
+    @property
+    def remedy(self) -> Remedy:
+        """What the options undo in an arm."""
+        from ..measurements.remedy import Remedy
+        from ..recording import CameraFrame
 
-
-#: None of them.
-AS_RECORDED = SetUp()
-#: What `--swap` takes besides two joints.
-SIDES = {"left", "right"}
-
-
-def _names(text: str | None) -> tuple[str, ...]:
-    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
-
-
-@dataclass(frozen=True)
-class ArmInput:
-    """Which arms of a recording are read, and how, as a group of a command's options."""
-
-    calibration_file: Calibration = None  # Of the arm; its [clock], if any, is a measured clock
-    arm: ArmSelection = ANY_ARM
-    set_up: SetUp = AS_RECORDED
-
-    def check(self) -> None:
-        """Refuse options whose values are not known, before any work is done."""
-        self.set_up.remedy()
+        frame = None if self.camera_frame is None else CameraFrame(self.camera_frame)
+        swapped = () if self.swaps_sides else _names(self.swap)
+        return Remedy(self.mirror or "", swapped, _names(self.negate), frame)
 
     def load(
         self, path: Path, **reading: Unpack[FileReading]
     ) -> list[tuple[Recording, ArmCalibration | None]]:
         """Every arm, as `load_arms` reads it."""
-        remedy, swap_sides = self.set_up.remedy()
-        reading["swap_sides"] = swap_sides
-        return load_arms(path, self.calibration_file, self.arm, remedy, **reading)
+        reading.update(self.chosen or {})
+        reading["swap_sides"] = self.swaps_sides
+        return load_arms(path, self.calibration_file, self.remedy, **reading)
 
     def clock(self, recording: Recording) -> Clock | None:
-        """See `SetUp.clock`."""
-        return self.set_up.clock(self.calibration_file, recording)
+        """The clock that was measured, by option, else by the calibration; None where it is to be found."""
+        from calib.clock.links import measured_clock
+        from calib.file import read_calibration
+
+        from ..measurements.clock import constant_clock
+
+        if self.clock_offset is not None:
+            return constant_clock(self.clock_offset, self.sigma_s)
+        if self.calibration_file is None:
+            return None
+        return measured_clock(read_calibration(self.calibration_file), recording)
 
 
-#: Every arm, as it was recorded.
-EVERY_ARM = ArmInput()
+def _names(text: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from ..table import percent
+from ..table import Table, percent
+from . import options as o
 from .arm_output import arms_figures, say_arm
 from .load import damage, load_recoveries
-from .options import NO_FILES, Body, Outputs, Processes, Result, Side, one_side
-from .output import check_outputs, print_notes, print_table, say, say_written, write_json
+from .output import (
+    check_outputs,
+    part_of,
+    print_notes,
+    progress_bar,
+    say,
+    say_more,
+    say_written,
+    show,
+    write_csv,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from ..measures import BothArms, Measure, Measures, MeasureSettings, Movement, Scope
@@ -37,7 +46,7 @@ def print_session(one: Measures) -> None:
     """The session's measures; zones of angles are left to `--csv` and `--json`."""
     rows = [_cells(row) for row in one.session if "_zone_" not in row.key and row.is_known]
     columns = ("measure", "value", "95 % interval", "recovered")
-    print_table(f"{one.name}, {one.arm_label}: the session", columns, rows)
+    show(Table(f"{one.name}, {one.arm_label}: the session", columns, rows))
     reasons: dict[str, list[str]] = {}
     for row in one.session:
         if not row.is_known and row.note:
@@ -61,37 +70,30 @@ def print_places(title: str, places: Sequence[Movement], scope: Scope, one: Meas
         )
         for number, (place, row) in enumerate(zip(places, some, strict=False))
     ]
-    more = len(places) - len(rows)
     columns = ("", "from, s", "length, s", *(HEADS[key] for key in shown))
-    print_table(f"{title}: value (95 % interval)", columns, rows)
-    if more > 0:
-        say(f".. and {more} more: --csv and --json have them all")
+    show(Table(f"{title}: value (95 % interval)", columns, rows))
+    say_more(len(places), _MOST_ROWS, "more: --csv and --json have them all")
 
 
-def print_symmetry(both: BothArms) -> None:
+def symmetry_table(both: BothArms) -> Table:
     """The symmetry indices of a person's two arms."""
     rows = [_cells(row) for row in both.rows if row.is_known]
     of = "" if both.left.body is None else f" of body {both.left.body}"
-    if rows:
-        columns = ("symmetry", "value", "95 % interval", "recovered")
-        print_table(f"Right arm{of} against left: 0 = alike, above it the right has more", columns, rows)
+    columns = ("symmetry", "value", "95 % interval", "recovered")
+    return Table(f"Right arm{of} against left: 0 = alike, above it the right has more", columns, rows)
 
 
-def write_csv(path: Path, rows: Sequence[Measures], pairs: Sequence[BothArms], force: bool) -> None:
+def csv_rows(rows: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Sequence[object]]:
     """One row per measure: recording, side, body, then the fields of a measure; empty where there is none."""
     from ..measures import Measure
-    from ..runtime.csv_rows import write_rows
-    from ..runtime.outputs import writing
 
     names = [each.name for each in fields(Measure)]
+    yield ["recording", "side", "body", *names]
     sources = [(one.name, one.side, one.body, one.rows) for one in rows]
     sources += [(both.left.name, "both", both.left.body, both.rows) for both in pairs]
-    with writing(path, force) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        write_rows(file, [["recording", "side", "body", *names]])
-        for name, side, body, own in sources:
-            write_rows(
-                file, ([name, side, *map(_csv_cell, (body, *(getattr(r, n) for n in names)))] for r in own)
-            )
+    for name, side, body, own in sources:
+        for row in own:
+            yield [name, side, *map(_csv_cell, (body, *(getattr(row, each) for each in names)))]
 
 
 def _cells(row: Measure) -> tuple[str, ...]:
@@ -135,49 +137,49 @@ def _csv_cell(value: object) -> object:
 
 
 def measures(
-    result: Result,
+    result: o.Result,
     config_file: Annotated[
         Path | None,
-        typer.Option("--config", metavar="M.toml", help="Thresholds and sizes; docs/measures.md lists them."),
+        o.option("Thresholds and sizes; docs/measures.md lists them.", "--config", metavar="M.toml"),
     ] = None,
-    side: Side = None,
-    body: Body = None,
-    csv_file: Annotated[
-        Path | None,
-        typer.Option("--csv", metavar="FILE", help="Also write every measure as a row of a table."),
-    ] = None,
-    processes: Processes = None,
-    to: Outputs = NO_FILES,
+    csv: Annotated[Path | None, o.option("Also write every measure as a row.", metavar="FILE")] = None,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    side: o.Side = None,
+    body: o.Body = None,
+    processes: o.Processes = None,
 ) -> None:
     """Measure range of motion, reach, speed, smoothness.
 
     For the session, each hand movement and each repetition of an exercise, with intervals from the motions
     that `unocclude smooth` drew; with both arms also their symmetry. No diagnosis: the numbers describe a
     motion.
+
+    Example: unocclude measures out.mcap --csv measures.csv --json measures.json
     """
     from ..measures import MeasureSettings
     from .config import read_settings
 
-    check_outputs(to.force, [csv_file, to.report, to.json_file], [result, config_file])
+    check_outputs(force, [csv, report, json_file], [result, config_file])
     settings = read_settings(config_file, MeasureSettings)
-    recoveries = load_recoveries(result, one_side(side), body)
+    recoveries = load_recoveries(result, side, body)
     rows, pairs = measured(recoveries, settings, processes or 0)
-    if to.report is not None:
+    if report is not None:
         from ..report.measures import measures_page
 
-        measures_page(rows, pairs).write(to.report, to.force)
-    if csv_file is not None:
-        write_csv(csv_file, rows, pairs, to.force)
+        measures_page(rows, pairs).write(report, force)
+    write_csv(csv, csv_rows(rows, pairs), force)
     figures = arms_figures(recoveries, [one.as_dict() for one in rows])
     if pairs:
         figures["symmetry"] = [{"body": both.left.body, "measures": both.as_dict()} for both in pairs]
-    write_json(to.json_file, figures, to.force)
+    write_json(json_file, figures, force)
     for recovery, one in zip(recoveries, rows, strict=True):
         say_arm(recovery, len(recoveries))
         print_arm(one, damage(recovery.notes))
     for both in pairs:
-        print_symmetry(both)
-    say_written(csv_file, to.report, to.json_file)
+        show(symmetry_table(both))
+    say_written(csv, report, json_file)
 
 
 def measured(
@@ -186,16 +188,12 @@ def measured(
     """The measures of each arm, and the comparison of each person's two arms."""
     from ..measures.measuring import Measuring, measures_of
     from ..measures.symmetry import both_arms
-    from .output import progress_bar
 
     done: list[Measuring] = []
     with progress_bar("measuring") as progress:
         for number, recovery in enumerate(recoveries):
-
-            def advanced(share: float, text: str, before: int = number) -> None:
-                progress((before + share) / len(recoveries), text)
-
-            done.append(Measuring.of(recovery, settings, processes, advanced))
+            of_arm = part_of(progress, number, len(recoveries))
+            done.append(Measuring.of(recovery, settings, processes, of_arm))
         progress(1.0, "done")
     pairs = []
     for body in dict.fromkeys(one.recovery.body for one in done):

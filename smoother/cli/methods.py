@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES, ORIENTATIONS
+from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES
 from ..errors import UnoccludeError
 from ..evaluation.methods import GRAPH, METHODS, BaselineSettings, make_methods
 
@@ -41,8 +41,6 @@ def baseline_settings(
     """Check what was set for the baselines among the chosen methods."""
     if orientation is None:
         orientation = DEFAULT_ORIENTATION
-    elif orientation not in ORIENTATIONS:
-        raise typer.BadParameter(f"--orientation is one of {', '.join(ORIENTATIONS)}, not '{orientation}'")
     elif not any(_needs_orientation(name) for name in names):
         raise typer.BadParameter(
             "--orientation belongs to the methods that need a filter's orientation, such as rts; no such"

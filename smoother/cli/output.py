@@ -24,14 +24,6 @@ if TYPE_CHECKING:
     from ..table import Table
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text.strip("-+% ") or 0)
-    except ValueError:
-        return False
-    return True
-
-
 @contextmanager
 def progress_bar(text: str) -> Iterator[Progress]:
     """Yield a function (part done 0 to 1, what is being done) that moves the bar.
@@ -64,6 +56,11 @@ def progress_bar(text: str) -> Iterator[Progress]:
         )
 
 
+def part_of(progress: Progress, number: int, count: int) -> Progress:
+    """Progress of one of several jobs as that of all."""
+    return lambda share, text: progress((number + share) / count, text)
+
+
 #: Variable of the environment that names a file for how far a command is.
 PROGRESS_FILE = "UNOCCLUDE_PROGRESS"
 #: Shortest time between two updates, s.
@@ -88,9 +85,6 @@ def progress_file(path: Path) -> Progress:
             os.replace(beside, path)
 
     return show
-
-
-_TRUTH = "Simulated: what the calibration of these files should find."
 
 
 def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
@@ -146,53 +140,80 @@ def check_mcap(path: Path, exports: bool = False) -> None:
         raise UnoccludeError(f"{path}: the output is MCAP; name it {path.with_suffix('.mcap')}")
 
 
-def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
-    """Write figures as JSON; numbers that are not finite become null."""
+def write_text(path: Path | None, text: str, force: bool) -> None:
+    """Write a text, whole or not at all, where a file is named."""
     if path is None:
         return
     from ..runtime.outputs import writing
 
     with writing(path, force) as temporary:
-        temporary.write_text(json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
-def write_truth(path: Path, tables: dict[str, Any], force: bool) -> None:
-    """Write what a calibration of simulated files should find, in the form of a calibration file."""
+def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
+    """Write figures as JSON; numbers that are not finite become null."""
+    if path is not None:
+        write_text(path, json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", force)
+
+
+def write_csv(path: Path | None, rows: Iterable[Sequence[object]], force: bool) -> None:
+    """Write rows as CSV, the first with the columns' names, where a file is named."""
+    if path is None:
+        return
+    from ..runtime.csv_rows import write_rows
     from ..runtime.outputs import writing
 
-    with writing(path, force) as temporary:
-        temporary.write_text(truth_text(tables), encoding="utf-8")
+    with (
+        writing(path, force) as temporary,
+        open(temporary, "w", encoding="utf-8", errors="backslashreplace", newline="") as file,
+    ):
+        write_rows(file, rows)
 
 
-def truth_text(tables: dict[str, Any]) -> str:
-    """The same as text."""
-    from calib.file import FORMAT, VERSION, to_toml
+def _is_number(text: str) -> bool:
+    try:
+        float(text.strip("-+% ") or 0)
+    except ValueError:
+        return False
+    return True
 
-    return f"# {_TRUTH}\n" + to_toml({"format": FORMAT, "version": VERSION} | tables)
 
+def show(table: Table, most: int | None = None, rest: str = "rows more; --json has them all") -> None:
+    """Print a table that has rows, or at most so many of them; it fits into the terminal.
 
-def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table that fits into the terminal; columns of numbers are right-aligned."""
+    Columns of numbers are right-aligned.
+    """
+    if not table.rows:
+        return
     from rich.table import Table as Grid
     from rich.text import Text
 
-    cells = [[printable(cell_text(value), lines=True) for value in row] for row in rows]
+    cells = [[printable(cell_text(value), lines=True) for value in row] for row in table.rows[:most]]
     grid = Grid()
-    for place, column in enumerate(columns):
+    for place, column in enumerate(table.columns):
         is_number = all(_is_number(row[place]) for row in cells)
         heading = Text(printable(column), style="bold")
         grid.add_column(heading, justify="right" if is_number else "left", overflow="fold")
     for row in cells:
         grid.add_row(*map(Text, row))
     screen = console()
-    screen.print(Text(printable(title), style="bold"))
+    screen.print(Text(printable(table.title), style="bold"))
     screen.print(grid)
+    say_more(len(table.rows), most, rest)
 
 
-def show(table: Table, most: int | None = None) -> None:
-    """Print a table that has rows, or at most so many of them."""
-    if table.rows:
-        print_table(table.title, table.columns, table.rows[:most])
+def console() -> Any:
+    """Rich's console on stdout; wide enough for a table where stdout is not a terminal."""
+    from rich.console import Console
+
+    usual = Console()
+    return usual if usual.is_terminal else Console(width=120)
+
+
+def say_more(count: int, most: int | None, rest: str) -> None:
+    """Print how many were not printed."""
+    if most is not None and count > most:
+        say(f".. and {count - most} {rest}")
 
 
 def print_notes(notes: Iterable[str], imported: bool = False) -> None:
@@ -237,11 +258,3 @@ def say_written(*paths: Path | None) -> None:
     """Print what was written, if anything."""
     if files := [str(path) for path in paths if path is not None]:
         say(f"written: {', '.join(files)}")
-
-
-def console() -> Any:
-    """Rich's console on stdout; wide enough for a table where stdout is not a terminal."""
-    from rich.console import Console
-
-    usual = Console()
-    return usual if usual.is_terminal else Console(width=120)

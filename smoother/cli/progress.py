@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from ..errors import UnoccludeError
-from ..table import percent
-from .options import Force, Json, Report
-from .output import check_outputs, print_notes, print_table, say, say_written, write_json
+from ..table import Table, percent
+from . import options as o
+from .output import check_outputs, print_notes, say, say_written, show, write_csv, write_json
 
 if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress, Series
@@ -24,51 +22,44 @@ NO_DIAGNOSIS = (
 
 
 def progress(
-    study: Annotated[
-        Path,
-        typer.Argument(metavar="STUDY", help="The folder that `unocclude batch` wrote.", show_default=False),
-    ],
-    person: Annotated[str | None, typer.Option("--person", metavar="NAME", help="Only this person.")] = None,
+    study: Annotated[Path, o.argument("STUDY", "The folder that `unocclude batch` wrote.")],
+    person: Annotated[str | None, o.option("Only this person.", metavar="NAME")] = None,
     sessions: Annotated[
         Path | None,
-        typer.Option(
-            "--sessions",
-            metavar="FILE.csv",
-            help="Person and date of each recording: file, person, session or date [, task]; without it"
+        o.option(
+            "Person and date of each recording: file, person, session or date [, task]; without it"
             " they are taken from folders: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap.",
+            metavar="FILE.csv",
         ),
     ] = None,
     mdc: Annotated[
         Path | None,
-        typer.Option(
-            "--mdc",
-            metavar="FILE",
-            help="Minimal detectable changes: what `validate --json` or `progress --reliability --json`"
+        o.option(
+            "Minimal detectable changes: what `validate --json` or `progress --reliability --json`"
             " wrote, or a .toml with [mdc95].",
+            metavar="FILE",
         ),
     ] = None,
     reliability: Annotated[
         bool,
-        typer.Option(
-            "--reliability",
-            help="Sessions have no true change: print ICC, SEM, smallest detectable change.",
+        o.option(
+            "Sessions have no true change: print ICC, SEM, smallest detectable change.", "--reliability"
         ),
     ] = False,
     measure: Annotated[
-        list[str] | None,
-        typer.Option("--measure", metavar="KEY", help="Only this measure; may be repeated."),
+        list[str] | None, o.option("Only this measure; may be repeated.", metavar="KEY")
     ] = None,
-    report: Report = None,
-    json_file: Json = None,
-    csv_file: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="Also write all values as a table.")
-    ] = None,
-    force: Force = False,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    csv: Annotated[Path | None, o.option("Also write all values as a table.", metavar="FILE")] = None,
+    force: o.Force = False,
 ) -> None:
     """Show how a person's measures changed over sessions.
 
     A change is clear where it is larger than the 95 % interval of the difference and, with --mdc, than the
     minimal detectable change. The study comes from `batch --measures`.
+
+    Example: unocclude progress recovered --person p12 --report p12.html
     """
     from ..evaluation.measure_files import read_detectable
     from ..evaluation.reliability import reliability_of
@@ -76,7 +67,7 @@ def progress(
 
     if not study.is_dir():
         raise UnoccludeError(f"{study} is not a folder; name the one that `unocclude batch` wrote")
-    check_outputs(force, [report, json_file, csv_file], [sessions, mdc])
+    check_outputs(force, [report, json_file, csv], [sessions, mdc])
     detectable = None if mdc is None else read_detectable(mdc)
     rows = read_rows(study)
     attendances, left_out = sessions_of(study, rows, sessions)
@@ -89,14 +80,14 @@ def progress(
     if reliability:
         figures["reliability"] = [each.to_dict() for each in repeated]
     write_json(json_file, figures, force)
-    _write_csv(csv_file, persons, force)
+    write_csv(csv, _csv_rows(persons), force)
     for each in persons:
         _print(each)
     if reliability:
         _print_reliability(repeated)
     print_notes(left_out)
     say(NO_DIAGNOSIS)
-    say_written(report, json_file, csv_file)
+    say_written(report, json_file, csv)
 
 
 def _chosen(persons: Sequence[PersonProgress], name: str | None) -> list[PersonProgress]:
@@ -137,11 +128,9 @@ def _print(progress: PersonProgress) -> None:
     say(f"--- {progress.person}: {len(progress.sessions)} sessions ({', '.join(progress.sessions)}) ---")
     if len(progress.sessions) > 1:
         columns = ("measure", "first", "last", "change", "95 % interval", "", "recovered")
-        print_table(
-            f"Last session ({progress.sessions[-1]}) against the first ({progress.sessions[0]})",
-            columns,
-            [_cells(each) for each in progress.main if each.change is not None],
-        )
+        title = f"Last session ({progress.sessions[-1]}) against the first ({progress.sessions[0]})"
+        rows = [_cells(each) for each in progress.main if each.change is not None]
+        show(Table(title, columns, rows))
         say(_counted(progress))
     elif progress.sessions:
         say("One session only: nothing can be compared.")
@@ -156,7 +145,7 @@ def _print_reliability(repeated: Sequence[Reliability]) -> None:
         raise UnoccludeError(
             f"--reliability needs {FEWEST_PERSONS} persons with two sessions each; no measure has them"
         )
-    print_table("Reliability, for sessions without true change", COLUMNS, reliability_cells(repeated))
+    show(Table("Reliability, for sessions without true change", COLUMNS, reliability_cells(repeated)))
 
 
 def _cells(series: Series) -> tuple[object, ...]:
@@ -201,23 +190,6 @@ def _limits(progress: PersonProgress) -> list[str]:
     ]
 
 
-def _write_csv(path: Path | None, persons: Sequence[PersonProgress], force: bool) -> None:
-    """One row per person, measure and session, with the change since the first."""
-    if path is None:
-        return
-    from ..runtime.csv_rows import write_rows
-    from ..runtime.outputs import writing
-
-    with (
-        writing(path, force) as temporary,
-        open(temporary, "w", encoding="utf-8", errors="backslashreplace", newline="") as file,
-    ):
-        write_rows(file, [_COLUMNS])
-        for each in persons:
-            for series in each.series:
-                write_rows(file, _rows(series))
-
-
 _COLUMNS = (
     *("person", "side", "task", "key", "name", "unit", "session", "day", "value", "low", "high", "sigma"),
     *("recovered_share", "draws", "change", "change_low", "change_high", "p", "p_together", "mdc95", "word"),
@@ -225,17 +197,20 @@ _COLUMNS = (
 )
 
 
-def _rows(series: Series) -> Iterable[list[object]]:
-    about = (series.person, series.side, series.task, series.key, series.name, series.unit)
-    for value, change in zip(series.values, (None, *series.changes), strict=True):
-        own = (value.value, value.low, value.high, value.sigma, value.recovered_share)
-        since: tuple[object, ...] = ("",) * 8
-        if change is not None:
-            since = (
-                *(change.difference, change.low, change.high, change.p, change.p_together, change.mdc95),
-                *(change.word, "; ".join(change.limits)),
-            )
-        yield [_cell(cell) for cell in (*about, value.session, value.day, *own, value.n_draws, *since)]
+def _csv_rows(persons: Sequence[PersonProgress]) -> Iterator[Sequence[object]]:
+    """One row per person, measure and session, with the change since the first."""
+    yield _COLUMNS
+    for series in (one for each in persons for one in each.series):
+        about = (series.person, series.side, series.task, series.key, series.name, series.unit)
+        for value, change in zip(series.values, (None, *series.changes), strict=True):
+            own = (value.value, value.low, value.high, value.sigma, value.recovered_share)
+            since: tuple[object, ...] = ("",) * 8
+            if change is not None:
+                since = (
+                    *(change.difference, change.low, change.high, change.p, change.p_together, change.mdc95),
+                    *(change.word, "; ".join(change.limits)),
+                )
+            yield [_cell(cell) for cell in (*about, value.session, value.day, *own, value.n_draws, *since)]
 
 
 def _cell(value: object) -> object:

@@ -1,4 +1,4 @@
-"""`unocclude info`, `match`, `repair` and `check`: what a recording contains and allows."""
+"""`unocclude info`, `check`, `match`, `repair` and `cut`: what a recording contains and allows, and parts."""
 
 from __future__ import annotations
 
@@ -7,32 +7,23 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from ..table import Table
+from . import options as o
 from .arm_output import arms_figures, say_arm
-from .load import EVERY_ARM, ArmInput
-from .options import (
-    ANY_ARM,
-    Anatomy,
-    ArmSelection,
-    BodyHeight,
-    ConfigFile,
-    Force,
-    Json,
-    Processes,
-    RecordingPath,
-    Skeleton,
-)
+from .load import ArmInput
 from .output import (
     check_mcap,
     check_outputs,
+    part_of,
     print_notes,
-    print_table,
     progress_bar,
     say,
     say_written,
+    show,
     write_json,
 )
 from .run import NOT_TRUSTED
@@ -42,43 +33,51 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..evaluation.gaps import TriedGaps
     from ..io.info import RecordingInfo
-    from ..io.mcap.repair import RepairReport
+    from ..io.recording.choose import Selection
     from ..matching import ImuMatch
     from ..measurements.clock import Clock
     from ..recording import Recording
-    from ..result import Recovery
+
+#: A table longer than this is too long for a terminal.
+MOST_ROWS = 25
 
 
 def info(
-    recording_file: RecordingPath,
-    arm: ArmSelection = ANY_ARM,
-    json_file: Json = None,
-    force: Force = False,
+    recording_file: o.RecordingPath,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
 ) -> None:
-    """Show streams, rates, clocks, gaps, and what is missing."""
+    """Show streams, rates, clocks, gaps, and what is missing.
+
+    Example: unocclude info session.mcap
+    """
     from ..io import describe
 
     check_outputs(force, [json_file], [recording_file])
-    about = describe(recording_file, **arm.reading())
+    about = describe(recording_file, imu=imu, skeleton=skeleton, side=side, body=body)
     write_json(json_file, about.to_dict(), force)
-    print_topics(about)
-    print_arm(about)
+    show(topic_table(about))
+    show(stream_table(about))
     print_missing(about)
     print_notes(about.notes, imported=True)
 
 
-def print_topics(about: RecordingInfo) -> None:
-    """Print the topics of a recording."""
+def topic_table(about: RecordingInfo) -> Table:
+    """The topics of a recording."""
     rows = [
         (topic.name, topic.schema, topic.count, topic.rate_hz, f"{topic.duration_s:.1f}")
         for topic in about.topics
     ]
-    title = f"{about.path}, {about.size_bytes / 1e6:.1f} MB"
-    print_table(title, ("topic", "schema", "messages", "rate, Hz", "length, s"), rows)
+    columns = ("topic", "schema", "messages", "rate, Hz", "length, s")
+    return Table(f"{about.path}, {about.size_bytes / 1e6:.1f} MB", columns, rows)
 
 
-def print_arm(about: RecordingInfo) -> None:
-    """Print the streams found, and what would be taken of them."""
+def stream_table(about: RecordingInfo) -> Table:
+    """The streams found, and what would be taken of them."""
     from ..body import FURTHER
 
     rows: list[tuple[str, object]] = [("IMU found", text) for text in about.imus]
@@ -108,19 +107,7 @@ def print_arm(about: RecordingInfo) -> None:
         behind = clock.get("log_time_behind_s")
         lag = "" if behind is None else f", logged {1000 * behind:.1f} ms later"
         rows.append((f"clock of {topic}", f"{clock['first_s']:.3f} to {clock['last_s']:.3f} s{lag}"))
-    print_table("Streams", ("what", "found"), rows)
-
-
-def _say_verdicts(about: RecordingInfo) -> None:
-    """Print the verdict on each arm of a result, and how many of its times are not to be trusted."""
-    for each in about.verdicts:
-        of = f"{each['arm']}: " if each["arm"] else ""
-        if each["verdict"]:
-            say(f"{of}{each['verdict']}")
-        if each["trusted"] is not False and (times := each["untrusted"]):
-            assert isinstance(times, list)
-            count = f"{len(times)} {'time' if len(times) == 1 else 'times'}"
-            say(f"{of}not to be trusted at {count}; export lists them")
+    return Table("Streams", ("what", "found"), rows)
 
 
 def print_missing(about: RecordingInfo) -> None:
@@ -135,7 +122,14 @@ def print_missing(about: RecordingInfo) -> None:
             say(of + (arm.allows if arm.ready else f"not ready for `unocclude smooth`: it {arm.allows}"))
         if about.ready:
             say("ready for `unocclude smooth`")
-    _say_verdicts(about)
+    for each in about.verdicts:  # of a result's arms
+        of = f"{each['arm']}: " if each["arm"] else ""
+        if each["verdict"]:
+            say(f"{of}{each['verdict']}")
+        if each["trusted"] is not False and (times := each["untrusted"]):
+            assert isinstance(times, list)
+            count = f"{len(times)} {'time' if len(times) == 1 else 'times'}"
+            say(f"{of}not to be trusted at {count}; export lists them")
     for step, reason in about.missing.items():
         if step != "smooth":
             say(f"{step}: {reason}")
@@ -144,103 +138,101 @@ def print_missing(about: RecordingInfo) -> None:
         say(f"not in the file, not needed to recover: {lacks}")
 
 
-Method = Annotated[
-    str,
-    typer.Option(
-        "--method",
-        metavar="motion|joint-likelihood|all",
-        help="How pairs are compared; `all` prints both results.",
-    ),
-]
-Reach = Annotated[
-    float,
-    typer.Option("--clocks-apart-s", metavar="S", min=0.0, max=60.0, help="Clocks may differ by this, s."),
-]
-
-
 def match(
-    recording_file: RecordingPath,
-    method: Method = "motion",
-    clocks_apart_s: Reach = 5.0,
-    skeleton: Skeleton = None,
-    json_file: Json = None,
-    force: Force = False,
+    recording_file: o.RecordingPath,
+    method: Annotated[
+        Literal["motion", "joint-likelihood", "all"],
+        o.option("How pairs are compared; `all` prints both results."),
+    ] = "motion",
+    clocks_apart_s: Annotated[
+        float, o.option("Clocks may differ by this, s.", metavar="S", min=0, max=60)
+    ] = 5.0,
+    skeleton: Annotated[
+        str | None, o.option("The skeleton, where the recording has several.", metavar="TOPIC")
+    ] = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
     """Find which IMU is on which body and limb, by motion alone.
 
     Needs no calibration, common orientation or common clock. An IMU is assigned to a wrist (forearm) or
     upper arm, to none of the limbs in view, or left unknown if the motion does not decide.
+
+    Example: unocclude match session.mcap --json matches.json
     """
     from ..io import open_recording
     from ..io.recording.match import match_file
     from ..matching import METHODS
 
     names = list(METHODS) if method == "all" else [method]
-    if names[0] not in METHODS:
-        raise typer.BadParameter(f"--method is {', '.join(METHODS)} or all, not '{method}'")
     check_outputs(force, [json_file], [recording_file])
     file = open_recording(recording_file, truth=False)
-    answers = {}
-    for name in names:
-        answers[name], notes = match_file(file, name, clocks_apart_s, skeleton=skeleton)
-        if name == names[0]:
-            print_matches(str(recording_file), answers[name])
-            print_notes([*file.notes, *notes])
+    found = {name: match_file(file, name, clocks_apart_s, skeleton=skeleton) for name in names}
+    matches, notes = found[names[0]]
+    show(match_table(str(recording_file), matches))
+    sure = sum(one.is_sure for one in matches)
+    are = "is" if sure == 1 else "are"
+    say(f"{sure} of {len(matches)} IMUs {are} matched with a probability above 0.95")
+    print_notes([*file.notes, *notes])
+    figures: dict[str, object] = {"matches": [one.to_dict() for one in matches], "method": names[0]}
     if len(names) > 1:
-        _print_beside(answers)
-    figures: dict[str, object] = {"matches": [one.to_dict() for one in answers[names[0]]], "method": names[0]}
-    if len(names) > 1:
-        figures["methods"] = {name: [one.to_dict() for one in found] for name, found in answers.items()}
+        beside = [
+            [each[0].imu, *(f"{m.limb.body if m.limb else ''} {m.joint} {m.probability:.2f}" for m in each)]
+            for each in zip(*(mine for mine, _ in found.values()), strict=True)
+        ]
+        show(Table("Both methods: body, joint, probability", ("IMU", *names), beside))
+        figures["methods"] = {name: [one.to_dict() for one in mine] for name, (mine, _) in found.items()}
     write_json(json_file, figures, force)
 
 
-def print_matches(title: str, matches: list[ImuMatch]) -> None:
-    """Print what was decided, one row per IMU."""
+def match_table(title: str, matches: list[ImuMatch]) -> Table:
+    """What was decided, one row per IMU."""
     rows = []
     for one in matches:
         body = "-" if one.limb is None else str(one.limb.body)
         others = ", ".join(f"{where} {p:.2f}" for where, p in one.others[:3])
         clock = None if one.limb is None else f"{one.clock_offset_s:+.2f}"
         rows.append((one.imu, body, one.joint, f"{one.probability:.3f}", clock, others or "-"))
-    print_table(title, ("IMU", "body", "joint", "probability", "IMU - camera, s", "else"), rows)
-    sure = sum(one.is_sure for one in matches)
-    are = "is" if sure == 1 else "are"
-    say(f"{sure} of {len(matches)} IMUs {are} matched with a probability above 0.95")
+    return Table(title, ("IMU", "body", "joint", "probability", "IMU - camera, s", "else"), rows)
 
 
-def _print_beside(answers: dict[str, list[ImuMatch]]) -> None:
-    """Print every method's answer, one row per IMU."""
-    rows = [
-        [
-            found[0].imu,
-            *(f"{'' if m.limb is None else m.limb.body} {m.joint} {m.probability:.2f}" for m in found),
-        ]
-        for found in zip(*answers.values(), strict=True)
-    ]
-    print_table("Both methods: body, joint, probability", ("IMU", *answers), rows)
-
-
-Broken = Annotated[
-    Path,
-    typer.Argument(metavar="BROKEN.mcap", help="The damaged file; it is not changed.", show_default=False),
-]
-Whole = Annotated[
-    Path, typer.Option("-o", "--output", metavar="WHOLE.mcap", help="Where to write.", show_default=False)
-]
-
-
-def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Force = False) -> None:
+def repair(
+    broken_file: Annotated[Path, o.argument("BROKEN.mcap", "The damaged file; it is not changed.")],
+    output: Annotated[Path, o.option("Where to write.", "-o", "--output", metavar="WHOLE.mcap")],
+    json_file: o.Json = None,
+    force: o.Force = False,
+) -> None:
     """Salvage a damaged MCAP file and list what was lost.
 
     Messages are written in the order of their log times, with a new index. Messages of chunks that fail their
     checksum are kept; the new file states it, and every command that reads it repeats the note.
+
+    Example: unocclude repair broken.mcap -o whole.mcap --json lost.json
     """
+    from ..io.mcap.messages import plain_name
     from ..io.mcap.repair import repair_container
 
     check_mcap(output)
     check_outputs(force, [output, json_file], [broken_file])
     report = repair_container(broken_file, output, force)
-    print_losses(report)
+    rows = [
+        (plain_name(name), report.messages.get(name, 0), report.missing.get(name, 0))
+        for name in sorted({*report.messages, *report.missing})
+    ]
+    show(Table(f"{report.source}: messages", ("topic", "written", "missing by its own count"), rows))
+    if not report.losses:
+        say("no message before the end is lost" if report.notes else "nothing damaged was met")
+    start = min((loss.first_ns for loss in report.losses if loss.first_ns is not None), default=0)
+    lines = [
+        (
+            f"{loss.start_byte} .. {loss.stop_byte}",
+            *(None if at is None else f"{(at - start) / 1e9:.3f}" for at in (loss.first_ns, loss.last_ns)),
+            loss.what,
+        )
+        for loss in report.losses
+    ]
+    columns = ("bytes", "from, s", "to, s", "what")
+    show(Table("What is damaged (s after the first damage)", columns, lines), MOST_ROWS)
     write_json(json_file, report.to_dict(), force)
     print_notes(report.notes)
     if report.attachments_left_out:
@@ -248,82 +240,131 @@ def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Fo
     say_written(output, json_file)
 
 
-def print_losses(report: RepairReport) -> None:
-    """Print what was written by topic, and what was lost where."""
-    from ..io.mcap.messages import plain_name
+def cut(
+    recording_file: o.RecordingPath,
+    output: Annotated[Path, o.option("The part; a folder with --trials.", "-o", "--output", metavar="FILE")],
+    from_s: Annotated[
+        float | None, o.option("Start of the part, s.  [default: the recording's]", "--from", metavar="S")
+    ] = None,
+    to_s: Annotated[
+        float | None, o.option("End of the part, s.  [default: the recording's]", "--to", metavar="S")
+    ] = None,
+    trials: Annotated[
+        Path | None, o.option("Table of parts: name, start_s, end_s [, label].", metavar="TRIALS.csv")
+    ] = None,
+    label: Annotated[
+        list[str] | None, o.option("Only parts of --trials with this label; may be repeated.", metavar="TEXT")
+    ] = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+) -> None:
+    """Cut a recording by time, or into the trials of a table.
 
+    Times are seconds of the recording, as `smooth` prints them for gaps. All topics are copied unchanged,
+    images too; camera calibrations and transforms that were recorded once are copied into every part.
+    Leave some seconds of visible arm before and after each gap: a part is recovered without the rest.
+
+    Example: unocclude cut session.mcap --trials trials.csv -o trials
+    """
+    from ..io.recording.cut_file import Part, cut_file, read_trials
+
+    if trials is None:
+        if from_s is None and to_s is None:
+            raise typer.BadParameter("choose a part: --from S, --to S, or --trials TRIALS.csv")
+        if label:
+            raise typer.BadParameter("--label chooses among --trials; give the table too")
+        check_mcap(output)
+        start_s, end_s = from_s or 0.0, math.inf if to_s is None else to_s
+        if not start_s < end_s:
+            raise typer.BadParameter(f"--to {end_s:g} is not after --from {start_s:g}")
+        parts = [Part(output.stem, output, start_s, end_s)]
+    else:
+        if from_s is not None or to_s is not None:
+            raise typer.BadParameter(
+                "--from and --to are for one part; the table of --trials has its own times"
+            )
+        each = read_trials(trials, label or ())
+        parts = [Part(one.name, output / f"{one.name}.mcap", one.start_s, one.end_s) for one in each]
+        if output.exists() and not output.is_dir():
+            raise typer.BadParameter(f"{output} is a file; with --trials name a folder")
+        output.mkdir(parents=True, exist_ok=True)
+    check_outputs(force, [*(part.path for part in parts), json_file], [recording_file, trials])
+    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
+    written, notes = cut_file(recording_file, parts, force=force, **chosen)
+    write_json(json_file, {"parts": written, "notes": notes}, force)
     rows = [
-        (plain_name(name), report.messages.get(name, 0), report.missing.get(name, 0))
-        for name in sorted({*report.messages, *report.missing})
-    ]
-    print_table(f"{report.source}: messages", ("topic", "written", "missing by its own count"), rows)
-    if not report.losses:
-        say("no message before the end is lost" if report.notes else "nothing damaged was met")
-        return
-    start = min((loss.first_ns for loss in report.losses if loss.first_ns is not None), default=0)
-    lines = [
         (
-            f"{loss.start_byte} .. {loss.stop_byte}",
-            "-" if loss.first_ns is None else f"{(loss.first_ns - start) / 1e9:.3f}",
-            "-" if loss.last_ns is None else f"{(loss.last_ns - start) / 1e9:.3f}",
-            loss.what,
+            about["name"],
+            f"{part.from_s:.2f}",
+            "the end" if part.to_s == math.inf else f"{part.to_s:.2f}",
+            sum(about["messages"].values()),  # type: ignore[attr-defined]
+            about["file"],
         )
-        for loss in report.losses
+        for part, about in zip(parts, written, strict=True)
     ]
-    columns = ("bytes", "from, s", "to, s", "what")
-    print_table("What is damaged (s after the first damage)", columns, lines[:MOST_ROWS])
-    if len(lines) > MOST_ROWS:
-        say(f".. and {len(lines) - MOST_ROWS} places more; --json has them all")
-
-
-#: A table longer than this is too long for a terminal.
-MOST_ROWS = 25
+    columns = ("name", "from, s", "to, s", "messages", "file")
+    show(Table(f"Parts of {recording_file}", columns, rows), MOST_ROWS)
+    print_notes(notes)
 
 
 def check(
-    recording_file: RecordingPath,
-    source: ArmInput = EVERY_ARM,
-    config_file: ConfigFile = None,
-    anatomy: Anatomy = None,
-    body_height: BodyHeight = None,
-    processes: Processes = None,
-    json_file: Json = None,
-    force: Force = False,
+    recording_file: o.RecordingPath,
+    calibration: o.Calibration = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+    mirror: o.Mirror = None,
+    swap: o.Swap = None,
+    negate: o.Negate = None,
+    camera_frame: o.CameraAxes = None,
+    clock_offset: o.ClockOffset = None,
+    clock_sigma: o.ClockSigma = None,
+    config_file: o.ConfigFile = None,
+    anatomy: o.Anatomy = None,
+    body_height: o.BodyHeight = None,
+    processes: o.Processes = None,
 ) -> None:
     """Test what a recording allows and what is wrong with its set-up.
 
     Checks every arm that has an IMU; of a long recording only the most informative excerpts. The exit code
     is 0 if the results can be used, 3 if one is not to be trusted.
+
+    Example: unocclude check session.mcap --json check.json
     """
     from .config import read_config
 
-    source.check()
-    check_outputs(force, [json_file], [recording_file, source.calibration_file, config_file])
+    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
+    source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
+    check_outputs(force, [json_file], [recording_file, calibration, config_file])
     config = read_config(config_file, processes, anatomy, body_height)
     arms = source.load(recording_file, truth=False)
     recordings = [recording for recording, _ in arms]
     clocks = [source.clock(recording) for recording in recordings]
-    findings = []
     with progress_bar("checking") as progress:
-        for number, (recording, calibration) in enumerate(arms):
-
-            def advanced(share: float, text: str, done: int = number) -> None:
-                progress((done + share) / len(arms), text)
-
-            findings.append(_checked(recording, calibration, config, clocks[number], advanced))
+        findings = [
+            checked(*arm, config, clocks[place], part_of(progress, place, len(arms)))
+            for place, arm in enumerate(arms)
+        ]
         progress(1.0, "done")
     figures = arms_figures(recordings, [mine for mine, _ in findings])
     write_json(json_file, figures, force)
     for recording, (mine, allowed) in zip(recordings, findings, strict=True):
         say_arm(recording, len(arms))
-        _print(mine, allowed)
+        print_check(mine, allowed)
         print_notes(recording.notes)
     say_written(json_file)
     if not figures["trusted"]:
         raise typer.Exit(NOT_TRUSTED)
 
 
-def _checked(
+def checked(
     recording: Recording,
     calibration: ArmCalibration | None,
     config: Config,
@@ -331,69 +372,49 @@ def _checked(
     progress: Callable[[float, str], None],
 ) -> tuple[dict[str, Any], TriedGaps | None]:
     """The figures of an arm, and what its recording allows where a result could be trusted."""
+    from calib.motion.motion_calibration import found_in
+
     from ..cameras import join_cameras
     from ..errors import CalibrationError, SolveError
+    from ..evaluation.gaps import try_gaps
+    from ..evaluation.summary import verdict_figures
     from ..measurements.segment import Timeline
     from ..recovery.cameras import with_cameras
     from ..selfcal.excerpts import informative_recording
     from ..smoothing import smooth
     from ..window.priors import limb_lengths
 
-    forearm_m = float(limb_lengths(config.arm).mean[0])
     # before it is cut: each camera's clock is its own
-    recording, rig = join_cameras(recording, forearm_m=forearm_m)
+    recording, rig = join_cameras(recording, forearm_m=float(limb_lengths(config.arm).mean[0]))
     excerpt = informative_recording(recording, Timeline.of(recording))
-
     # lengths of gaps are tried side by side, each in one process
     recover = partial(smooth, calibration=calibration, config=config, processes=1, clock=clock)
-    processes, allowed = config.windows.processes, None
+    allowed = None
     progress(0.0, "calibrating")
     try:
         recovery = with_cameras(smooth(excerpt, calibration, config, clock=clock), rig)
-        figures = _figures(recovery)
-        if recovery.estimates.trusted:
-            allowed = _tried(
-                excerpt, recovery, recover, lambda part, text: progress(0.3 + 0.7 * part, text), processes
-            )
+        estimates = recovery.estimates
+        signs = [reason for reason in estimates.reasons if reason != estimates.cause]
+        figures = {**verdict_figures(estimates), "trusted": bool(estimates.trusted), "signs": signs}
+        if estimates.trusted:
+            found = found_in(recovery, excerpt)
+            left_open = () if found is None else found.not_determined
+            blind = replace(excerpt, truth=None)
+
+            def trying(part: float, text: str) -> None:
+                progress(0.3 + 0.7 * part, text)
+
+            allowed = try_gaps(blind, recover, left_open, trying, config.windows.processes)
     except (SolveError, CalibrationError) as error:  # what cannot be recovered is the finding
-        figures = _refused(str(error))
+        sentence = str(error)
+        figures = {"trusted": False, "verdict": f"Cannot be recovered: {sentence.rstrip('.')}."}
+        figures |= {"reasons": [sentence], "cautions": [], "cause": None, "remedies": [], "signs": []}
     figures["allows"] = None if allowed is None else allowed.to_dict()
     return {"recording": recording.name, "side": recording.side, **figures}, allowed
 
 
-def _tried(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any, processes: int) -> TriedGaps:
-    from calib.motion.motion_calibration import found_in
-
-    from ..evaluation.gaps import try_gaps
-
-    found = found_in(recovery, excerpt)
-    left_open = () if found is None else found.not_determined
-    return try_gaps(replace(excerpt, truth=None), recover, left_open, progress, processes)
-
-
-def _figures(recovery: Recovery) -> dict[str, Any]:
-    """The verdict as plain values, and the signs besides the cause."""
-    from ..evaluation.summary import verdict_figures
-
-    estimates = recovery.estimates
-    signs = [reason for reason in estimates.reasons if reason != estimates.cause]
-    return verdict_figures(estimates) | {"trusted": bool(estimates.trusted), "signs": signs}
-
-
-def _refused(sentence: str) -> dict[str, Any]:
-    """The same where nothing could be recovered."""
-    return {
-        "trusted": False,
-        "verdict": f"Cannot be recovered: {sentence.rstrip('.')}.",
-        "reasons": [sentence],
-        "cautions": [],
-        "cause": None,
-        "remedies": [],
-        "signs": [],
-    }
-
-
-def _print(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
+def print_check(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
+    """Print the verdict, further cameras, and what the recording allows."""
     say(figures["verdict"])
     for camera in figures.get("cameras", [])[1:]:
         if not camera["reason"]:

@@ -139,7 +139,7 @@ def explain(error: BaseException) -> tuple[str, int]:
 
 
 def _usage(error: BaseException) -> str:
-    text = str(error.format_message()).rstrip(".")  # type: ignore[attr-defined]
+    text = str(error.format_message()).rstrip(".").replace("Value error, ", "")  # type: ignore[attr-defined]
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "unocclude"
     return f"{text}; see {command} --help"

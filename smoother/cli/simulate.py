@@ -1,165 +1,186 @@
-"""`unocclude simulate arm`, `people`, `strap`: recordings of arms with truth; every setting by --set."""
+"""`unocclude simulate`: recordings with truth, of arms and of what calibrations are made of."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .options import Force, Json, Output, Seed
-from .output import check_mcap, check_outputs, print_table, say_command, say_written, write_json
-from .simulate_rig import SimulatedFile
+from ..errors import UnoccludeError
+from ..table import Table
+from . import options as o
+from .output import (
+    check_mcap,
+    check_outputs,
+    progress_bar,
+    say,
+    say_command,
+    say_written,
+    show,
+    write_json,
+    write_text,
+)
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
+    from ..array_types import FloatArray
+    from ..recording import ImuStream
     from ..simulation import MarkerCapture
+    from ..simulation.panel import SimulatedPanel
+    from ..simulation.rig import ClockSession
 
 
-_MAP_HEAD = """# Markers of {name}: the mean of a joint's markers is its centre. The plate on the IMU is
-# rigid; its mean is the IMU, and [imu_plate] gives the positions of its markers in the IMU's axes, m.
-# Use: unocclude validate OUT.mcap --truth {name} --markers {map} --calibration {calibration}
-"""
-
-
-@dataclass(frozen=True)
-class MocapFiles:
-    """Names of what a motion capture is written to."""
-
-    c3d: Path  # The markers, alike
-    trc: Path  # The markers, alike
-    map: Path  # Which markers make a joint
-    calibration: Path  # Where [camera_from_mocap] goes if no other file is named
-
-    @classmethod
-    def beside(cls, recording: Path, calibration: Path | None) -> MocapFiles:
-        """The names that belong to a recording's; the calibration's may be given."""
-
-        def name(ending: str) -> Path:
-            return recording.with_name(f"{recording.stem}{ending}")
-
-        return cls(
-            name(".c3d"), name(".trc"), name("_markers.toml"), calibration or name("_calibration.toml")
-        )
-
-    @property
-    def markers(self) -> tuple[Path, Path, Path]:
-        """All but the calibration."""
-        return self.c3d, self.trc, self.map
-
-    def write(self, capture: MarkerCapture, force: bool) -> None:
-        """Write the capture as a lab would: its own frame and clock, millimetres, blanks where not seen."""
-        from calib.file import to_toml
-
-        from ..io.export.markers import C3dContent, write_c3d, write_trc
-        from ..runtime.outputs import writing
-
-        write_c3d(self.c3d, C3dContent(capture.names, capture.position, capture.rate_hz), force)
-        write_trc(self.trc, capture.names, capture.t_s, capture.position, capture.rate_hz, force)
-        head = _MAP_HEAD.format(name=self.c3d.name, map=self.map.name, calibration=self.calibration.name)
-        text = head + "\n" + to_toml({"markers": capture.marker_map, "imu_plate": capture.plate})
-        with writing(self.map, force) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-
-
-CalibrationOut = Annotated[
-    Path | None,
-    typer.Option("--calibration-out", metavar="CAL.toml", help="Also write the true calibration of the arm."),
-]
-Mocap = Annotated[
-    bool,
-    typer.Option(
-        "--mocap",
-        help="Also write what a motion capture of 15 markers would deliver, beside FILE: .c3d, .trc, "
-        "_markers.toml (the map for --markers), and the calibration with [camera_from_mocap].",
-    ),
-]
-PresetName = Annotated[
+Preset = Annotated[
     str,
-    typer.Option(
-        "--preset",
-        metavar="white|realistic|azure|clean|FILE.toml",
-        help="Errors to start from: a name, or a file of settings.",
-    ),
+    o.option("Errors to start from, or a file of settings.", metavar="clean|white|realistic|azure|FILE.toml"),
 ]
+Folder = Annotated[Path, o.option("Folder to make.", "-o", "--output", metavar="FOLDER")]
+_TRUTH = "# Simulated: what the calibration of these files should find.\n"
 
 
-Arms = Annotated[
-    str,
-    typer.Option(
-        "--arms",
-        metavar="one|both",
-        help="Both arms of one person, each with its IMU or IMUs; --side is the first.",
-    ),
-]
+def configured(
+    given: list[str] | None, *kinds: Any, preset: str = "", hidden: tuple[str, ...] = (), **usual: Any
+) -> list[Any]:
+    """Settings of each kind, from the preset, a file and `--set`; a kind that has presets starts from one."""
+    from pydantic import ValidationError
+
+    from .config import describe
+
+    fields = {
+        name: field for kind in kinds for name, field in kind.model_fields.items() if name not in hidden
+    }
+    start, own = read_preset(preset, fields) if preset else ("", {})
+    changes = usual | own | parsed_settings(given or (), fields)
+    try:
+        made = []
+        for kind in kinds:
+            mine = {name: changes.pop(name) for name in list(changes) if name in kind.model_fields}
+            made.append(kind.preset(start, **mine) if hasattr(kind, "preset") else kind(**mine))
+    except ValidationError as error:
+        raise typer.BadParameter(f"setting {describe(error)}") from error
+    return made
+
+
+def read_preset(name: str, fields: Mapping[str, FieldInfo]) -> tuple[str, dict[str, Any]]:
+    """The named preset that `--preset` starts from, and the settings of a file."""
+    from ..runtime.inputs import read_toml
+    from ..simulation import Preset
+
+    own: dict[str, Any] = {}
+    if name.endswith(".toml"):
+        path, own = name, read_toml(Path(name))
+        name = str(own.pop("preset", Preset.WHITE))
+        if unknown := ", ".join(sorted(set(own) - set(fields))):
+            raise typer.BadParameter(f"{path}: there is no setting {unknown}; `--set list` prints all")
+    if name not in tuple(Preset):
+        names = ", ".join(Preset)
+        raise typer.BadParameter(f"there is no preset '{name}'; presets: {names}, or a FILE.toml")
+    return name, own
+
+
+def parsed_settings(given: list[str] | tuple[()], fields: Mapping[str, FieldInfo]) -> dict[str, Any]:
+    """What `--set KEY=VALUE` sets, by name; `list` prints the settings and ends."""
+    found: dict[str, Any] = {}
+    for text in given:
+        if text == "list":
+            rows = [(name, _shown(field.get_default()), field.description) for name, field in fields.items()]
+            show(Table("Settings", ("key", "default", "what it is"), rows))
+            raise typer.Exit
+        key, mark, value = (part.strip() for part in text.partition("="))
+        name = key.replace("-", "_")
+        if not mark or name not in fields:
+            why = f"there is no setting '{key}'" if mark else f"'{text}' is not KEY=VALUE"
+            raise typer.BadParameter(f"--set: {why}; `--set list` prints all")
+        found[name] = value
+        if isinstance(fields[name].get_default(), tuple):  # as 0.5,1; or as TOML has it: [[0.1, 0.2]]
+            try:
+                brackets = value if value.startswith("[") else f"[{value}]"
+                found[name] = tomllib.loads(f"x = {brackets}")["x"]
+            except tomllib.TOMLDecodeError:
+                message = f"setting {name} takes numbers, as 0.5,1; not '{value}'"
+                raise typer.BadParameter(message) from None
+    return found
+
+
+def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        return ",".join(map(str, default))
+    return str(getattr(default, "value", default)).lower()
+
+
+def check_recording(output: Path, json_file: Path | None, force: bool) -> Path:
+    """Refuse what could not be written in the end; where the truth of a recording goes, beside it."""
+    truth = output.with_name(f"{output.stem}_truth.toml")
+    check_mcap(output)
+    check_outputs(force, [output, truth, json_file])
+    return truth
+
+
+def truth_text(tables: dict[str, Any]) -> str:
+    """What a calibration should find, in the form of a calibration file."""
+    from calib.file import FORMAT, VERSION, to_toml
+
+    return _TRUTH + to_toml({"format": FORMAT, "version": VERSION} | tables)
 
 
 def arm(
-    output: Output,
-    calibration_out: CalibrationOut = None,
-    preset: PresetName = "white",
-    seed: Seed = 0,
-    mocap: Mocap = False,
-    arms: Arms = "one",
-    json_file: Json = None,
-    force: Force = False,
-    **settings: Any,
+    output: o.Output,
+    calibration_out: Annotated[
+        Path | None, o.option("Also write the true calibration of the arm.", metavar="CAL.toml")
+    ] = None,
+    preset: Preset = "white",
+    seed: o.Seed = 0,
+    settings: o.Settings = None,
+    mocap: Annotated[
+        bool,
+        o.option(
+            "Also write a motion capture of 15 markers beside FILE: .c3d, .trc, _markers.toml (for"
+            " --markers), and the calibration with [camera_from_mocap].",
+            "--mocap",
+        ),
+    ] = False,
+    arms: Annotated[
+        Literal["one", "both"], o.option("Both arms of one person; the setting `side` is the first.")
+    ] = "one",
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
     """An arm with a wrist IMU before a depth camera.
 
-    Omitted settings come from the preset; a file has settings by key, and `preset` for the one it starts
-    from. The defaults shown are those of `white`.
-    """
-    from pydantic import ValidationError
+    Settings that are not given come from the preset; a file has settings by key, and `preset` for the one it
+    starts from.
 
+    Example: unocclude simulate arm -o sim.mcap --preset realistic --set repetitions=3 --seed 7
+    """
     from ..io import write_recording
     from ..simulation import ArmSimulation, MocapSimulation, capture, simulate_arm, simulate_both_arms
-    from .config import describe
 
-    start, own = read_preset(preset, arm_settings())
-    given = {name: parsed_setting(name, value) for name, value in settings.items() if value is not None}
-    changes = own | given
-    try:
-        mocap_config = MocapSimulation(**taken(changes, MocapSimulation))
-        config = ArmSimulation.preset(start, **changes)
-    except ValidationError as error:
-        raise typer.BadParameter(f"setting {describe(error)}") from error
+    config, mocap_config = configured(settings, ArmSimulation, MocapSimulation, preset=preset)
     if not mocap and mocap_config != MocapSimulation():
         raise typer.BadParameter("the settings of markers and mocap need --mocap")
-    if arms not in ("one", "both"):
-        raise typer.BadParameter(f"--arms is one or both, not '{arms}'")
     if config.cameras and arms == "both":
-        raise typer.BadParameter("--cameras films one arm; leave out --arms both")
+        raise typer.BadParameter("cameras film one arm; leave out --arms both")
     if config.rgb != "none" and (arms == "both" or mocap or "trunk" in config.imus):
-        raise typer.BadParameter("--rgb goes with one arm and no motion capture; see `simulate arm --help`")
+        raise typer.BadParameter("rgb goes with one arm and no motion capture; leave out the others")
     if config.rgb == "further" and not config.cameras:
-        raise typer.BadParameter("--rgb further needs --cameras, as in --cameras 75")
+        raise typer.BadParameter("rgb=further needs cameras, as in --set cameras=75")
     if mocap and arms == "both":
         raise typer.BadParameter("--mocap captures one arm; leave out --arms both")
-    files = MocapFiles.beside(output, calibration_out) if mocap else None
-    calibration_out = files.calibration if files else calibration_out
+    markers: list[Path] = []
+    if mocap:
+        calibration_out = calibration_out or output.with_name(f"{output.stem}_calibration.toml")
+        markers = [output.with_name(output.stem + end) for end in (".c3d", ".trc", "_markers.toml")]
     check_mcap(output)
-    outputs = [output, calibration_out, *(files.markers if files else ()), json_file]
+    outputs = [output, calibration_out, *markers, json_file]
     check_outputs(force, outputs)
     both = simulate_both_arms(config, seed) if arms == "both" else (simulate_arm(config, seed),)
-    simulated = both[0]
-    markers = capture(simulated, mocap_config, seed) if files else None
+    simulated, recording = both[0], both[0].recording
     write_recording([one.recording for one in both], output, force=force)
-    if calibration_out is not None:
-        _write_calibration([one.calibration for one in both], markers, calibration_out, force)
     figures = {"seed": seed, "preset": preset, "config": config.model_dump(mode="json")}
-    if files is not None and markers is not None:
-        files.write(markers, force)
-        found = {"offset_s": markers.offset_s, "skew_ppm": markers.skew_ppm} | markers.extrinsics
-        figures["mocap"] = mocap_config.model_dump(mode="json") | found
-    figures["parameters"] = simulated.parameters
-    if len(both) > 1:
-        figures["arms"] = [{"side": one.recording.side, "parameters": one.parameters} for one in both]
-    write_json(json_file, figures, force)
-    recording = simulated.recording
     rows: list[tuple[str, object]] = [
         ("length, s", f"{recording.imu.t_s[-1] - recording.imu.t_s[0]:.1f}"),
         ("IMU samples", len(recording.imu)),
@@ -171,181 +192,391 @@ def arm(
     for one in both:
         which = f", {one.recording.side} arm" if len(both) > 1 else ""
         rows.append((f"occluded frames{which}", int(one.occluded.sum())))
-    if markers is not None:
-        rows.append(("mocap frames, 15 markers", len(markers.position)))
-    print_table(recording.name, ("what", "value"), rows)
+    extrinsics = None
+    if markers and calibration_out is not None:
+        captured = capture(simulated, mocap_config, seed)
+        write_mocap(captured, markers, calibration_out, force)
+        extrinsics = captured.extrinsics
+        found = {"offset_s": captured.offset_s, "skew_ppm": captured.skew_ppm} | extrinsics
+        figures["mocap"] = mocap_config.model_dump(mode="json") | found
+        rows.append(("mocap frames, 15 markers", len(captured.position)))
+    if calibration_out is not None:
+        write_calibration([one.calibration for one in both], extrinsics, calibration_out, force)
+    figures["parameters"] = simulated.parameters
+    if len(both) > 1:
+        figures["arms"] = [{"side": one.recording.side, "parameters": one.parameters} for one in both]
+    write_json(json_file, figures, force)
+    show(Table(recording.name, ("what", "value"), rows))
     say_written(*outputs)
 
 
-def read_preset(name: str, settings: Mapping[str, FieldInfo]) -> tuple[str, dict[str, Any]]:
-    """The named preset that `--preset` starts from, and the settings of a file."""
-    from ..runtime.inputs import read_toml
-    from ..simulation import Preset
-
-    own: dict[str, Any] = {}
-    if name.endswith(".toml"):
-        path, own = Path(name), read_toml(Path(name))
-        name = str(own.pop("preset", Preset.WHITE))
-        if unknown := sorted(set(own) - set(settings)):
-            raise typer.BadParameter(
-                f"{path}: there is no setting {', '.join(unknown)}; `--set list` prints all"
-            )
-    names = [preset.value for preset in Preset]
-    if name not in names:
-        raise typer.BadParameter(f"there is no preset '{name}'; presets: {', '.join(names)}, or a FILE.toml")
-    return name, own
+_MAP_HEAD = """# Markers of {name}: the mean of a joint's markers is its centre. The plate on the IMU is
+# rigid; its mean is the IMU, and [imu_plate] gives the positions of its markers in the IMU's axes, m.
+# Use: unocclude validate OUT.mcap --truth {name} --markers {map} --calibration {calibration}
+"""
 
 
-def taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
-    """The settings of a model, taken out of `changes`."""
-    return {name: changes.pop(name) for name in list(changes) if name in model.model_fields}
+def write_mocap(capture: MarkerCapture, files: list[Path], calibration: Path, force: bool) -> None:
+    """Write the capture as a lab would: its own frame and clock, millimetres, blanks where not seen."""
+    from calib.file import to_toml
+
+    from ..io.export.markers import C3dContent, write_c3d, write_trc
+
+    c3d, trc, markers = files
+    write_c3d(c3d, C3dContent(capture.names, capture.position, capture.rate_hz), force)
+    write_trc(trc, capture.names, capture.t_s, capture.position, capture.rate_hz, force)
+    head = _MAP_HEAD.format(name=c3d.name, map=markers.name, calibration=calibration.name)
+    tables = {"markers": capture.marker_map, "imu_plate": capture.plate}
+    write_text(markers, f"{head}\n{to_toml(tables)}", force)
 
 
-def _write_calibration(calibrations: list[Any], markers: Any, path: Path, force: bool) -> None:
+def write_calibration(
+    calibrations: list[Any], extrinsics: dict[str, Any] | None, path: Path, force: bool
+) -> None:
+    """Write the true calibration of the arms, and the mocap's place."""
     from calib.file import CalibrationFile, calibration_text
-
-    from ..runtime.outputs import writing
 
     file = CalibrationFile()
     for calibration in calibrations:
         file = file.with_arm(calibration)
-    if markers is not None:
-        file = file.with_table("camera_from_mocap", markers.extrinsics)
-    with writing(path, force) as temporary:
-        temporary.write_text(calibration_text(file, path), encoding="utf-8", newline="\n")
-
-
-def arm_settings() -> dict[str, FieldInfo]:
-    """Every setting of the simulation by name."""
-    from ..simulation import ArmSimulation, MocapSimulation
-
-    return {**ArmSimulation.model_fields, **MocapSimulation.model_fields}
-
-
-def parsed_setting(name: str, value: Any) -> Any:
-    """A list of numbers for the settings that are one, the value as it is for the others."""
-    known = arm_settings().get(name)
-    if known is None or not isinstance(known.get_default(), tuple):
-        return value
-    try:
-        return tuple(float(part) for part in str(value).split(",") if part.strip())
-    except ValueError:
-        raise typer.BadParameter(f"setting {name} takes numbers, as 0.5,1; not '{value}'") from None
+    if extrinsics is not None:
+        file = file.with_table("camera_from_mocap", extrinsics)
+    write_text(path, calibration_text(file, path), force)
 
 
 #: Settings of an arm that each person draws for themselves, or that a crowd has no use for.
-_NOT_OURS = {
+_NOT_OURS = (
     *("side", "strap", "belly", "frozen_gaps", "swapped_gaps", "still_all"),
     *("cameras", "camera_clock_s", "camera_clock_ppm", "camera_blind", "camera_fault", "rgb", "rgb_noise_px"),
-}
+)
 
 
 def people(
-    output: Output,
-    preset: PresetName = "realistic",
-    seed: Seed = 0,
-    json_file: Json = None,
-    force: Force = False,
-    **settings: Any,
+    output: o.Output,
+    preset: Preset = "realistic",
+    seed: o.Seed = 0,
+    settings: o.Settings = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
     """People with shuffled, unnamed IMUs, for `match`.
 
     The truth, which IMU is where, is printed and goes to --json. Omitted settings of the arms come from the
     preset.
-    """
-    from pydantic import ValidationError
 
+    Example: unocclude simulate people -o people.mcap --set people=2 --set sensors=4 --seed 7
+    """
     from ..io import write_recording
     from ..io.recording.write import as_session
     from ..simulation import ArmSimulation, PeopleSimulation, simulate_people
-    from .config import describe
 
-    start, own = read_preset(preset, people_settings())
-    changes = own | {
-        name: parsed_setting(name, value) for name, value in settings.items() if value is not None
-    }
+    usual: dict[str, Any] = {"protocol": "random", "duration_s": 20.0}
+    kinds = (PeopleSimulation, ArmSimulation)
+    crowd, config = configured(settings, *kinds, preset=preset, hidden=_NOT_OURS, **usual)
+    check_mcap(output)
+    check_outputs(force, [output, json_file])
     try:
-        crowd = PeopleSimulation(**taken(changes, PeopleSimulation))
-        usual = {"protocol": "random", "duration_s": 20.0}
-        config = ArmSimulation.preset(start, **(usual | changes))
-        check_mcap(output)
-        check_outputs(force, [output, json_file])
         simulated = simulate_people(crowd, config, seed)
-    except ValidationError as error:
-        raise typer.BadParameter(f"setting {describe(error)}") from error
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    imus = [one.stream for one in simulated.worn]
-    write_recording(
-        as_session(simulated.name, imus, simulated.arms, simulated.camera_frame), output, force=force
-    )
+    streams = [one.stream for one in simulated.worn]
+    session = as_session(simulated.name, streams, simulated.arms, simulated.camera_frame)
+    write_recording(session, output, force=force)
     rows = [(one.stream.name, one.body, one.joint, one.clock_offset_s) for one in simulated.worn]
-    figures: dict[str, Any] = {
+    keys = ("imu", "body", "joint", "clock_offset_s")
+    figures = {
         "seed": seed,
         "people": crowd.model_dump(mode="json"),
         "config": config.model_dump(mode="json"),
-        "truth": [
-            {"imu": name, "body": body, "joint": joint, "clock_offset_s": offset}
-            for name, body, joint, offset in rows
-        ],
+        "truth": [dict(zip(keys, row, strict=True)) for row in rows],
     }
     write_json(json_file, figures, force)
-    print_table(simulated.name, ("IMU", "body", "joint", "its clock is ahead, s"), rows)
+    show(Table(simulated.name, ("IMU", "body", "joint", "its clock is ahead, s"), rows))
     say_written(output, json_file)
 
 
-def people_settings() -> dict[str, FieldInfo]:
-    """Every setting by name: of the people, then of their arms."""
-    from ..simulation import ArmSimulation, PeopleSimulation
-
-    arms = {name: field for name, field in ArmSimulation.model_fields.items() if name not in _NOT_OURS}
-    return {**PeopleSimulation.model_fields, **arms}
-
-
 def strap(
-    to: SimulatedFile,
-    duration_s: Annotated[
-        float, typer.Option("--duration-s", min=8.0, max=120.0, help="Length of the recording, s.")
-    ] = 20.0,
-    every: Annotated[
-        int,
-        typer.Option("--every", min=1, max=60, help="One image every this many camera frames."),
-    ] = 5,
+    output: o.Output,
+    seed: o.Seed = 0,
+    settings: o.Settings = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
 ) -> None:
     """An arm with images of its strap, for `import strap`.
 
     FILE_truth.toml contains the strap's true position, FILE the IMU's true motion.
+
+    Example: unocclude simulate strap -o session.mcap --seed 7
     """
     from ..io.rig.strap import write_strap_recording
     from ..simulation import ArmSimulation, simulate_arm
+    from ..simulation.settings import StrapImages
     from ..simulation.strap import COLOUR, DEPTH, DEPTH_LATER_S, strap_images, strap_radius_m
-    from .output import progress_bar
 
-    to.check()
-    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=duration_s), to.seed)
+    (config,) = configured(settings, StrapImages)
+    truth_file = check_recording(output, json_file, force)
+    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=config.duration_s), seed)
     recording, measures = simulated.recording, simulated.parameters
-    times = recording.arm.t_s[::every]
+    times = recording.arm.t_s[:: config.every]
+    images = []
     with progress_bar("drawing the arm") as progress:
-        images = []
-        for pair in strap_images(simulated, times, to.seed):
+        for pair in strap_images(simulated, times, seed):
             images.append(pair)
             progress(len(images) / len(times), "drawing the arm")
-    write_strap_recording(to.output, recording, images, times, (COLOUR, DEPTH), DEPTH_LATER_S, force=to.force)
-    radius_m = strap_radius_m(simulated)
-    truth = {
-        "strap": {
-            "radius_m": radius_m,
-            "from_elbow_m": float(measures["forearm_m"] - measures["strap_to_wrist_m"]),
-            "along": float(1.0 - measures["strap_to_wrist_m"] / measures["forearm_m"]),
-        }
-    }
-    to.write_truth(truth, images=len(images))
+    write_strap_recording(output, recording, images, times, (COLOUR, DEPTH), DEPTH_LATER_S, force=force)
+    radius_m, behind_m = strap_radius_m(simulated), measures["strap_to_wrist_m"]
+    from_elbow_m, along = float(measures["forearm_m"] - behind_m), float(1 - behind_m / measures["forearm_m"])
+    truth = {"strap": {"radius_m": radius_m, "from_elbow_m": from_elbow_m, "along": along}}
+    write_text(truth_file, truth_text(truth), force)
+    write_json(json_file, {"seed": seed, "images": len(images), "truth": truth}, force)
     rows = [
         ("images, colour and depth", len(images)),
         ("forearm's core to the IMU, mm", f"{1e3 * radius_m:.1f}"),
-        ("elbow to the strap, mm", f"{1e3 * truth['strap']['from_elbow_m']:.1f}"),
-        ("the same in parts of the forearm", f"{truth['strap']['along']:.2f}"),
+        ("elbow to the strap, mm", f"{1e3 * from_elbow_m:.1f}"),
+        ("the same in parts of the forearm", f"{along:.2f}"),
     ]
-    print_table(to.output.name, ("what", "value"), rows)
-    to.say_written()
-    say_command("import", "strap", to.output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")
+    show(Table(output.name, ("what", "value"), rows))
+    say_written(output, truth_file, json_file)
+    say_command("import", "strap", output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")
+
+
+def imu(
+    output: o.Output,
+    seed: o.Seed = 0,
+    settings: o.Settings = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+) -> None:
+    """An IMU in rest poses, for `calibrate imu`.
+
+    The true values are written to FILE_truth.toml, in the form of a calibration file.
+
+    Example: unocclude simulate imu -o poses.mcap --seed 7
+    """
+    import numpy as np
+
+    from ..simulation.rig import SensorModel, long_rest, rest_poses
+    from ..simulation.settings import RestPoses
+
+    (config,) = configured(settings, RestPoses)
+    truth_file = check_recording(output, json_file, force)
+    sizes = {"offset": config.offset, "scale": config.scale, "cross": config.cross}
+    model = SensorModel.draw(np.random.default_rng([seed, 2]), **sizes)
+    if config.long_rest_s is None:
+        noise = {"acc_noise": config.noise, "gyro_noise": config.noise / 10.0}
+        stream, bias = rest_poses(model, config.poses, seed=seed, rest_s=config.rest_s, **noise)
+    else:
+        stream, bias = long_rest(model, config.long_rest_s, seed=seed)
+    truth = {"accelerometer": _correction(*model.correction()), "gyroscope": {"offset": bias.tolist()}}
+    _write_sensor(output, truth_file, stream, truth, seed, json_file, force)
+    say_command("calibrate", "imu", output, "-o", "arm.toml", "--report", "imu.html")
+
+
+def magnetometer(
+    output: o.Output,
+    seed: o.Seed = 0,
+    settings: o.Settings = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+) -> None:
+    """A magnetometer turned in all directions.
+
+    The true values are written to FILE_truth.toml, in the form of a calibration file.
+
+    Example: unocclude simulate magnetometer -o turning.mcap --seed 7
+    """
+    import numpy as np
+
+    from ..simulation.rig import SensorModel, turning_sensor
+    from ..simulation.settings import TurningMagnetometer
+
+    (config,) = configured(settings, TurningMagnetometer)
+    truth_file = check_recording(output, json_file, force)
+    sizes = {"offset": config.hard_iron, "scale": config.soft_iron, "cross": config.soft_iron}
+    model = SensorModel.draw(np.random.default_rng([seed, 2]), **sizes)
+    stream = turning_sensor(model, seed=seed, field=config.field, noise=config.noise)
+    truth = {"magnetometer": _correction(*model.correction(config.field))}
+    _write_sensor(output, truth_file, stream, truth, seed, json_file, force)
+    say_command("calibrate", "magnetometer", output, "-o", "arm.toml", "--report", "magnetometer.html")
+
+
+def _correction(offset: FloatArray, matrix: FloatArray) -> dict[str, Any]:
+    return {"offset": offset.tolist(), "matrix": matrix.tolist()}
+
+
+def _write_sensor(
+    output: Path,
+    truth_file: Path,
+    stream: ImuStream,
+    truth: dict[str, Any],
+    seed: int,
+    json_file: Path | None,
+    force: bool,
+) -> None:
+    """Write the recording of a sensor alone, and its truth; print what was written."""
+    from calib.imu.sensor import sensor_name
+
+    from ..io import write_recording
+    from ..io.recording.write import as_session
+
+    write_recording(as_session(output.name, [stream], []), output, force=force)
+    tables = {"imu": {sensor_name(stream.name): truth}}
+    write_text(truth_file, truth_text(tables), force)
+    write_json(json_file, {"seed": seed, "truth": tables}, force)
+    length_s = stream.t_s[-1] - stream.t_s[0]
+    say(f"{output}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {length_s:.0f} s")
+    say_written(output, truth_file, json_file)
+
+
+def panel(
+    output: Folder,
+    mcap: Annotated[
+        Path | None, o.option("Also write the session as a recording.", metavar="REC.mcap")
+    ] = None,
+    panel: Annotated[
+        Path | None, o.option("Markers and extent of the panel to simulate.", metavar="PANEL.toml")
+    ] = None,
+    seed: o.Seed = 0,
+    settings: o.Settings = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+) -> None:
+    """A marker panel with images, motion capture and IMUs.
+
+    Writes depth and infrared images, mocap markers and IMU samples of each pose, intrinsics.toml, panel.toml
+    and truth.toml: what `calibrate panel` and `calibrate world` take, and what they should find.
+
+    Example: unocclude simulate panel -o session --set poses=8 --seed 7 --mcap session.mcap
+    """
+    import numpy as np
+
+    from calib.panel.definition import read_panel
+
+    from ..io.rig.panel import PanelShot, check_folder, write_panel_folder, write_panel_recording
+    from ..simulation.panel import PanelSimulation, simulate_panel
+
+    usual: dict[str, Any] = {}
+    if panel is not None:
+        known = read_panel(panel)
+        usual = {"markers": known.markers_P.tolist(), "extent": known.extent_P.tolist()}
+        if known.height_m:
+            usual |= {"marker_height_m": known.height_m, "marker_shape": "sphere"}
+    hidden = ("markers", "extent")  # they are in the panel's own file
+    (config,) = configured(settings, PanelSimulation, hidden=hidden, **usual)
+    check_folder(output, force)
+    check_outputs(force, [mcap, json_file], [panel])
+    try:
+        simulated = simulate_panel(config, seed)
+    except ValueError as error:
+        raise UnoccludeError(f"{error}.") from error
+    shots = [
+        PanelShot(one.t_s, np.rint(one.depth).astype(np.uint16), one.infrared, one.marker_names, one.markers)
+        for one in simulated.poses
+    ]
+    lens, truth = simulated.lens.to_toml(), panel_truth(simulated)
+    imus = [simulated.imu_panel, simulated.imu_base]
+    definition: dict[str, Any] = {
+        "markers": [list(marker) for marker in config.markers],
+        "extent": [list(corner) for corner in config.extent],
+    }
+    if config.marker_shape == "sphere" and config.marker_height_m > 0:
+        definition["marker_height"] = config.marker_height_m
+    if mcap is not None:
+        write_panel_recording(mcap, shots, imus, lens, force=force)
+    tables = {"intrinsics.toml": lens, "panel.toml": {"panel": definition}, "truth.toml": truth}
+    write_panel_folder(output, shots, imus, config.hold_s / 2, tables, force=force)
+    write_json(json_file, {"seed": seed, "config": config.model_dump(mode="json"), "truth": truth}, force)
+    rows = [
+        (name, f"{values['distance_m']:.2f}", f"{values['tilt_deg']:.0f}")
+        for name, values in truth["pose"].items()
+    ]
+    show(Table(str(output), ("pose", "distance, m", "tilt, deg"), rows))
+    say_written(output, mcap, json_file)
+
+
+def panel_truth(simulated: SimulatedPanel) -> dict[str, Any]:
+    """What the calibrations should find, as plain values; quaternions are qw, qx, qy, qz."""
+    import numpy as np
+
+    poses = {}
+    for number, pose in enumerate(simulated.poses, 1):
+        middle = np.append(np.mean(simulated.config.extent, axis=0), 0.0)
+        centre = pose.R_K_P @ middle + pose.p_K_P
+        distance = float(np.linalg.norm(centre))
+        poses[f"{number:02d}"] = {
+            "t_s": pose.t_s,
+            "rotation": _quaternion(pose.R_K_P),
+            "translation": pose.p_K_P.tolist(),
+            "distance_m": distance,
+            "tilt_deg": float(np.degrees(np.arccos(np.clip(-pose.R_K_P[:, 2] @ centre / distance, -1, 1)))),
+            "down": (-pose.R_W_K[2]).tolist(),
+            "marker_pixels": pose.marker_pixels.tolist(),
+            "marker_order": pose.marker_order.tolist(),
+        }
+    mocap = {"rotation": _quaternion(simulated.R_K_E), "translation": simulated.t_K_E.tolist()}
+    return {
+        "camera_from_mocap": mocap,
+        "camera_from_base": {"rotation": _quaternion(simulated.R_K_B)},
+        "panel_from_imu": {"rotation": _quaternion(simulated.R_P_I)},
+        "depth_offset_m": simulated.config.depth_offset_m,
+        "pose": poses,
+    }
+
+
+def _quaternion(R: FloatArray) -> list[float]:
+    from scipy.spatial.transform import Rotation
+
+    quaternion: list[float] = Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True).tolist()
+    return quaternion
+
+
+def clock(
+    output: Folder,
+    seed: o.Seed = 0,
+    settings: o.Settings = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+) -> None:
+    """A beep, broadcasts and motion with known clocks.
+
+    Writes beep.wav, times.csv, session.mcap and truth.toml. The IMU's clock runs 390 ppm fast.
+
+    Example: unocclude simulate clock -o session --seed 7
+    """
+    from ..io.rig.clock import MOTION, SOUND, TIMES, write_clock_folder
+    from ..io.rig.panel import check_folder
+    from ..simulation.rig import simulate_clock_session
+    from ..simulation.settings import ClockSources
+
+    (config,) = configured(settings, ClockSources)
+    check_folder(output, force)
+    check_outputs(force, [json_file])
+    session = simulate_clock_session(seed, **config.model_dump())
+    links = true_links(session)
+    truth = {"clock": {"links": links}}
+    sound = (session.sound, session.sound_rate_hz)
+    text = truth_text(truth)
+    write_clock_folder(output, *sound, session.receptions, session.recording, text, force=force)
+    write_json(json_file, {"seed": seed, "event_time_s": session.event_time_s, "truth": truth}, force)
+    rows = [(one["from"], one["to"], f"{one['offset_s']:+.6f}", f"{one['skew_ppm']:.2f}") for one in links]
+    columns = ("from", "to", "offset, s", "skew, ppm")
+    show(Table("True clocks at time 0: t_to = t_from + offset", columns, rows))
+    say(f"the beep ended at {session.event_time_s:.7f} s on the base's clock")
+    say_written(output, json_file)
+    say_command(
+        *("calibrate", "clock", "--sound", output / SOUND, "--event-time", f"{session.event_time_s:.7f}"),
+        *("--broadcast", output / TIMES, "--motion", output / MOTION, "-o", "clock.toml"),
+    )
+
+
+def true_links(session: ClockSession) -> list[dict[str, Any]]:
+    """Every clock against every other at time 0 of the first, as the calibration file states links."""
+    from ..simulation.rig import BASE, CAMERA, IMU
+
+    links = []
+    for first, second in ((CAMERA, BASE), (CAMERA, IMU), (BASE, IMU)):
+        at_zero, later = (session.offset_s(first, second, at_s) for at_s in (0.0, 1000.0))
+        skew_ppm = 1e6 * (later - at_zero) / 1000.0 + 0.0
+        link = {"from": first, "to": second, "at_s": 0.0, "offset_s": at_zero, "skew_ppm": skew_ppm}
+        links.append(link)
+    return links

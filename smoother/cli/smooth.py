@@ -13,44 +13,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..evaluation.methods import METHODS
+from ..table import Table
+from . import options as o
 from .arm_output import (
     arms_figures,
     end_strictly,
     print_arm,
     print_camera,
     print_clock,
-    print_open,
     say_arm,
     say_untrusted_parts,
     say_verdict,
 )
-from .load import EVERY_ARM, ArmInput, damage
-from .methods import (
-    baseline_settings,
-    choose,
-    drawn_motions,
-    recover_arms,
-    with_strap,
-    with_strap_note,
-)
-from .options import (
-    Anatomy,
-    BodyHeight,
-    BoundaryS,
-    ConfigFile,
-    Draws,
-    DrawSeed,
-    Force,
-    Json,
-    Orientation,
-    Output,
-    Processes,
-    RecordingPath,
-    Report,
-    SolveLeverArms,
-    Strict,
-    Verbose,
-)
+from .load import ArmInput, damage
+from .methods import baseline_settings, choose, drawn_motions, recover_arms, with_strap, with_strap_note
 from .output import (
     check_mcap,
     check_outputs,
@@ -58,7 +34,9 @@ from .output import (
     print_notes,
     progress_bar,
     say,
+    say_more,
     say_written,
+    show,
     write_json,
 )
 
@@ -67,47 +45,51 @@ if TYPE_CHECKING:
 
     from ..config import Config
     from ..evaluation.summary import GapSummary
+    from ..io.recording.choose import Selection
     from ..recording import Recording
     from ..result import Recovery
 
 
 def smooth(
-    recording_file: RecordingPath,
-    output: Output,
-    source: ArmInput = EVERY_ARM,
+    recording_file: o.RecordingPath,
+    output: o.Output,
+    calibration: o.Calibration = None,
     session: Annotated[
         Path | None,
-        typer.Option(
-            "--session",
-            metavar="FOLDER",
-            help="Short trials of the same person and strap: calibrate them together first.",
-        ),
+        o.option("Trials of the same person and strap: calibrate them together first.", metavar="FOLDER"),
     ] = None,
-    config_file: ConfigFile = None,
-    method: Annotated[
-        str, typer.Option("--method", metavar="M", help=f"Method: {', '.join(METHODS)}.")
-    ] = "graph",
-    orientation: Orientation = None,
-    boundary_s: BoundaryS = None,
-    report: Report = None,
+    method: Annotated[str, o.option(f"Method: {', '.join(METHODS)}.", metavar="M")] = "graph",
+    report: o.Report = None,
     max_sigma_m: Annotated[
         float | None,
-        typer.Option(
-            "--max-sigma-m",
-            metavar="M",
-            help="Mark samples whose sigma exceeds this on any axis (`usable` = 0).",
-        ),
+        o.option("Mark samples whose sigma exceeds this on any axis (`usable` = 0).", metavar="M"),
     ] = None,
-    solve_lever_arms: SolveLeverArms = False,
-    anatomy: Anatomy = None,
-    body_height: BodyHeight = None,
-    processes: Processes = None,
-    draws: Draws = None,
-    seed: DrawSeed = None,
-    strict: Strict = False,
-    verbose: Verbose = False,
-    json_file: Json = None,
-    force: Force = False,
+    strict: o.Strict = False,
+    verbose: o.Verbose = False,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    imu: o.Imu = None,
+    skeleton: o.Skeleton = None,
+    side: o.Side = None,
+    body: o.Body = None,
+    mirror: o.Mirror = None,
+    swap: o.Swap = None,
+    negate: o.Negate = None,
+    camera_frame: o.CameraAxes = None,
+    clock_offset: o.ClockOffset = None,
+    clock_sigma: o.ClockSigma = None,
+    config_file: o.ConfigFile = None,
+    orientation: o.Orientation = None,
+    boundary_s: o.BoundaryS = None,
+    solve_lever_arms: o.SolveLeverArms = False,
+    anatomy: o.Anatomy = None,
+    body_height: o.BodyHeight = None,
+    processes: o.Processes = None,
+    draws: Annotated[
+        int | None,
+        o.rare("Motions drawn for intervals of measures; 0 = none.  [default: 64]", min=0, max=1000),
+    ] = None,
+    seed: Annotated[int | None, o.rare("Seed of the drawn motions.  [default: 0]", min=0)] = None,
 ) -> None:
     """Recover the motion in every gap, with its uncertainty.
 
@@ -116,6 +98,8 @@ def smooth(
 
     The exit code is 0 if the result was written, whatever its verdict; with --strict it is 3 if the verdict
     on an arm is "not to be trusted". Single gaps that are not to be trusted do not change it.
+
+    Example: unocclude smooth session.mcap -o out.mcap --calibration arm.toml --report out.html
     """
     from calib.motion.motion_calibration import with_given
 
@@ -131,9 +115,10 @@ def smooth(
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     motions = drawn_motions(draws, seed, names[0])
-    source.check()
+    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
+    source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
     check_mcap(output, exports=True)
-    check_outputs(force, [output, report, json_file], [recording_file, source.calibration_file, config_file])
+    check_outputs(force, [output, report, json_file], [recording_file, calibration, config_file])
     config = read_config(config_file, processes, anatomy, body_height)
     with ExitStack() as ended:
         if session is not None:
@@ -142,18 +127,15 @@ def smooth(
         arms = source.load(recording_file, truth=False)
         recordings = [recording for recording, _ in arms]
         clocks = [source.clock(one) for one in recordings]
-        given = [
-            with_strap(calibration, recording) if solve_lever_arms else calibration
-            for recording, calibration in arms
-        ]
+        given = [with_strap(known, recording) if solve_lever_arms else known for recording, known in arms]
         with progress_bar("recovering") as progress:
             recoveries = recover_arms(
                 recordings, names[0], given, clocks, config, settings, progress, motions, seed or 0
             )
         results = []
         for recovery in recoveries:
-            recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
-            recovery = with_given(recovery, calibration)
+            recording, own = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
+            recovery = with_given(recovery, own)
             if solve_lever_arms:
                 recovery = with_strap_note(recovery)
             results.append((recording, limit_sigma(recovery, max_sigma_m)))
@@ -185,7 +167,7 @@ def of_session(
         raise typer.BadParameter(f"--session is a folder of recordings; {session} is none")
     own = recording_file.resolve()
     trials = dict.fromkeys([*(path.resolve() for path in sorted(session.glob("*.mcap"))), own])
-    found = calibrate_session(trials, source.arm.reading(), config, config.windows.processes)
+    found = calibrate_session(trials, source.chosen or {}, config, config.windows.processes)
     if found.sentence:
         say(f"{session}: {found.sentence}")
     if own not in found.arms:
@@ -233,7 +215,6 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     from calib.motion.motion_calibration import found_in
 
     from ..evaluation.summary import camera_sentences, gap_summaries
-    from .output import print_table
 
     gaps = list(enumerate(gap_summaries(recovery), start=1))
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
@@ -251,11 +232,10 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
         which = "Gaps" if len(rows) == len(gaps) else f"The {len(rows)} least certain of {len(gaps)} gaps"
         title = f"{which}: errors that 95 of 100 stay below"
         columns = ("gap", "starts, s", "length, s", "trusted", "position, cm", "elbow, deg", "seen from")
-        print_table(title, columns, rows)
+        show(Table(title, columns, rows))
     found = found_in(recovery, recording)
     if verbose:
-        if len(rows) < len(gaps):
-            say(f".. and {len(gaps) - len(rows)} gaps more; --json and the report have them all")
+        say_more(len(gaps), most, "gaps more; --json and the report have them all")
         say_untrusted_parts(recovery)
         if found is not None:
             print_found(found)
@@ -329,13 +309,13 @@ def print_found(found: ArmEstimates) -> None:
     for offset in found.offsets:
         print_clock(offset)
     print_camera(found)
-    print_open(found)
+    for sentence in found.not_determined:
+        say(f"not determined: {sentence}")
 
 
 def print_rejected(recovery: Recovery) -> None:
     """Print what was rejected of the camera's samples, one row per reason."""
     from ..evaluation.advice import rejected
-    from .output import print_table
 
     rows = rejected(recovery)
     reasons = {row.reason: row.why for row in rows}
@@ -349,9 +329,8 @@ def print_rejected(recovery: Recovery) -> None:
                 f"{min(row.first_s for row in mine):.1f} .. {max(row.last_s for row in mine):.1f}",
             )
         )
-    if table:
-        columns = ("why", "samples (share of the joint's tracked ones)", "first .. last, s")
-        print_table("Tracked samples that were rejected", columns, table)
+    columns = ("why", "samples (share of the joint's tracked ones)", "first .. last, s")
+    show(Table("Tracked samples that were rejected", columns, table))
 
 
 #: A table longer than this is too long for a terminal: without --verbose this many gaps are shown.

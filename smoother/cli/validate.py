@@ -7,34 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from ..errors import UnoccludeError
+from . import options as o
 from .arm_output import arms_figures, say_arm, warn
 from .load import camera_frame_of, damage, load_recoveries
-from .options import NO_FILES, Align, Body, Outputs, Processes, Result, Side, Verbose, one_side
-from .output import (
-    check_outputs,
-    print_notes,
-    progress_bar,
-    say,
-    show,
-    write_json,
-)
+from .output import check_outputs, print_notes, progress_bar, say, show, write_json
 
 if TYPE_CHECKING:
-    from ..evaluation.measure_agreement import MeasurePair
     from ..evaluation.validate import Validation
     from ..recording import CameraFrame, Truth
     from ..result import Recovery
-
-
-def pooled_measures(paths: Sequence[Path]) -> list[MeasurePair]:
-    """The pairs of earlier validations, each once."""
-    from ..evaluation.measure_agreement import unique_pairs
-    from ..evaluation.measure_files import read_pairs
-
-    return unique_pairs(pair for path in paths for pair in read_pairs(path))
 
 
 def print_measures(validation: Validation, verbose: bool) -> None:
@@ -63,97 +45,81 @@ _MOST_GAPS, FEW_NOTES, FEW_MEASURES = 40, 2, 4
 
 
 def validate(
-    result: Result,
-    truth_file: Annotated[
+    result: o.Result,
+    truth: Annotated[
         Path,
-        typer.Option(
-            "--truth",
+        o.option(
+            "Markers of a motion capture (.c3d, .trc), or poses of the forearm IMU in the camera frame (.csv"
+            " with t_s,x,y,z,qw,qx,qy,qz, or .mcap).",
             metavar="TRUTH",
-            help="Markers of a motion capture (.c3d, .trc), or poses of the forearm IMU in the camera frame"
-            " (.csv with t_s,x,y,z,qw,qx,qy,qz, or .mcap).",
-            show_default=False,
         ),
     ],
     markers: Annotated[
-        Path | None,
-        typer.Option(
-            "--markers", metavar="MAP.toml", help="Which markers form a joint, and which are on the IMU."
-        ),
+        Path | None, o.option("Which markers form a joint, and which are on the IMU.", metavar="MAP.toml")
     ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            "--calibration",
-            metavar="CAL.toml",
-            help="Calibration file with [camera_from_mocap]; without it markers are aligned by the motion.",
-        ),
+        o.option("With [camera_from_mocap]; else markers are aligned by motion.", metavar="CAL.toml"),
     ] = None,
-    align: Align = False,
+    align: o.Align = False,
     pool: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--pool",
-            metavar="FILE.json",
-            help="Add the measures of an earlier `validate --json` to the agreement; may be repeated.",
-        ),
+        o.option("Add the measures of an earlier --json to the agreement; repeatable.", metavar="FILE.json"),
     ] = None,
-    side: Side = None,
-    body: Body = None,
-    processes: Processes = None,
-    verbose: Verbose = False,
-    to: Outputs = NO_FILES,
+    verbose: o.Verbose = False,
+    report: o.Report = None,
+    json_file: o.Json = None,
+    force: o.Force = False,
+    side: o.Side = None,
+    body: o.Body = None,
+    processes: o.Processes = None,
 ) -> None:
     """Compare a result with motion capture or another reference.
 
     With several arms, each is compared with its own truth (topics /truth/left, /truth/right); a truth
     without a side belongs to one arm, chosen with --side.
+
+    Example: unocclude validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml
     """
+    from ..evaluation.measure_agreement import unique_pairs
+    from ..evaluation.measure_files import read_pairs
     from ..evaluation.reference import read_reference
     from ..evaluation.validate import validate
 
-    check_outputs(
-        to.force, [to.report, to.json_file], [result, truth_file, markers, calibration, *(pool or ())]
-    )
-    pooled = pooled_measures(pool or ())
-    recoveries = load_recoveries(result, one_side(side), body)
-    _check_truth_of_several(truth_file, recoveries)
+    check_outputs(force, [report, json_file], [result, truth, markers, calibration, *(pool or ())])
+    pooled = unique_pairs(pair for path in pool or () for pair in read_pairs(path))
+    recoveries = load_recoveries(result, side, body)
+    if len(recoveries) > 1 and truth.suffix.lower() != ".mcap":
+        arms = ", ".join(recovery.arm_label for recovery in recoveries)
+        raise UnoccludeError(
+            f"{truth} is the truth of one arm, and the result has several ({arms}); choose the one that"
+            " it belongs to with --side or --body"
+        )
     axes = camera_frame_of(result)
     frame = None if calibration is None else axes
     results = []
     for recovery in recoveries:
-        truth, alignment = read_reference(
-            truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
+        own, alignment = read_reference(
+            truth, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
         )
         with progress_bar("measuring") as progress:
-            validation = validate(recovery, truth, alignment, pooled, processes or 0, progress)
+            validation = validate(recovery, own, alignment, pooled, processes or 0, progress)
         if validation.measures is not None:
             pooled = validation.measures.together
-        results.append((recovery, validation, truth))
-    if to.report is not None:
-        write_page(results, to.report, to.force, axes)
-    validations = []
-    for recovery, validation, _ in results:
-        damaged = [note for note in damage(recovery.notes) if note not in validation.notes]
-        validations.append(replace(validation, notes=(*damaged, *validation.notes)))
-    figures = [
-        one.to_dict() | {"trusted": recovery.estimates.trusted, "verdict": recovery.estimates.verdict}
-        for recovery, one in zip(recoveries, validations, strict=True)
-    ]
-    write_json(to.json_file, arms_figures(recoveries, figures), to.force)
+        results.append((recovery, validation, own))
+    if report is not None:
+        write_page(results, report, force, axes)
+    validations, figures = [], []
+    for recovery, one, _ in results:
+        damaged = [note for note in damage(recovery.notes) if note not in one.notes]
+        validations.append(replace(one, notes=(*damaged, *one.notes)))
+        verdict = {"trusted": recovery.estimates.trusted, "verdict": recovery.estimates.verdict}
+        figures.append(validations[-1].to_dict() | verdict)
+    write_json(json_file, arms_figures(recoveries, figures), force)
     warn(recoveries)
     for recovery, validation in zip(recoveries, validations, strict=True):
         say_arm(recovery, len(recoveries))
         print_validation(recovery, validation, verbose)
-
-
-def _check_truth_of_several(truth_file: Path, recoveries: Sequence[Recovery]) -> None:
-    """Refuse one arm's truth for several arms."""
-    if len(recoveries) > 1 and truth_file.suffix.lower() != ".mcap":
-        arms = ", ".join(recovery.arm_label for recovery in recoveries)
-        raise UnoccludeError(
-            f"{truth_file} is the truth of one arm, and the result has several ({arms}); choose the one that"
-            " it belongs to with --side or --body"
-        )
 
 
 def write_page(

@@ -18,7 +18,7 @@ from calib.clock.motion_clock import clock_from_motion
 from calib.clock.network import solve_clocks
 from calib.file import CalibrationFile, write_calibration
 from smoother.cli.config import with_processes
-from smoother.cli.load import SetUp
+from smoother.cli.load import ArmInput
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.io import write_recording
@@ -345,8 +345,8 @@ def test_a_file_of_clocks_needs_no_arm(recording: Recording, tmp_path: Path) -> 
     write_calibration(file, file_of(link()))
     read, arm = read_arm(path, file)
     assert arm is None
-    clock = SetUp().clock(file, read)
+    clock = ArmInput(file).clock(read)
     assert clock is not None and clock.mean_s == 1.5
-    typed = SetUp(clock_offset=0.3, clock_sigma=0.01).clock(file, read)  # what is typed counts
+    typed = ArmInput(file, clock_offset=0.3, clock_sigma=0.01).clock(read)  # what is typed counts
     assert typed is not None and (typed.mean_s, typed.sigma_s) == (0.3, 0.01)
-    assert SetUp().clock(None, read) is None
+    assert ArmInput().clock(read) is None

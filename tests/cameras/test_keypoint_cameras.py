@@ -202,7 +202,7 @@ def test_the_command_recovers_one_camera_without_depth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recording, recovered = str(tmp_path / "a.mcap"), str(tmp_path / "out.mcap")
-    settings = "--preset realistic --protocol random --duration-s 30 --rgb all --seed 945"
+    settings = "--preset realistic --set protocol=random --set duration_s=30 --set rgb=all --seed 945"
     assert run(["simulate", "arm", "-o", recording, *settings.split()]) == 0
     height = ["--body-height", "1.75", "--processes", "1", "--draws", "0"]
     assert run(["smooth", recording, "-o", recovered, *height]) == 0

@@ -371,7 +371,7 @@ def test_imu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, seed: int)
 
 def test_a_long_rest_gives_the_noise(tmp_path: Path, capsys) -> None:
     path, figures = tmp_path / "rest.mcap", tmp_path / "rest.json"
-    words = simulated(capsys, "imu", "-o", path, "--long-rest-s", 300)[:3]
+    words = simulated(capsys, "imu", "-o", path, "--set", "long_rest_s=300")[:3]
     done(*words, "-o", tmp_path / "arm.toml", "--json", figures)
     found = json.loads(figures.read_text())
     # 300 s of a density: each axis to about 3 %
@@ -418,7 +418,7 @@ def test_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
 
 def test_strap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
-    words = simulated(capsys, "strap", "-o", "session.mcap", "--duration-s", 10, "--seed", 6)
+    words = simulated(capsys, "strap", "-o", "session.mcap", "--set", "duration_s=10", "--seed", 6)
     done(*words, "--processes", "1", "--json", "strap.json")
     found, truth = json.loads(Path("strap.json").read_text()), truth_of(Path("session_truth.toml"))["strap"]
     # the ends of the skeleton's forearm are known to a centimetre of 25

@@ -30,7 +30,18 @@ from smoother.smoothing import smooth
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two poses as files and as a recording."""
     folder = tmp_path_factory.mktemp("panel")
-    done("simulate", "panel", "-o", folder / "s", "--poses", "2", "--seed", "5", "--mcap", folder / "s.mcap")
+    done(
+        "simulate",
+        "panel",
+        "-o",
+        folder / "s",
+        "--set",
+        "poses=2",
+        "--seed",
+        "5",
+        "--mcap",
+        folder / "s.mcap",
+    )
     return folder
 
 
@@ -182,7 +193,7 @@ def test_five_spots_that_make_two_panels(tmp_path: Path, capsys):
     )
     done(
         *("simulate", "panel", "-o", tmp_path / "s", "--seed", "2", "--panel", config, "--set"),
-        "extra_markers=0.4,-0.25",
+        "extra_markers=[[0.4,-0.25]]",
     )
     options = [*pose(tmp_path), *known(tmp_path)]
     refused(options, tmp_path, capsys, "more than one way", picture=True)
@@ -198,7 +209,7 @@ def test_no_depth_under_the_panel(session: Path, tmp_path: Path, capsys):
 
 
 def test_edge_on(tmp_path: Path, capsys):
-    done("simulate", "panel", "-o", tmp_path / "s", "--seed", "3", "--tilt-deg", "76,80")
+    done("simulate", "panel", "-o", tmp_path / "s", "--seed", "3", "--set", "tilt_deg=76,80")
     refused([*pose(tmp_path), *known(tmp_path)], tmp_path, capsys, "edge-on")
 
 
@@ -271,7 +282,7 @@ def degrees(R: np.ndarray) -> float:
 def world_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five poses, the camera turned between them."""
     folder = tmp_path_factory.mktemp("world")
-    arguments = ["--poses", "5", "--seed", "21", "--camera-tilt-deg", "30", "--tilt-deg", "15,38"]
+    arguments = ["--set", "poses=5", "--seed", "21", "--set", "camera_tilt_deg=30", "--set", "tilt_deg=15,38"]
     done = run(["simulate", "panel", "-o", str(folder / "s"), "--mcap", str(folder / "s.mcap"), *arguments])
     assert done == 0
     return folder

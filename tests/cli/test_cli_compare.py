@@ -20,7 +20,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Ten seconds with an occlusion, its motion capture and its calibration."""
     folder = tmp_path_factory.mktemp("compare")
     done(
-        *("simulate", "arm", "--protocol", "random", "--duration-s", 10, "--seed", 6),
+        *("simulate", "arm", "--set", "protocol=random", "--set", "duration_s=10", "--seed", 6),
         *("-o", folder / "rec.mcap", "--mocap", "--calibration-out", folder / "cal.toml"),
     )
     return folder
@@ -181,7 +181,7 @@ def test_gaps_draws_error_against_length(session: Path, tmp_path: Path):
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("live") / "rec.mcap"
     done(
-        *("simulate", "arm", "--preset", "realistic", "--protocol", "random", "--duration-s", 20),
+        *("simulate", "arm", "--preset", "realistic", "--set", "protocol=random", "--set", "duration_s=20"),
         *("--set", "occlusion_lengths_s=1", "--seed", 2, "-o", path),
     )
     return path
@@ -231,7 +231,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("gaps")
     for seed in (1, 2):
         done(
-            *("simulate", "arm", "--preset", "azure", "--protocol", "random", "--duration-s", 20),
+            *("simulate", "arm", "--preset", "azure", "--set", "protocol=random", "--set", "duration_s=20"),
             *("--seed", seed, "-o", folder / f"{seed}.mcap"),
         )
     return folder

@@ -44,7 +44,7 @@ def session(tmp_path_factory) -> Path:
     """A recording of ten seconds with an occlusion, and its calibration."""
     folder = tmp_path_factory.mktemp("methods")
     done(
-        *("simulate", "arm", "--protocol", "random", "--duration-s", 10, "--seed", 6),
+        *("simulate", "arm", "--set", "protocol=random", "--set", "duration_s=10", "--seed", 6),
         *("-o", folder / "rec.mcap", "--calibration-out", folder / "cal.toml"),
     )
     return folder

@@ -9,9 +9,8 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import pytest
 import typer
@@ -19,10 +18,9 @@ from click.testing import CliRunner
 from commands import done, refused
 
 from smoother import __version__
-from smoother.cli import app as help_page
-from smoother.cli.app import CommandSpec, LazyCommands, app
-from smoother.cli.load import AS_RECORDED, SetUp
-from smoother.cli.options import with_groups
+from smoother.cli.app import app
+from smoother.cli.load import ArmInput
+from smoother.cli.options import ADVANCED
 from smoother.cli.run import explain, run
 from smoother.config import Config
 from smoother.io import write_recording
@@ -137,7 +135,9 @@ def test_full_disk_leaves_nothing(capsys, tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     output = tmp_path / "sim.mcap"
-    failed(capsys, ["simulate", "arm", "-o", output, "--repetitions", 1], 1, "no space left on the disk")
+    failed(
+        capsys, ["simulate", "arm", "-o", output, "--set", "repetitions=1"], 1, "no space left on the disk"
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -204,17 +204,13 @@ LOADED = (
 )
 
 
-def all_places() -> dict[str, CommandSpec]:
-    """Every command's place, by all its words."""
+def all_places() -> dict[str, str]:
+    """The module of every command, by all its words."""
     group = typer.main.get_command(app)
-    commands = {}
-    for name in group.commands:
-        if name in group.commands._specs:
-            commands[name] = group.commands._specs[name]
-        else:
-            below = group.commands[name].commands._specs
-            commands |= {f"{name} {command}": place for command, place in below.items()}
-    return commands
+    below = {name: type(each).modules for name, each in group.commands.items() if hasattr(each, "modules")}
+    return dict(type(group).modules) | {
+        f"{name} {command}": place for name, places in below.items() for command, place in places.items()
+    }
 
 
 def loaded(*arguments: str) -> set[str]:
@@ -229,9 +225,7 @@ def loaded(*arguments: str) -> set[str]:
 def others(command: str) -> set[str]:
     """Modules that hold other commands only."""
     commands = all_places()
-    return {f"smoother.cli.{place.module}" for place in commands.values()} - {
-        f"smoother.cli.{commands[command].module}"
-    }
+    return {f"smoother.cli.{place}" for place in commands.values()} - {f"smoother.cli.{commands[command]}"}
 
 
 def test_smooth_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
@@ -240,7 +234,7 @@ def test_smooth_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     modules = loaded("smooth", str(demo), "-o", str(tmp_path / "out.mcap"), "--processes", "1")
     assert (tmp_path / "out.mcap").exists() and "smoother.cli.smooth" in modules
     assert not modules & {"scipy", "plotly", "pandas", "h5py", "open3d", "cv2", "dask"}
-    assert len(others("smooth")) > 15
+    assert len(others("smooth")) > 12
     assert not modules & others("smooth")
     # what only they need: the graphs' live window, simulations, the importers of devices
     beside = (
@@ -267,26 +261,6 @@ def test_the_help_of_all_starts_no_server() -> None:
     assert not loaded("--help") & {"http.server", "ssl", "numpy", "pydantic", "smoother.cli.imports"}
 
 
-def test_every_place_has_its_command() -> None:
-    commands = all_places()
-    assert len(commands) > 30
-    for words, place in commands.items():
-        command = place.command(words.split()[-1])
-        assert command.help and command.name == words.split()[-1]
-        assert place.epilog.startswith(f"Example: unocclude {words}")
-
-
-def test_a_command_is_made_once_and_only_when_it_is_looked_up() -> None:
-    commands = LazyCommands(
-        {"config": CommandSpec("demo", ""), "none": CommandSpec("no_such_module", "")}, {"more": "group"}
-    )
-    assert list(commands) == ["config", "none", "more"] and len(commands) == 3
-    assert commands["config"] is commands["config"] and commands["more"] == "group"
-    assert commands.get("frobnicate") is None
-    with pytest.raises(ModuleNotFoundError):
-        commands["none"]
-
-
 @pytest.mark.parametrize(
     "words, meant",
     [(["smoth"], "smooth"), (["calibrate", "wrld"], "world"), (["simulate", "peple"], "people")],
@@ -295,36 +269,6 @@ def test_a_mistake_in_a_name_is_seen_through(
     words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert f"Did you mean {meant!r}" in refused(capsys, *words, code=2)
-
-
-@dataclass(frozen=True)
-class Size:
-    width: Annotated[int, typer.Option("--width", help="Of the box.")] = 3
-    name: Annotated[str | None, typer.Option("--name")] = None
-
-
-SMALL = Size()
-
-
-def test_a_group_reaches_the_command_as_one_value() -> None:
-    got: list[object] = []
-
-    def box(path: Annotated[Path, typer.Argument()], size: Size = SMALL, deep: bool = False) -> None:
-        """Make a box."""
-        got.append((path, size, deep))
-
-    app = typer.Typer(add_completion=False)
-    app.command()(with_groups(box))
-    command = typer.main.get_command(app)
-    assert [each.name for each in command.params] == ["path", "width", "name", "deep"]
-    assert command.help == "Make a box."
-    for words, expected in (
-        (["a"], (Path("a"), Size(3, None), False)),
-        (["--width", "5", "a", "--name", "x", "--deep"], (Path("a"), Size(5, "x"), True)),
-    ):
-        result = CliRunner().invoke(command, words)
-        assert result.exit_code == 0, result.output
-        assert got.pop() == expected
 
 
 @pytest.mark.parametrize("command", ["smooth", "check", "gaps", "compare"])
@@ -337,11 +281,9 @@ def test_four_commands_share_the_set_up(command: str, capsys) -> None:
 
 
 def test_a_set_up_undoes_what_its_options_say() -> None:
-    assert AS_RECORDED.remedy()[0].options == "" and AS_RECORDED.remedy()[1] is False
-    remedy, swap_sides = SetUp(mirror="x", swap="left,right", negate="gyroscope").remedy()
-    assert "--mirror x" in remedy.options and "--negate gyroscope" in remedy.options and swap_sides
-    with pytest.raises(typer.BadParameter, match="--camera-frame is one of"):
-        SetUp(camera_frame="upside").remedy()
+    assert ArmInput().remedy.options == "" and not ArmInput().swaps_sides
+    source = ArmInput(mirror="x", swap="left,right", negate="gyroscope")
+    assert source.remedy.options == "--mirror x --negate gyroscope" and source.swaps_sides
 
 
 def leaves(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -381,7 +323,7 @@ def test_every_option_is_shown_once_and_rare_ones_last(words: tuple[str, ...]):
     for flag in flags:
         starts = [line.split()[0:2] for line in text.splitlines() if line.startswith("  -")]
         assert sum(flag in [word.rstrip(",") for word in start] for start in starts) == 1, flag
-    head, found, rare = text.partition(f"{help_page.ADVANCED}:\n")
+    head, found, rare = text.partition(f"{ADVANCED}:\n")
     assert text.startswith("Options:\n") and "--help" in head
     assert not found or "Options:\n" not in rare
 
@@ -391,7 +333,7 @@ def test_settings_of_a_simulation_by_key_and_from_a_file(tmp_path: Path, capsys)
     said = capsys.readouterr().out
     assert "imu_rate_hz" in said and "tremor_rad" in said and not (tmp_path / "none.mcap").exists()
     (tmp_path / "mine.toml").write_text('preset = "clean"\nimu_rate_hz = 50\nocclusion_lengths_s = [0.5]\n')
-    usual = ("--protocol", "random", "--duration-s", 4, "--seed", 3, "-o")
+    usual = ("--set", "protocol=random", "--set", "duration_s=4", "--seed", 3, "-o")
     done("simulate", "arm", "--preset", tmp_path / "mine.toml", *usual, tmp_path / "a.mcap")
     by_key = ("--set", "imu-rate-hz=50", "--set", "occlusion_lengths_s=0.5")
     done("simulate", "arm", "--preset", "clean", *by_key, *usual, tmp_path / "b.mcap")
@@ -402,15 +344,6 @@ def test_settings_of_a_simulation_by_key_and_from_a_file(tmp_path: Path, capsys)
         == 2
     )
     assert "there is no setting warp" in capsys.readouterr().err
-
-
-def test_the_groups_name_options_that_exist():
-    options = {
-        max(option.opts, key=len).lstrip("-") for command in LEAVES.values() for option in command.params
-    } | {"help"}
-    tables = tuple(help_page._SHARED.values())
-    missing = {name for table in tables for name in table} - options
-    assert not missing, missing
 
 
 def test_the_command_line_starts_light() -> None:

@@ -23,7 +23,7 @@ def session(tmp_path_factory) -> Path:
     """A folder with a simulated recording, its calibration, and what `smooth` makes of them."""
     folder = tmp_path_factory.mktemp("session")
     done(
-        *("simulate", "arm", "--repetitions", "1", "--seed", "5", "--set", "imu_rate_hz=100"),
+        *("simulate", "arm", "--set", "repetitions=1", "--seed", "5", "--set", "imu_rate_hz=100"),
         *("-o", folder / "rec.mcap", "--calibration-out", folder / "cal.toml", "--json", folder / "sim.json"),
     )
     done(
@@ -42,7 +42,7 @@ def test_simulate(session):
 
 def test_same_seed_same_file(session, tmp_path):
     done(
-        *("simulate", "arm", "-o", tmp_path / "again.mcap", "--repetitions", 1, "--seed", 5),
+        *("simulate", "arm", "-o", tmp_path / "again.mcap", "--set", "repetitions=1", "--seed", 5),
         *("--set", "imu_rate_hz=100"),
     )
     assert (tmp_path / "again.mcap").read_bytes() == (session / "rec.mcap").read_bytes()
@@ -193,7 +193,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     where = tmp_path_factory.mktemp("mocap")
     done(
         *("simulate", "arm", "-o", where / "a.mcap", "--mocap", "--calibration-out", where / "cal.toml"),
-        *("--repetitions", 1, "--seed", 4, "--json", where / "sim.json"),
+        *("--set", "repetitions=1", "--seed", 4, "--json", where / "sim.json"),
     )
     done(
         *("smooth", where / "a.mcap", "-o", where / "out.mcap", "--calibration", where / "cal.toml"),
@@ -281,7 +281,7 @@ def cut_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording and its result, and both without their last part."""
     cut_folder = tmp_path_factory.mktemp("cut")
     done(
-        *("simulate", "arm", "--protocol", "random", "--duration-s", 20, "--seed", 4, "-o"),
+        *("simulate", "arm", "--set", "protocol=random", "--set", "duration_s=20", "--seed", 4, "-o"),
         cut_folder / "whole.mcap",
     )
     done(

@@ -25,8 +25,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Both arms, recovered, with a report and figures."""
     place = tmp_path_factory.mktemp("both")
     done(
-        *("simulate", "arm", "-o", place / "both.mcap", "--arms", "both", "--protocol", "random"),
-        *("--duration-s", "10", "--set", "occlusion_lengths_s=0.8", "--seed", "3"),
+        *("simulate", "arm", "-o", place / "both.mcap", "--arms", "both", "--set", "protocol=random"),
+        *("--set", "duration_s=10", "--set", "occlusion_lengths_s=0.8", "--seed", "3"),
         *("--calibration-out", place / "cal.toml", "--json", place / "sim.json"),
     )
     done(
@@ -171,7 +171,7 @@ def test_a_calibration_of_one_arm_leaves_the_other_to_its_motion(
 def people(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, tuple[int | None, str]]]:
     """A recording of two people with four IMUs, and its truth."""
     folder = tmp_path_factory.mktemp("people")
-    settings = "--seed 3 --duration-s 12 --set imu_rate_hz=50 --set in_time=0 --set hanging=0"
+    settings = "--seed 3 --set duration_s=12 --set imu_rate_hz=50 --set in_time=0 --set hanging=0"
     done("simulate", "people", "-o", folder / "p.mcap", "--json", folder / "p.json", *settings.split())
     figures = json.loads((folder / "p.json").read_text())
     return folder / "p.mcap", {row["imu"]: (row["body"], row["joint"]) for row in figures["truth"]}
@@ -297,7 +297,7 @@ def test_names_are_still_believed_first() -> None:
 
 
 def test_the_same_seed_gives_the_same_people(people, tmp_path: Path) -> None:
-    settings = "--seed 3 --duration-s 12 --set imu_rate_hz=50 --set in_time=0 --set hanging=0"
+    settings = "--seed 3 --set duration_s=12 --set imu_rate_hz=50 --set in_time=0 --set hanging=0"
     done("simulate", "people", "-o", tmp_path / "again.mcap", *settings.split())
     first, again = open_recording(people[0]), open_recording(tmp_path / "again.mcap")
     for one, other in zip(first.imus, again.imus, strict=True):

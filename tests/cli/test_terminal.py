@@ -19,13 +19,14 @@ from scenes import ALONE
 from calib.motion.motion_summary import known_to
 from smoother.cli import output
 from smoother.cli.demo import print_gaps
-from smoother.cli.output import print_table, say
+from smoother.cli.output import say, show
 from smoother.cli.run import run
 from smoother.evaluation.validate import validate
 from smoother.io import open_recording, write_recording
 from smoother.runtime.printable import printable
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
+from smoother.table import Table
 
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 
@@ -34,7 +35,7 @@ def test_tables_fit_and_numbers_stand_to_the_right(monkeypatch: pytest.MonkeyPat
     path = "/data/" + 60 * "x" + ".mcap"
     for width in (120, 60, 40):
         monkeypatch.setattr(output, "console", lambda width=width: Console(width=width))
-        print_table("Errors", ("joint", "cm", "file"), [["elbow", 1.5, path], ["hand", None, "-"]])
+        show(Table("Errors", ("joint", "cm", "file"), [["elbow", 1.5, path], ["hand", None, "-"]]))
         lines = capsys.readouterr().out.splitlines()
         assert max(map(len, lines)) <= width and lines[0].strip() == "Errors"
         text = "\n".join(lines)
@@ -183,7 +184,7 @@ def test_no_command_lets_them_through(
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_tables_and_lines(name: str, capsys: pytest.CaptureFixture[str]):
-    print_table(name, (name, "b"), [(name, 1.0)])
+    show(Table(name, (name, "b"), [(name, 1.0)]))
     say(name)
     said = capsys.readouterr().out
     assert not ACTING.search(said)

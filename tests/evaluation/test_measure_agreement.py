@@ -193,7 +193,16 @@ class TestCommand:
         """A simulated arm, recovered with a few draws."""
         where = tmp_path_factory.mktemp("validated")
         done(
-            "simulate", "arm", "--protocol", "random", "--duration-s", 8, "--seed", 4, "-o", where / "a.mcap"
+            "simulate",
+            "arm",
+            "--set",
+            "protocol=random",
+            "--set",
+            "duration_s=8",
+            "--seed",
+            4,
+            "-o",
+            where / "a.mcap",
         )
         done("smooth", where / "a.mcap", "-o", where / "out.mcap", "--draws", 20, "--processes", 1)
         return where

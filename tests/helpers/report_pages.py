@@ -29,7 +29,7 @@ def arm_session(folder: Path) -> Path:
     """Sixteen seconds of an arm with occlusions, its calibration and its motion capture; made once."""
     path = folder / "arm.mcap"
     if not path.exists():
-        options = ("--protocol", "random", "--duration-s", 16, "--seed", 6)
+        options = ("--set", "protocol=random", "--set", "duration_s=16", "--seed", 6)
         command("simulate", "arm", *options, "-o", path, "--mocap", "--calibration-out", folder / "cal.toml")
     return path
 
@@ -82,7 +82,7 @@ def panel_session(folder: Path) -> Path:
     """Three poses of a panel, as files and as a recording; made once."""
     path = folder / "panel.mcap"
     if not path.exists():
-        poses = ("--poses", 3, "--seed", 21, "--camera-tilt-deg", 30, "--tilt-deg", "15,38")
+        poses = ("--set", "poses=3", "--seed", 21, "--set", "camera_tilt_deg=30", "--set", "tilt_deg=15,38")
         command("simulate", "panel", "-o", folder / "panel", "--mcap", path, *poses)
     return path
 
@@ -90,7 +90,7 @@ def panel_session(folder: Path) -> Path:
 def panel(folder: Path) -> Path:
     """The page of `calibrate panel`; the camera stands still."""
     page, files = folder / "panel.html", folder / "still"
-    command("simulate", "panel", "-o", files, "--poses", 2, "--seed", 5)
+    command("simulate", "panel", "-o", files, "--set", "poses=2", "--seed", 5)
     poses = [
         part
         for number in (1, 2)

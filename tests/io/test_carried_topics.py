@@ -35,7 +35,7 @@ PRIVATE = [
 def test_from_file_to_file(tmp_path: Path):
     """Through the command: a result has no topic of its recording, and no byte of what is private."""
     done(
-        *("simulate", "arm", "--protocol", "random", "--duration-s", "10", "--seed", "3", "-o"),
+        *("simulate", "arm", "--set", "protocol=random", "--set", "duration_s=10", "--seed", "3", "-o"),
         tmp_path / "plain.mcap",
     )
     with open(tmp_path / "rec.mcap", "wb") as file, open(tmp_path / "plain.mcap", "rb") as plain:

@@ -218,7 +218,7 @@ def test_mounting_is_as_far_off_as_asked(clean: SimulatedPanel):
 def test_folder_and_recording_hold_the_session(tmp_path: Path):
     folder, mcap = tmp_path / "session", tmp_path / "session.mcap"
     done(
-        *("simulate", "panel", "-o", folder, "--mcap", mcap, "--poses", "2", "--seed", "3", *SMALL),
+        *("simulate", "panel", "-o", folder, "--mcap", mcap, "--set", "poses=2", "--seed", "3", *SMALL),
         *("--set", "magnetometer=true"),
     )
     truth = tomllib.loads((folder / "truth.toml").read_text())
@@ -277,4 +277,4 @@ def test_folder_is_whole_or_not_there(tmp_path: Path, capsys: pytest.CaptureFixt
     (folder / "truth.toml").unlink()
     assert run([*arguments, "--force"]) == 1 and "other things" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["session"]
-    assert run(["simulate", "panel", "-o", str(folder), "--tilt-deg", "steep"]) == 2
+    assert run(["simulate", "panel", "-o", str(folder), "--set", "tilt_deg=steep"]) == 2

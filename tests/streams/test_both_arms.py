@@ -23,7 +23,16 @@ WAIT_S = 20.0
 @pytest.fixture(scope="module")
 def both(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("both") / "both.mcap"
-    made = ["--arms", "both", "--imus", "wrist,upper-arm", "--protocol", "random", "--duration-s", "6"]
+    made = [
+        "--arms",
+        "both",
+        "--set",
+        "imus=wrist,upper-arm",
+        "--set",
+        "protocol=random",
+        "--set",
+        "duration_s=6",
+    ]
     assert run(["simulate", "arm", "-o", str(path), "--seed", "3", *made]) == 0
     return path
 

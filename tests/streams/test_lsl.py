@@ -202,7 +202,16 @@ def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path):
 
 def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     both = tmp_path / "both.mcap"
-    made = ["--arms", "both", "--imus", "wrist,upper-arm", "--protocol", "random", "--duration-s", "8"]
+    made = [
+        "--arms",
+        "both",
+        "--set",
+        "imus=wrist,upper-arm",
+        "--set",
+        "protocol=random",
+        "--set",
+        "duration_s=8",
+    ]
     assert run(["simulate", "arm", "-o", str(both), *made]) == 0
     outlets = lab.start("lsl_lab.py", "play", both, "imu", "kinect", "--both")
     lines_until(outlets, "ready")

@@ -151,12 +151,12 @@ def test_simulated_mocap_beside_its_recording(tmp_path, side):
     from scipy.spatial.transform import Rotation
 
     done(
-        *("simulate", "arm", "-o", tmp_path / "sim.mcap", "--mocap", "--side", side, "--seed", 3),
+        *("simulate", "arm", "-o", tmp_path / "sim.mcap", "--mocap", "--set", f"side={side}", "--seed", 3),
         *(
-            "--protocol",
-            "random",
-            "--duration-s",
-            6,
+            "--set",
+            "protocol=random",
+            "--set",
+            "duration_s=6",
             "--set",
             "marker_noise_m=0",
             "--set",
@@ -194,7 +194,7 @@ def test_simulated_mocap_beside_its_recording(tmp_path, side):
 
 
 def test_mocap_leaves_the_recording_as_it_is(tmp_path):
-    options = ("--protocol", "random", "--duration-s", 4, "--seed", 8)
+    options = ("--set", "protocol=random", "--set", "duration_s=4", "--seed", 8)
     done("simulate", "arm", "-o", tmp_path / "a.mcap", *options)
     done("simulate", "arm", "-o", tmp_path / "b.mcap", "--mocap", *options)
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
@@ -202,8 +202,16 @@ def test_mocap_leaves_the_recording_as_it_is(tmp_path):
 
 def test_mocap_goes_into_the_calibration_that_is_named(tmp_path, capsys):
     done(
-        *("simulate", "arm", "--mocap", "--calibration-out", tmp_path / "cal.toml", "--protocol", "random"),
-        *("--duration-s", 4, "-o", tmp_path / "a.mcap"),
+        *(
+            "simulate",
+            "arm",
+            "--mocap",
+            "--calibration-out",
+            tmp_path / "cal.toml",
+            "--set",
+            "protocol=random",
+        ),
+        *("--set", "duration_s=4", "-o", tmp_path / "a.mcap"),
     )
     assert "camera_from_mocap" in tomllib.loads((tmp_path / "cal.toml").read_text())
     assert not (tmp_path / "a_calibration.toml").exists()
