@@ -383,7 +383,8 @@ def test_a_long_rest_gives_the_noise(tmp_path: Path, capsys) -> None:
 
 def test_magnetometer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(simulated(capsys, "magnetometer", "-o", "turning.mcap", "--field", 0.5, "--seed", 3)) == 0
+    words = simulated(capsys, "magnetometer", "-o", "turning.mcap", "--set", "field=0.5", "--seed", 3)
+    assert run(words) == 0
     truth = truth_of(Path("turning_truth.toml"))["imu"]["forearm_right"]["magnetometer"]
     found = read_calibration("arm.toml").tables["imu"]["forearm_right"]["magnetometer"]
     # what the sensor reads of fields in all directions, corrected: of length 1 to 1 % / sqrt(3000 / 9)
