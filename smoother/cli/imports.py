@@ -239,7 +239,7 @@ def video(
 ) -> None:
     """Import a video as the camera; MediaPipe finds the joints.
 
-    Joints are stored in metres relative to the hips, and in pixels.
+    Joints are stored in metres relative to the hips.
 
     Example: unocclude import video phone.mp4 --model pose_landmarker_full.task --imu dot.csv -o session.mcap
     """

@@ -8,20 +8,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.intrinsics import CameraFile
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..linalg import median_rate_hz
-from ..recording import JOINTS, CameraFrame, JointState
+from ..recording import JOINTS, JointState
 from .mcap.messages import nanoseconds
 from .recording.camera_streams import CAMERA_TOPIC
 from .recording.clean import clean_arm, clean_imu
 from .recording.decode import JointRows, joint_code
 from .recording.inertial import scale_to_si, shown_units
-from .recording.keypoints import NAMED_TOPIC, TOPIC, states_of_scores
+from .recording.keypoints import NAMED_TOPIC, TOPIC
 from .recording.names import named_side, role
 from .recording.read import open_recording
 from .recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
@@ -144,12 +143,8 @@ def _skeleton(
     if not tables:
         raise RecordingError(f"{path} ({importer.title}) has no skeleton; name it with --imu alone.")
     tables = [repaired_skeleton(table, str(path)) for table in tables]
-    report = _report(reports, path, importer)
-    frames = _all_times(tables)
-    report.count, report.rate_hz, report.units = len(frames), median_rate_hz(frames), tables[0].units
-    report.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
-    numbers = f"{len(tables)} bodies" if len(tables) > 1 else "1 body"
-    report.sentence = _line(path.name, importer.title, report, f"{report.count:,} frames, {numbers}")
+    frames, numbers = _all_times(tables), f"{len(tables)} bodies" if len(tables) > 1 else "1 body"
+    report = _report(path, importer, tables, frames, f"{len(frames):,} frames, {numbers}")
     if any(table.relative for table in tables):
         report.notes.append(
             f"{path.name}: positions are relative to the body, so its place in the room is not known: the"
@@ -157,6 +152,7 @@ def _skeleton(
         )
     elif tables[0].frame is None and tables[0].gravity_hint is None:
         report.notes.append(f"{path.name} does not state its axes; down is estimated from the motion.")
+    reports.append(report)
     return tables, report
 
 
@@ -174,14 +170,11 @@ def _sensors(
         if not tables:
             raise RecordingError(f"{path} ({importer.title}) has no IMU; name it with --skeleton alone.")
         tables = [repaired_imu(table, str(path)) for table in tables]
-        report = _report(reports, path, importer)
-        report.count, report.rate_hz = len(times_of(tables[0])), median_rate_hz(times_of(tables[0]))
-        report.units = tables[0].units
-        report.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
         names = f"{len(tables)} sensors ({', '.join(t.name for t in tables)}), " if len(tables) > 1 else ""
-        report.sentence = _line(path.name, importer.title, report, f"{report.count:,} samples", names)
+        times = times_of(tables[0])
+        reports.append(_report(path, importer, tables, times, f"{len(times):,} samples", names))
         parts += tables
-    source = ", ".join(str(path) for path in files.paths)
+    report, source = reports[-1], ", ".join(str(path) for path in files.paths)
     whole = [table for table in parts if table.acc is not None and table.gyro is not None]
     if len(files.paths) > 1 or not whole:
         joined = paired(parts, source)
@@ -198,18 +191,33 @@ def _sensors(
     ]
 
 
+def _report(
+    path: Path,
+    importer: Format,
+    tables: Sequence[ImuTable | SkeletonTable],
+    times: FloatArray,
+    count: str,
+    names: str = "",
+) -> FileReport:
+    """What was recognised in a file, and the line that is said of it."""
+    rate_hz, units = median_rate_hz(times), tables[0].units
+    ending = f", {units}" if units else ""
+    sentence = f"{path.name}: {importer.title}, {names}{rate_hz:.1f} Hz, {count}{ending}"
+    notes = [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
+    return FileReport(str(path), importer.key, sentence, [], rate_hz, len(times), units, notes)
+
+
 def _in_shown_units(table: ImuTable, report: FileReport) -> ImuTable:
     """An IMU in the units that gravity and motion show where its file states others, as for recordings."""
     assert table.acc is not None and table.gyro is not None
     units = shown_units(times_of(table), table.acc, table.gyro)
     if units == ("m/s^2", "rad/s"):
         return table
-    table = replace(table, acc=table.acc.copy(), gyro=table.gyro.copy())
-    assert table.acc is not None and table.gyro is not None
+    acc, gyro = table.acc.copy(), table.gyro.copy()
     name = " ".join(part for part in (Path(report.path).name, table.name) if part)
     report.notes = [note for note in report.notes if "check the export" not in note]
-    report.notes += scale_to_si(name, table.acc, table.gyro, *units)
-    return table
+    report.notes += scale_to_si(name, acc, gyro, *units)
+    return replace(table, acc=acc, gyro=gyro)
 
 
 def _of_name(path: Path, name: str, tables: list[ImuTable]) -> ImuTable:
@@ -241,17 +249,6 @@ def _named(
     return named
 
 
-def _report(reports: list[FileReport], path: Path, importer: Format) -> FileReport:
-    report = FileReport(str(path), importer.key, "")
-    reports.append(report)
-    return report
-
-
-def _line(name: str, title: str, report: FileReport, count: str, names: str = "") -> str:
-    units = f", {report.units}" if report.units else ""
-    return f"{name}: {title}, {names}{report.rate_hz:.1f} Hz, {count}{units}"
-
-
 def _all_times(tables: list[SkeletonTable]) -> FloatArray:
     return np.unique(np.concatenate([times_of(table) for table in tables]))
 
@@ -274,7 +271,13 @@ def add_skeleton(
     frames = np.unique(np.concatenate(stamps))
     rows = JointRows()
     for table, stamp in zip(tables, stamps, strict=True):
-        _add_joints(rows, frames, stamp, table.body, table.position, table.state)
+        frame = np.searchsorted(frames, stamp)
+        for name, values in table.position.items():
+            if (code := joint_code(name)) is not None:
+                number, side, joint = (np.full(len(stamp), value, np.int64) for value in (table.body, *code))
+                lost = ~np.isfinite(values).all(axis=1)
+                state = np.where(lost, JointState.NOT_TRACKED, table.state[name]).astype(np.int64)
+                rows.add_joints(frame, number, side, joint, state, np.array(values, dtype=float))
     first = tables[0]
     arms = rows.arms(frames, topic, camera, first.frame)
     if first.units == PIXELS and known is None:
@@ -289,47 +292,8 @@ def add_skeleton(
             " read); record again with the arm in view."
         )
     file.arms += arms
-    if known is None:
-        _add_image_points(file, tables, stamps, frames, camera)
     if file.camera_frame is None and file.gravity_hint is None and camera == "camera":
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
-
-
-def _add_joints(
-    rows: JointRows,
-    frames: IntArray,
-    stamp: IntArray,
-    body: int,
-    position: Mapping[str, FloatArray],
-    states: Mapping[str, NDArray[np.int8]],
-) -> None:
-    """Put the joints of one body, (F, 3) by name, to the frames of all."""
-    frame = np.searchsorted(frames, stamp)
-    for name, values in position.items():
-        if (code := joint_code(name)) is not None:
-            number, side, joint = (np.full(len(stamp), value, np.int64) for value in (body, *code))
-            lost = ~np.isfinite(values).all(axis=1)
-            state = np.where(lost, JointState.NOT_TRACKED, states[name]).astype(np.int64)
-            rows.add_joints(frame, number, side, joint, state, np.array(values, dtype=float))
-
-
-def _add_image_points(
-    file: RecordingFile,
-    tables: list[SkeletonTable],
-    stamps: list[IntArray],
-    frames: IntArray,
-    camera: str,
-) -> None:
-    """The same joints in the pictures, where the file has them: for a camera model that uses pixels."""
-    rows, topic = JointRows(), TOPIC if camera == "camera" else NAMED_TOPIC.format(camera)
-    for table, stamp in zip(tables, stamps, strict=True):
-        if table.image is not None:
-            file.image_sizes[topic] = (table.image.width, table.image.height)
-            points = table.image.joints
-            state = {name: states_of_scores(each[:, 2]) for name, each in points.items()}
-            _add_joints(rows, frames, stamp, table.body, points, state)
-    if topic in file.image_sizes:
-        file.image_points += rows.arms(frames, topic, camera, CameraFrame.OPTICAL)
 
 
 def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift_s: float) -> None:

@@ -41,6 +41,11 @@ class Limb:
     skeleton: str = ""  # Topic that the arm came from
 
     @property
+    def arm(self) -> tuple[str, int, str]:
+        """Whose it is: skeleton, body and side."""
+        return self.skeleton, self.body, self.side
+
+    @property
     def joint(self) -> str:
         """Its name in a match, as "wrist_right"."""
         return f"{self.segment}_{self.side}" if self.side else self.segment

@@ -9,7 +9,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..recording import JOINTS, CameraFrame, ImuStream, JointTracks, Recording
-from ..runtime.store import batches, large_array
+from ..runtime.store import by_rows
 
 AXES = ("x", "y", "z")
 SENSORS = ("accelerometer", "gyroscope")
@@ -114,17 +114,12 @@ def _mirrored(position: FloatArray, axis: int) -> FloatArray:
 
 
 def _scaled(values: FloatArray, factor: FloatArray) -> FloatArray:
-    out = large_array(values.shape)
-    for rows in batches(len(values)):
-        out[rows] = values[rows] * factor
-    return out
+    return by_rows(lambda part: part * factor, values)
 
 
 def _swapped(arm: JointTracks, joints: tuple[str, ...]) -> JointTracks:
     first, second = (JOINTS.index(joint) for joint in joints)
     order = list(range(len(JOINTS)))
     order[first], order[second] = second, first
-    position = large_array(arm.position.shape)
-    for rows in batches(len(position)):
-        position[rows] = arm.position[rows][:, order]
+    position = by_rows(lambda part: part[:, order], arm.position)
     return replace(arm, position=position, state=np.asarray(arm.state)[:, order])

@@ -33,22 +33,12 @@ class CameraFrame(StrEnum):
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where a camera {C} is in the frame {K} of the recording's first one.
+    """Where a camera {C} is in the frame {K} of the recording's first one."""
 
-    Attributes
-    ----------
-    R_K_C : ndarray, shape (3, 3)
-        Maps a vector from {C} to {K}.
-    p_K_C_m : ndarray, shape (3,), m
-        Its origin in {K}.
-    sigma_rad, sigma_m : float, rad and m
-        One standard deviation, per axis; the second is of the place at which it sees the arm.
-    """
-
-    R_K_C: FloatArray
-    p_K_C_m: FloatArray
-    sigma_rad: float
-    sigma_m: float
+    R_K_C: FloatArray  # (3, 3): maps a vector from {C} to {K}
+    p_K_C_m: FloatArray  # (3,) m: its origin in {K}
+    sigma_rad: float  # One standard deviation per axis
+    sigma_m: float  # One standard deviation per axis, of the place at which it sees the arm
 
     def to_first(self, points_C: FloatArray) -> FloatArray:
         """Points (..., 3) m of {C} in {K}."""
@@ -57,27 +47,13 @@ class CameraPose:
 
 @dataclass(frozen=True)
 class Camera:
-    """A further camera's joints of the recording's arm, as it saw them.
+    """A further camera's joints of the recording's arm, as it saw them."""
 
-    Attributes
-    ----------
-    name : str
-        In messages and results.
-    arm : JointTracks
-        On its own clock, in its own frame {C}.
-    camera_frame : CameraFrame, optional
-        The convention of its axes.
-    gravity_hint : ndarray, shape (3,), optional
-        Direction of down in {C}, good to some degrees.
-    pose : CameraPose, optional
-        Its pose, if that was measured beforehand.
-    """
-
-    name: str
-    arm: JointTracks
-    camera_frame: CameraFrame | None = None
-    gravity_hint: FloatArray | None = None
-    pose: CameraPose | None = None
+    name: str  # In messages and results
+    arm: JointTracks  # On its own clock, in its own frame {C}
+    camera_frame: CameraFrame | None = None  # The convention of its axes
+    gravity_hint: FloatArray | None = None  # (3,): direction of down in {C}, good to some degrees
+    pose: CameraPose | None = None  # If that was measured beforehand
 
     def with_arm(self, arm: JointTracks) -> Camera:
         """The same with other frames."""

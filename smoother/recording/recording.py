@@ -36,18 +36,10 @@ class ImportNote(str):
 
 @dataclass(frozen=True)
 class TrunkSensors:
-    """An IMU on the trunk, and what the camera sees of the trunk besides the arm's own shoulder.
+    """An IMU on the trunk, and what the camera sees of the trunk besides the arm's own shoulder."""
 
-    Attributes
-    ----------
-    imu : ImuStream
-        On the breastbone or the back, on a clock of its own, in its own axes {D}.
-    other_arm : JointTracks, optional
-        The other arm, whose shoulder counts; None where the skeleton has none.
-    """
-
-    imu: ImuStream
-    other_arm: JointTracks | None = None
+    imu: ImuStream  # On the breastbone or the back, on a clock of its own, in its own axes {D}
+    other_arm: JointTracks | None = None  # Whose shoulder counts; None where the skeleton has none
 
 
 @dataclass(frozen=True, repr=False)
@@ -156,19 +148,19 @@ class Recording:
         def cut(stream: Cropped) -> Cropped:
             return stream.select(slice(*np.searchsorted(stream.t_s, [start_s, end_s]).tolist()))
 
+        def cut_if_there(stream: Cropped | None) -> Cropped | None:
+            return None if stream is None else cut(stream)
+
         trunk = self.trunk
-        if trunk is not None:
-            other = None if trunk.other_arm is None else cut(trunk.other_arm)
-            trunk = replace(trunk, imu=cut(trunk.imu), other_arm=other)
         part = replace(
             self,
             imu=cut(self.imu),
             arm=cut(self.arm),
-            base_imu=None if self.base_imu is None else cut(self.base_imu),
-            truth=None if self.truth is None else cut(self.truth),
+            base_imu=cut_if_there(self.base_imu),
+            truth=cut_if_there(self.truth),
             further_imus={name: cut(imu) for name, imu in self.further_imus.items()},
-            trunk=trunk,
-            opposite=None if self.opposite is None else cut(self.opposite),
+            trunk=trunk and TrunkSensors(cut(trunk.imu), cut_if_there(trunk.other_arm)),
+            opposite=cut_if_there(self.opposite),
             cameras=tuple(camera.with_arm(cut(camera.arm)) for camera in self.cameras),
         )
         if not (start_s < end_s and len(part.imu) and len(part.arm)):

@@ -18,12 +18,66 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
 
 from ..errors import UnoccludeError
 
 #: How long a pipe's reader may take to come, s.
 READER_S = 3.0
+_ENDING = ".unocclude.tmp"
+_NAME = re.compile(r"\..*\.[0-9a-f]{24}" + re.escape(_ENDING) + r"(\.\w+)?")
+#: Characters of the output's name in that of its temporary file: four bytes each at most, of 255.
+_NAME_CHARACTERS = 40
+#: Folders are looked through once per process: one may contain a million results.
+_swept: set[Path] = set()
+
+
+@contextmanager
+def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
+    """Yield a hidden name beside `path` to write to; it becomes `path` when all went well."""
+    check_output(path, force)
+    if is_stream(path):
+        with _sending(path) as temporary:
+            yield temporary
+        return
+    # A link keeps pointing at the file it named, which is the one replaced.
+    target = Path(path).resolve()
+    temporary = temporary_name(target)
+    try:
+        remove_stale_tempfiles(target.parent)
+        with locked(temporary):
+            yield temporary
+            _give_mode(temporary, target)
+            _sync(temporary, os.O_RDWR)
+            if os.name == "posix":  # elsewhere an open file cannot be moved
+                _give_name(temporary, target, force)
+        if os.name != "posix":
+            _give_name(temporary, target, force)
+        with suppress(OSError):  # some systems and network file systems cannot; the file itself is safe
+            _sync(target.parent, os.O_RDONLY)
+    except OSError as error:
+        # a name that was taken, of this file; other errors may concern another one that was read meanwhile
+        if isinstance(error, FileExistsError) and error.filename2 is not None:
+            raise UnoccludeError(
+                f"{path} was written by another command meanwhile; give another name, or force=True to"
+                " overwrite it."
+            ) from error
+        other = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary
+        raise could_not_be_written(path, error, str(error.filename) if other else "") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def could_not_be_written(path: str | os.PathLike[str], error: OSError, where: str = "") -> UnoccludeError:
+    """What went wrong, for the user."""
+    reason, remedy = error.strerror or str(error), ""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        reason, remedy = "no space left on the disk", "; make room and run again"
+    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        remedy = "; write to a folder of your own"
+    elif error.errno == errno.ENXIO:
+        return UnoccludeError(f"{path} is a pipe without a reader; start the reader first, or name a file.")
+    return UnoccludeError(f"{path} could not be written: {reason}{f' ({where})' if where else ''}{remedy}.")
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
@@ -37,26 +91,6 @@ def is_stream(path: str | os.PathLike[str]) -> bool:
     return stat.S_ISCHR(about.st_mode) and os.path.samestat(about, os.stat(os.devnull))
 
 
-@contextmanager
-def sending(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary file to write to; its content goes to the stream `path` when all went well."""
-    try:
-        with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:  # for its owner alone
-            temporary = Path(folder) / "output"
-            temporary.touch(mode=0o600)
-            yield temporary
-            with open(temporary, "rb") as content, _opened(path) as stream:
-                shutil.copyfileobj(content, stream)
-    except BrokenPipeError as error:
-        raise UnoccludeError(f"{path} could not be written: its reader went away.") from error
-    except OSError as error:
-        if error.errno == errno.ENXIO:
-            raise UnoccludeError(
-                f"{path} is a pipe without a reader; start the reader first, or name a file."
-            ) from error
-        raise UnoccludeError(f"{path} could not be written: {error.strerror or error}.") from error
-
-
 def _is_standard_output(path: str | os.PathLike[str], about: os.stat_result) -> bool:
     """Such as /dev/stdout, also where it leads to a file."""
     named = os.fspath(path).startswith(("/dev/", "/proc/"))
@@ -66,38 +100,39 @@ def _is_standard_output(path: str | os.PathLike[str], about: os.stat_result) -> 
 
 
 @contextmanager
-def _opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    about = os.stat(path)
-    if _is_standard_output(path, about):
-        with suppress(OSError, ValueError):
-            sys.stdout.flush()  # what was printed comes first
-        handle = os.dup(1)  # opened anew, a file would be written from its beginning
-    else:
-        handle = _handle(path)
-        if hasattr(os, "set_blocking"):
-            os.set_blocking(handle, True)
-    with os.fdopen(handle, "wb") as stream:
-        yield stream
+def _sending(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary file to write to; its content goes to the stream `path` when all went well."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:  # for its owner alone
+            temporary = Path(folder) / "output"
+            temporary.touch(mode=0o600)
+            yield temporary
+            with open(temporary, "rb") as content, os.fdopen(_handle(path), "wb") as stream:
+                shutil.copyfileobj(content, stream)
+    except BrokenPipeError as error:
+        raise UnoccludeError(f"{path} could not be written: its reader went away.") from error
+    except OSError as error:
+        raise could_not_be_written(path, error) from error
 
 
 def _handle(path: str | os.PathLike[str]) -> int:
     """Open a pipe or device; without O_NONBLOCK a pipe without a reader would block this program for ever."""
+    if _is_standard_output(path, os.stat(path)):
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()  # what was printed comes first
+        return os.dup(1)  # opened anew, a file would be written from its beginning
     deadline = time.monotonic() + READER_S
     while True:
         try:
-            return os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+            handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+            break
         except OSError as error:
             if error.errno != errno.ENXIO or time.monotonic() > deadline:
                 raise
         time.sleep(0.05)
-
-
-_ENDING = ".unocclude.tmp"
-_NAME = re.compile(r"\..*\.[0-9a-f]{24}" + re.escape(_ENDING) + r"(\.\w+)?")
-#: Characters of the output's name in that of its temporary file: four bytes each at most, of 255.
-_NAME_CHARACTERS = 40
-#: Folders are looked through once per process: one may contain a million results.
-_swept: set[Path] = set()
+    if hasattr(os, "set_blocking"):
+        os.set_blocking(handle, True)
+    return handle
 
 
 def temporary_name(target: Path) -> Path:
@@ -111,24 +146,17 @@ def is_temporary(name: str) -> bool:
 
 
 @contextmanager
-def locked_folder(path: Path) -> Iterator[None]:
-    """Make a folder that only its owner can enter, and keep it from being swept."""
-    path.mkdir(mode=0o700)
-    if os.name != "posix":
-        yield
-        return
-    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        _lock(handle)
-        yield
-    finally:
-        os.close(handle)
-
-
-@contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Make an empty file that only its owner can read, and keep it from being swept."""
-    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+def locked(path: Path, folder: bool = False) -> Iterator[None]:
+    """Make an empty file, or a folder, that only its owner can enter, and keep it from being swept."""
+    if folder:
+        path.mkdir(mode=0o700)
+        flags = os.O_RDONLY
+        if os.name != "posix":
+            yield
+            return
+    else:
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
+    flags |= getattr(os, "O_CLOEXEC", 0)
     handle = os.open(path, flags, 0o600)
     try:
         _lock(handle)
@@ -191,42 +219,6 @@ def _lock(handle: int) -> bool:
     return True
 
 
-@contextmanager
-def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
-    """Yield a hidden name beside `path` to write to; it becomes `path` when all went well."""
-    check_output(path, force)
-    if is_stream(path):
-        with sending(path) as temporary:
-            yield temporary
-        return
-    # A link keeps pointing at the file it named, which is the one replaced.
-    target = Path(path).resolve()
-    temporary = temporary_name(target)
-    try:
-        remove_stale_tempfiles(target.parent)
-        with locked(temporary):
-            yield temporary
-            _give_mode(temporary, target)
-            _sync(temporary)
-            if os.name == "posix":  # elsewhere an open file cannot be moved
-                _give_name(temporary, target, force)
-        if os.name != "posix":
-            _give_name(temporary, target, force)
-        _sync_folder(target.parent)
-    except FileExistsError as error:
-        if error.filename2 is None:  # of another file, by who wrote to the temporary one
-            raise UnoccludeError(_sentence(Path(path), temporary, error)) from error
-        raise UnoccludeError(
-            f"{path} was written by another command meanwhile; give another name, or force=True to overwrite"
-            " it."
-        ) from error
-    except OSError as error:
-        raise UnoccludeError(_sentence(Path(path), temporary, error)) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
 def check_output(path: str | os.PathLike[str], force: bool = False) -> None:
     """Refuse an output that could not be written in the end, before any work is done for it."""
     target = Path(path)
@@ -270,15 +262,11 @@ def _give_name(temporary: Path, target: Path, force: bool) -> None:
         except FileExistsError:
             raise
         except OSError:  # a file system without links: the name is taken by an empty file first
-            _take_name(temporary, target)
+            try:
+                os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+            except FileExistsError as error:
+                raise FileExistsError(error.errno, "", str(temporary), None, str(target)) from error
             os.replace(temporary, target)
-
-
-def _take_name(temporary: Path, target: Path) -> None:
-    try:
-        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-    except FileExistsError as error:
-        raise FileExistsError(error.errno, error.strerror, str(temporary), None, str(target)) from error
 
 
 def _give_mode(temporary: Path, target: Path) -> None:
@@ -307,30 +295,10 @@ def umask() -> int:
     return mask
 
 
-def _sync(path: Path) -> None:
-    with open(path, "rb+") as file:
-        os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the new name itself durable, where the system can."""
-    if os.name != "posix":
-        return
-    with suppress(OSError):  # some network file systems cannot; the file itself is safe
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def _sentence(path: Path, temporary: Path, error: OSError) -> str:
-    """What went wrong, for the user; `error` may concern another file that was read meanwhile."""
-    other = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary
-    where = f" ({error.filename})" if other else ""
-    reason = error.strerror or str(error)
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return f"{path} could not be written: no space left on the disk{where}; make room and run again."
-    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"{path} could not be written: {reason}{where}; write to a folder of your own."
-    return f"{path} could not be written: {reason}{where}."
+def _sync(path: Path, flags: int) -> None:
+    """Make a file's content, or the names in a folder, durable."""
+    handle = os.open(path, flags)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -18,7 +18,7 @@ from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from threading import Lock
 from types import ModuleType, TracebackType
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from ..errors import UnoccludeError
 from .allocation import keep_freed_memory
@@ -152,7 +152,6 @@ class Pool:
         count = processes or os.cpu_count() or 1
         self._executor: ProcessPoolExecutor | None = None
         self._count = count
-        self._ahead = count + 1
         self._may_restart = True
         if count > 1 and frames > WORTH_FRAMES:
             self._executor = self._started()
@@ -173,10 +172,10 @@ class Pool:
         if self._executor is None:
             yield from map(job, items)
             return
-        waiting: deque[_Work[Item, Answer]] = deque()
+        waiting: deque[tuple[Item, Future[Answer] | None]] = deque()
         for item in items:
-            waiting.append(_Work(item, self._submit(job, item)))
-            if len(waiting) > self._ahead:
+            waiting.append((item, self._submit(job, item)))
+            if len(waiting) > self._count + 1:
                 yield self._answer(job, waiting)
         while waiting:
             yield self._answer(job, waiting)
@@ -199,50 +198,33 @@ class Pool:
         except BrokenProcessPool:
             return None
 
-    def _answer(self, job: Callable[[Item], Answer], waiting: deque[_Work[Item, Answer]]) -> Answer:
-        """The answer of the job that waits longest."""
+    def _answer(
+        self, job: Callable[[Item], Answer], waiting: deque[tuple[Item, Future[Answer] | None]]
+    ) -> Answer:
+        """The answer of the job that waits longest; where a worker died, all are started once more."""
+        assert self._executor is not None
         while True:
-            future = waiting[0].future
+            future = waiting[0][1]
             try:
                 if future is not None:
-                    answer = self._result(future)
+                    while not wait_for([future], _LOOK_S).done:
+                        end_if_one_died(self._executor)
+                    answer = future.result()
                     waiting.popleft()
                     return answer
             except BrokenProcessPool:
                 pass
-            self._restart()
-            for work in waiting:
-                if work.future is None or not work.future.done() or work.future.exception() is not None:
-                    work.future = self._submit(job, work.item)
-
-    def _result(self, future: Future[Answer]) -> Answer:
-        """The result of a job."""
-        assert self._executor is not None
-        while not wait_for([future], _LOOK_S).done:
-            end_if_one_died(self._executor)
-        return future.result()
-
-    def _restart(self) -> None:
-        """Start the workers once more."""
-        assert self._executor is not None
-        self._executor.shutdown(wait=True, cancel_futures=True)
-        if not self._may_restart:
-            raise UnoccludeError(
-                "Worker processes were killed twice; perhaps there is not enough memory: use fewer of them"
-                " (--processes), or a larger machine."
-            )
-        self._may_restart = False
-        self._executor = self._started()
-
-
-class _Work(Generic[Item, Answer]):
-    """An item and the future of its job."""
-
-    __slots__ = ("future", "item")
-
-    def __init__(self, item: Item, future: Future[Answer] | None) -> None:
-        self.item = item
-        self.future = future
+            self._executor.shutdown(wait=True, cancel_futures=True)
+            if not self._may_restart:
+                raise UnoccludeError(
+                    "Worker processes were killed twice; perhaps there is not enough memory: use fewer of"
+                    " them (--processes), or a larger machine."
+                )
+            self._may_restart, self._executor = False, self._started()
+            for _ in range(len(waiting)):
+                item, future = waiting.popleft()
+                is_done = future is not None and future.done() and future.exception() is None
+                waiting.append((item, future if is_done else self._submit(job, item)))
 
 
 def _workers(executor: ProcessPoolExecutor) -> list[BaseProcess]:
@@ -267,6 +249,7 @@ def end_workers(executor: ProcessPoolExecutor) -> None:
 
 #: Commands and worker processes start so; what the environment says later, NumPy does not hear.
 _ONE_FROM_THE_START = any(os.environ.get(name) == "1" for name in THREADS)
+
 _lock = Lock()
 _inside = 0
 _limits: Any = None

@@ -8,7 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO
 
@@ -67,6 +67,17 @@ def batches(count: int) -> Iterator[slice]:
     """Rows of a column some thousand at a time, so that what is computed of them stays small."""
     for start in range(0, count, BATCH_ROWS):
         yield slice(start, min(start + BATCH_ROWS, count))
+
+
+def by_rows(function: Callable[..., NDArray], *columns: NDArray) -> NDArray:
+    """What a function gives of the rows of some columns, some thousand at a time, as a column."""
+    count, first = len(columns[0]), function(*(values[:BATCH_ROWS] for values in columns))
+    if count <= BATCH_ROWS:
+        return first
+    out = large_array((count, *first.shape[1:]), 0, first.dtype)
+    for part in batches(count):
+        out[part] = function(*(values[part] for values in columns))
+    return out
 
 
 def sampled(values: NDArray) -> NDArray:

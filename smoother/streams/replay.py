@@ -13,7 +13,7 @@ from ..body import FOREARM
 from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.messages import SECOND_NS, Topic, seconds
-from ..io.recording.choose import choose
+from ..io.recording.choose import choose_arms
 from ..io.recording.decode import PlainDecoder, SkeletonDecoder, decoder_of
 from ..io.recording.read import open_recording
 from ..io.recording.write import joints_there
@@ -113,7 +113,9 @@ class Replay:
     ):
         file = open_recording(path, truth=False)
         with file.damage_told():
-            choice = choose(file, imu=imu, skeleton=skeleton, side=side, prefer_side=prefer_side)
+            (choice,), _ = choose_arms(
+                file, prefer_side=prefer_side, alone=True, imu=imu, skeleton=skeleton, side=side
+            )
         arm = choice.arm
         if not len(choice.imu.stamp_ns) or not len(arm.stamp_ns):
             raise RecordingError(f"{path}: the IMU or the skeleton has no sample.")

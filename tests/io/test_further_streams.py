@@ -25,7 +25,7 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.choose import choose
+from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.names import role
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.measurements.remedy import Remedy
@@ -186,7 +186,7 @@ def renamed(file: RecordingFile, **names: str) -> RecordingFile:
 def test_which_one_is_meant(tmp_path: Path, name: str, is_taken: bool) -> None:
     write_recording(with_upper(), tmp_path / "a.mcap")
     file = renamed(open_recording(tmp_path / "a.mcap"), upper_arm_right=name)
-    assert ("upper_arm" in choose(file).further) == is_taken
+    assert ("upper_arm" in choose_arms(file, alone=True)[0][0].further) == is_taken
 
 
 def test_both_arms_each_take_their_own(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from smoother.io import (
     write_recovery,
 )
 from smoother.io.recording.bodies import join_bodies, people, unswap_bodies
-from smoother.io.recording.choose import choose
+from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import as_file, as_session
 from smoother.recording import JOINTS, JointState
@@ -345,11 +345,11 @@ def scene(shift_s: float, same: bool = False) -> RecordingFile:
 
 @pytest.mark.parametrize("shift_s", [0.1, -8.0, 11.8])
 def test_the_arm_is_told_by_motion(shift_s: float):
-    choice = choose(scene(shift_s))
+    ((choice,), _) = choose_arms(scene(shift_s), alone=True)
     assert choice.side == "right"
     assert ("s apart" in choice.notes[0]) == (abs(shift_s) > 1)
 
 
 def test_arms_that_move_alike_are_left_open():
     with pytest.raises(RecordingError, match="does not show which belong together; choose with --side"):
-        choose(scene(8.0, same=True))
+        choose_arms(scene(8.0, same=True), alone=True)

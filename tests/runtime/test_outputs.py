@@ -307,7 +307,7 @@ def test_a_folder_that_was_being_written_is_swept(tmp_path: Path):
     left.mkdir()
     (left / "x").touch()
     working = outputs_module.temporary_name(tmp_path / "session")
-    with outputs_module.locked_folder(working):
+    with outputs_module.locked(working, folder=True):
         assert mode(working) == 0o700
         outputs_module.remove_stale_tempfiles(tmp_path, again=True)
         assert working.exists() and not left.exists()

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...array_types import FloatArray, IntArray
 from ...runtime.printable import printable
-from ...runtime.store import batches, large_array
+from ...runtime.store import by_rows
 from ..wire.layout import Block, Buffer, MessageLayout
 
 SECOND_NS = 1_000_000_000
@@ -24,10 +24,7 @@ def seconds(
     origin_ns: int,
 ) -> FloatArray:  # (n,) s
     """Stamps as seconds after an origin; `nanoseconds` gives the same stamps back."""
-    t_s = large_array((len(stamp_ns),), 0.0)
-    for part in batches(len(stamp_ns)):
-        t_s[part] = (stamp_ns[part] - origin_ns) / 1e9
-    return t_s
+    return by_rows(lambda stamp: (stamp - origin_ns) / 1e9, stamp_ns)
 
 
 def nanoseconds(t_s: FloatArray, origin_ns: int) -> IntArray:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -12,13 +14,16 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import runs
 from ...recording import FOREARM_JOINTS, JOINTS, JointState
-from ...runtime.store import batches, large_array
+from ...runtime.store import by_rows
 from .names import role
 from .streams import ArmFrames, RecordingFile
 
 if TYPE_CHECKING:
     from ...matching import ImuMatch
 
+
+#: Whether a body of a topic wears what others wore; None where that is not known.
+SameWearer = Callable[[str, list[int], int], bool | None]
 
 #: A body that comes back within this time and distance is treated as the same one.
 _AWAY_S = 30.0
@@ -27,20 +32,19 @@ _APART_M = 0.4
 _ASKED = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand", "strap")]
 
 
-def join_bodies(arms: list[ArmFrames], worn: WornImus | None = None) -> tuple[list[ArmFrames], list[str]]:
+def join_bodies(arms: list[ArmFrames], worn: SameWearer | None = None) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost."""
     joined: list[ArmFrames] = []
     numbers: list[list[int]] = []  # that each of them had so far
     notes = []
-    for arm in sorted(arms, key=lambda arm: first_and_last(arm)[0]):
+    for arm in sorted(arms, key=lambda arm: _first_and_last(arm)[0]):
         follows = {
             place: _continues(earlier, arm)
             for place, earlier in enumerate(joined)
             if _comes_after(earlier, arm, numbers[place])
         }
         agreed = {
-            place: None if worn is None else worn.agree(numbers[place], arm.body, arm.topic)
-            for place in follows
+            place: None if worn is None else worn(arm.topic, numbers[place], arm.body) for place in follows
         }
         by_imu = [place for place, agrees in agreed.items() if agrees]
         by_place = [place for place, agrees in agreed.items() if follows[place] and agrees is None]
@@ -72,13 +76,15 @@ def join_bodies(arms: list[ArmFrames], worn: WornImus | None = None) -> tuple[li
 
 def _merged(own: ArmFrames, other: ArmFrames, taken: BoolArray) -> ArmFrames:
     """An arm with another's joints where `taken` (F, 5)."""
-    position = large_array(own.position.shape, 0.0)
-    for part in batches(len(position)):
-        position[part] = np.where(taken[part, :, None], other.position[part], own.position[part])
+
+    def either(here: BoolArray, its: FloatArray, mine: FloatArray) -> FloatArray:
+        return np.asarray(np.where(here[:, :, None], its, mine))
+
+    position = by_rows(either, taken, other.position, own.position)
     return replace(own, position=position, state=np.where(taken, other.state, own.state))
 
 
-def first_and_last(arm: ArmFrames) -> tuple[int, int]:
+def _first_and_last(arm: ArmFrames) -> tuple[int, int]:
     """First and last frame in which anything of the arm is there; past the end for none."""
     there = np.flatnonzero((arm.state != JointState.NOT_TRACKED).any(axis=1))
     return (int(there[0]), int(there[-1])) if len(there) else (len(arm.stamp_ns), len(arm.stamp_ns))
@@ -88,12 +94,12 @@ def _comes_after(earlier: ArmFrames, later: ArmFrames, numbers: list[int]) -> bo
     """Whether it is the same arm of a body that is first seen when the other was lost."""
     if (earlier.topic, earlier.side) != (later.topic, later.side) or later.body in numbers:
         return False
-    return first_and_last(earlier)[1] < first_and_last(later)[0] < len(later.stamp_ns)
+    return _first_and_last(earlier)[1] < _first_and_last(later)[0] < len(later.stamp_ns)
 
 
 def _continues(earlier: ArmFrames, later: ArmFrames) -> bool:
     """Whether it comes back soon and near."""
-    lost, back = first_and_last(earlier)[1], first_and_last(later)[0]
+    lost, back = _first_and_last(earlier)[1], _first_and_last(later)[0]
     away = abs(int(later.stamp_ns[back]) - int(earlier.stamp_ns[lost])) / 1e9
     if away > _AWAY_S:
         return False
@@ -187,55 +193,41 @@ MOST_BODIES = 12
 NOT_WORN_FROM = 0.95
 
 
-class WornImus:
-    """Which IMUs each body of a file wears, worked out when it is asked for."""
+def worn_imus(file: RecordingFile) -> SameWearer | None:
+    """Who wears the same IMUs, by the motion; None where people are not told apart by that."""
+    from .match import match_streams
 
-    def __init__(self, file: RecordingFile) -> None:
-        self._file = file
-        self._imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
-        self._matches: dict[tuple[str, int], dict[str, ImuMatch]] = {}
-        bodies = {(arm.topic, arm.body) for arm in file.arms if arm.tracked}
-        #: With one IMU there is nothing to tell people apart by.
-        self.can_tell = len(self._imus) > 1 and 1 < len(bodies) <= MOST_BODIES
+    imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
+    bodies = {arm.key[:2] for arm in file.arms if arm.tracked}
+    if len(imus) < 2 or not 1 < len(bodies) <= MOST_BODIES:
+        return None
 
-    def agree(self, earlier: list[int], later: int, topic: str) -> bool | None:
-        """Whether a body wears what another wore."""
-        if not self.can_tell:
-            return None
-        before = {name: match for body in earlier for name, match in self._sure(topic, body).items()}
-        now = self._of(topic, later)
-        verdicts = set()
+    @cache
+    def on_limbs(topic: str, body: int) -> dict[str, ImuMatch]:
+        """What every IMU is on if this body is the only one; nothing where too little was seen of it."""
+        arms = [arm for arm in file.arms if (arm.topic, arm.body) == (topic, body)]
+        try:
+            return {match.imu: match for match in match_streams(file, imus, _seen_frames(arms))[0]}
+        except RecordingError:
+            return {}
+
+    def same_wearer(topic: str, earlier: list[int], later: int) -> bool | None:
+        before = {n: m for body in earlier for n, m in on_limbs(topic, body).items() if m.is_sure and m.limb}
+        now, verdicts = on_limbs(topic, later), set()
         for name, match in before.items():
-            assert match.limb is not None
             other = now.get(name)
-            if other is None:
-                continue
-            if other.is_sure and other.limb is not None:
+            if other is not None and other.is_sure and other.limb is not None and match.limb is not None:
                 verdicts.add(other.limb.joint == match.limb.joint)
-            elif other.limb is None and other.is_known and other.probability > NOT_WORN_FROM:
-                verdicts.add(False)
+            elif other is not None and other.limb is None and other.is_known:
+                verdicts |= {False} if other.probability > NOT_WORN_FROM else set()
         return verdicts.pop() if len(verdicts) == 1 else None
 
-    def _sure(self, topic: str, body: int) -> dict[str, ImuMatch]:
-        return {name: match for name, match in self._of(topic, body).items() if match.is_sure}
-
-    def _of(self, topic: str, body: int) -> dict[str, ImuMatch]:
-        """What every IMU is on if this body is the only one; nothing where too little was seen of it."""
-        from .match import match_streams
-
-        if (topic, body) not in self._matches:
-            arms = [arm for arm in self._file.arms if (arm.topic, arm.body) == (topic, body)]
-            try:
-                matches, _ = match_streams(self._file, self._imus, seen_frames(arms))
-            except RecordingError:
-                matches = []
-            self._matches[topic, body] = {match.imu: match for match in matches}
-        return self._matches[topic, body]
+    return same_wearer
 
 
-def seen_frames(arms: list[ArmFrames]) -> list[ArmFrames]:
+def _seen_frames(arms: list[ArmFrames]) -> list[ArmFrames]:
     """The arms in the frames in which anything of a body is there."""
-    ends = [first_and_last(arm) for arm in arms]
+    ends = [_first_and_last(arm) for arm in arms]
     start, stop = min((first for first, _ in ends), default=0), max((last + 1 for _, last in ends), default=0)
     rows = slice(start, stop)
     return [
@@ -247,5 +239,5 @@ def seen_frames(arms: list[ArmFrames]) -> list[ArmFrames]:
 def people(file: RecordingFile) -> tuple[list[ArmFrames], list[str]]:
     """The arms of every person, each under one number."""
     arms, swapped = unswap_bodies(file.arms)
-    arms, joined = join_bodies(arms, WornImus(replace(file, arms=arms)))
+    arms, joined = join_bodies(arms, worn_imus(replace(file, arms=arms)))
     return arms, swapped + joined

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
-from ...body import FURTHER, BodySegment
+from ...body import FURTHER, SEGMENTS, BodySegment
 from ...errors import RecordingError
 from .bodies import people
 from .camera_streams import of_first_camera, same_arm
@@ -202,32 +202,24 @@ def wanted_arms(file: RecordingFile, selection: Selection) -> list[ArmFrames]:
 
 def _what_arm_fits(seen: list[ArmFrames], skeleton: str | None, side: str | None) -> str:
     """What to give instead of options that no arm fits, for the end of a sentence."""
-    named = named_side(skeleton or "")
-    if named and not side and any(arm.side == named for arm in seen):
+    sides, named = {arm.side for arm in seen}, named_side(skeleton or "")
+    if named in sides - {""} and not side:
         return f"; a topic may contain both arms: for the {named} one give --side {named}"
-    sides = {arm.side for arm in seen}
-    if side and sides == {OTHER_SIDE[side]}:
-        return f"; {_ONLY_ONE_ARM.format(OTHER_SIDE[side])}"
-    return ""
+    return f"; {_ONLY_ONE_ARM.format(OTHER_SIDE[side])}" if side and sides == {OTHER_SIDE[side]} else ""
 
 
-def _why_no_pair(imus: list[ImuSamples], arms: list[ArmFrames], side: str | None) -> str:
+def _why_no_pair(imus: list[ImuSamples], arms: list[ArmFrames]) -> str:
     """Why no IMU may be on an arm of that side, and what to do, for the end of a sentence."""
-    worn = {named_side(imu.topic, imu.frame_id) for imu in imus}
+    worn = {_worn_on(imu) for imu in imus}
     if len(worn) != 1 or not (named := worn.pop()):
         return "choose with --imu, --skeleton, --side or --body"
-    other, topic = OTHER_SIDE[named], imus[0].topic
+    other, remedy = OTHER_SIDE[named], f"leave --side out, or give --side {named}"
     if {arm.side for arm in arms if arm.tracked} == {other}:
-        return (
-            f"{topic} is on the {named} arm by its name, and {_ONLY_ONE_ARM.format(other)}; if the IMU was"
-            f" worn on the {other} arm, import it again as forearm_{other}"
-        )
-    if side == other:
-        return (
-            f"{topic} is on the {named} arm by its name: leave --side out, or give --side {named}; if it was"
-            f" worn on the {other} arm, import it again as forearm_{other}"
-        )
-    return "choose with --imu, --skeleton, --side or --body"
+        remedy = _ONLY_ONE_ARM.format(other)
+    return (
+        f"{imus[0].topic} is on the {named} arm by its name: {remedy}; if it was worn on the {other} arm,"
+        f" import it again as forearm_{other}"
+    )
 
 
 #: Correlation that a pair must reach, and its lead over the next, to be taken by motion where the assignment
@@ -238,117 +230,92 @@ _TAKEN_FROM = 0.8
 _SIDES = ("left", "right")
 
 
-def choose(
-    file: RecordingFile,
-    *,
-    prefer_side: str | None = None,
-    **selection: Unpack[Selection],
-) -> StreamChoice:
-    """Settle which IMU and arm are meant, where one arm is: by option, else by name, else by motion."""
-    return _one_arm(_Scene.of(file, selection), prefer_side, selection)
-
-
 def choose_arms(
     file: RecordingFile,
     *,
     prefer_side: str | None = None,
+    alone: bool = False,
     **selection: Unpack[Selection],
 ) -> tuple[list[StreamChoice], list[str]]:
-    """Settle which IMUs and arms belong together, in order of body and side, and why an arm is left out."""
-    scene = _Scene.of(file, selection)
-    if selection.get("imu") is None:
-        arms = wanted_arms(scene.file, selection)
-        imus = forearm_imus(scene.file, None)
+    """Settle which IMUs and arms belong together, in order of body and side, and why an arm is left out.
+
+    By option, else by name, else by motion; `alone` settles the one arm that is meant.
+    """
+    file, others = of_first_camera(file, selection.get("skeleton"))
+    notes: list[str] = []
+    if selection.get("body") is None:
+        arms, notes = people(file)
+        file = replace(file, arms=arms)
+    chosen, left_out = _settled(file, prefer_side, alone, selection)
+    return [_completed(one, file, others, notes) for one in chosen], left_out
+
+
+def _settled(
+    file: RecordingFile, prefer_side: str | None, alone: bool, selection: Selection
+) -> tuple[list[StreamChoice], list[str]]:
+    if not alone and selection.get("imu") is None:
+        arms, imus = wanted_arms(file, selection), forearm_imus(file, None)
         if len({(arm.topic, arm.body) for arm in arms}) > 1:  # of several people also those without a name
-            imus = [imu for imu in scene.file.imus if role_among(imu, scene.file.imus) in ("", "forearm")]
+            imus = [imu for imu in file.imus if role_among(imu, file.imus) in ("", "forearm")]
         if len(imus) > 1 and len(arms) > 1:
             if _names_settle(imus, arms):
-                return _by_side(scene, selection)
-            choices = _by_motion(scene, arms, selection.get("side"))
+                return _by_side(file, selection)
+            choices = _by_motion(file, arms, selection.get("side"))
             if len(choices) > 1:
                 return choices, []
-    return [_one_arm(scene, prefer_side, selection)], []
+    return [_one_arm(file, prefer_side, selection)], []
 
 
-@dataclass(frozen=True)
-class _Scene:
-    """A file's streams with every person under one number, those of further cameras apart."""
-
-    file: RecordingFile
-    others: RecordingFile | None
-    notes: list[str]
-
-    @classmethod
-    def of(cls, file: RecordingFile, selection: Selection) -> _Scene:
-        file, others = of_first_camera(file, selection.get("skeleton"))
-        if selection.get("body") is not None:
-            return cls(file, others, [])
-        arms, notes = people(file)
-        return cls(replace(file, arms=arms), others, notes)
-
-    def choice(
-        self,
-        imu: ImuSamples,
-        arm: ArmFrames,
-        side: str,
-        said: Sequence[str],
-        on_arm: Mapping[str, tuple[ImuSamples, ImuMatch]] | None = None,
-        body: int | None = None,
-    ) -> StreamChoice:
-        """A pair with all that belongs to it; `on_arm` are the IMUs that motion puts on the same arm."""
-        base = next((i for i in self.file.imus if i is not imu and role(i) == "base"), None)
-        truth, notes = choose_truth(self.file, side, body)
-        notes = [*said, *notes]
-        further = {}
-        for segment in FURTHER:
-            if on_arm and segment.name in on_arm:
-                further[segment.name], match = on_arm[segment.name]
-                notes.append(
-                    f"IMU {match.imu} is on the same arm's {segment.label} by its motion (probability"
-                    f" {match.probability:.2f})."
-                )
-            elif body is None:
-                named, more = _further_by_name(self.file, imu, side, segment)
-                notes += more
-                further |= {} if named is None else {segment.name: named}
-        if role(imu) == "hand":
-            notes.append(
-                f"IMU {imu.topic} is named after the hand and used as the forearm's: where the wrist"
-                " bends, the result is off by centimetres. Wear one on the forearm too."
-            )
-        cameras, more = same_arm(self.others, arm, imu)
-        return StreamChoice(imu, arm, side, base, truth, notes + more, further, body, cameras)
+def _completed(
+    choice: StreamChoice, file: RecordingFile, others: RecordingFile | None, notes: list[str]
+) -> StreamChoice:
+    """A pair with all that belongs to it."""
+    imu, side, body = choice.imu, choice.side, choice.body
+    base = next((i for i in file.imus if i is not imu and role(i) == "base"), None)
+    truth, more = choose_truth(file, side, body)
+    notes, further = [*notes, *choice.notes, *more], dict(choice.further)
+    for segment in FURTHER:
+        if segment.name not in further and body is None:
+            named, more = _further_by_name(file, imu, side, segment)
+            notes += more
+            further |= {} if named is None else {segment.name: named}
+    if role(imu) == "hand":
+        notes.append(
+            f"IMU {imu.topic} is named after the hand and used as the forearm's: where the wrist"
+            " bends, the result is off by centimetres. Wear one on the forearm too."
+        )
+    cameras, more = same_arm(others, choice.arm, imu)
+    return StreamChoice(imu, choice.arm, side, base, truth, notes + more, further, body, cameras)
 
 
-def _one_arm(scene: _Scene, prefer_side: str | None, selection: Selection) -> StreamChoice:
-    file, side = scene.file, selection.get("side")
-    arms = wanted_arms(file, selection)
-    imus = forearm_imus(file, selection.get("imu"))
+def _one_arm(file: RecordingFile, prefer_side: str | None, selection: Selection) -> StreamChoice:
+    side = selection.get("side")
+    arms, imus = wanted_arms(file, selection), forearm_imus(file, selection.get("imu"))
     pairs = [(i, a) for i in imus for a in arms if len({_worn_on(i), a.side, side or ""} - {""}) <= 1]
     if not pairs:
         raise RecordingError(
             f"{file.path}: no IMU is on an arm that the skeleton shows; it has {_listing(file)};"
-            f" {_why_no_pair(imus, file.arms, side)}."
+            f" {_why_no_pair(imus, file.arms)}."
         )
     if prefer_side and not side:
         pairs = [(i, a) for i, a in pairs if (a.side or _worn_on(i)) in (prefer_side, "")] or pairs
-    said = [*scene.notes]
+    said = []
     imu, arm = pairs[0]
     if len(pairs) > 1:
-        (imu, arm), why = _pair_by_motion(scene, pairs)
-        said.append(f"Of {_listing(file)}, IMU {imu.topic} and {arm.label} were taken: {why}.")
+        (imu, arm), why = _pair_by_motion(file, pairs)
+        said = [f"Of {_listing(file)}, IMU {imu.topic} and {arm.label} were taken: {why}."]
     elif len(file.imus) > 1 or len(file.arms) > 1:
-        said.append(f"IMU {imu.topic} and skeleton {arm.label} were taken.")
-    return scene.choice(imu, arm, arm.side or _worn_on(imu) or side or "", said)
+        said = [f"IMU {imu.topic} and skeleton {arm.label} were taken."]
+    return StreamChoice(imu, arm, arm.side or _worn_on(imu) or side or "", notes=said)
 
 
-def _by_side(scene: _Scene, selection: Selection) -> tuple[list[StreamChoice], list[str]]:
+def _by_side(file: RecordingFile, selection: Selection) -> tuple[list[StreamChoice], list[str]]:
     """Both arms of one person by the IMUs' names, or the one that can be used and why the other cannot."""
     chosen: list[StreamChoice] = []
     errors: dict[str, RecordingError] = {}
     for side in _SIDES:
         try:
-            chosen.append(_one_arm(scene, None, {**selection, "side": side}))
+            chosen.append(_one_arm(file, None, {**selection, "side": side}))
         except RecordingError as error:
             errors[side] = error
     if not chosen:
@@ -378,13 +345,13 @@ def _listing(file: RecordingFile) -> str:
 
 
 def _assigned(
-    scene: _Scene, imus: Sequence[ImuSamples], arms: Sequence[ArmFrames], may_be: Callable[[int, Limb], bool]
+    file: RecordingFile, imus: list[ImuSamples], arms: list[ArmFrames], may_be: Callable[[int, Limb], bool]
 ) -> tuple[list[ImuMatch], list[str]]:
     """One assignment of these IMUs to all limbs of these arms; none where streams cannot be used."""
     from .match import match_streams  # SciPy: where it is used
 
     try:
-        return match_streams(scene.file, imus, arms, may_be=may_be)
+        return match_streams(file, imus, arms, may_be=may_be)
     except RecordingError:
         return [], []  # what cannot be used is said when it is read, if it is what is meant
 
@@ -392,33 +359,30 @@ def _assigned(
 Pair = tuple[ImuSamples, ArmFrames]
 
 
-def _pair_by_motion(scene: _Scene, pairs: Sequence[Pair]) -> tuple[Pair, str]:
+def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, str]:
     from .match import agreement
 
     imus = list({id(imu): imu for imu, _ in pairs}.values())
     arms = list({id(arm): arm for _, arm in pairs}.values())
-    pair_of = {(imu.topic, arm.topic, arm.body, arm.side): (imu, arm) for imu, arm in pairs}
+    pair_of = {(imu.topic, *arm.key): (imu, arm) for imu, arm in pairs}
 
     def may_be(row: int, limb: Limb) -> bool:
         worn_as_named = limb.segment == "wrist" or role(imus[row]) != "forearm"
-        return worn_as_named and (imus[row].topic, limb.skeleton, limb.body, limb.side) in pair_of
+        return worn_as_named and (imus[row].topic, *limb.arm) in pair_of
 
-    matches = [match for match in _assigned(scene, imus, arms, may_be)[0] if match.limb is not None]
-    matched = {
-        match.imu: pair_of[match.imu, match.limb.skeleton, match.limb.body, match.limb.side]
-        for match in matches
-        if match.limb is not None and match.limb.segment == "wrist"
-    }
+    matches = {each.imu: each for each in _assigned(file, imus, arms, may_be)[0] if each.limb is not None}
+    limbs = {name: match.limb for name, match in matches.items() if match.limb is not None}
+    matched = {name: pair_of[name, *limb.arm] for name, limb in limbs.items() if limb.segment == "wrist"}
     if len(matched) == 1:
         ((name, pair),) = matched.items()
-        (match,) = (each for each in matches if each.imu == name)
-        return pair, f"their motion agrees best (probability {match.probability:.2f} among all limbs in view)"
-    elsewhere = {match.imu: match for match in matches if match.imu not in matched and match.is_sure}
+        sure = matches[name].probability
+        return pair, f"their motion agrees best (probability {sure:.2f} among all limbs in view)"
+    elsewhere = {name for name, match in matches.items() if name not in matched and match.is_sure}
     left = [*matched.values()] or [pair for pair in pairs if pair[0].topic not in elsewhere]
     if not left:
-        where = ", ".join(f"{m.imu} as {m.limb.label}" for m in elsewhere.values() if m.limb)
+        where = ", ".join(f"{name} as {limb.label}" for name, limb in limbs.items() if name in elsewhere)
         raise RecordingError(
-            f"{scene.file.path}: no IMU moves as a forearm that the camera shows ({where}); "
+            f"{file.path}: no IMU moves as a forearm that the camera shows ({where}); "
             "choose with --imu and --side if one is on a forearm."
         )
     found = [agreement(imu, arm) for imu, arm in left]
@@ -426,16 +390,12 @@ def _pair_by_motion(scene: _Scene, pairs: Sequence[Pair]) -> tuple[Pair, str]:
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
     if best < _ENOUGH or best - second < _LEAD:
-        raise RecordingError(_what_is_open(scene.file, pairs))
+        raise RecordingError(_what_is_open(file, pairs))
     pair, (_, shift_s, far) = left[order[0]], found[order[0]]
     apart = f", with the clocks {abs(shift_s):.1f} s apart" if far else ""
-    further = [
-        f"{match.imu} moves as {match.limb.label}"
-        for match in matches
-        if match.limb and match.imu in matched and match.imu != pair[0].topic
-    ]
+    moves = [f"{name} moves as {limbs[name].label}" for name in matched if name != pair[0].topic]
     why = f"their motion agrees best{apart} (correlation {best:.2f}, the next {second:.2f})"
-    return pair, "; ".join([why, *further])
+    return pair, "; ".join([why, *moves])
 
 
 def _what_is_open(file: RecordingFile, pairs: Sequence[Pair]) -> str:
@@ -459,36 +419,41 @@ def _what_is_open(file: RecordingFile, pairs: Sequence[Pair]) -> str:
     )
 
 
-def _by_motion(scene: _Scene, arms: Sequence[ArmFrames], side: str | None) -> list[StreamChoice]:
+def _by_motion(file: RecordingFile, arms: Sequence[ArmFrames], side: str | None) -> list[StreamChoice]:
     """A choice for every arm on whose forearm an IMU is, by one assignment of all IMUs to all limbs."""
-    imus = [imu for imu in scene.file.imus if role(imu) not in ("base", "trunk")]
+    imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
 
     def may_be(row: int, limb: Limb) -> bool:
         named = role_among(imus[row], imus)
         segment = {"": limb.segment, "forearm": "wrist"}.get(named, named)
         return limb.segment == segment and len({_worn_on(imus[row]), limb.side, side or ""} - {""}) <= 1
 
-    matches, open_notes = _assigned(scene, imus, arms, may_be)
+    matches, open_notes = _assigned(file, imus, list(arms), may_be)
     on_arm: dict[tuple[str, int, str], dict[str, tuple[ImuSamples, ImuMatch]]] = {}
     for imu, match in zip(imus, matches, strict=False):
         if (limb := match.limb) is not None and match.probability >= _TAKEN_FROM:
-            on_arm.setdefault((limb.skeleton, limb.body, limb.side), {})[limb.segment] = imu, match
-    several = len({key[:2] for key, found in on_arm.items() if "wrist" in found}) > 1
+            on_arm.setdefault(limb.arm, {})[limb.segment] = imu, match
+    worn = [arm for arm in sorted(arms, key=lambda arm: arm.key) if "wrist" in on_arm.get(arm.key, {})]
+    several = len({arm.key[:2] for arm in worn}) > 1
     choices = []
-    for arm in sorted(arms, key=lambda arm: (arm.topic, arm.body, arm.side)):
-        found = on_arm.get((arm.topic, arm.body, arm.side), {})
-        if "wrist" not in found:
-            continue
+    for arm in worn:
+        found = on_arm[arm.key]
         imu, match = found["wrist"]
-        taken = (
+        notes = [
+            *open_notes,
             f"IMU {imu.topic} and {arm.label} were taken: their motion agrees best (probability"
-            f" {match.probability:.2f} among all limbs in view)."
-        )
-        said = [*scene.notes, *open_notes, taken]
-        choices.append(scene.choice(imu, arm, arm.side, said, found, arm.body if several else None))
-    used = {
-        stream.topic for one in choices for stream in (one.imu, *one.further.values(), one.base) if stream
-    }
+            f" {match.probability:.2f} among all limbs in view).",
+        ]
+        further = {each.name: found[each.name] for each in FURTHER if each.name in found}
+        notes += [
+            f"IMU {match.imu} is on the same arm's {SEGMENTS[name].label} by its motion (probability"
+            f" {match.probability:.2f})."
+            for name, (_, match) in further.items()
+        ]
+        streams = {name: stream for name, (stream, _) in further.items()}
+        body = arm.body if several else None
+        choices.append(StreamChoice(imu, arm, arm.side, notes=notes, further=streams, body=body))
+    used = {stream.topic for one in choices for stream in (one.imu, *one.further.values())}
     unused = [_unused(match) for match in matches if match.imu not in used]
     return [replace(one, notes=[*one.notes, *filter(None, unused)]) for one in choices]
 

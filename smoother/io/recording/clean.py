@@ -12,7 +12,7 @@ from ...errors import RecordingError
 from ...linalg import runs
 from ...measurements.timestamps import clock_resets, even_times, in_packets, increasing
 from ...recording import JOINTS, JointState
-from ...runtime.store import batches, large_array, sampled
+from ...runtime.store import batches, by_rows, sampled
 from ...units import STANDARD_GRAVITY
 from ..tables.units import unit_of_rest
 from .streams import ArmFrames, ImuSamples, PoseSamples, kept, rows_of
@@ -182,15 +182,12 @@ def clean_arm(arm: ArmFrames, source: str) -> tuple[ArmFrames, list[str]]:
     _refuse_set_back(arm.stamp_ns, arm.position[:, _WRIST], arm.label, source, "frames")
     keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), {}, arm.label, source, "frames")
     position, state = kept(arm.position, keep), arm.state[keep]
-    broken, far, same = (np.zeros(state.shape, bool) for _ in range(3))
-    for part in batches(len(position)):
-        place = np.asarray(position[part])
-        broken[part] = ~np.isfinite(place).all(axis=2)
-        with np.errstate(invalid="ignore"):
-            if arm.lens is None:  # pixels are not metres
-                far[part] = ~broken[part] & (abs(place) > _FARTHEST_M).any(axis=2)
-            apart = abs(place[:, _ELBOW] - place[:, _WRIST]).max(axis=1)
-            same[part] = (apart < _ONE_POINT_M)[:, None]
+    farthest = _FARTHEST_M if arm.lens is None else np.inf  # pixels are not metres
+    broken = by_rows(lambda place: ~np.isfinite(place).all(axis=2), position)
+    far = ~broken & by_rows(lambda place: (abs(place) > farthest).any(axis=2), position)
+    same = by_rows(
+        lambda place: abs(place[:, [_ELBOW]] - place[:, [_WRIST]]).max(axis=2) < _ONE_POINT_M, position
+    )
     for mask, what, remedy in (
         (broken, "joint positions are not numbers", "check the recorder"),
         (far, f"joint positions are farther than {_FARTHEST_M:.0f} m from the camera", "check the unit"),
@@ -221,31 +218,20 @@ def clean_poses(poses: PoseSamples) -> tuple[PoseSamples, list[str]]:
     dropped = int((~keep).sum())
     notes = [f"{poses.topic}: {dropped} poses with repeated or backward stamps dropped."] if dropped else []
     poses = rows_of(poses, keep)
-    turned = np.empty(len(poses.quaternion), bool)
-    for part in batches(len(turned)):
-        length = np.linalg.norm(poses.quaternion[part], axis=1)
-        turned[part] = np.isfinite(length) & (length > 0.5)
+    turned = by_rows(lambda part: np.linalg.norm(part, axis=1) > 0.5, poses.quaternion)
+    turned &= _finite(poses.quaternion)
     position = _without(poses.position, ~_finite(poses.position))
     return replace(poses, position=position, quaternion=_without(poses.quaternion, ~turned)), notes
 
 
 def _finite(values: FloatArray) -> BoolArray:
     """Rows (N,) of finite numbers."""
-    finite = np.empty(len(values), bool)
-    for part in batches(len(values)):
-        finite[part] = np.isfinite(values[part]).all(axis=1)
-    return finite
+    return by_rows(lambda part: np.isfinite(part).all(axis=1), values)
 
 
 def _without(values: FloatArray, gone: BoolArray) -> FloatArray:
-    """A copy with nan where values are to go; the same array where they are nan already."""
-    if all(np.isnan(values[part][gone[part]]).all() for part in batches(len(values))):
-        return values
-    out = large_array(values.shape, 0.0)
-    for part in batches(len(values)):
-        out[part] = values[part]
-        out[part][gone[part]] = np.nan
-    return out
+    """A copy with nan where values are to go."""
+    return by_rows(lambda part, none: np.where(none[..., None], np.nan, part), values, gone)
 
 
 def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> None:

@@ -101,8 +101,8 @@ class PlainDecoder:
             position, quaternion = columns
             return PoseSamples(*named, position, quaternion)
         acc, gyro, mag = columns
-        has_mag = any(np.isfinite(mag[part]).any() for part in batches(len(mag)))
-        return ImuSamples(*named, acc, gyro, mag if has_mag else None, int(np.median(sampled(delay))))
+        shift = int(np.median(sampled(delay)))
+        return ImuSamples(*named, acc, gyro, mag if np.isfinite(mag).any() else None, shift)
 
 
 def in_order(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
@@ -189,53 +189,27 @@ class JointRows:
         message, arm = self._message.done(), self._arm.done()
         position, state = self._position.done(), self._state.done()
         frame = message if number is None else number[message]
-        alone = len(self._arms) == 1 and len(frame) == len(frames) and self._is_count(frame)
         arms = []
         for which in sorted(self._arms):
             body, side = divmod(which, len(SIDES))
-            if alone:
-                positions, states = (
-                    position,
-                    np.maximum(state, np.int8(0), out=state, where=state == UNREPORTED),
-                )
-            else:
-                positions, states = self._scattered(frame, arm == which, position, state, len(frames))
+            positions = large_array((len(frames), len(JOINTS), 3))
+            states = np.zeros((len(frames), len(JOINTS)), np.int8)
+            for part in batches(len(frame)):
+                mine = arm[part] == which
+                at, said, there = frame[part][mine], state[part][mine], position[part][mine]
+                row, joint = np.nonzero(said != UNREPORTED)
+                states[at[row], joint] = said[row, joint]
+                positions[at[row], joint] = there[row, joint]
             arms.append(
                 ArmFrames(topic, frame_id, body, SIDES[side], frames, positions, states, camera_frame)
             )
         return arms
-
-    def _scattered(
-        self,
-        frame: IntArray,
-        mine: NDArray[np.bool_],
-        position: FloatArray,
-        state: NDArray[np.int8],
-        count: int,
-    ) -> tuple[FloatArray, NDArray[np.int8]]:
-        """Rows to the frames that they are of."""
-        positions = large_array((count, len(JOINTS), 3))
-        states = np.zeros((count, len(JOINTS)), np.int8)
-        for part in batches(len(frame)):
-            at, said, there = frame[part][mine[part]], state[part][mine[part]], position[part][mine[part]]
-            row, joint = np.nonzero(said != UNREPORTED)
-            states[at[row], joint] = said[row, joint]
-            positions[at[row], joint] = there[row, joint]
-        return positions, states
-
-    def _is_count(self, number: IntArray) -> bool:
-        """Whether numbers (n,) are 0, 1, 2, .."""
-        parts = batches(len(number))
-        return all((number[part] == np.arange(part.start, part.stop)).all() for part in parts)
 
 
 def frames_of(stamp_ns: IntArray) -> tuple[IntArray, IntArray | None]:
     """Different stamps in the order in which they came first, and which of them each is (None: its own)."""
     if (stamp_ns[1:] > stamp_ns[:-1]).all():
         return stamp_ns, None
-    if (stamp_ns[1:] >= stamp_ns[:-1]).all():
-        is_new = np.append(True, stamp_ns[1:] != stamp_ns[:-1])
-        return stamp_ns[is_new], np.cumsum(is_new) - 1
     unique, first, which = np.unique(stamp_ns, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(unique), np.int64)
@@ -262,7 +236,6 @@ class SkeletonDecoder:
     topic: Topic
     grouper: Grouper
     frame_id: str = ""
-    camera_frame: CameraFrame | None = None
 
     def __post_init__(self) -> None:
         self._rows = JointRows()
@@ -319,7 +292,7 @@ class SkeletonDecoder:
     def found(self) -> tuple[IntArray, list[ArmFrames]]:
         """Stamps of all messages, ns, and all arms; asked for once."""
         stamp_ns = self._stamps.done()
-        return stamp_ns, self._rows.arms(stamp_ns, self.topic.label, self.frame_id, self.camera_frame)
+        return stamp_ns, self._rows.arms(stamp_ns, self.topic.label, self.frame_id, None)
 
     def arms(self) -> list[ArmFrames]:
         """All arms found; asked for once."""

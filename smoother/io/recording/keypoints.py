@@ -13,7 +13,7 @@ from calib.intrinsics import LARGEST_SHARE, SHARE_RANGE, Intrinsics
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTracks
-from ...runtime.store import batches, large_array
+from ...runtime.store import by_rows
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..wire.protobuf_encode import encoded
 from .decode import INFERRED_SCORE, KEYPOINTS, TRACKED_SCORE
@@ -35,9 +35,7 @@ def with_lenses(file: RecordingFile, topics: set[str]) -> None:
                 continue
             arm.lens, arm.camera_frame = file.lenses[arm.topic].lens, CameraFrame.OPTICAL
         kept.append(arm)
-    for topic in sorted(
-        topics - file.lenses.keys() - file.image_sizes.keys()
-    ):  # a video's are beside its joints
+    for topic in sorted(topics - file.lenses.keys()):
         file.notes.append(
             f"{topic}: the camera's lens is not known, so its keypoints were left out; import them again with"
             " --intrinsics."
@@ -49,21 +47,16 @@ def tracks_of(arm: ArmFrames, t_s: FloatArray) -> JointTracks:
     """Cleaned frames as a recording has them: of a camera without depth the points become rays."""
     if arm.lens is None:
         return JointTracks(arm.topic, t_s, arm.position, arm.state)
-    check_mode(arm, arm.lens)
-    position = large_array(arm.position.shape, 0.0)
-    for part in batches(len(position)):
-        pixels = np.asarray(arm.position[part])[..., :2]
-        rays = arm.lens.rays(pixels.reshape(-1, 2)).reshape(pixels.shape)
-        forwards = np.where(np.isfinite(rays).all(axis=2), 1.0, np.nan)
-        position[part] = np.concatenate([rays, forwards[..., None]], axis=2)
-    return JointTracks(
-        arm.topic,
-        t_s,
-        position,
-        arm.state,
-        pixel_rad=1.0 / arm.lens.focal_px,
-        focal_share=arm.lens.focal_share,
-    )
+    lens = arm.lens
+    check_mode(arm, lens)
+
+    def rays(position: FloatArray) -> FloatArray:
+        across = lens.rays(position[..., :2].reshape(-1, 2)).reshape(*position.shape[:2], 2)
+        forwards = np.where(np.isfinite(across).all(axis=2), 1.0, np.nan)
+        return np.concatenate([across, forwards[..., None]], axis=2)
+
+    points, pixel_rad = by_rows(rays, arm.position), 1.0 / lens.focal_px
+    return JointTracks(arm.topic, t_s, points, arm.state, pixel_rad=pixel_rad, focal_share=lens.focal_share)
 
 
 def check_mode(arm: ArmFrames, lens: Intrinsics) -> None:

@@ -8,27 +8,23 @@ from collections.abc import Sequence
 from .streams import ImuSamples
 
 OTHER_SIDE = {"left": "right", "right": "left"}
-_FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "watch")
-_HAND_WORDS = ("hand", "palm", "metacarp")
-_BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
-_TRUNK_WORDS = ("trunk", "sternum", "chest", "torso", "thorax")
+#: Words of names and the segment that they speak of; the first row that fits counts.
+_SEGMENTS = (
+    ("trunk", ("trunk", "sternum", "chest", "torso", "thorax")),
+    ("upper_arm", ("upper",)),
+    ("forearm", ("forearm", "wrist", "lower_arm", "watch")),
+    ("hand", ("hand", "palm", "metacarp")),
+    ("forearm", ("arm",)),
+    ("base", ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")),
+)
 
 
 def role(stream: ImuSamples) -> str:
     """The segment by a stream's names: "forearm", "upper_arm", "hand", "trunk", "base" or ""."""
     for name in (words(stream.topic), words(stream.frame_id)):
-        if any(word in name for word in _TRUNK_WORDS):
-            return "trunk"
-        if "upper" in name:
-            return "upper_arm"
-        if any(word in name for word in _FOREARM_WORDS):
-            return "forearm"
-        if any(word in name for word in _HAND_WORDS):
-            return "hand"
-        if "arm" in name:
-            return "forearm"
-        if any(word in name for word in _BASE_WORDS):
-            return "base"
+        for segment, named in _SEGMENTS:
+            if any(word in name for word in named):
+                return segment
     return ""
 
 

@@ -9,18 +9,19 @@ import json
 import os
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Unpack
+from functools import partial
+from typing import Unpack, cast
 
 import numpy as np
 
-from ...array_types import FloatArray, IntArray
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...calibration import ArmCalibration
 from ...errors import RecordingError
 from ...linalg import unit
 from ...measurements.remedy import Remedy
 from ...recording import JOINTS, CameraFrame, ImportNote, ImuStream, Recording
 from ...runtime.printable import printable
-from ...runtime.store import batches, large_array
+from ...runtime.store import by_rows, large_array
 from ..mcap.container import Container
 from ..mcap.messages import SECOND_NS, Topic, damage_note, plain_name, seconds
 from ..mcap.repair import repair_notes
@@ -31,7 +32,7 @@ from .decode import Decoder, MarkerDecoder, PlainDecoder, SkeletonDecoder, decod
 from .inertial import settle_imus
 from .keypoints import lenses_from_plain, with_lenses
 from .names import OTHER_SIDE
-from .select import select_recording, select_recordings
+from .select import select_recordings
 from .streams import (
     FieldSamples,
     ImuSamples,
@@ -45,26 +46,26 @@ from .streams import (
 TRUTH_PREFIX = "/truth"
 
 
-def join_truth_joints(file: RecordingFile) -> None:
+def _join_truth_joints(file: RecordingFile) -> None:
     """Skeletons on truth topics are reference joints of the truth beside them."""
     for arm in [arm for arm in file.arms if arm.topic.startswith(TRUTH_PREFIX)]:
         file.arms.remove(arm)
         for poses in file.poses:
             if f"{poses.topic}/joints" != arm.topic:
                 continue
+            row = np.minimum(np.searchsorted(arm.stamp_ns, poses.stamp_ns), len(arm.stamp_ns) - 1)
+            same = arm.stamp_ns[row] == poses.stamp_ns
             for i, joint in enumerate(JOINTS):
                 if arm.state[:, i].any():
-                    poses.joints[joint] = large_array((len(poses.stamp_ns), 3), 0.0)
-            for part in batches(len(poses.stamp_ns)):
-                row = np.searchsorted(arm.stamp_ns, poses.stamp_ns[part])
-                row = np.minimum(row, len(arm.stamp_ns) - 1)
-                same = arm.stamp_ns[row] == poses.stamp_ns[part]
-                for joint, values in poses.joints.items():
-                    there = arm.position[row, JOINTS.index(joint)]
-                    values[part] = np.where(same[:, None], there, np.nan)
+                    column = arm.position[:, i]
+                    poses.joints[joint] = by_rows(partial(_where_same, column), row, same)
 
 
-def join_field(file: RecordingFile, field: FieldSamples) -> None:
+def _where_same(values: FloatArray, row: IntArray, same: BoolArray) -> FloatArray:
+    return np.where(same[:, None], values[row], np.nan)
+
+
+def _join_field(file: RecordingFile, field: FieldSamples) -> None:
     """Give a magnetometer to the IMU of its frame, or under the same name."""
 
     def beside(imu: ImuSamples) -> bool:
@@ -76,28 +77,16 @@ def join_field(file: RecordingFile, field: FieldSamples) -> None:
     if len(mine) != 1 or mine[0].mag is not None:
         file.notes.append(f"{field.topic}: the magnetometer belongs to no IMU by its names and was left out.")
         return
-    stamp, values = _usable_field(field)
-    if not len(stamp):
+    order = np.argsort(field.stamp_ns, kind="stable")
+    order = order[np.isfinite(field.mag[order]).all(axis=1)]
+    if not len(order):
         return
-    zero = int(stamp[0])
-    mag = large_array((len(mine[0].stamp_ns), 3), 0.0)
-    for part in batches(len(mag)):
-        at = mine[0].stamp_ns[part]
-        first, last = np.searchsorted(stamp, [at.min(), at.max()], "right")
-        near = slice(max(int(first) - 2, 0), int(last) + 2)
-        x, have = (at - zero) / 1e9, (stamp[near] - zero) / 1e9
-        mag[part] = np.stack([np.interp(x, have, values[near, i]) for i in range(3)], axis=1)
+    stamp, values = field.stamp_ns[order], field.mag[order]
+    at, have = seconds(mine[0].stamp_ns, int(stamp[0])), seconds(stamp, int(stamp[0]))
+    mag = large_array(mine[0].acc.shape)
+    for axis in range(3):
+        mag[:, axis] = np.interp(at, have, values[:, axis])
     mine[0].mag = mag
-
-
-def _usable_field(field: FieldSamples) -> tuple[IntArray, FloatArray]:
-    """Samples that are finite, in the order of their stamps; nothing is copied where all are so."""
-    stamp, values = field.stamp_ns, field.mag
-    if (stamp[1:] < stamp[:-1]).any():
-        order = np.argsort(stamp, kind="stable")
-        stamp, values = stamp[order], values[order]
-    finite = np.isfinite(values).all(axis=1)
-    return (stamp, values) if finite.all() else (stamp[finite], values[finite])
 
 
 #: Topics that a result adds; a recording is read without them.
@@ -175,47 +164,29 @@ def _decoder(topic: Topic, truth: bool) -> Decoder | None:
     return None if is_reference and not truth else decoder
 
 
-#: Schemas of motion by the last part of their name, and the fields that show it in a JSON schema.
-_JSON_MOTION = {
-    "imu": (b'"linear_acceleration"', b'"angular_velocity"'),
-    "skeleton": (b'"joints"',),
-    "magneticfield": (b'"magnetic_field"',),
-    "posestamped": (b'"pose"', b'"orientation"'),
-    "poseinframe": (b'"pose"', b'"orientation"'),
-}
+#: Schemas of motion by the last part of their name.
+_MOTION = ("imu", "skeleton", "magneticfield", "posestamped", "poseinframe")
 
 
 def _refuse_json(file: RecordingFile, topics: list[Topic]) -> None:
     """Name topics of motion in JSON; refuse the file where nothing else has what they have."""
-    found = {
-        topic.label: kind for topic in topics if topic.encoding == "json" and (kind := _json_kind(topic))
-    }
+    kinds = {t.label: t.schema.replace("/", ".").rpartition(".")[2].lower() for t in topics}
+    found = {t.label: kinds[t.label] for t in topics if t.encoding == "json" and kinds[t.label] in _MOTION}
     if not found:
         return
     sentence = (
         f"{', '.join(found)}: JSON messages are not read; record or convert them as protobuf or ROS 2's CDR."
     )
-    kinds = found.values()
-    if ("imu" in kinds and not file.imus) or ("skeleton" in kinds and not file.arms):
+    if ("imu" in found.values() and not file.imus) or ("skeleton" in found.values() and not file.arms):
         raise RecordingError(f"{file.path}: {sentence}")
     file.notes.append(sentence)
-
-
-def _json_kind(topic: Topic) -> str:
-    """What a topic in JSON holds by its schema's name, or by the fields that its JSON schema names."""
-    name = topic.schema.replace("/", ".").rpartition(".")[2].lower()
-    text = topic.schema_data[:20_000]
-    by_fields = (kind for kind, fields in _JSON_MOTION.items() if all(field in text for field in fields))
-    return name if name in _JSON_MOTION else next(by_fields, "")
 
 
 def read_recording(
     path: str | os.PathLike[str],
     *,
     prefer_side: str | None = None,
-    truth: bool = True,
-    swap_sides: bool = False,
-    **selection: Unpack[Selection],
+    **reading: Unpack[FileReading],
 ) -> Recording:
     """Read one arm and the IMU on it from an MCAP file.
 
@@ -246,17 +217,14 @@ def read_recording(
     RecordingError
         The file cannot be read or used as it is, or leaves open what is meant.
     """
-    file = _opened(path, truth, swap_sides)
-    return select_recording(file, prefer_side=prefer_side, **selection)
+    return _read(path, reading, prefer_side=prefer_side, alone=True)[0]
 
 
 def read_recordings(
     path: str | os.PathLike[str],
     *,
     prefer_side: str | None = None,
-    truth: bool = True,
-    swap_sides: bool = False,
-    **selection: Unpack[Selection],
+    **reading: Unpack[FileReading],
 ) -> list[Recording]:
     """Read every arm that has an IMU from an MCAP file: both arms, of one person or of several.
 
@@ -279,18 +247,21 @@ def read_recordings(
     RecordingError
         As `read_recording`; no arm can be used.
     """
-    file = _opened(path, truth, swap_sides)
-    return select_recordings(file, prefer_side=prefer_side, **selection)
+    return _read(path, reading, prefer_side=prefer_side)
 
 
-def _opened(path: str | os.PathLike[str], truth: bool, swap_sides: bool) -> RecordingFile:
-    file = open_recording(path, truth=truth)
-    if swap_sides:
+def _read(
+    path: str | os.PathLike[str], reading: FileReading, *, prefer_side: str | None = None, alone: bool = False
+) -> list[Recording]:
+    """The arms of a file, or the one that is meant."""
+    chosen = dict(reading)
+    file = open_recording(path, truth=bool(chosen.pop("truth", True)))
+    if chosen.pop("swap_sides", False):
         for arm in file.arms:
             arm.side = OTHER_SIDE.get(arm.side, arm.side)
         file.notes.append(f"left and right of the skeleton were swapped ({SWAPPED_SIDES})")
         file.applied_fixes = (SWAPPED_SIDES,)
-    return file
+    return select_recordings(file, prefer_side=prefer_side, alone=alone, **cast(Selection, chosen))
 
 
 def _gather(file: RecordingFile, decoders: list[Decoder]) -> None:
@@ -316,9 +287,9 @@ def _gather(file: RecordingFile, decoders: list[Decoder]) -> None:
         elif isinstance(stream, FieldSamples):
             fields.append(stream)
     settle_imus(file)
-    join_truth_joints(file)
+    _join_truth_joints(file)
     for field in fields:
-        join_field(file, field)
+        _join_field(file, field)
 
 
 def _take_metadata(file: RecordingFile) -> None:
@@ -334,9 +305,6 @@ def _take_metadata(file: RecordingFile) -> None:
         file.clocks_unrelated = record.get("clocks") == CLOCKS_UNRELATED
         if record.get("cameras"):
             file.cameras = cameras_from_plain(json.loads(record["cameras"]))
-        if record.get("image_sizes"):
-            sizes = json.loads(record["image_sizes"])
-            file.image_sizes = {str(topic): (int(w), int(h)) for topic, (w, h) in dict(sizes).items()}
         if record.get("lenses"):
             file.lenses = lenses_from_plain(json.loads(record["lenses"]))
         notes = json.loads(record.get("notes", "[]"))
@@ -388,14 +356,8 @@ def read_arms(
 ) -> list[tuple[Recording, ArmCalibration | None]]:
     """Read every arm of a recording that has an IMU, or the one that is meant, each with its calibration."""
     remedy = remedy or Remedy()
-
-    def read(prefer: str | None) -> list[Recording]:
-        if alone:
-            return [read_recording(path, prefer_side=prefer, **reading)]
-        return read_recordings(path, prefer_side=prefer, **reading)
-
     if calibration_file is None:
-        return [(remedy.applied(recording), None) for recording in read(None)]
+        return [(remedy.applied(one), None) for one in _read(path, reading, alone=alone)]
     from calib.camera_poses import camera_poses, with_camera_poses
     from calib.file import read_calibration, sigma_factors_of
     from calib.imu.sensor import corrected
@@ -405,10 +367,9 @@ def read_arms(
     sides = [name for name in calibration.arms if name != "any"]
     factors, poses = sigma_factors_of(calibration), camera_poses(calibration)
     arms: list[tuple[Recording, ArmCalibration | None]] = []
-    recordings = read(sides[0] if len(sides) == 1 else None)
+    recordings = _read(path, reading, prefer_side=sides[0] if len(sides) == 1 else None, alone=alone)
     for recording in recordings:
-        recording = remedy.applied(recording)
-        recording = with_gravity(corrected(recording, calibration), calibration)
+        recording = with_gravity(corrected(remedy.applied(recording), calibration), calibration)
         recording = with_camera_poses(recording, poses)
         other_arm = len(recordings) > 1 and not {recording.side, "any"} & set(calibration.arms)
         if calibration.arms and other_arm:

@@ -1,13 +1,10 @@
-"""Which IMU of a file is on the trunk, and the other arm, whose shoulder shows the trunk's heading.
-
-All IMUs of a file matched to its bodies and limbs; what `unocclude match` says.
-"""
+"""Recordings of the arms that a file contains: what was chosen, cleaned, on one axis of time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Unpack
+from typing import Unpack
 
 import numpy as np
 
@@ -17,51 +14,11 @@ from ...recording import ImuStream, JointTracks, Recording, TrunkSensors, Truth,
 from ..mcap.messages import SECOND_NS, seconds
 from .bodies import join_bodies
 from .camera_streams import camera_of
-from .choose import Selection, StreamChoice, choose, choose_arms, left_out_words
+from .choose import Selection, StreamChoice, choose_arms, left_out_words
 from .clean import clean_arm, clean_imu, clean_poses
 from .keypoints import tracks_of
 from .names import role
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
-
-if TYPE_CHECKING:
-    pass
-
-
-def trunk_of(
-    file: RecordingFile, choice: StreamChoice, origin_ns: int
-) -> tuple[TrunkSensors | None, list[str]]:
-    """The trunk's IMU by its name, and sentences on it."""
-    named = [imu for imu in file.imus if imu is not choice.imu and role(imu) == "trunk"]
-    if not named:
-        return None, []
-    if len(named) > 1:
-        names = ", ".join(imu.topic for imu in named)
-        return None, [f"Of the trunk IMUs {names} none was taken: their names do not show which is meant."]
-    samples, notes = clean_imu(named[0], str(file.path))
-    t_s = seconds(samples.stamp_ns, origin_ns)
-    imu = ImuStream(samples.topic, t_s, samples.acc, samples.gyro)
-    notes = [f"IMU {samples.topic} is on the trunk by its name.", *notes]
-    return TrunkSensors(imu, opposite_arm(file, choice, origin_ns)), notes
-
-
-def opposite_arm(file: RecordingFile, choice: StreamChoice, origin_ns: int) -> JointTracks | None:
-    """The camera's joints of the same person's other arm; None where there is none. Parameters as above."""
-    mine = choice.arm
-    if not any({arm.side, mine.side} == {"left", "right"} for arm in file.arms):
-        return None
-    others = [
-        arm
-        for arm in join_bodies(file.arms)[0]
-        if (arm.topic, arm.body) == (mine.topic, mine.body) and {arm.side, mine.side} == {"left", "right"}
-    ]
-    if not others:
-        return None
-    try:
-        other, _ = clean_arm(others[0], str(file.path))
-    except RecordingError:  # that arm cannot be used, and it was not asked for
-        return None
-    return tracks_of(other, seconds(other.stamp_ns, origin_ns))
-
 
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
@@ -72,38 +29,34 @@ _LEAST_NS, _FEWEST = SECOND_NS // 5, 3
 
 
 def select_recording(
-    file: RecordingFile,
-    *,
-    prefer_side: str | None = None,
-    **selection: Unpack[Selection],
+    file: RecordingFile, *, prefer_side: str | None = None, **selection: Unpack[Selection]
 ) -> Recording:
     """Make a recording of one arm from all that a file contains; options as in `read_recording`."""
-    with file.damage_told():
-        choice = _cleaned(choose(file, prefer_side=prefer_side, **selection), file)
-        return _recording(choice, file, _origin_ns([choice]))
+    return select_recordings(file, prefer_side=prefer_side, alone=True, **selection)[0]
 
 
 def select_recordings(
     file: RecordingFile,
     *,
     prefer_side: str | None = None,
+    alone: bool = False,
     **selection: Unpack[Selection],
 ) -> list[Recording]:
-    """Make a recording of every arm with an IMU from all that a file contains; as `read_recordings`."""
-    with file.damage_told():
-        choices, left_out = choose_arms(file, prefer_side=prefer_side, **selection)
+    """Make a recording of every arm with an IMU from what a file contains, or of the one that is meant."""
     arms: list[StreamChoice] = []
     errors: list[RecordingError] = []
-    for choice in choices:
-        try:
-            arms.append(_cleaned(choice, file))
-        except RecordingError as error:
-            errors.append(error)
-            left_out.append(left_out_words(arm_words(choice.side, choice.body), error))
-    if not arms:
-        raise errors[0]
-    origin = _origin_ns(arms)  # one zero for all
-    recordings = [_recording(arm, file, origin) for arm in arms]
+    with file.damage_told():
+        choices, left_out = choose_arms(file, prefer_side=prefer_side, alone=alone, **selection)
+        for choice in choices:
+            try:
+                arms.append(_cleaned(choice, file))
+            except RecordingError as error:
+                errors.append(error)
+                left_out.append(left_out_words(arm_words(choice.side, choice.body), error))
+        if not arms:
+            raise errors[0]
+        origin = _origin_ns(arms)  # one zero for all
+        recordings = [_recording(arm, file, origin) for arm in arms]
     return [replace(one, notes=(*one.notes, *left_out)) for one in recordings]
 
 
@@ -119,14 +72,8 @@ def _cleaned(choice: StreamChoice, file: RecordingFile) -> StreamChoice:
     forearm = imu(choice.imu)
     arm, dropped = clean_arm(choice.arm, source)
     notes += dropped
-    if file.clocks_unrelated:  # their stamps do not show what they have in common: at most the shorter one
-        first_ns, length_ns = (
-            int(forearm.stamp_ns[0]),
-            min(int(np.ptp(each.stamp_ns)) for each in (forearm, arm)),
-        )
-        _check_enough(forearm, arm, first_ns, first_ns + length_ns, source)
-    else:
-        _check_overlap(forearm, arm, source)
+    _check_overlap(forearm, arm, source, file.clocks_unrelated)
+    if not file.clocks_unrelated:
         notes += _coverage(forearm, arm)
     base = None if choice.base is None else imu(choice.base)
     truth = choice.truth
@@ -139,9 +86,9 @@ def _cleaned(choice: StreamChoice, file: RecordingFile) -> StreamChoice:
 
 def _recording(choice: StreamChoice, file: RecordingFile, origin: int) -> Recording:
     arm, base, truth = choice.arm, choice.base, choice.truth
-    trunk, trunk_notes = trunk_of(file, choice, origin)
+    trunk, notes = _trunk(file, choice, origin)
     found = [camera_of(*each, str(file.path), origin, file.lenses) for each in choice.cameras]
-    more = [note for _, notes in found for note in notes]
+    notes += [note for _, more in found for note in more]
     return Recording(
         imu=_imu_stream(choice.imu, origin),
         arm=tracks_of(arm, seconds(arm.stamp_ns, origin)),
@@ -152,15 +99,46 @@ def _recording(choice: StreamChoice, file: RecordingFile, origin: int) -> Record
         truth=None if truth is None else _truth(truth, origin),
         origin_ns=origin,
         name=file.name,
-        notes=(*choice.notes, *trunk_notes, *more),
+        notes=(*choice.notes, *notes),
         further_imus={name: _imu_stream(stream, origin) for name, stream in choice.further.items()},
         body=choice.body,
         trunk=trunk,
         clocks_unrelated=file.clocks_unrelated,
         applied_fixes=file.applied_fixes,
-        opposite=opposite_arm(file, choice, origin),
+        opposite=_opposite_arm(file, choice, origin),
         cameras=tuple(camera for camera, _ in found if camera is not None),
     )
+
+
+def _trunk(
+    file: RecordingFile, choice: StreamChoice, origin_ns: int
+) -> tuple[TrunkSensors | None, list[str]]:
+    """The trunk's IMU by its name with the other arm, whose shoulder shows the trunk's heading; sentences."""
+    named = [imu for imu in file.imus if imu is not choice.imu and role(imu) == "trunk"]
+    if not named:
+        return None, []
+    if len(named) > 1:
+        names = ", ".join(imu.topic for imu in named)
+        return None, [f"Of the trunk IMUs {names} none was taken: their names do not show which is meant."]
+    samples, notes = clean_imu(named[0], str(file.path))
+    imu = ImuStream(samples.topic, seconds(samples.stamp_ns, origin_ns), samples.acc, samples.gyro)
+    notes = [f"IMU {samples.topic} is on the trunk by its name.", *notes]
+    return TrunkSensors(imu, _opposite_arm(file, choice, origin_ns)), notes
+
+
+def _opposite_arm(file: RecordingFile, choice: StreamChoice, origin_ns: int) -> JointTracks | None:
+    """The camera's joints of the same person's other arm; None where there is none that can be used."""
+    sides = {"left", "right"}
+    if not any({arm.side, choice.arm.side} == sides for arm in file.arms):
+        return None
+    for arm in join_bodies(file.arms)[0]:
+        if arm.key[:2] == choice.arm.key[:2] and {arm.side, choice.arm.side} == sides:
+            try:
+                other, _ = clean_arm(arm, str(file.path))
+            except RecordingError:  # it was not asked for
+                return None
+            return tracks_of(other, seconds(other.stamp_ns, origin_ns))
+    return None
 
 
 def _origin_ns(arms: Sequence[StreamChoice]) -> int:
@@ -173,31 +151,27 @@ def _origin_ns(arms: Sequence[StreamChoice]) -> int:
     return 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
 
 
-def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str) -> None:
-    first = max(int(imu.stamp_ns[0]), int(arm.stamp_ns[0]))
-    last = min(int(imu.stamp_ns[-1]), int(arm.stamp_ns[-1]))
-    if last > first:
-        _check_enough(imu, arm, first, last, source)
-        return
-    apart = (first - last) / 1e9
-    raise RecordingError(
-        f"{source}: {imu.topic} and {arm.label} do not overlap in time, they are {apart:.3f} s apart "
-        f"(IMU {_span(imu.stamp_ns)}, camera {_span(arm.stamp_ns)}); record both at the same time, with "
-        "clocks that agree to a second."
-    )
-
-
-def _check_enough(imu: ImuSamples, arm: ArmFrames, first: int, last: int, source: str) -> None:
-    """Refuse streams of which nothing can be solved: too short a time, or hardly a sample in it."""
+def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str, unrelated: bool) -> None:
+    """Refuse streams of which nothing can be solved: too short a time in common, or hardly a sample in it."""
+    (start, end), (first, last) = ((int(s[0]), int(s[-1])) for s in (imu.stamp_ns, arm.stamp_ns))
+    if unrelated:  # their stamps do not show what they have in common: at most the shorter one
+        first, last = start, start + min(end - start, last - first)
+    first, last = max(start, first), min(end, last)
     at, behind = np.searchsorted(imu.stamp_ns, [first, last])
     if last - first >= _LEAST_NS and behind - at >= _FEWEST:
         return
     rate_hz = 1e9 / max(float(np.median(np.diff(imu.stamp_ns))), 1.0)
+    spans = f"(IMU {_span(imu.stamp_ns)} at {rate_hz:.3g} Hz, camera {_span(arm.stamp_ns)})"
+    if last <= first:
+        raise RecordingError(
+            f"{source}: {imu.topic} and {arm.label} do not overlap in time, they are"
+            f" {(first - last) / 1e9:.3f} s apart {spans}; record both at the same time, with clocks that"
+            " agree to a second."
+        )
     raise RecordingError(
         f"{source}: {imu.topic} and {arm.label} have only {(last - first) / 1e9:.3g} s and {behind - at}"
-        f" samples of the IMU in common (IMU {_span(imu.stamp_ns)} at {rate_hz:.3g} Hz, camera"
-        f" {_span(arm.stamp_ns)}); if a file's times are in another unit, import it again with the right"
-        " time_unit, else record both at the same time."
+        f" samples of the IMU in common {spans}; if a file's times are in another unit, import it again with"
+        " the right time_unit, else record both at the same time."
     )
 
 

@@ -21,7 +21,7 @@ from ...errors import RecordingError
 from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, JointState
-from ...runtime.store import batches, large_array
+from ...runtime.store import by_rows
 from ..mcap.messages import told_behind
 from ..tables.imu import ImuTable
 
@@ -64,6 +64,11 @@ class ArmFrames:
     state: NDArray[np.int8]  # int (F, 5): `JointState` values
     camera_frame: CameraFrame | None = None  # Convention of the axes where the message type settles it
     lens: Intrinsics | None = None  # Of a camera without depth
+
+    @property
+    def key(self) -> tuple[str, int, str]:
+        """Whose arm it is: topic, body and side."""
+        return self.topic, self.body, self.side
 
     @property
     def label(self) -> str:
@@ -151,10 +156,6 @@ class RecordingFile:
     cameras: dict[str, CameraStream] = field(default_factory=dict)
     # Of cameras without depth, by the topic of their keypoints
     lenses: dict[str, KnownLens] = field(default_factory=dict)
-    # To be written beside the skeleton that was made of them: `position` holds u, v and the score
-    image_points: list[ArmFrames] = field(default_factory=list)
-    # Width and height of the pictures that they are in, pixels, by topic
-    image_sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     # Accelerometers and gyroscopes alone, which belong to no IMU
     halves: list[ImuTable] = field(default_factory=list)
 
@@ -200,7 +201,7 @@ def sort_arrivals(file: RecordingFile, metadata: dict[str, str]) -> None:
 
 def _sorted(stream: Stream) -> Stream:
     stamp = stream.stamp_ns
-    if all((np.diff(stamp[part.start : part.stop + 1]) >= 0).all() for part in batches(len(stamp))):
+    if (stamp[1:] >= stamp[:-1]).all():
         return stream
     return rows_of(stream, np.argsort(stamp, kind="stable"))
 
@@ -220,10 +221,7 @@ def kept(values: NDArray, rows: NDArray) -> NDArray:
         if rows.all():
             return values
         rows = np.flatnonzero(rows)
-    rest = large_array((len(rows), *values.shape[1:]), 0, values.dtype)
-    for part in batches(len(rows)):
-        rest[part] = values[rows[part]]
-    return rest
+    return by_rows(lambda part: values[part], rows)
 
 
 def drop_timestamp_outliers(file: RecordingFile) -> None:

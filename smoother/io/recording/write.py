@@ -71,8 +71,6 @@ def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]
         metadata["cameras"] = json.dumps(cameras_plain(file.cameras))
     if file.lenses:
         metadata["lenses"] = json.dumps(lenses_plain(file.lenses))
-    if file.image_sizes:
-        metadata["image_sizes"] = json.dumps({topic: list(size) for topic, size in file.image_sizes.items()})
     if file.clocks_unrelated:
         metadata["clocks"] = CLOCKS_UNRELATED
     scores = {
@@ -87,7 +85,6 @@ def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]
     outgoing += [
         arm_messages(output, arm) if arm.lens is None else keypoint_messages(output, arm) for arm in file.arms
     ]
-    outgoing += [keypoint_messages(output, points) for points in file.image_points]
     for poses in file.poses:
         outgoing += _poses(output, poses)
     return outgoing

@@ -6,6 +6,7 @@ import os
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -97,45 +98,36 @@ def read_images(
 
 
 def _decode(topic: Topic, data: bytes, log_ns: int) -> ImageMessage | LensMessage:
+    """A message of Foxglove's (protobuf) or of ROS' (cdr), which have the same fields in another order."""
+    kind = topic.schema.rpartition(".")[2].rpartition("/")[2]
     if topic.encoding == "protobuf":
-        return _foxglove(topic, parsed(topic.schema, data), log_ns)
-    return _ros(topic, CdrReader(data), log_ns)
-
-
-def _foxglove(topic: Topic, message: Any, log_ns: int) -> ImageMessage | LensMessage:
-    if topic.schema == "foxglove.CameraCalibration":
-        size = (message.width, message.height)
-        return _lens(topic, message.frame_id, *size, message.distortion_model, message.D, message.K)
-    stamp = message.timestamp.ToNanoseconds() or log_ns
-    if topic.schema == "foxglove.CompressedImage":
-        return ImageMessage(topic.name, message.frame_id, stamp, "", lambda: _uncompressed(message.data))
-    shape = (message.height, message.width, message.step)
-    return ImageMessage(
-        topic.name,
-        message.frame_id,
-        stamp,
-        message.encoding,
-        lambda: _raw(message.data, message.encoding, *shape, big=False),
-    )
-
-
-def _ros(topic: Topic, cdr: CdrReader, log_ns: int) -> ImageMessage | LensMessage:
-    stamp = cdr.number("i") * SECOND_NS + cdr.number("I") or log_ns
-    frame_id = cdr.text()
-    if topic.schema == "sensor_msgs/msg/CompressedImage":
-        cdr.text()
-        data = cdr.octets()
-        return ImageMessage(topic.name, frame_id, stamp, "", lambda: _uncompressed(data))
-    height, width = cdr.number("I"), cdr.number("I")
-    if topic.schema == "sensor_msgs/msg/CameraInfo":
-        model = cdr.text()
-        distortion = cdr.values("d", cdr.number("I"))
-        return _lens(topic, frame_id, width, height, model, distortion, cdr.values("d", 9))
-    encoding, big = cdr.text(), bool(cdr.number("B"))
-    step, data = cdr.number("I"), cdr.octets()
-    return ImageMessage(
-        topic.name, frame_id, stamp, encoding, lambda: _raw(data, encoding, height, width, step, big)
-    )
+        message = parsed(topic.schema, data)
+        frame_id, stamp, big = message.frame_id, message.timestamp.ToNanoseconds() or log_ns, False
+        if kind == "CameraCalibration":
+            size = (message.width, message.height)
+            return _lens(topic, frame_id, *size, message.distortion_model, message.D, message.K)
+        payload = message.data
+        if kind == "RawImage":
+            encoding, shape = message.encoding, (message.height, message.width, message.step)
+    else:
+        cdr = CdrReader(data)
+        stamp = cdr.number("i") * SECOND_NS + cdr.number("I") or log_ns
+        frame_id = cdr.text()
+        if kind == "CompressedImage":
+            cdr.text()
+        else:
+            height, width = cdr.number("I"), cdr.number("I")
+            if kind == "CameraInfo":
+                model = cdr.text()
+                distortion = cdr.values("d", cdr.number("I"))
+                return _lens(topic, frame_id, width, height, model, distortion, cdr.values("d", 9))
+            encoding, big = cdr.text(), bool(cdr.number("B"))
+            shape = (height, width, cdr.number("I"))
+        payload = cdr.octets()
+    if kind == "CompressedImage":
+        return ImageMessage(topic.name, frame_id, stamp, "", partial(_uncompressed, payload))
+    unpack = partial(_raw, payload, encoding, *shape, big)
+    return ImageMessage(topic.name, frame_id, stamp, encoding, unpack)
 
 
 def _lens(
@@ -174,18 +166,19 @@ COMPRESSED_IMAGE, TRANSFORMS = "foxglove.CompressedImage", "foxglove.FrameTransf
 _JPEG_QUALITY = 90
 
 
+def serialized(schema: str, time_ns: int, **fields: Any) -> bytes:
+    """A Foxglove message with a stamp."""
+    message = message_class(schema)(**fields)
+    message.timestamp.FromNanoseconds(int(time_ns))
+    return bytes(message.SerializeToString(deterministic=True))
+
+
 def raw_image(frame: str, encoding: str, image: NDArray[np.uint16], time_ns: int) -> bytes:
     """An image (height, width) of 16 bits a pixel as `foxglove.RawImage`."""
-    message = message_class(RAW_IMAGE)(
-        frame_id=frame,
-        width=image.shape[1],
-        height=image.shape[0],
-        encoding=encoding,
-        step=2 * image.shape[1],
-        data=np.ascontiguousarray(image, "<u2").tobytes(),
-    )
-    message.timestamp.FromNanoseconds(time_ns)
-    return bytes(message.SerializeToString(deterministic=True))
+    height, width = image.shape
+    size = {"width": width, "height": height, "step": 2 * width}
+    data = np.ascontiguousarray(image, "<u2").tobytes()
+    return serialized(RAW_IMAGE, time_ns, frame_id=frame, encoding=encoding, data=data, **size)
 
 
 def jpeg_image(frame: str, grey: NDArray[np.uint8], time_ns: int) -> bytes:
@@ -194,23 +187,13 @@ def jpeg_image(frame: str, grey: NDArray[np.uint8], time_ns: int) -> bytes:
 
     colours = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     _, packed = cv2.imencode(".jpg", colours, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    message = message_class(COMPRESSED_IMAGE)(frame_id=frame, data=packed.tobytes(), format="jpeg")
-    message.timestamp.FromNanoseconds(time_ns)
-    return bytes(message.SerializeToString(deterministic=True))
+    return serialized(COMPRESSED_IMAGE, time_ns, frame_id=frame, data=packed.tobytes(), format="jpeg")
 
 
 def lens_message(frame: str, lens: Intrinsics, time_ns: int) -> bytes:
     """A lens as `foxglove.CameraCalibration`."""
-    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
-    message = message_class(CAMERA_CALIBRATION)(
-        frame_id=frame,
-        width=lens.width,
-        height=lens.height,
-        distortion_model="plumb_bob",
-        D=lens.distortion,
-        K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
-        R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
-        P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
-    )
-    message.timestamp.FromNanoseconds(time_ns)
-    return bytes(message.SerializeToString(deterministic=True))
+    K = [lens.fx, 0, lens.cx, 0, lens.fy, lens.cy, 0, 0, 1]
+    matrices = {"K": K, "R": np.eye(3).ravel(), "P": [*K[:3], 0, *K[3:6], 0, *K[6:], 0]}
+    size = {"width": lens.width, "height": lens.height}
+    model = {"distortion_model": "plumb_bob", "D": lens.distortion}
+    return serialized(CAMERA_CALIBRATION, time_ns, frame_id=frame, **size, **model, **matrices)

@@ -5,12 +5,11 @@ A session holds images by pose, the lens, markers, and two IMUs.
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import stat
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +27,8 @@ from ...errors import RecordingError, UnoccludeError
 from ...recording import ImuStream
 from ...runtime.outputs import (
     check_output,
-    locked_folder,
+    could_not_be_written,
+    locked,
     remove_stale_tempfiles,
     temporary_name,
     umask,
@@ -42,6 +42,7 @@ from ..recording.clean import clean_imu
 from ..recording.read import open_recording
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
+from ..wire.cdr import marker_array
 from ..wire.layout import Grouper
 from ..wire.schemas import message_class, parsed
 from .images import (
@@ -196,21 +197,29 @@ def _markers_at(path: Path, stamps: list[int]) -> list[dict[str, FloatArray]]:
     return [{name: np.mean(each, axis=0) for name, each in track.items()} for track in tracks]
 
 
-def _markers(path: Path) -> list[tuple[int, str, FloatArray]]:
+def _markers(path: Path) -> Iterator[tuple[int, str, FloatArray]]:
     """Stamp (ns), name and position (3,) m of every marker in the file."""
     container = Container(path)
-    found: list[tuple[int, str, FloatArray]] = []
     for batch in container.batches(_wanted):
         for position, messages in batch.items():
             topic = container.topics[position]
-            payloads = [bytes(message.data) for message in messages]
             logs = [int(message.log_ns) for message in messages]
+            payloads = [bytes(message.data) for message in messages]
             if topic.schema == _SCENE:
-                found += _scene_markers(payloads, logs)
-            else:
-                textured = b"texture_resource" in topic.schema_data or not topic.schema_data
-                found += _array_markers(payloads, logs, textured)
-    return found
+                for payload, log in zip(payloads, logs, strict=True):
+                    with suppress(ValueError):  # the other messages may be intact
+                        yield from _scene_markers(payload, log)
+                continue
+            textured = b"texture_resource" in topic.schema_data or not topic.schema_data
+            for index, block, layout in Grouper(partial(marker_array, textured=textured)).groups(payloads):
+                if not layout.counts["markers"]:
+                    continue
+                stamps, names = ros_stamps(block, layout), layout.many(block, "id")[:, :, 0]
+                places = layout.many(block, "position").astype(float)
+                for row, message in enumerate(index.tolist()):
+                    stamp = int(stamps[row]) or logs[message]
+                    for name, place in zip(names[row].tolist(), places[row], strict=True):
+                        yield stamp, str(name), place
 
 
 def _wanted(topic: Topic) -> bool:
@@ -218,38 +227,13 @@ def _wanted(topic: Topic) -> bool:
     return schema in (_SCENE, _ARRAY) and any(word in topic.name.lower() for word in _NAMED)
 
 
-def _scene_markers(payloads: list[bytes], logs: list[int]) -> list[tuple[int, str, FloatArray]]:
-    rows = []
-    for payload, log in zip(payloads, logs, strict=True):
-        try:
-            entities = parsed(_SCENE, payload).entities
-        except ValueError:
-            continue  # the other messages may be intact
-        for entity in entities:
-            stamp = entity.timestamp.ToNanoseconds() or log
-            for number, sphere in enumerate(entity.spheres):
-                name = entity.id if len(entity.spheres) == 1 else f"{entity.id}_{number + 1}"
-                place = sphere.pose.position
-                rows.append((stamp, name, np.array([place.x, place.y, place.z])))
-    return rows
-
-
-def _array_markers(
-    payloads: list[bytes], logs: list[int], textured: bool
-) -> list[tuple[int, str, FloatArray]]:
-    from ..wire.cdr import marker_array
-
-    rows = []
-    for index, block, layout in Grouper(partial(marker_array, textured=textured)).groups(payloads):
-        if not layout.counts["markers"]:
-            continue
-        stamps = ros_stamps(block, layout)
-        names = layout.many(block, "id")[:, :, 0]
-        places = layout.many(block, "position").astype(float)
-        for row, message in enumerate(index.tolist()):
-            stamp = int(stamps[row]) or logs[message]
-            rows += [(stamp, str(n), p) for n, p in zip(names[row].tolist(), places[row], strict=True)]
-    return rows
+def _scene_markers(payload: bytes, log_ns: int) -> Iterator[tuple[int, str, FloatArray]]:
+    for entity in parsed(_SCENE, payload).entities:
+        stamp = entity.timestamp.ToNanoseconds() or log_ns
+        for number, sphere in enumerate(entity.spheres):
+            name = entity.id if len(entity.spheres) == 1 else f"{entity.id}_{number + 1}"
+            place = sphere.pose.position
+            yield stamp, name, np.array([place.x, place.y, place.z])
 
 
 DEPTH_TOPIC = "/camera/depth/image"
@@ -283,15 +267,14 @@ def writing_folder(path: str | os.PathLike[str], force: bool = False) -> Iterato
     old = beside.with_suffix(".old")
     try:
         remove_stale_tempfiles(target.absolute().parent)
-        with locked_folder(beside):
+        with locked(beside, folder=True):
             yield beside
             beside.chmod(stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o777 & ~umask())
             if target.exists():
                 target.rename(old)
             beside.rename(target)
     except OSError as error:
-        full = "; make room and run again" if error.errno == errno.ENOSPC else ""
-        raise UnoccludeError(f"{path} could not be written: {error.strerror or error}{full}.") from error
+        raise could_not_be_written(path, error) from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
         if old.exists() and not target.exists():
@@ -348,63 +331,44 @@ def write_panel_recording(
 ) -> None:
     """Write the session as MCAP: depth (16UC1, mm) and infrared images, lens, mocap markers, IMU samples."""
     stamp = nanoseconds(np.array([shot.t_s for shot in shots]), 0)
-    with writing(path, force) as temporary, Output(temporary) as output:
-        streams = [
-            imu_messages(
-                output,
-                ImuSamples(f"/imu/{i.name}", i.name, nanoseconds(i.t_s, 0), i.acc, i.gyro, i.mag),
-            )
-            for i in imus
-        ]
-        for topic, encoding, images in (
-            (DEPTH_TOPIC, "16UC1", [shot.depth for shot in shots]),
-            (INFRARED_TOPIC, "mono16", [shot.infrared for shot in shots]),
-        ):
-            streams.append(_images(output, topic, encoding, stamp, images))
-        streams.append(_lens(output, lens, stamp[:1]))
-        streams.append(_marker_stream(output, stamp, shots))
-        output.write(streams)
-
-
-def _images(
-    output: Output, topic: str, encoding: str, stamp: NDArray[np.int64], images: Sequence[NDArray]
-) -> OutputStream:
-    def encode(rows: slice) -> list[bytes]:
-        return [
-            raw_image(CAMERA, encoding, image, int(at))
-            for at, image in zip(stamp[rows], images[rows], strict=True)
-        ]
-
-    return OutputStream(output.channel(topic, RAW_IMAGE), stamp, encode)
-
-
-def _lens(output: Output, lens: dict[str, Any], stamp: NDArray[np.int64]) -> OutputStream:
     numbers = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy")}
     seen = Intrinsics(lens["width"], lens["height"], **numbers, distortion=tuple(lens["distortion"]))
-    data = lens_message(CAMERA, seen, int(stamp[0]))
-    channel = output.channel(LENS_TOPIC, CAMERA_CALIBRATION)
-    return OutputStream(channel, stamp, lambda rows: [data] * len(stamp[rows]))
+    with writing(path, force) as temporary, Output(temporary) as output:
+
+        def stream(topic: str, schema: str, encode: Callable[[PanelShot, int], bytes]) -> OutputStream:
+            def rows(part: slice) -> list[bytes]:
+                return [encode(*each) for each in zip(shots[part], stamp[part].tolist(), strict=True)]
+
+            return OutputStream(output.channel(topic, schema), stamp, rows)
+
+        samples = [
+            ImuSamples(f"/imu/{i.name}", i.name, nanoseconds(i.t_s, 0), i.acc, i.gyro, i.mag) for i in imus
+        ]
+        lens_channel = output.channel(LENS_TOPIC, CAMERA_CALIBRATION)
+        lens_data = [lens_message(CAMERA, seen, int(stamp[0]))]
+        output.write(
+            [
+                *(imu_messages(output, each) for each in samples),
+                stream(DEPTH_TOPIC, RAW_IMAGE, lambda shot, at: raw_image(CAMERA, "16UC1", shot.depth, at)),
+                stream(
+                    INFRARED_TOPIC, RAW_IMAGE, lambda shot, at: raw_image(CAMERA, "mono16", shot.infrared, at)
+                ),
+                OutputStream(lens_channel, stamp[:1], lambda part: lens_data[part]),
+                stream(MARKER_TOPIC, _SCENE, _scene),
+            ]
+        )
 
 
-def _marker_stream(output: Output, stamp: NDArray[np.int64], shots: Sequence[PanelShot]) -> OutputStream:
+def _scene(shot: PanelShot, time_ns: int) -> bytes:
     """A sphere a marker, in the mocap's frame."""
-
-    def encode(part: slice) -> list[bytes]:
-        out = []
-        for at, shot in zip(stamp[part], shots[part], strict=True):
-            message = message_class("foxglove.SceneUpdate")()
-            for name, position in zip(shot.marker_names, shot.markers, strict=True):
-                entity = message.entities.add(frame_id=MOCAP, id=name)
-                entity.timestamp.FromNanoseconds(int(at))
-                sphere = entity.spheres.add()
-                sphere.pose.position.x, sphere.pose.position.y, sphere.pose.position.z = position.tolist()
-                sphere.pose.orientation.w = 1.0
-                sphere.size.x = sphere.size.y = sphere.size.z = SHOWN_M
-                sphere.color.r = sphere.color.g = sphere.color.b = sphere.color.a = 1.0
-            out.append(message.SerializeToString(deterministic=True))
-        return out
-
-    return OutputStream(output.channel(MARKER_TOPIC, "foxglove.SceneUpdate"), stamp, encode)
+    size, colour = dict.fromkeys("xyz", SHOWN_M), dict.fromkeys("rgba", 1.0)
+    message = message_class(_SCENE)()
+    for name, position in zip(shot.marker_names, shot.markers, strict=True):
+        place = dict(zip("xyz", position.tolist(), strict=True))
+        sphere = {"pose": {"position": place, "orientation": {"w": 1.0}}, "size": size, "color": colour}
+        entity = message.entities.add(frame_id=MOCAP, id=name, spheres=[sphere])
+        entity.timestamp.FromNanoseconds(time_ns)
+    return bytes(message.SerializeToString(deterministic=True))
 
 
 def _write_markers(path: Path, shot: PanelShot) -> None:

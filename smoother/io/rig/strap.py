@@ -252,9 +252,9 @@ def _once(channel: int, stamp: IntArray, data: bytes) -> OutputStream:
 
 def _beside(colour: PlacedCamera) -> bytes:
     """Where the colour camera is in the depth camera's image axes."""
-    message = message_class(TRANSFORMS)()
-    transform = message.transforms.add(parent_frame_id=DEPTH, child_frame_id=COLOUR)
-    transform.rotation.w = 1.0
-    offset = -colour.t_C_K
-    transform.translation.x, transform.translation.y, transform.translation.z = offset.tolist()
+    offset = dict(zip("xyz", (-colour.t_C_K).tolist(), strict=True))
+    frames = {"parent_frame_id": DEPTH, "child_frame_id": COLOUR}
+    message = message_class(TRANSFORMS)(
+        transforms=[{**frames, "rotation": {"w": 1.0}, "translation": offset}]
+    )
     return bytes(message.SerializeToString(deterministic=True))

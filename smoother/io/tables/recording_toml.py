@@ -36,7 +36,7 @@ from ..mcap.messages import nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.choose import Selection
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
-from ..recording.read import select_recording
+from ..recording.select import select_recording
 from ..recording.streams import (
     ArmFrames,
     CameraStream,

@@ -31,7 +31,6 @@ from .skeletons import (
     PIXELS,
     USUAL_RATE_HZ,
     Conventions,
-    ImagePoints,
     RawSkeleton,
     SkeletonTable,
     camera_time_scale,
@@ -445,7 +444,6 @@ def _keypoint_table(path: Path, rows: list[Row], scale: float | None, rate_hz: f
             )
         t_s = (frame - frame[0]) / (rate_hz or USUAL_RATE_HZ)
     state = {name: states_of_scores(points[:, 2]) for name, points in joints.items()}
-    image = ImagePoints(0, 0, joints)
     return SkeletonTable(
-        0, t_s, joints, state, CameraFrame.OPTICAL, rate_hz=rate_hz, units=PIXELS, notes=notes, image=image
+        0, t_s, joints, state, CameraFrame.OPTICAL, rate_hz=rate_hz, units=PIXELS, notes=notes
     )

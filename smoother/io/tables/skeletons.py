@@ -19,19 +19,6 @@ from .units import CAMERA_RATES, METRES, SECONDS, from_1970, unit_of_step
 
 
 @dataclass
-class ImagePoints:
-    """One body's joints in the pictures of a camera."""
-
-    width: int  # Of the pictures, pixels
-    height: int  # Of the pictures, pixels
-    joints: dict[str, FloatArray]  # dict of (F, 3)
-
-    def select(self, keep: BoolArray | IntArray) -> ImagePoints:
-        """Some of the frames."""
-        return ImagePoints(self.width, self.height, {name: rows[keep] for name, rows in self.joints.items()})
-
-
-@dataclass
 class SkeletonTable:
     """One body's joints as a file has them, in metres, times not yet repaired."""
 
@@ -46,7 +33,6 @@ class SkeletonTable:
     relative: bool = False  # Positions are relative to the body (about the hips)
     units: str = ""  # As written in the file ("mm")
     notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
-    image: ImagePoints | None = None  # The same joints in the pictures, where the file has them
 
     def __len__(self) -> int:
         return next(map(len, self.position.values()), 0)
@@ -58,7 +44,6 @@ class SkeletonTable:
             t_s=None if self.t_s is None else self.t_s[keep],
             position={joint: values[keep] for joint, values in self.position.items()},
             state={joint: values[keep] for joint, values in self.state.items()},
-            image=None if self.image is None else self.image.select(keep),
         )
 
 

@@ -23,9 +23,9 @@ from ...errors import RecordingError, UnoccludeError
 from ...recording import CameraFrame
 from ...runtime.packages import extra_module
 from ...runtime.pool import Progress
-from .joints import BLAZEPOSE, joint_name
+from .joints import BLAZEPOSE
 from .skeleton_formats import RELATIVE_NOTE, share_states
-from .skeletons import Conventions, ImagePoints, RawSkeleton, SkeletonTable
+from .skeletons import Conventions, RawSkeleton, SkeletonTable
 from .table import Format, amount
 
 #: Bytes at the beginning of videos: where they stand, and what they are.
@@ -67,10 +67,7 @@ def pose_video(
             )
         raw = _raw(path, t_s, poses, numbers, seen)
         raw.notes += [RELATIVE_NOTE, *([said] if said else []), *_about(video, poses, numbers, seen)]
-        tables = raw.skeletons(Conventions("m", CameraFrame.OPTICAL, relative=True))
-        for table in tables:
-            table.image = _image_points(video, poses, numbers, seen[table.body])
-        return tables
+        return raw.skeletons(Conventions("m", CameraFrame.OPTICAL, relative=True))
 
     title, by = "video, MediaPipe pose landmarker", "the beginning of MP4, MOV, MKV, WebM or AVI"
     return Format("video", title, "skeleton", by, lambda head: is_video(head.raw), read)
@@ -104,24 +101,6 @@ def _raw(
     for at, name in enumerate(BLAZEPOSE):
         raw.add(name, table[:, at, :3], share_states(table[:, at, 3]))
     return raw
-
-
-def _image_points(
-    video: Video, poses: list[list[Pose]], numbers: list[list[int]], person: int
-) -> ImagePoints:
-    """A person's joints in all pictures."""
-    joints = {
-        meaning.joint: at
-        for at, name in enumerate(BLAZEPOSE)
-        if (meaning := joint_name(name)) is not None and meaning.joint
-    }
-    points = {joint: np.full((len(poses), 3), np.nan) for joint in joints}
-    for row, (frame, mine) in enumerate(zip(poses, numbers, strict=True)):
-        if person in mine:
-            pixels = frame[mine.index(person)].pixels
-            for joint, at in joints.items():
-                points[joint][row] = pixels[at]
-    return ImagePoints(video.width, video.height, points)
 
 
 def _about(video: Video, poses: list[list[Pose]], numbers: list[list[int]], seen: list[int]) -> list[str]:

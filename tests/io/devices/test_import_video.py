@@ -12,10 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from mcap_messages import every
 from pose_videos import (
-    HEIGHT,
-    WIDTH,
     Person,
     mediapipe_stand_in,
     person_of,
@@ -29,9 +26,7 @@ from typer.testing import CliRunner
 from smoother.cli.app import app
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import open_recording
-from smoother.io.mcap.container import Container
 from smoother.io.tables.video import pose_video
-from smoother.io.wire.schemas import parsed
 from smoother.recording import CameraFrame, JointState
 from smoother.simulation import ArmSimulation, simulate_arm
 
@@ -66,7 +61,7 @@ def wrist_error_m(table, person: Person) -> np.ndarray:
     return np.linalg.norm(table.position["wrist_right"] - person.points[:, WRIST], axis=1)[seen]
 
 
-def test_landmarks_in_space_and_in_pixels(scene):
+def test_landmarks_in_space(scene):
     folder, person, t_s = scene
     (table,) = pose_video(folder / "pose.task").read(folder / "arm.mp4")
     np.testing.assert_allclose(table.t_s, t_s, atol=1e-3)
@@ -74,11 +69,6 @@ def test_landmarks_in_space_and_in_pixels(scene):
     assert wrist_error_m(table, person).max() < TOLERANCE_M
     hidden = ~person.seen[:, WRIST]
     assert (table.state["wrist_right"][hidden] == JointState.INFERRED).all(), "visibility 0.05"
-    assert (table.image.width, table.image.height) == (WIDTH, HEIGHT)
-    u, v, score = table.image.joints["wrist_right"].T
-    expected = person.points[:, WRIST, :2] * 110.0 + (WIDTH / 2, 0.62 * HEIGHT)
-    assert np.abs(np.stack([u, v], axis=1) - expected)[~hidden].max() < 0.8
-    assert (score[~hidden] > 0.5).all() and (score[hidden] < 0.1).all()
     assert any("not mirrored" in note and "--mirrored" in note for note in table.notes)
 
 
@@ -103,7 +93,6 @@ def test_a_phone_held_upright(scene, tmp_path: Path, turn: int, back: int, by_fi
         with_turn(video, back)
     (table,) = camera.read(video)
     assert wrist_error_m(table, few).max() < TOLERANCE_M
-    assert (table.image.width, table.image.height) == (WIDTH, HEIGHT)
     assert not any("--turn" in note for note in table.notes)
     assert any(f"turned by {back} degrees" in note for note in table.notes) is by_file
 
@@ -145,9 +134,8 @@ def test_two_people_and_who_was_seen_first(scene, tmp_path: Path):
     one, two = pose_video(model).read(tmp_path / "two.mp4")
     assert (one.body, two.body) == (0, 1)
     assert wrist_error_m(one, person).max() < 2 * TOLERANCE_M
-    there = np.isfinite(two.image.joints["elbow_right"][:, 0])
+    there = two.state["elbow_right"] != JointState.NOT_TRACKED
     assert there.sum() == 40 and not there[:10].any() and not there[30:40].any()
-    assert (two.state["elbow_right"][~there] == JointState.NOT_TRACKED).all()
     assert any("2 people" in note and "--body" in note for note in one.notes)
     (alone,) = pose_video(model, people=1).read(tmp_path / "two.mp4")
     assert not any("2 people" in note for note in alone.notes)
@@ -169,7 +157,7 @@ def run(*words: object) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-def test_the_recording_keeps_both(scene, tmp_path: Path):
+def test_the_recording_keeps_the_skeleton(scene, tmp_path: Path):
     folder, person, _ = scene
     output = tmp_path / "session.mcap"
     code, said = run(
@@ -186,22 +174,8 @@ def test_the_recording_keeps_both(scene, tmp_path: Path):
     file = open_recording(output)
     arm = next(each for each in file.arms if each.side == "right" and each.topic == "/skeleton")
     assert len(arm.stamp_ns) == len(person.points)
-    container = Container(output)
-    found = [
-        parsed("unocclude.Keypoints2D", bytes(message.data))
-        for message in every(container)
-        if message.topic.name == "/camera/keypoints_2d"
-    ]
-    right = [m for m in found if any(k.name == "wrist_right" for k in m.keypoints)]
-    assert len(right) == len(person.points) and right[0].frame_id == "camera"
-    (wrist,) = (k for k in right[20].keypoints if k.name == "wrist_right")
-    expected = person.points[20, WRIST, :2] * 110.0 + (WIDTH / 2, 0.62 * HEIGHT)
-    if person.seen[20, WRIST]:
-        assert abs(wrist.u - expected[0]) < 0.8 and abs(wrist.v - expected[1]) < 0.8 and wrist.score > 0.5
-    sizes = json.loads(container.metadata["unocclude.recording"]["image_sizes"])
-    assert sizes == {"/camera/keypoints_2d": [WIDTH, HEIGHT]}
     topics = {each["name"]: each for each in json.loads((tmp_path / "a.json").read_text())["topics"]}
-    assert {"/skeleton", "/camera/keypoints_2d"} <= topics.keys()
+    assert "/skeleton" in topics
 
 
 def test_wrong_ways(scene, tmp_path: Path):
