@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from ..linalg import runs
-from ..sketch import Line, about_median, card_html, even_rows, lines_svg, lines_text
 from .camera import Camera, CameraFrame
 from .given_arrays import camera_frame_of, check_imu, direction_of, imu_of, joints_of, times_of
 from .imu_stream import ImuStream
@@ -172,20 +170,7 @@ class Recording:
         return part
 
     def __repr__(self) -> str:
-        return lines_text(self._lines())
-
-    def _repr_html_(self) -> str:
-        """What was recorded, and a small picture of what the camera saw, as notebooks show it."""
-        arm = self.arm
-        joint = next((name for name in ("wrist", "hand", "strap", "elbow") if name in arm.present), None)
-        if joint is None:
-            return card_html(self._lines())
-        some = arm.select(even_rows(len(arm)))
-        position = np.where(some.tracked(joint)[:, None], some.joint(joint), np.nan)
-        lines = [Line(axis, about_median(position[:, k])) for k, axis in enumerate("xyz")]
-        hidden = [(arm.t_s[run.start], arm.t_s[run.stop - 1]) for run in runs(~arm.forearm_tracked)]
-        caption = f"{joint} as tracked, m from its median, the camera's axes; forearm not tracked: shaded"
-        return card_html(self._lines(), lines_svg(some.t_s, lines, hidden, caption))
+        return "\n  ".join(self._lines())
 
     def _lines(self) -> list[str]:
         """Whose arm, how long, the streams, the joints, what else there is."""

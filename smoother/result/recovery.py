@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from importlib import import_module
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,6 @@ from ..linalg import median_rate_hz, rotation_sigma_deg
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointTracks, arm_words
 from ..runtime.packages import pandas_module
-from ..sketch import Line, about_median, card_html, even_rows, lines_svg, lines_text, table_html
 from .columns import arrow_table, flat_columns
 from .draws import Draws, turned_by
 from .estimates import Estimates
@@ -143,27 +143,25 @@ class Recovery:
         return len(self.t_s)
 
     def __repr__(self) -> str:
-        return lines_text(self._lines())
+        return "\n  ".join(self._lines())
 
     def _repr_html_(self) -> str:
-        """The gaps as a table, and a small picture, as notebooks show it."""
+        """Its lines, and the gaps as a table, as notebooks show it."""
+        head = ("gap from, s", "length, s", "within (95 %), cm", "seen from", "trusted")
         rows = [
             (
                 f"{gap.start_s:.2f}",
                 f"{gap.length_s:.2f}",
                 "no answer" if (radius := self._error_95_m(gap)) is None else f"{100 * radius:.1f}",
                 "one side" if gap.open_start or gap.open_end else "both sides",
-                "yes" if verdict.trusted else f"no: {'; '.join(verdict.reasons)}",
+                "not judged" if not self.has_verdict else "; ".join(verdict.reasons) or "yes",
             )
             for gap, verdict in zip(self.gaps[:MOST_GAPS], self.gap_verdicts, strict=False)
         ]
-        columns = ("gap from, s", "length, s", "within (95 %), cm", "seen from", "trusted")
-        shown = len(columns) if self.has_verdict else len(columns) - 1
-        table = table_html(columns[:shown], [row[:shown] for row in rows]) if rows else ""
+        table = "".join(f"<tr><td>{'</td><td>'.join(map(escape, row))}</td></tr>" for row in (head, *rows))
         more = len(self.gaps) - len(rows)
-        return card_html(
-            self._lines(), self._picture(), table, f"<p>.. and {more} gaps more</p>" if more else ""
-        )
+        left_out = f"<p>.. and {more} gaps more</p>" if more else ""
+        return f"<p>{'<br>'.join(map(escape, self._lines()))}</p><table>{table}</table>{left_out}"
 
     def _lines(self) -> list[str]:
         """Whose arm, how long, how many gaps and how sure, the joints, the verdict."""
@@ -195,18 +193,6 @@ class Recovery:
         inside = slice(*np.searchsorted(self.t_s, [gap.start_s, gap.end_s]).tolist())
         radius = self.rows(inside).error_95_m
         return float(np.nanmax(radius)) if np.isfinite(radius).any() else None
-
-    def _picture(self) -> str:
-        """Position of the wrist, or of the IMU where there is none, with bands of two sigmas (SVG)."""
-        some = self.rows(even_rows(len(self)))
-        wrist = "wrist" in some.joints
-        position = some.joints["wrist"] if wrist else some.position
-        spread = some.joint_covariance["wrist"] if wrist else some.pose_covariance[:, :3, :3]
-        with np.errstate(invalid="ignore"):
-            sigma = np.sqrt(np.einsum("nii->ni", spread))
-        lines = [Line(name, about_median(position[:, k]), sigma[:, k]) for k, name in enumerate("xyz")]
-        what = f"{'wrist' if wrist else 'IMU'}, m from its median, the camera's axes, +- 2 sigma; gaps shaded"
-        return lines_svg(some.t_s, lines, [(gap.start_s, gap.end_s) for gap in self.gaps], what)
 
     def rows(self, rows: slice | IntArray) -> Recovery:
         """The recovery of some samples; frames, gaps and all else stay whole. A slice copies nothing."""
