@@ -1,7 +1,4 @@
-"""The calibration file: versioned TOML that people can read and edit, and its table `[sigma]`.
-
-The table of an arm in the calibration file: its keys, their limits, and the calibration that it contains.
-"""
+"""The calibration file: versioned TOML that people can read and edit; its tables of arms and of `[sigma]`."""
 
 from __future__ import annotations
 
@@ -10,12 +7,11 @@ import re
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length, LeverArm, SigmaFactor, SigmaFactors
 from smoother.errors import CalibrationError, UnoccludeError
 from smoother.rotation import Rotation
@@ -35,7 +31,7 @@ _SAID = {
     "too_long": "this list is too long",
 }
 
-_Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Sigmas = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
 _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
@@ -48,7 +44,7 @@ class _Section(BaseModel):
 
 
 class _LeverArmSection(_Section):
-    position_m: _Vector
+    position_m: Vector
     sigma_m: _Sigmas
 
     @model_validator(mode="after")
@@ -59,14 +55,14 @@ class _LeverArmSection(_Section):
         return self
 
 
-class ArmSection(_Section):
+class _ArmSection(_Section):
     """The keys of an arm's table; every one may be absent."""
 
     upper_arm_m: float | None = Field(default=None, gt=0)
     upper_arm_sigma_m: float | None = Field(default=None, gt=0)
     R_F_A: _Quaternion | None = None
-    accelerometer_bias: _Vector | None = None
-    gyroscope_bias: _Vector | None = None
+    accelerometer_bias: Vector | None = None
+    gyroscope_bias: Vector | None = None
     lever_arm: dict[Literal["elbow", "wrist", "hand"], _LeverArmSection] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -87,67 +83,66 @@ class ArmSection(_Section):
         return self
 
 
-def checked_section(section: object, where: str, path: Path) -> ArmSection:
-    """The keys of an arm, checked."""
-    if not isinstance(section, dict):
-        raise CalibrationError(f"Calibration {path}: {where} must be a table, [{where}].")
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def checked(model: type[Model], values: object, where: str) -> Model:
+    """A table's values, checked; the error names the first key that is wrong."""
     try:
-        return ArmSection.model_validate(section)
+        return model.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join([where, *(str(part) for part in first["loc"] if part != "[key]")])
         said = _SAID.get(first["type"]) or re.sub("^Value error, |^Input (should)", r"\1", first["msg"])
-        raise CalibrationError(f"Calibration {path}: {key}: {said}.") from error
+        raise CalibrationError(f"{key}: {said}.") from error
 
 
-def arm_of_section(side: str, section: ArmSection) -> ArmCalibration:
+def _arm_of(side: str, table: object, source: str) -> ArmCalibration:
     """The calibration that the table of a side contains."""
-
-    def array(values: list[float] | None) -> FloatArray | None:
-        return None if values is None else np.array(values, dtype=np.float64)
-
-    upper_arm = None
-    if section.upper_arm_m is not None and section.upper_arm_sigma_m is not None:
-        upper_arm = Length(section.upper_arm_m, section.upper_arm_sigma_m)
-    R_F_A = None
-    if section.R_F_A is not None:
-        R_F_A = Rotation.from_quat(np.roll(section.R_F_A, -1)).as_matrix()
+    if side not in SIDES:
+        raise CalibrationError(f"{source}: arm.{side} is not one of {', '.join(SIDES)}.")
+    if not isinstance(table, dict):
+        raise CalibrationError(f"{source}: arm.{side} must be a table, [arm.{side}].")
+    section = checked(_ArmSection, table, f"{source}: arm.{side}")
+    upper_m, sigma_m, q = section.upper_arm_m, section.upper_arm_sigma_m, section.R_F_A
+    acc_bias, gyro_bias = (
+        None if bias is None else np.array(bias)
+        for bias in (section.accelerometer_bias, section.gyroscope_bias)
+    )
     return ArmCalibration(
-        side="" if side == "any" else side,
-        lever_arms={
-            joint: LeverArm(np.array(arm.position_m, dtype=float), np.array(arm.sigma_m, dtype=float))
-            for joint, arm in section.lever_arm.items()
+        "" if side == "any" else side,
+        {
+            joint: LeverArm(np.array(lever.position_m), np.array(lever.sigma_m))
+            for joint, lever in section.lever_arm.items()
         },
-        upper_arm=upper_arm,
-        R_F_A=R_F_A,
-        accelerometer_bias=array(section.accelerometer_bias),
-        gyroscope_bias=array(section.gyroscope_bias),
+        None if upper_m is None or sigma_m is None else Length(upper_m, sigma_m),
+        None if q is None else Rotation.from_quat(np.roll(q, -1)).as_matrix(),
+        accelerometer_bias=acc_bias,
+        gyroscope_bias=gyro_bias,
     )
 
 
-def section_of_arm(arm: ArmCalibration) -> dict[str, Any]:
+def _table_of(arm: ArmCalibration) -> dict[str, Any]:
     """The plain values of an arm; what is None is left out."""
-    section: dict[str, Any] = {}
-    if arm.upper_arm is not None:
-        section["upper_arm_m"] = float(arm.upper_arm.value_m)
-        section["upper_arm_sigma_m"] = float(arm.upper_arm.sigma_m)
-    if arm.R_F_A is not None:
-        if not np.allclose(arm.R_F_A @ arm.R_F_A.T, np.eye(3), atol=1e-6) or np.linalg.det(arm.R_F_A) < 0:
-            raise CalibrationError("R_F_A of the calibration to write is not a rotation matrix.")
-        quaternion = np.roll(Rotation.from_matrix(arm.R_F_A).as_quat(canonical=True), 1)
-        section["R_F_A"] = quaternion.tolist()
-    for name in ("accelerometer_bias", "gyroscope_bias"):
-        if (bias := getattr(arm, name)) is not None:
-            section[name] = np.asarray(bias, dtype=float).tolist()
-    if arm.lever_arms:
-        section["lever_arm"] = {
-            joint: {
-                "position_m": np.asarray(lever.position_m, dtype=float).tolist(),
-                "sigma_m": np.asarray(lever.sigma_m, dtype=float).tolist(),
-            }
+
+    def plain(values: Any) -> Any:
+        return None if values is None else np.asarray(values, dtype=float).tolist()
+
+    upper_arm, R = arm.upper_arm, arm.R_F_A
+    if R is not None and not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0):
+        raise CalibrationError("R_F_A of the calibration to write is not a rotation matrix.")
+    table = {
+        "upper_arm_m": None if upper_arm is None else float(upper_arm.value_m),
+        "upper_arm_sigma_m": None if upper_arm is None else float(upper_arm.sigma_m),
+        "R_F_A": None if R is None else np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1).tolist(),
+        "accelerometer_bias": plain(arm.accelerometer_bias),
+        "gyroscope_bias": plain(arm.gyroscope_bias),
+        "lever_arm": {
+            joint: {"position_m": plain(lever.position_m), "sigma_m": plain(lever.sigma_m)}
             for joint, lever in arm.lever_arms.items()
-        }
-    return section
+        },
+    }
+    return {key: value for key, value in table.items() if value not in (None, {})}
 
 
 def to_toml(document: dict[str, Any], text: str = "") -> str:
@@ -272,23 +267,17 @@ def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
     CalibrationError
         It cannot be read, is not a calibration or a newer one, or a value is wrong; the text names the key.
     """
-    path = Path(path)
-    document = _load(path)
+    source = f"Calibration {path}"
+    document = _load(Path(path))
     sections = document.get("arm", {})
     if not isinstance(sections, dict):
-        raise CalibrationError(f"Calibration {path}: arm must be a table such as [arm.right].")
-    for name in sections:
-        if name not in SIDES:
-            raise CalibrationError(f"Calibration {path}: arm.{name} is not one of {', '.join(SIDES)}.")
-    arms = {
-        side: arm_of_section(side, checked_section(section, f"arm.{side}", path))
-        for side, section in sections.items()
-    }
+        raise CalibrationError(f"{source}: arm must be a table such as [arm.right].")
+    arms = {side: _arm_of(side, section, source) for side, section in sections.items()}
     tables = {name: value for name, value in document.items() if name not in ("format", "version", "arm")}
     for name, value in tables.items():
         if not isinstance(value, dict | list):
-            raise CalibrationError(f"Calibration {path}: {name} is not a key that a calibration has.")
-    return CalibrationFile(arms, tables, source=f"Calibration {path}")
+            raise CalibrationError(f"{source}: {name} is not a key that a calibration has.")
+    return CalibrationFile(arms, tables, source)
 
 
 def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile) -> None:
@@ -330,11 +319,9 @@ def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -
     document: dict[str, Any] = {"format": FORMAT, "version": VERSION} | tomllib.loads(held)
     for name in {"format", "version", "arm"} & set(calibration.tables):
         raise CalibrationError(f"Calibration {path}: an extra table cannot be named {name}.")
-    sections = {side: section_of_arm(arm) for side, arm in calibration.arms.items()}
+    sections = {side: _table_of(arm) for side, arm in calibration.arms.items()}
     for side, section in sections.items():
-        if side not in SIDES:
-            raise CalibrationError(f"Calibration {path}: arm.{side} is not one of {', '.join(SIDES)}.")
-        checked_section(section, f"arm.{side}", path)
+        _arm_of(side, section, f"Calibration {path}")
     for name, table in (({"arm": sections} if sections else {}) | calibration.tables).items():
         document[name] = _merged(document.get(name), table, MERGED.get(name, 0))
     return to_toml(document, held)
@@ -347,15 +334,20 @@ def _merged(held: Any, new: Any, depth: int) -> Any:
     return {**held, **{key: _merged(held.get(key), value, depth - 1) for key, value in new.items()}}
 
 
-def _load(path: Path) -> dict[str, Any]:
-    """The file as plain values, once it has shown to be a calibration of a version that we know."""
+def toml_document(path: Path, named: str) -> dict[str, Any]:
+    """A TOML file as plain values; `named` is what to call it in messages."""
     check_input(path, CalibrationError)
     try:
-        document = read_toml(path)
+        return read_toml(path)
     except OSError as error:
-        raise CalibrationError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
+        raise CalibrationError(f"{named} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:  # also a number of thousands of digits
-        raise CalibrationError(f"Calibration {path} is not TOML: {error}.") from error
+        raise CalibrationError(f"{named} is not TOML: {error}.") from error
+
+
+def _load(path: Path) -> dict[str, Any]:
+    """The file as plain values, once it has shown to be a calibration of a version that we know."""
+    document = toml_document(path, f"Calibration {path}")
     if document.get("format", FORMAT if set(TABLES) & set(document) else None) != FORMAT:
         raise CalibrationError(f'{path} is not a calibration: it lacks the line format = "{FORMAT}".')
     version = document.get("version", None if "format" in document else VERSION)
@@ -383,7 +375,7 @@ class _Gap(BaseModel):
     count: int = Field(ge=1)
 
 
-class _Table(BaseModel):
+class _SigmaTable(BaseModel):
     """The whole table."""
 
     gaps: list[_Gap] = Field(min_length=1)
@@ -393,13 +385,7 @@ def sigma_factors_of(calibration: CalibrationFile) -> SigmaFactors | None:
     """The factors that a calibration file contains."""
     if TABLE not in calibration.tables:
         return None
-    try:
-        table = _Table.model_validate(calibration.tables[TABLE])
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join([TABLE, *(str(part) for part in first["loc"])])
-        words = first["msg"].removeprefix("Input ")
-        raise CalibrationError(f"{calibration.source}: {key}: {words[0].lower()}{words[1:]}.") from error
+    table = checked(_SigmaTable, calibration.tables[TABLE], f"{calibration.source}: {TABLE}")
     lengths = [gap.length_s for gap in table.gaps]
     if len(set(lengths)) < len(lengths):
         raise CalibrationError(f"{calibration.source}: {TABLE}.gaps contains a length_s twice.")

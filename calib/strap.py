@@ -19,8 +19,9 @@ from smoother.linalg import unit
 from smoother.result import Recovery
 
 from .file import CalibrationFile
-from .forearm.forearm_frame import forearm_frame
+from .forearm import USUAL_RADIUS
 from .intrinsics import PlacedCamera
+from .motion import forearm_frame
 
 
 @dataclass(frozen=True)
@@ -374,10 +375,6 @@ def _core(
         + np.outer(into, into) / weights[1]
     )
     return core, covariance
-
-
-#: Core of the forearm to the sensor where it was not measured, m.
-USUAL_RADIUS = Length(0.035, 0.008)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from .output import say, say_more, show
 from .run import NOT_TRUSTED
 
 if TYPE_CHECKING:
-    from calib.motion.motion_calibration import ArmEstimates
-    from calib.motion.motion_summary import ClockOffset
+    from calib.motion import ArmEstimates, ClockOffset
 
     from ..recording import Recording
     from ..result import Recovery

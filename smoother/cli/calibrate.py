@@ -116,7 +116,7 @@ def motion(
     Example: unocclude calibrate motion a.mcap b.mcap -o arm.toml
     """
     from calib.file import write_calibration
-    from calib.motion.motion_calibration import calibrate_motion, motion_answer
+    from calib.motion import calibrate_motion, motion_answer
 
     from .config import read_config
 
@@ -201,8 +201,7 @@ def imu(
 
     Example: unocclude calibrate imu poses.mcap -o arm.toml --report imu.html
     """
-    from calib.imu.imu_summary import imu_answer
-    from calib.imu.sensor_calibration import calibrate_imu
+    from calib.imu import calibrate_imu, imu_answer
 
     if not 9.7 <= gravity <= 9.9:
         raise typer.BadParameter("--gravity on Earth is between 9.76 and 9.84 m/s^2")
@@ -228,8 +227,7 @@ def magnetometer(
 
     Example: unocclude calibrate magnetometer turning.mcap -o arm.toml
     """
-    from calib.imu.imu_summary import magnetometer_answer
-    from calib.imu.magnetometer import calibrate_magnetometer
+    from calib.imu import calibrate_magnetometer, magnetometer_answer
 
     stream, notes = _load(recording_file, output, name, [report, json_file], force)
     if stream.mag is None:
@@ -246,7 +244,7 @@ def _load(
     path: Path, output: Path, name: str | None, others: Paths, force: bool
 ) -> tuple[ImuStream, list[str]]:
     """The stream to calibrate, once it is certain that the outputs can be written."""
-    from calib.imu.sensor import sensors_in
+    from calib.sensor import sensors_in
 
     from ..io import read_imu
 
@@ -287,8 +285,7 @@ def forearm(
 
     Example: unocclude calibrate forearm session.mcap -o arm.toml --report forearm.html
     """
-    from calib.forearm.forearm_summary import forearm_answer
-    from calib.forearm.held_pose import calibrate_forearm
+    from calib.forearm import calibrate_forearm, forearm_answer
 
     from .config import read_config
 

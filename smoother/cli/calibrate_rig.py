@@ -171,8 +171,7 @@ def world(
     Example: unocclude calibrate world session.mcap --panel panel.toml -o cal.toml
     """
     from calib.panel.definition import read_intrinsics, read_panel
-    from calib.world.panel_view import calibrate_world_from_views
-    from calib.world.world_table import world_answer
+    from calib.world import calibrate_world_from_views, world_answer
 
     images = (depth or [], infrared or [], panel_imu or [], base_imu or [])
     if panel is None:
@@ -201,7 +200,7 @@ def _from_files(
 ) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream]]:
     """Views, their times, and both IMUs by pose; a pose's time is the middle of its samples."""
     from calib.panel.images import read_view
-    from calib.world.panel_view import common_time
+    from calib.world import common_time
 
     from ..io.tables.columns import read_imu_table
 

@@ -372,7 +372,7 @@ def checked(
     progress: Callable[[float, str], None],
 ) -> tuple[dict[str, Any], TriedGaps | None]:
     """The figures of an arm, and what its recording allows where a result could be trusted."""
-    from calib.motion.motion_calibration import found_in
+    from calib.motion import found_in
 
     from ..cameras import join_cameras
     from ..errors import CalibrationError, SolveError

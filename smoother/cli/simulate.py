@@ -414,7 +414,7 @@ def _write_sensor(
     force: bool,
 ) -> None:
     """Write the recording of a sensor alone, and its truth; print what was written."""
-    from calib.imu.sensor import sensor_name
+    from calib.sensor import sensor_name
 
     from ..io import write_recording
     from ..io.recording.write import as_session

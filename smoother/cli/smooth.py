@@ -41,7 +41,7 @@ from .output import (
 )
 
 if TYPE_CHECKING:
-    from calib.motion.motion_calibration import ArmEstimates
+    from calib.motion import ArmEstimates
 
     from ..config import Config
     from ..evaluation.summary import GapSummary
@@ -101,7 +101,7 @@ def smooth(
 
     Example: unocclude smooth session.mcap -o out.mcap --calibration arm.toml --report out.html
     """
-    from calib.motion.motion_calibration import with_given
+    from calib.motion import with_given
 
     from ..io import write_recovery
     from ..result import is_of_arm
@@ -190,7 +190,7 @@ def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force:
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     """All figures of a recovery, what it found and what it rejected included."""
-    from calib.motion.motion_calibration import found_in
+    from calib.motion import found_in
 
     from ..evaluation.advice import advice, rejected
     from ..evaluation.summary import recovery_figures, verdict_figures
@@ -212,7 +212,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
 
     `verbose`: every gap, what was found and rejected, and every note.
     """
-    from calib.motion.motion_calibration import found_in
+    from calib.motion import found_in
 
     from ..evaluation.summary import camera_sentences, gap_summaries
 

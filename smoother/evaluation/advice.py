@@ -7,12 +7,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from calib.motion.motion_calibration import ArmEstimates
-from calib.motion.motion_summary import (
+from calib.motion import (
     LITTLE_AXIAL_RAD,
     LITTLE_TURNING_RAD_S,
     LITTLE_VISIBLE_S,
     ROLL_SIGMA_RAD,
+    ArmEstimates,
     beyond,
     is_point,
     known_to,

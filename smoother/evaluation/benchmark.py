@@ -136,7 +136,7 @@ def _calibrations(folder: Path, trials: Sequence[BenchmarkTrial], pool: Pool) ->
 
 
 def _calibration(group: tuple[str, list[BenchmarkTrial]]) -> ArmCalibration | None:
-    from calib.motion.motion_calibration import calibrate_motion
+    from calib.motion import calibrate_motion
 
     recordings = [DATASETS[trial.dataset].open(trial) for trial in group[1]]
     try:

@@ -11,7 +11,7 @@ from html import escape
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.motion.motion_calibration import ArmEstimates, found_in
+from calib.motion import ArmEstimates, found_in
 
 from ..angles import joint_angles
 from ..evaluation.advice import advice

@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from calib.motion.motion_calibration import ArmEstimates
+from calib.motion import ArmEstimates
 
 from ..calibration import ArmCalibration
 from ..error_radius import error_radius

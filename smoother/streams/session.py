@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from calib.file import CalibrationFile, read_calibration, sigma_factors_of
-from calib.imu.sensor import SensorCalibration, sensor_of
+from calib.sensor import SensorCalibration, sensor_of
 
 from ..body import FOREARM
 from ..calibration import ArmCalibration

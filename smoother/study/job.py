@@ -155,7 +155,7 @@ def _same(job: Job, folder: StudyFolder, input_hash: str) -> Row | None:
 
 
 def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Row:
-    from calib.motion.motion_calibration import with_given
+    from calib.motion import with_given
 
     from ..io import write_recovery
     from ..io.recording.read import read_arms

@@ -59,7 +59,7 @@ def calibrate_session(
 ) -> Session:
     """Calibrate the trials among some recordings, by arm and by strap; what cannot be read is left out."""
     check_allowance()
-    from calib.motion.motion_calibration import calibrate_motion
+    from calib.motion import calibrate_motion
 
     from ..selfcal.session import find_straps
 

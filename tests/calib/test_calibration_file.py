@@ -17,9 +17,7 @@ from calib import CalibrationFile, read_calibration, write_calibration
 from calib.clock.clock_calibration import calibrate_clocks, clock_answer
 from calib.clock.links import beep_receptions, buzzer_node
 from calib.file import to_toml
-from calib.imu.imu_summary import imu_answer, magnetometer_answer
-from calib.imu.magnetometer import calibrate_magnetometer
-from calib.imu.sensor_calibration import calibrate_imu
+from calib.imu import calibrate_imu, calibrate_magnetometer, imu_answer, magnetometer_answer
 from calib.protocol import Answer, findings
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError

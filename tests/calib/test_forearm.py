@@ -15,8 +15,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib import read_calibration
-from calib.forearm.forearm_summary import compare, forearm_answer, next_time, open_questions, verdict
-from calib.forearm.held_pose import ForearmCalibration, calibrate_forearm, find_held_pose, forearm_axes
+from calib.forearm import (
+    ForearmCalibration,
+    calibrate_forearm,
+    compare,
+    find_held_pose,
+    forearm_answer,
+    forearm_axes,
+)
 from calib.intrinsics import Intrinsics, PlacedCamera
 from calib.strap import Depth, find_strap
 from smoother.cli.run import run
@@ -65,9 +71,10 @@ def test_measures_are_right_within_their_sigmas(arms):
 def test_pose_and_motion_agree(arms):
     for _, found in arms:
         rows = compare(found)
-        assert {row.name for row in rows} >= {"upper arm", "forearm", "radius", "strap to wrist", "direction"}
+        names = {row.measure for row in rows}
+        assert names >= {"upper arm", "forearm", "radius", "strap to wrist", "direction"}
         assert all(row.agrees for row in rows), [row for row in rows if not row.agrees]
-        assert any("agree in all" in text for text in verdict(found, rows))
+        assert any("agree in all" in text for text in forearm_answer(found).figures["verdict"])
 
 
 def test_mounting_in_the_pose(arms):
@@ -102,17 +109,17 @@ def test_what_broke_is_named(arms):
     turned = Rotation.from_euler("y", 80, degrees=True).as_matrix()
     away = replace(found, calibration=replace(found.calibration, R_F_A=turned @ found.calibration.R_F_A))
     rows = compare(away)
-    if any(row.name == "roll" for row in rows):  # the motion told the roll
-        assert [row.name for row in rows if not row.agrees] == ["roll"]
-        assert any("the palm did not face the camera" in text for text in verdict(away, rows))
-        assert any("palm square to the camera" in text for text in next_time(away, rows))
+    if any(row.measure == "roll" for row in rows):  # the motion told the roll
+        assert [row.measure for row in rows if not row.agrees] == ["roll"]
+        answer = forearm_answer(away)
+        assert any("the palm did not face the camera" in text for text in answer.figures["verdict"])
+        assert any("palm square to the camera" in text for text in answer.verdict.next)
     m = found.measured
     slid = replace(m, strap_to_wrist=replace(m.strap_to_wrist, value_m=m.strap_to_wrist.value_m + 0.07))
     rows = compare(replace(found, measured=slid))
-    assert [row.name for row in rows if not row.agrees] == ["strap to wrist"]
-    assert any(
-        "the strap slid along the arm" in text for text in verdict(replace(found, measured=slid), rows)
-    )
+    assert [row.measure for row in rows if not row.agrees] == ["strap to wrist"]
+    said = forearm_answer(replace(found, measured=slid)).figures["verdict"]
+    assert any("the strap slid along the arm" in text for text in said)
 
 
 def test_axes_that_the_motion_contradicts_are_not_written(arms):
@@ -158,8 +165,9 @@ def test_a_pose_without_motion_leaves_the_mounting_open():
     found = calibrate_forearm(short, config=ONE_PROCESS)
     assert found.calibration.lever_arms == {} and found.calibration.R_F_A is None
     assert found.calibration.upper_arm is not None
-    assert any("lever arms and R_F_A are not determined" in text for text in open_questions(found))
-    assert any("move for 20 s" in text for text in next_time(found, compare(found)))
+    answer = forearm_answer(found)
+    assert any("lever arms and R_F_A are not determined" in text for text in answer.open_questions)
+    assert any("move for 20 s" in text for text in answer.verdict.next)
 
 
 def test_no_pose():

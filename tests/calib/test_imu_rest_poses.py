@@ -10,25 +10,24 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.imu.accelerometer import (
-    Rests,
-    axis_words,
-    calibrate_accelerometer,
-    cover,
-    find_rests,
-    sphere_points,
-    symmetric,
-)
-from calib.imu.magnetometer import calibrate_magnetometer, fit_ellipsoid
-from calib.imu.sensor_calibration import (
+from calib.imu import (
     GRAVITY,
+    Rests,
     allan_deviation,
     allan_noise,
+    axis_words,
+    calibrate_accelerometer,
     calibrate_gyroscope,
     calibrate_imu,
+    calibrate_magnetometer,
+    cover,
+    find_rests,
+    fit_ellipsoid,
     running_bias,
+    symmetric,
 )
 from smoother.errors import CalibrationError
+from smoother.linalg import sphere
 from smoother.recording import ImuStream
 from smoother.simulation.rig import REST_POSES, SensorModel, magnetometer_turns, rest_poses
 
@@ -49,7 +48,7 @@ def test_twelve_poses_correct_to_a_centimetre_a_second_squared(seed):
     model = sensor(seed)
     stream, bias = rest_poses(model, 12, seed=seed)
     found = calibrate_imu(stream)
-    up = GRAVITY * sphere_points(300)
+    up = GRAVITY * sphere(300)
     error = found.accelerometer.apply(model.distort(up)) - up
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.01
     assert found.accelerometer.poses == 12
@@ -155,8 +154,8 @@ def test_a_sensor_that_never_lay_still_is_refused():
 
 
 def test_coverage_of_the_sphere():
-    assert cover(sphere_points(400)).hole_rad < np.radians(12.0)
-    north = sphere_points(2000)
+    assert cover(sphere(400)).hole_rad < np.radians(12.0)
+    north = sphere(2000)
     half = cover(north[north[:, 2] > 0])
     assert half.hole_rad == pytest.approx(np.radians(90.0), abs=np.radians(3.0))
     assert axis_words(half.towards) == "-z"
@@ -170,7 +169,7 @@ def put_together(model: SensorModel, noise: float) -> tuple[ImuStream, list[int]
     """Twelve poses of 1 to 4 s without a way between them, and where each begins."""
     rng = np.random.default_rng(5)
     lengths = rng.integers(100, 400, 12)
-    up = np.repeat(GRAVITY * sphere_points(12), lengths, axis=0)
+    up = np.repeat(GRAVITY * sphere(12), lengths, axis=0)
     acc = model.distort(up) + noise * rng.normal(size=up.shape)
     gyro = 0.1 * noise * rng.normal(size=up.shape)
     stream = ImuStream("/imu", np.arange(len(up)) / RATE_HZ, acc, gyro, None)
@@ -186,7 +185,7 @@ def test_poses_parted_by_a_jump_are_poses_of_their_own(noise):
     for (first, last), begin, end in zip(rests.ranges, begins[:-1], begins[1:], strict=True):
         assert begin <= first < begin + 20 and end - 20 < last <= end
     found = calibrate_imu(stream).accelerometer
-    up = GRAVITY * sphere_points(300)
+    up = GRAVITY * sphere(300)
     # the shortest rest has 100 samples: a tenth of the noise, spread over nine unknowns
     assert np.sqrt(np.mean((found.apply(model.distort(up)) - up) ** 2)) < 0.0002 + 0.1 * noise
 
@@ -269,7 +268,7 @@ def model(seed: int) -> SensorModel:
 def test_radius_to_half_a_percent(seed):
     sensor = model(seed)
     found = calibrate_magnetometer(magnetometer_turns(sensor, 3000, noise=0.01, seed=seed))
-    length = np.linalg.norm(found.apply(sensor.distort(sphere_points(400))), axis=1)
+    length = np.linalg.norm(found.apply(sensor.distort(sphere(400))), axis=1)
     assert np.abs(length - 1.0).max() < 0.005
     assert found.residual == pytest.approx(0.01, rel=0.2)
 
@@ -285,7 +284,7 @@ def test_any_unit_gives_the_unit_sphere():
 
 def test_linear_fit_finds_the_ellipsoid_exactly():
     sensor = model(2)
-    centre, matrix = fit_ellipsoid(sensor.distort(sphere_points(200)))
+    centre, matrix = fit_ellipsoid(sensor.distort(sphere(200)))
     assert centre == pytest.approx(sensor.offset, abs=1e-9)
     assert matrix == pytest.approx(np.linalg.inv(sensor.matrix), abs=1e-9)
 
@@ -301,7 +300,7 @@ def test_a_rotation_about_one_axis_is_refused(wobble_deg):
 
 
 def test_half_a_sphere_is_refused_and_says_where_to_go_on():
-    points = sphere_points(3000)
+    points = sphere(3000)
     half = points[points[:, 0] > -0.1]
     with pytest.raises(CalibrationError, match="around the sensor's -x"):
         calibrate_magnetometer(half)
@@ -309,7 +308,7 @@ def test_half_a_sphere_is_refused_and_says_where_to_go_on():
 
 def test_few_samples_a_dead_sensor_and_no_ellipsoid():
     with pytest.raises(CalibrationError, match="200 are needed"):
-        calibrate_magnetometer(sphere_points(50))
+        calibrate_magnetometer(sphere(50))
     with pytest.raises(CalibrationError, match="always reads the same"):
         calibrate_magnetometer(np.ones((500, 3)))
     cube = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, 3)) ** 3
@@ -322,6 +321,6 @@ def test_a_magnet_that_passes_by_does_not_pull():
     raw = magnetometer_turns(sensor, 3000, noise=0.005, seed=4)
     raw[500:620] += [0.4, -0.3, 0.2]
     found = calibrate_magnetometer(raw)
-    length = np.linalg.norm(found.apply(sensor.distort(sphere_points(400))), axis=1)
+    length = np.linalg.norm(found.apply(sensor.distort(sphere(400))), axis=1)
     assert np.sqrt(np.mean((length - 1.0) ** 2)) < 0.01
     assert found.remarks

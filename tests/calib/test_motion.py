@@ -13,13 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from calib import CalibrationFile, read_calibration, sigma_factor, write_calibration
 from calib.file import sigma_factors_of
-from calib.forearm.forearm_summary import forearm_frame
-from calib.motion.motion_calibration import MotionCalibration, calibrate_motion, motion_answer, names_given
-from calib.motion.motion_summary import (
+from calib.motion import (
+    ArmEstimates,
     ClockOffset,
     Evidence,
     beyond,
+    calibrate_motion,
     clocks_not_determined,
+    forearm_frame,
+    motion_answer,
+    names_given,
     not_determined,
 )
 from calib.sigma_factor import hidden_gap_factors, short_recordings
@@ -346,14 +349,14 @@ def test_only_many_short_recordings_count(trials: list[Recording]) -> None:
 
 
 @pytest.fixture(scope="module")
-def calibrated(trials: list[Recording]) -> MotionCalibration:
+def calibrated(trials: list[Recording]) -> ArmEstimates:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sigma_factor, "ENOUGH_GAPS", FEW)
         return calibrate_motion(trials)
 
 
 def test_errors_that_are_larger_than_stated_ask_for_more(
-    trials: list[Recording], calibrated: MotionCalibration, monkeypatch: pytest.MonkeyPatch
+    trials: list[Recording], calibrated: ArmEstimates, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sigma_factor, "ENOUGH_GAPS", FEW)
     sound = calibrated.calibration.sigma_factors
@@ -364,7 +367,7 @@ def test_errors_that_are_larger_than_stated_ask_for_more(
     assert all(row.factor > 2.0 and row.gaps == FEW for row in wrong.by_length)
 
 
-def test_the_calibration_keeps_them(calibrated: MotionCalibration) -> None:
+def test_the_calibration_keeps_them(calibrated: ArmEstimates) -> None:
     factors = calibrated.calibration.sigma_factors
     assert factors is not None and factors.at(1.0) > 1.0
     assert {row.gaps for row in factors.by_length} == {FEW}

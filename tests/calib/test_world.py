@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.world.chain import BIAS_M_S2, CORRECTED_M_S2, Problem, rest_at, turn_between
-from calib.world.world_calibration import (
-    BY_EYE_RAD,
+from calib.world import (
+    BIAS_M_S2,
+    CORRECTED_M_S2,
     PanelView,
     WorldCalibration,
+    accuracy,
     calibrate_world,
-    first_guesses,
+    rest_at,
     tilt_covariance,
+    turn_between,
+    verdict,
     world_poses,
 )
-from calib.world.world_table import accuracy, verdict
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream
 from smoother.simulation.panel import PanelSimulation
@@ -92,21 +94,6 @@ CLEAN = {
         "sway_deg",
     )
 }
-
-
-def test_derivatives_are_those_of_the_residuals():
-    session = Session(1, poses=3, camera_tilt_deg=30, magnetometer=True)
-    poses, _ = session.poses()
-    start = first_guesses(poses, lined_up=False)[0]
-    at = start.moved(0.1 * np.random.default_rng(2).normal(size=6 + 6 * 3 + 14))
-    problem = Problem(poses, start, BY_EYE_RAD)
-    _, slope = problem.linearise(at)
-    numeric, step = np.zeros_like(slope), 1e-6
-    for k in range(slope.shape[1]):
-        d = np.zeros(slope.shape[1])
-        d[k] = step
-        numeric[:, k] = (problem.linearise(at.moved(d))[0] - problem.linearise(at.moved(-d))[0]) / (2 * step)
-    np.testing.assert_allclose(slope, numeric, atol=1e-8 * np.abs(slope).max())
 
 
 @pytest.mark.parametrize("how", ["gyroscopes", "gravity alone", "magnetometers"])

@@ -15,16 +15,15 @@ from cut_files import cut_before_the_summary
 from scipy.io import wavfile
 
 from calib.file import read_calibration
-from calib.imu.accelerometer import sphere_points
-from calib.imu.imu_summary import imu_answer
-from calib.imu.sensor import sensor_of
-from calib.imu.sensor_calibration import calibrate_imu
+from calib.imu import calibrate_imu, imu_answer
+from calib.sensor import sensor_of
 from smoother.cli.load import load_arm
 from smoother.cli.run import run
 from smoother.config import Config
 from smoother.io import open_csv, read_imu, read_recording, write_recording
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
+from smoother.linalg import sphere
 from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import (
@@ -388,7 +387,7 @@ def test_magnetometer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -
     truth = truth_of(Path("turning_truth.toml"))["imu"]["forearm_right"]["magnetometer"]
     found = read_calibration("arm.toml").tables["imu"]["forearm_right"]["magnetometer"]
     # what the sensor reads of fields in all directions, corrected: of length 1 to 1 % / sqrt(3000 / 9)
-    read = sphere_points(300) @ np.linalg.inv(truth["matrix"]).T + truth["offset"]
+    read = sphere(300) @ np.linalg.inv(truth["matrix"]).T + truth["offset"]
     length = np.linalg.norm((read - found["offset"]) @ np.transpose(found["matrix"]), axis=1)
     assert np.sqrt(np.mean((length - 1.0) ** 2)) < 3 * found["residual_rms"] / np.sqrt(found["samples"] / 9)
     # the turns of gyroscope and accelerometer are those of the magnetometer: the dip does not change

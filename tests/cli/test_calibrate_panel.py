@@ -15,7 +15,7 @@ from cut_files import cut_before_the_summary
 from scipy.spatial.transform import Rotation
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
-from calib.world.world_table import with_gravity
+from calib.world import with_gravity
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import read_recording, write_recording

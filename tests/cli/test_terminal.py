@@ -16,7 +16,7 @@ from commands import done
 from rich.console import Console
 from scenes import ALONE
 
-from calib.motion.motion_summary import known_to
+from calib.motion import known_to
 from smoother.cli import output
 from smoother.cli.demo import print_gaps
 from smoother.cli.output import say, show

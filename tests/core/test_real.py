@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import ALONE, there
 
-from calib.motion.motion_calibration import calibrate_motion
+from calib.motion import calibrate_motion
 from smoother import Recovery
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.gaps import GapTable, evaluate_gaps

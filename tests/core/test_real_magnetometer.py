@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import ALONE, there
 
-from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
+from calib.imu import MagnetometerCalibration, calibrate_magnetometer
 from smoother.evaluation.validate import Validation, validate
 from smoother.io import import_broad
 from smoother.recording import Recording

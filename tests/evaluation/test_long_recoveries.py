@@ -12,8 +12,7 @@ from arms import make_recording, make_recovery
 from private_memory import program_output
 from scipy.spatial.transform import Rotation
 
-from calib.motion.motion_calibration import found_in
-from calib.motion.motion_summary import AXIAL_S, _turn_between, gather_from
+from calib.motion import AXIAL_S, found_in, gather_from
 from smoother.evaluation.advice import advice, rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
 from smoother.measurements.visibility import REASONS, Gap, Reason
@@ -135,19 +134,6 @@ def test_evidence(recovery: Recovery) -> None:
         **{joint: used[:, column].sum() for column, joint in enumerate(JOINTS)},
         "upper_arm": used[:, [0, 1]].all(axis=1).sum(),
     }
-
-
-def test_the_turn_between_two_attitudes_is_what_scipy_says() -> None:
-    rng = np.random.default_rng(0)
-    before = rng.normal(size=(500, 4))
-    after = np.concatenate([before[:100] + 1e-7 * rng.normal(size=(100, 4)), rng.normal(size=(400, 4))])
-    before[0], after[0] = after[0].copy(), after[0]
-    after[1] = -before[1]
-    before, after = (each / np.linalg.norm(each, axis=1)[:, None] for each in (before, after))
-    first, second = (Rotation.from_quat(each, scalar_first=True) for each in (before, after))
-    expected = (first.inv() * second).as_rotvec()
-    np.testing.assert_allclose(_turn_between(before, after), expected, rtol=1e-9, atol=1e-14)
-    assert len(_turn_between(np.zeros((0, 4)), np.zeros((0, 4)))) == 0
 
 
 @pytest.mark.parametrize("kept", [True, False])

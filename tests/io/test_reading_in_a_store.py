@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_messages import every
 from private_memory import program_output
 
-from calib.world import world_table as apply
+from calib import world as apply
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.container import Container
 from smoother.io.recording.decode import SIDES, UNREPORTED, JointRows

@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 from arms import make_recording, make_recovery, turn
 
-from calib.forearm.forearm_frame import ForearmFrame, forearm_frame
-from calib.motion.motion_calibration import ArmEstimates, JointError, found_in
-from calib.motion.motion_summary import ClockOffset, Evidence, gather_from
+from calib.motion import (
+    ArmEstimates,
+    ClockOffset,
+    Evidence,
+    ForearmFrame,
+    JointError,
+    forearm_frame,
+    found_in,
+    gather_from,
+)
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.evaluation.advice import NOTHING, advice, rejected, towards_the_camera
 from smoother.evaluation.coverage import LEVELS, camera_residuals, stated_and_actual

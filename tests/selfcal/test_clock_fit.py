@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import ALONE, Scene, arm
 
-from calib.motion.motion_calibration import MotionCalibration, calibrate_motion
+from calib.motion import ArmEstimates, calibrate_motion
 from smoother import Recovery
 from smoother.array_types import FloatArray
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock, constant_clock
@@ -48,7 +48,7 @@ def test_stamps_that_somebody_made_up(stamps: FloatArray, made_up: bool) -> None
     assert synthetic_stamps(stamps) is made_up
 
 
-def calibrated(*recordings: Recording) -> MotionCalibration:
+def calibrated(*recordings: Recording) -> ArmEstimates:
     return calibrate_motion([replace(each, truth=None) for each in recordings], None, ALONE)
 
 

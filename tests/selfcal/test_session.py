@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.motion.motion_calibration import calibrate_motion
+from calib.motion import calibrate_motion
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.recording import Recording

@@ -25,14 +25,12 @@ from scipy.spatial.transform import Rotation
 from calib.clock.beeps import find_beeps
 from calib.clock.motion_clock import clock_from_motion
 from calib.clock.network import solve_clocks
-from calib.forearm.forearm_summary import compare
-from calib.forearm.held_pose import calibrate_forearm
-from calib.imu.accelerometer import find_rests, sphere_points
-from calib.imu.magnetometer import calibrate_magnetometer
-from calib.imu.sensor_calibration import GRAVITY, allan_noise, calibrate_imu
+from calib.forearm import calibrate_forearm, compare
+from calib.imu import GRAVITY, allan_noise, calibrate_imu, calibrate_magnetometer, find_rests
 from calib.intrinsics import Intrinsics, PlacedCamera
 from calib.strap import Depth, find_strap
 from smoother.errors import CalibrationError
+from smoother.linalg import sphere
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import SensorModel, beep, broadcast, magnetometer_turns, rest_poses
 from smoother.simulation.strap import Arm, StrapImageNoise, render
@@ -117,7 +115,7 @@ def clock(options: argparse.Namespace) -> Iterator[str]:
 def accelerometer(seeds: range, poses: int, noise: float) -> Iterator[str]:
     """Error of the corrected specific force at rest, over all directions."""
     errors, biases, found = [], [], []
-    up = sphere_points(500) * GRAVITY
+    up = sphere(500) * GRAVITY
     for seed in seeds:
         model = SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
         stream, bias = rest_poses(model, poses, seed=seed, acc_noise=noise, gyro_noise=noise / 50.0)
@@ -154,7 +152,7 @@ def magnetometer(seeds: range) -> Iterator[str]:
     for seed in seeds:
         model = SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.2, cross=0.2)
         got = calibrate_magnetometer(magnetometer_turns(model, 3000, noise=0.01, seed=seed))
-        length = np.linalg.norm(got.apply(model.distort(sphere_points(500))), axis=1)
+        length = np.linalg.norm(got.apply(model.distort(sphere(500))), axis=1)
         worst.append(np.abs(length - 1.0).max())
         rms.append(np.sqrt(np.mean((length - 1.0) ** 2)))
     yield (
@@ -223,8 +221,8 @@ def pose(seeds: range) -> Iterator[str]:
                 config=ONE_PROCESS,
             )
             for row in compare(found):
-                asked[row.name] += 1
-                agree[row.name] += row.agrees
+                asked[row.measure] += 1
+                agree[row.measure] += row.agrees
             for joint, lever in found.calibration.lever_arms.items():
                 error = lever.position_m - arm.calibration.lever_arms[joint].position_m
                 levers += np.square(error / lever.sigma_m).tolist()

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
+from calib.imu import MagnetometerCalibration, calibrate_magnetometer
 from smoother.evaluation.gaps import evaluate_gaps
 from smoother.io import import_broad
 from smoother.recording import Recording

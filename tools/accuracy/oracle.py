@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.motion.motion_calibration import calibrate_motion
+from calib.motion import calibrate_motion
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.errors import UnoccludeError

@@ -25,8 +25,7 @@ from calib.panel.images import view
 from calib.panel.panel_calibration import PanelCalibration, calibrate_panel
 from calib.panel.panel_table import accuracy
 from calib.panel.plane import Plane, fit_plane
-from calib.world.panel_view import view_panel
-from calib.world.world_calibration import WorldCalibration, calibrate_world, world_poses
+from calib.world import WorldCalibration, calibrate_world, view_panel, world_poses
 from smoother.errors import UnoccludeError
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
 from tools.accuracy.check import CHANGES, Check, changes, datasets, option, parts_option, seeds_option
@@ -235,7 +234,7 @@ def calibrated_world(panel: SimulatedPanel) -> WorldCalibration:
 
 def world_errors(panel: SimulatedPanel, found: WorldCalibration) -> dict[str, float]:
     """Degrees: camera from base IMU, its tilt, the mounting; and the tilt's error in sigmas."""
-    from calib.world.world_table import accuracy
+    from calib.world import accuracy
 
     error = Rotation.from_matrix(found.R_K_B @ panel.R_K_B.T).as_rotvec()
     mounting = Rotation.from_matrix(found.R_P_I.T @ panel.R_P_I).magnitude()

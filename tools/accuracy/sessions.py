@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.motion.motion_calibration import calibrate_motion
+from calib.motion import calibrate_motion
 from smoother.recording import Recording
 from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import decided

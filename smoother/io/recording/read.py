@@ -360,8 +360,8 @@ def read_arms(
         return [(remedy.applied(one), None) for one in _read(path, reading, alone=alone)]
     from calib.camera_poses import camera_poses, with_camera_poses
     from calib.file import read_calibration, sigma_factors_of
-    from calib.imu.sensor import corrected
-    from calib.world.world_table import with_gravity
+    from calib.sensor import corrected
+    from calib.world import with_gravity
 
     calibration = read_calibration(calibration_file)
     sides = [name for name in calibration.arms if name != "any"]

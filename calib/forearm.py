@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -16,6 +17,10 @@ from smoother.linalg import robust_sigma, unit
 from smoother.recording import JOINTS, CameraFrame, ImuStream, Recording
 from smoother.result import Recovery
 from smoother.smoothing import smooth
+
+from .file import CalibrationFile
+from .motion import forearm_frame
+from .protocol import Answer, Verdict
 
 #: The pose is held at least this long, and looked at for no longer than that, s.
 SHORTEST_S, LONGEST_S = 0.8, 5.0
@@ -61,9 +66,8 @@ def find_held_pose(
     """The first held pose of a recording, or what is between two given times."""
     t = recording.arm.t_s
     seen = np.all([recording.arm.tracked(joint) for joint in _NEEDED], axis=0)
-    low, high = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
-    inside = seen & (t >= low) & (t <= high)
     if from_s is not None and to_s is not None:
+        inside = seen & (t >= from_s) & (t <= to_s)
         if inside.sum() < FEWEST_FRAMES:
             raise CalibrationError(
                 f"{recording.name}: between {from_s:g} and {to_s:g} s shoulder, elbow and wrist are tracked"
@@ -77,24 +81,19 @@ def find_held_pose(
                 " which the arm is still, with --from and --to, or leave them out to have the pose found"
             )
         return pose
-    good = inside & _held(recording, offset_s)
-    runs = [run for run in _runs(t, good) if t[run[1]] - t[run[0]] >= SHORTEST_S]
-    if not runs:
+    good = seen & _held(recording, offset_s)
+    rows = np.flatnonzero(good)
+    parts = np.split(rows, np.flatnonzero(np.diff(t[rows]) > BRIDGE_S) + 1)
+    held = [part for part in parts if len(part) and t[part[-1]] - t[part[0]] >= SHORTEST_S]
+    if not held:
         raise CalibrationError(
             f"{recording.name}: no held pose was found (forearm raised beside the head, palm to the camera,"
             f" still for {SHORTEST_S:g} s, shoulder, elbow and wrist tracked); hold it at the start, or name"
             " its times with --from and --to"
         )
-    first, last = runs[0]
-    chosen = good & (t >= t[first]) & (t <= min(t[last], t[first] + LONGEST_S))
+    start_s, end_s = t[held[0][0]], t[held[0][-1]]
+    chosen = good & (t >= start_s) & (t <= min(end_s, start_s + LONGEST_S))
     return _pose(recording, chosen, offset_s, "found")
-
-
-def upwards(recording: Recording) -> FloatArray | None:
-    """(3,) rough direction of up in {K}; None where the recording does not say."""
-    if recording.gravity_hint is not None:
-        return -recording.gravity_hint
-    return None if recording.camera_frame is None else -recording.camera_frame.down
 
 
 def _held(recording: Recording, offset_s: float) -> BoolArray:
@@ -104,10 +103,12 @@ def _held(recording: Recording, offset_s: float) -> BoolArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         along, upper, ray = unit(wrist - elbow), unit(elbow - shoulder), unit(elbow)
         good = _turning(recording, arm.t_s + offset_s) < STILL_RAD_S
-        up = upwards(recording)
-        if up is not None:
-            good &= along @ up > np.cos(UPRIGHT_RAD)
-            good &= (wrist - shoulder) @ up > LOWEST_WRIST_M
+        down = recording.gravity_hint
+        if down is None and recording.camera_frame is not None:
+            down = recording.camera_frame.down
+        if down is not None:
+            good &= along @ -down > np.cos(UPRIGHT_RAD)
+            good &= (wrist - shoulder) @ -down > LOWEST_WRIST_M
         if recording.camera_frame is not CameraFrame.ZUP:  # there the camera is not known to be the origin
             for part in (along, upper):
                 good &= np.abs(np.einsum("ni,ni->n", part, ray)) < np.cos(NEAR_RAY_RAD)
@@ -132,17 +133,6 @@ def _bias(imu: ImuStream) -> FloatArray:
     varies = uniform_filter1d(np.sum((gyro - mean) ** 2, axis=1), width, mode="nearest")
     bias = np.median(gyro[varies <= np.quantile(varies, QUIET_SHARE)], axis=0)
     return bias if np.linalg.norm(bias) < LARGEST_BIAS_RAD_S else np.zeros(3)
-
-
-def _runs(t: FloatArray, good: BoolArray) -> list[tuple[int, int]]:
-    """First and last frame of runs of good frames; short gaps are bridged."""
-    rows = np.flatnonzero(good)
-    if not len(rows):
-        return []
-    cut = np.flatnonzero(np.diff(t[rows]) > BRIDGE_S)
-    firsts = np.concatenate(([0], cut + 1))
-    lasts = np.concatenate((cut, [len(rows) - 1]))
-    return list(zip(rows[firsts].tolist(), rows[lasts].tolist(), strict=True))
 
 
 def _pose(recording: Recording, frames: BoolArray, offset_s: float, chosen: str) -> HeldPose:
@@ -211,10 +201,9 @@ class ForearmCalibration:
     pose: HeldPose  # When the pose was held, and where the joints were
     measured: Measured  # r, d_se, d_sw, d_ul and the forearm's length
     R_K_F: FloatArray  # (3, 3): the forearm in the pose
-    direction_sigma_rad: float  # Of R_F_A; nan without it
-    roll_sigma_rad: float  # Of R_F_A; nan without it
-    motion: ArmCalibration | None  # What the motion of the same recording gave; None where it gave nothing
-    recovery: Recovery | None  # The recording solved without the pose; None where that failed
+    direction_sigma_rad: float = float("nan")  # Of R_F_A; nan without it
+    roll_sigma_rad: float = float("nan")  # Of R_F_A; nan without it
+    motion: ArmCalibration | None = None  # What the recording's motion gave; None where it gave nothing
     why_not: str = ""  # Why there is no R_F_A, "" where there is
 
 
@@ -242,11 +231,11 @@ def calibrate_forearm(
     measured = _measure(joints, sigma, R_K_F, radius_m, strap_to_wrist_m)
     arm = ArmCalibration(recording.side, upper_arm=measured.upper_arm)
     if recovery is None:
-        return ForearmCalibration(arm, pose, measured, R_K_F, np.nan, np.nan, None, None, why_not)
+        return ForearmCalibration(arm, pose, measured, R_K_F, why_not=why_not)
     R_K_A, attitude = _attitude(recovery, pose)
     tilt = float(np.sqrt(np.linalg.eigvalsh(attitude)[-1]))
     if not tilt < LARGEST_ATTITUDE_SIGMA_RAD:
-        return ForearmCalibration(arm, pose, measured, R_K_F, np.nan, np.nan, None, None, _STILL)
+        return ForearmCalibration(arm, pose, measured, R_K_F, why_not=_STILL)
     levers = _levers(joints, sigma, measured, R_K_F, R_K_A, attitude)
     ends = np.hypot(sigma["elbow"], sigma["wrist"]) / measured.forearm.value_m
     return ForearmCalibration(
@@ -257,7 +246,6 @@ def calibrate_forearm(
         direction_sigma_rad=float(np.hypot(tilt, ends)),
         roll_sigma_rad=float(np.hypot(tilt, PALM_SIGMA_RAD)),
         motion=recovery.calibration,
-        recovery=recovery,
     )
 
 
@@ -300,13 +288,9 @@ def _measure(
     radius_m: float | None,
     strap_to_wrist_m: float | None,
 ) -> Measured:
-    forearm = Length(
-        float(np.linalg.norm(joints["wrist"] - joints["elbow"])),
-        float(np.hypot(sigma["elbow"], sigma["wrist"])),
-    )
-    upper = Length(
-        float(np.linalg.norm(joints["elbow"] - joints["shoulder"])),
-        float(np.hypot(sigma["elbow"], sigma["shoulder"])),
+    forearm, upper = (
+        Length(float(np.linalg.norm(joints[a] - joints[b])), float(np.hypot(sigma[a], sigma[b])))
+        for a, b in (("wrist", "elbow"), ("elbow", "shoulder"))
     )
     radius = USUAL_RADIUS if radius_m is None else Length(radius_m, RULER_SIGMA_M)
     to_wrist = USUAL_STRAP_TO_WRIST if strap_to_wrist_m is None else Length(strap_to_wrist_m, RULER_SIGMA_M)
@@ -361,3 +345,185 @@ def _levers(
         spread = R_K_A.T @ (spread + cross @ attitude @ cross.T) @ R_K_A
         levers[joint] = LeverArm(R_K_A.T @ lever, np.sqrt(np.diag(spread)))
     return levers
+
+
+#: Farther apart than this many sigmas is treated as disagreement.
+AGREE = 2.5
+#: The pose asked for: arms about across the camera's ray, the sensor still, rad and rad/s.
+CORONAL_RAD = np.radians(35.0)
+RESTLESS_RAD_S = 0.12
+
+#: What to look at when a measure of the pose and of the motion contradict each other.
+_BROKEN = {
+    "upper arm": "shoulder or elbow is placed differently in the pose than in motion (a sleeve, a shrugged"
+    " shoulder)",
+    "forearm": "the camera places elbow or wrist differently in the pose than in motion (the arm pointed"
+    " to the camera)",
+    "strap to wrist": "the strap slid along the arm between the pose and the motion, or its place was"
+    " measured wrongly",
+    "strap to elbow": "the strap slid along the arm between the pose and the motion, or its place was"
+    " measured wrongly",
+    "radius": "the forearm is not straight, or the strap was found beside the arm",
+    "direction": "the sensor turned on the arm between the pose and the motion, or the arm was not still"
+    " in the pose",
+    "roll": "the palm did not face the camera in the pose, or the sensor does not sit on the back of the"
+    " wrist",
+}
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One measure by the pose and by the motion."""
+
+    measure: str  # What it is, and the unit of the numbers
+    unit: str
+    pose: float  # Its value by either, with standard deviations
+    pose_sigma: float
+    motion: float
+    motion_sigma: float
+
+    @property
+    def apart(self) -> float:
+        """Difference in sigmas of both."""
+        return abs(self.pose - self.motion) / float(np.hypot(self.pose_sigma, self.motion_sigma))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the two can both be right."""
+        return self.apart < AGREE
+
+
+def compare(calibration: ForearmCalibration) -> list[Compared]:
+    """Every measure that both the pose and the motion showed; empty where the motion showed nothing."""
+    if calibration.motion is None:
+        return []
+    m, motion = calibration.measured, calibration.motion
+    pairs = [("upper arm", m.upper_arm, motion.upper_arm)]
+    frame = forearm_frame(motion)
+    if frame is not None:
+
+        def along(joint: str, sign: float) -> Length:
+            lever = motion.lever_arms[joint]
+            sigma = float(np.linalg.norm(lever.sigma_m * frame.direction))
+            return Length(sign * float(lever.position_m @ frame.direction), sigma)
+
+        pairs += [
+            ("forearm", m.forearm, Length(frame.length_m, frame.length_sigma_m)),
+            ("strap to wrist", m.strap_to_wrist, along("wrist", 1.0)),
+            ("strap to elbow", m.strap_to_elbow, along("elbow", -1.0)),
+            ("radius", m.radius, Length(frame.distance_m, frame.distance_sigma_m)),
+        ]
+    rows = [
+        Compared(name, "mm", *(1e3 * x for x in (a.value_m, a.sigma_m, b.value_m, b.sigma_m)))
+        for name, a, b in pairs
+        if b is not None
+    ]
+    R_F_A = calibration.calibration.R_F_A
+    if frame is None or R_F_A is None:
+        return rows
+    tilt = np.arccos(np.clip(R_F_A[1] @ frame.direction, -1, 1))
+    # an angle between two directions that are each uncertain about two axes
+    both = np.hypot(calibration.direction_sigma_rad, frame.direction_sigma_rad)
+    angles = [("direction", tilt, both, 0.0, 0.0)]
+    if frame.R_F_A is not None:
+        x = R_F_A @ frame.R_F_A[0]  # the motion's x in the pose's {F}
+        own = np.hypot(frame.roll_sigma_rad, PLACED_SIGMA_RAD)
+        angles.append(("roll", 0.0, calibration.roll_sigma_rad, np.arctan2(-x[2], x[0]), own))
+    return rows + [
+        Compared(name, "degrees", *(float(np.degrees(x)) for x in values)) for name, *values in angles
+    ]
+
+
+def forearm_answer(calibration: ForearmCalibration) -> Answer:
+    """What the pose gave, whether the motion agrees and which assumption broke, and what to record next."""
+    rows, pose, arm = compare(calibration), calibration.pose, calibration.calibration
+    broken = {row.measure: row for row in rows if not row.agrees}
+    left_open = _open_questions(calibration)
+    if arm.R_F_A is not None and {"direction", "roll"} & broken.keys():  # one of the two is wrong
+        arm = replace(arm, R_F_A=None)
+        left_open.append("R_F_A is not written: pose and motion contradict each other")
+    said = [f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s"]
+    if not rows:
+        why = calibration.why_not or "the motion did not show the forearm"
+        said.append(f"there is no motion to compare it with: {why}")
+    elif not broken:
+        said.append(f"pose and motion agree in all {len(rows)} measures within their sigmas")
+    else:
+        said.append(f"pose and motion agree in {len(rows) - len(broken)} of {len(rows)} measures")
+    said += [
+        f"{name}: {row.pose:.0f} {row.unit} in the pose, {row.motion:.0f} in motion, {row.apart:.1f}"
+        f" sigmas apart: {_BROKEN[name]}"
+        for name, row in broken.items()
+    ]
+    advice = []
+    if calibration.calibration.R_F_A is None:
+        advice.append(
+            "after the pose, move for 20 s in view: bend and stretch the elbow, turn the palm up and down"
+        )
+    if calibration.measured.strap_from == "usual":
+        advice.append(
+            "measure by ruler from the middle of the strap to the wrist's crease and half the wrist's"
+            " thickness (--strap-to-wrist-m, --radius-m), or record the camera's images and use `unocclude"
+            " import strap`"
+        )
+    if "roll" in broken:
+        advice.append("hold the palm square to the camera, and put the sensor on the back of the wrist")
+    if pose.end_s - pose.start_s < 2.0:
+        advice.append("hold the pose for three seconds")
+    sigma_deg = {
+        "direction": float(np.degrees(calibration.direction_sigma_rad)),
+        "roll": float(np.degrees(calibration.roll_sigma_rad)),
+    }
+    measures = calibration.measured.lengths
+    table: dict[str, Any] = {"strap_from": calibration.measured.strap_from}
+    for name, length in measures.items():
+        table |= {f"{name}_m": float(length.value_m), f"{name}_sigma_m": float(length.sigma_m)}
+    if arm.R_F_A is not None:
+        table |= {f"R_F_A_{name}_sigma_deg": value for name, value in sigma_deg.items()}
+    grade = "not good enough" if arm.R_F_A is None else "good" if rows and not broken else "usable"
+    figures = {
+        "side": arm.side,
+        "pose": {"from_s": pose.start_s, "to_s": pose.end_s, "chosen": pose.chosen},
+        "measures": {name: asdict(length) for name, length in measures.items()},
+        "strap_from": calibration.measured.strap_from,
+        "lever_arms": {joint: asdict(lever) for joint, lever in arm.lever_arms.items()},
+        "R_F_A": arm.R_F_A,
+        "R_F_A_sigma_deg": sigma_deg,
+        "against_motion": [asdict(row) | {"sigmas_apart": row.apart, "agrees": row.agrees} for row in rows],
+        "verdict": said,
+        "not_determined": left_open,
+    }
+    nothing = ("record in the same way: nothing is missing",)
+    return Answer(
+        Verdict(grade, said[1], (said[0], *said[2:]), tuple(advice) or nothing),
+        tuple(left_open),
+        CalibrationFile().with_arm(arm).with_table("forearm", {arm.side or "any": table}),
+        figures,
+    )
+
+
+def _open_questions(calibration: ForearmCalibration) -> list[str]:
+    """What the pose left open, one sentence each."""
+    said = []
+    if calibration.calibration.R_F_A is None:
+        said.append(
+            "lever arms and R_F_A are not determined: the sensor's orientation in the pose is not known"
+            f" ({calibration.why_not})"
+        )
+    if calibration.measured.strap_from == "usual":
+        said.append(
+            "the strap's place was neither seen nor measured: usual values are used (5 +- 2 cm to the"
+            " wrist, 3.5 +- 0.8 cm to the forearm's axis)"
+        )
+    if calibration.pose.turning_rad_s > RESTLESS_RAD_S:
+        said.append(
+            f"the sensor turned by {np.degrees(calibration.pose.turning_rad_s):.0f} degrees/s in the pose"
+        )
+    y, middle = calibration.R_K_F[:, 1], calibration.pose.position[1]
+    towards = float(np.abs(y @ middle) / np.linalg.norm(middle))
+    if towards > np.sin(CORONAL_RAD):
+        said.append(
+            f"the forearm points {np.degrees(np.arcsin(towards)):.0f} degrees towards or away from the"
+            " camera: depth errors are in its length"
+        )
+    return said

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream, Recording
 from smoother.runtime.store import large_array
 
-from ..file import CalibrationFile
+from .file import CalibrationFile, Vector, checked
 
 
 @dataclass(frozen=True)
@@ -59,20 +60,51 @@ def sensor_name(topic: str) -> str:
     return topic.strip("/").removeprefix("imu/") or "imu"
 
 
+class _Part(BaseModel):
+    """What is read of a sensor's table; its further keys are for people."""
+
+    model_config = ConfigDict(allow_inf_nan=False, defer_build=True)
+
+    offset: Vector | None = None
+    matrix: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
+    noise_density: float | None = Field(default=None, gt=0, strict=True)
+
+    @model_validator(mode="after")
+    def _invertible(self) -> Self:
+        matrix = np.eye(3) if self.matrix is None else np.array(self.matrix)
+        if abs(np.linalg.det(matrix)) < 1e-12 * np.linalg.norm(matrix) ** 3:
+            raise ValueError("the matrix has no inverse; correct it or calibrate again")
+        return self
+
+    @property
+    def affine(self) -> tuple[FloatArray, FloatArray] | None:
+        """Offset (3,) and matrix (3, 3); None without either."""
+        if self.offset is None and self.matrix is None:
+            return None
+        return np.array(self.offset or np.zeros(3)), np.array(self.matrix or np.eye(3))
+
+
+class _Parts(BaseModel):
+    model_config = ConfigDict(defer_build=True)
+
+    accelerometer: _Part = Field(default_factory=_Part)
+    gyroscope: _Part = Field(default_factory=_Part)
+    magnetometer: _Part = Field(default_factory=_Part)
+
+
 def sensor_of(file: CalibrationFile, topic: str) -> SensorCalibration | None:
     """The calibration of a stream's sensor; None where the file has none of that name."""
     held = sensors_in(file).get(sensor_name(topic))
     if held is None:
         return None
-    where = f"{file.source}: imu.{sensor_name(topic)}"
-    parts = {name: _table(held, name, where) for name in ("accelerometer", "gyroscope", "magnetometer")}
-    acc, gyro, mag = parts["accelerometer"], parts["gyroscope"], parts["magnetometer"]
+    parts = checked(_Parts, held, f"{file.source}: imu.{sensor_name(topic)}")
+    acc, gyro = parts.accelerometer, parts.gyroscope
     return SensorCalibration(
-        accelerometer=_affine(acc, f"{where}.accelerometer"),
-        gyroscope=_numbers(gyro, "offset", (3,), f"{where}.gyroscope"),
-        magnetometer=_affine(mag, f"{where}.magnetometer"),
-        accelerometer_density=_density(acc, f"{where}.accelerometer"),
-        gyroscope_density=_density(gyro, f"{where}.gyroscope"),
+        accelerometer=acc.affine,
+        gyroscope=None if gyro.offset is None else np.array(gyro.offset),
+        magnetometer=parts.magnetometer.affine,
+        accelerometer_density=acc.noise_density,
+        gyroscope_density=gyro.noise_density,
     )
 
 
@@ -82,44 +114,6 @@ def sensors_in(file: CalibrationFile) -> dict[str, Any]:
     if not isinstance(held, dict) or not all(isinstance(table, dict) for table in held.values()):
         raise CalibrationError(f"{file.source}: imu must contain a table for each sensor, [imu.NAME].")
     return held
-
-
-def _table(held: dict[str, Any], name: str, where: str) -> dict[str, Any]:
-    table = held.get(name, {})
-    if not isinstance(table, dict):
-        raise CalibrationError(f"{where}.{name} must be a table.")
-    return table
-
-
-def _affine(table: dict[str, Any], where: str) -> tuple[FloatArray, FloatArray] | None:
-    offset, matrix = _numbers(table, "offset", (3,), where), _numbers(table, "matrix", (3, 3), where)
-    if offset is None and matrix is None:
-        return None
-    matrix = np.eye(3) if matrix is None else matrix
-    if abs(np.linalg.det(matrix)) < 1e-12 * np.linalg.norm(matrix) ** 3:
-        raise CalibrationError(f"{where}.matrix has no inverse; correct it or calibrate again.")
-    return (np.zeros(3) if offset is None else offset), matrix
-
-
-def _numbers(table: dict[str, Any], key: str, shape: tuple[int, ...], where: str) -> FloatArray | None:
-    if key not in table:
-        return None
-    try:
-        values = np.array(table[key], dtype=float)
-    except (TypeError, ValueError):
-        values = np.full(1, np.nan)
-    if values.shape != shape or not np.isfinite(values).all():
-        raise CalibrationError(f"{where}.{key} must contain {' x '.join(map(str, shape))} numbers.")
-    return values
-
-
-def _density(table: dict[str, Any], where: str) -> float | None:
-    value = table.get("noise_density")
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
-        raise CalibrationError(f"{where}.noise_density must be a number above zero.")
-    return float(value)
 
 
 #: Samples that are corrected together.

@@ -1,1 +1,0 @@
-"""Lever arms, lengths and mounting from a held pose."""

@@ -1,1 +1,0 @@
-"""What is measured once of an inertial sensor: accelerometer, gyroscope, noise, magnetometer."""

@@ -1,0 +1,830 @@
+"""Camera to base IMU to world (JA II-F.2, many poses): what keeps the camera's tilt through every recording.
+
+Rests and turns of both IMUs in each pose of the panel, first guesses, the chain of rotations from the camera
+to the world and back over the panel by least squares, what it is worth, and gravity in a recording by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from smoother.array_types import FloatArray
+from smoother.errors import CalibrationError
+from smoother.linalg import nearest_rotation, skew, unit
+from smoother.recording import CameraFrame, ImuStream, Recording
+
+from .file import CalibrationFile
+from .intrinsics import Intrinsics
+from .panel.definition import Panel
+from .panel.images import View
+from .panel.panel_calibration import SeenPanel, see_panel
+from .protocol import Answer, Verdict
+from .sensor import corrected_streams, sensor_of
+
+#: Samples this far from a pose's time may count to it, s.
+REACH_S = 1.0
+#: An IMU rests where 0.2 s means of its rate, less the slowest, stay below this, rad/s.
+STILL_RAD_S = 0.06
+#: and where those of its specific force stay this near to their median, m/s^2.
+STILL_M_S2 = 0.3
+#: Rest that is shorter than this is none, s.
+SHORTEST_S = 0.3
+_BATCH_S = 0.1
+#: What a gyroscope's scale, axes and bias add to a turn: a share of it, and rad a second.
+GYRO_SCALE, GYRO_DRIFT_RAD_S = 0.003, 2e-4
+#: A pause of an IMU that breaks the link between two poses, s.
+_PAUSE_S = 0.1
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Means over a time in which an IMU rests."""
+
+    t_s: float  # The pose's time
+    acc: FloatArray  # (3,) m/s^2: mean, about +9.81 upwards
+    acc_sigma: FloatArray  # (3,) m/s^2: of that mean
+    gyro: FloatArray  # (3,) rad/s: the gyroscope's bias
+    mag: FloatArray | None  # (3,): in the sensor's unit, or None
+    length_s: float  # How long it rested
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A rotation from one pose to the next by the gyroscope."""
+
+    R: FloatArray  # (3, 3): maps the later axes of the IMU to the earlier ones
+    sigma_rad: float  # An axis
+
+
+def rest_at(imu: ImuStream, t_s: float, pose: str, what: str) -> Rest:
+    """Mean readings of an IMU while a pose is held."""
+    near = np.flatnonzero(np.abs(imu.t_s - t_s) <= REACH_S)
+    if len(near) < 5:
+        raise CalibrationError(
+            f"{pose}: the IMU {what} has no samples at {t_s:.2f} s; record it while the panel is held still."
+        )
+    batch = np.floor((imu.t_s[near] - t_s) / _BATCH_S).astype(int)
+    numbers = np.unique(batch)
+    gyro, acc = (
+        np.array([values[near][batch == k].mean(axis=0) for k in numbers]) for values in (imu.gyro, imu.acc)
+    )
+    # A bias is not a motion: rates count from their median, which is a rest's own in any pose worth taking.
+    rate = np.linalg.norm(_smooth(gyro) - np.median(gyro, axis=0), axis=1)
+    force = np.linalg.norm(_smooth(acc) - np.median(acc, axis=0), axis=1)
+    still = numbers[(rate < STILL_RAD_S) & (force < STILL_M_S2)]
+    run = _run_about(still)
+    rows = near[np.isin(batch, run)]
+    if len(run) * _BATCH_S < SHORTEST_S or np.linalg.norm(np.median(gyro, axis=0)) > 10 * STILL_RAD_S:
+        raise CalibrationError(
+            f"{pose}: the IMU {what} moves at {t_s:.2f} s; hold the panel still for two seconds in each pose."
+        )
+    means = acc[np.isin(numbers, run)]
+    spread = means.std(axis=0, ddof=1) if len(means) > 2 else np.full(3, 0.05)
+    mag = None if imu.mag is None else imu.mag[rows].mean(axis=0)
+    return Rest(
+        t_s=t_s,
+        acc=imu.acc[rows].mean(axis=0),
+        acc_sigma=spread / np.sqrt(len(means)),
+        gyro=imu.gyro[rows].mean(axis=0),
+        mag=mag,
+        length_s=len(run) * _BATCH_S,
+    )
+
+
+def turn_between(imu: ImuStream, first: Rest, last: Rest) -> Turn | None:
+    """The gyroscope's rotation from one rest to the next; None where the IMU paused between them."""
+    rows = np.flatnonzero((imu.t_s >= first.t_s) & (imu.t_s <= last.t_s))
+    if len(rows) < 5:
+        return None
+    t = imu.t_s[rows]
+    if max(np.diff(t).max(), t[0] - first.t_s, last.t_s - t[-1]) > _PAUSE_S:
+        return None
+    share = ((t - t[0]) / (t[-1] - t[0]))[:, None]
+    rate = imu.gyro[rows] - ((1 - share) * first.gyro + share * last.gyro)
+    middle = 0.5 * (t[1:] + t[:-1])
+    edges = np.concatenate([[first.t_s], middle, [last.t_s]])
+    step = rate * np.diff(edges)[:, None]
+    way = float(np.linalg.norm(step, axis=1).sum())
+    sigma = np.hypot(GYRO_SCALE * way, GYRO_DRIFT_RAD_S * (last.t_s - first.t_s)) + 5e-4
+    return Turn(_product(Rotation.from_rotvec(step)).as_matrix(), float(sigma))
+
+
+def _product(steps: Rotation) -> Rotation:
+    """The rotations one after the other, in pairs."""
+    while len(steps) > 1:
+        if len(steps) % 2:
+            steps = Rotation.concatenate([steps, Rotation.identity(1)])
+        steps = steps[0::2] * steps[1::2]
+    return steps[0]
+
+
+def _smooth(means: FloatArray) -> FloatArray:
+    """Means of each batch with its next."""
+    return means if len(means) < 2 else 0.5 * (means + np.vstack([means[1:], means[-1:]]))
+
+
+def _run_about(still: np.ndarray) -> np.ndarray:
+    """The run of consecutive numbers that lies nearest to zero."""
+    if len(still) == 0:
+        return still
+    runs = np.split(still, np.flatnonzero(np.diff(still) > 1) + 1)
+    return min(runs, key=lambda run: (np.abs(run + 0.5).min(), -len(run)))
+
+
+#: Sigma of a rotation of which nothing is known, rad.
+FREE_RAD = 2.0
+#: What scale and cross-axis errors of an accelerometer leave of a direction, rad.
+TILT_RAD = np.radians(0.05)
+#: Bias of an accelerometer as its maker calibrated it, and of one calibrated by rest poses, m/s^2 per axis.
+BIAS_M_S2, CORRECTED_M_S2 = 0.03, 0.012
+#: Magnetometers: iron on the sensor (a share of the field), and iron in the room, which differs from place to
+#: place, rad.
+IRON, ROOM_RAD = 0.05, np.radians(2.0)
+#: Magnetic dip is not asked for: any from the equator to the pole, rad.
+DIP_RAD = 3.0
+#: Steps of the fit; a gain smaller than this share of the sum of squares ends it; of the derivatives.
+_ROUNDS, _SMALL, _STEP = 60, 1e-8, 1e-7
+
+
+@dataclass(frozen=True)
+class WorldPose:
+    """One pose of the panel, as camera and IMUs know it."""
+
+    name: str  # For messages
+    R_K_P: FloatArray  # (3, 3): the panel in the camera, from its images
+    covariance: FloatArray  # (3, 3): of its rotation vector, rad^2 in {K}
+    panel: Rest  # The IMUs at rest
+    base: Rest  # The IMUs at rest
+    panel_turn: Turn | None = None  # Their rotation since the pose before, or None
+    base_turn: Turn | None = None  # Their rotation since the pose before, or None
+
+    @property
+    def has_north(self) -> bool:
+        """Both IMUs have a magnetometer."""
+        return self.panel.mag is not None and self.base.mag is not None
+
+
+@dataclass(frozen=True)
+class Attitudes:
+    """The unknowns."""
+
+    R_K_B: Rotation  # Camera from base IMU, panel from its IMU
+    R_P_I: Rotation  # Camera from base IMU, panel from its IMU
+    R_W_B: Rotation  # The IMUs in the world (z up), one per pose
+    R_W_I: Rotation  # The IMUs in the world (z up), one per pose
+    rest: FloatArray  # (14,): biases
+
+    def moved(self, step: FloatArray) -> Attitudes:
+        """Rotated by small angles: `R_K_B` in {K}, the others in their own axes."""
+        n = len(self.R_W_B)
+        turns = Rotation.from_rotvec(step[: 6 + 6 * n].reshape(-1, 3))
+        return Attitudes(
+            turns[0] * self.R_K_B,
+            self.R_P_I * turns[1],
+            self.R_W_B * turns[2 : 2 + n],
+            self.R_W_I * turns[2 + n :],
+            self.rest + step[6 + 6 * n :],
+        )
+
+
+#: Rounds of Wahba's problem for one and the other rotation.
+_GUESS_ROUNDS = 25
+#: Answers nearer than this are one; this many are followed up.
+_APART_RAD, _MOST = 0.3, 4
+#: Mean square (rad^2 per pose) by which a guess may fit worse than the best and still lead to the answer.
+_HOPELESS = 0.01
+#: A turn between poses is treated as a direction where it is larger than this, rad.
+_TURN_RAD = 0.1
+_DIP_RAD = 0.8
+
+
+def first_guesses(poses: list[WorldPose], lined_up: bool) -> list[Attitudes]:
+    """Start values, the likeliest first; the right one is good to some degrees."""
+    pairs = _Pairs(poses)
+    if lined_up:
+        return [_attitudes(poses, pairs, np.eye(3))]
+    starts = Rotation.create_group("O").as_matrix()
+    tried = sorted((pairs.in_turn(R_P_I, _GUESS_ROUNDS) for R_P_I in starts), key=lambda item: item[0])
+    chosen: list[FloatArray] = []
+    for loss, R_P_I in tried:
+        if loss > tried[0][0] + _HOPELESS * len(poses):
+            break
+        apart = [Rotation.from_matrix(R_P_I.T @ other).magnitude() for other in chosen]
+        if not apart or min(apart) > _APART_RAD:
+            chosen.append(R_P_I)
+    return [_attitudes(poses, pairs, R_P_I) for R_P_I in chosen[:_MOST]]
+
+
+def _attitudes(poses: list[WorldPose], pairs: _Pairs, R_P_I: FloatArray) -> Attitudes:
+    R_K_B = Rotation.from_matrix(pairs.camera_from_base(R_P_I)[0])
+    R_W_B = _world_from_base(poses)
+    on_panel = Rotation.from_matrix(pairs.R_K_P @ R_P_I)
+    rest = np.r_[np.zeros(12), _DIP_RAD, _DIP_RAD]
+    return Attitudes(R_K_B, Rotation.from_matrix(R_P_I), R_W_B, R_W_B * R_K_B.inv() * on_panel, rest)
+
+
+class _Pairs:
+    """Directions that both IMUs know: up, the field, and the axes of the camera's own turns."""
+
+    def __init__(self, poses: list[WorldPose]):
+        self.R_K_P = np.array([pose.R_K_P for pose in poses])
+        base, panel = [[p.base.acc for p in poses]], [[p.panel.acc for p in poses]]
+        if all(pose.has_north for pose in poses):
+            base.append([np.asarray(pose.base.mag) for pose in poses])
+            panel.append([np.asarray(pose.panel.mag) for pose in poses])
+        # (kinds, n, 3) unit vectors
+        self._in_B, self._in_I = unit(np.array(base)), unit(np.array(panel))
+        linked = [
+            i for i, p in enumerate(poses) if i and p.base_turn is not None and p.panel_turn is not None
+        ]
+        self._linked = np.array(linked, dtype=int)
+        turns = [(poses[i].base_turn, poses[i].panel_turn) for i in linked]
+        self._turn_B = np.array([b.R for b, _ in turns if b is not None]).reshape(-1, 3, 3)
+        self._turn_I = np.array([i.R for _, i in turns if i is not None]).reshape(-1, 3, 3)
+
+    def in_turn(self, R_P_I: FloatArray, rounds: int) -> tuple[float, FloatArray]:
+        """Improve the mounting; its loss, and the mounting."""
+        R_K_B, loss = self.camera_from_base(R_P_I)
+        for _ in range(rounds):
+            in_P = np.einsum("nji,jk,mnk->mni", self.R_K_P, R_K_B, self._in_B)
+            R_P_I, _ = _wahba(in_P.reshape(-1, 3), self._in_I.reshape(-1, 3))
+            R_K_B, loss = self.camera_from_base(R_P_I)
+        return loss, R_P_I
+
+    def camera_from_base(self, R_P_I: FloatArray) -> tuple[FloatArray, float]:
+        """`R_K_B` for a mounting, and the sum of squares that is left."""
+        in_K = np.einsum("nij,jk,mnk->mni", self.R_K_P, R_P_I, self._in_I).reshape(-1, 3)
+        in_B = self._in_B.reshape(-1, 3)
+        if len(self._linked):
+            # X D_B X' = Z_a Y D_I Y' Z_b': the camera's own turn, seen in {B} and in {K}
+            turned = R_P_I @ self._turn_I @ R_P_I.T
+            a, b = self.R_K_P[self._linked - 1], self.R_K_P[self._linked]
+            of_K = Rotation.from_matrix(a @ turned @ np.swapaxes(b, 1, 2)).as_rotvec()
+            of_B = Rotation.from_matrix(self._turn_B).as_rotvec()
+            far = np.minimum(np.linalg.norm(of_K, axis=1), np.linalg.norm(of_B, axis=1)) > _TURN_RAD
+            in_K, in_B = np.vstack([in_K, unit(of_K[far])]), np.vstack([in_B, unit(of_B[far])])
+        return _wahba(in_K, in_B)
+
+
+def _wahba(target: FloatArray, source: FloatArray) -> tuple[FloatArray, float]:
+    """The rotation (3, 3) that takes source directions (n, 3) nearest to target ones; the sum of squares."""
+    M = target.T @ source
+    R = nearest_rotation(M)
+    return R, float(2 * (len(target) - np.sum(R * M)))
+
+
+def _world_from_base(poses: list[WorldPose]) -> Rotation:
+    """Level attitudes of the base IMU; north by its magnetometer, else the gyroscope's from pose to pose."""
+    found: list[Rotation] = []
+    for pose in poses:
+        if pose.has_north:
+            assert pose.base.mag is not None
+            up = unit(pose.base.acc)
+            east = unit(np.cross(pose.base.mag, up))  # field points north and down
+            found.append(Rotation.from_matrix(np.stack([np.cross(up, east), -east, up])))
+            continue
+        up, level = unit(pose.base.acc), np.array([0.0, 0.0, 1.0])
+        before = found[-1] if found else Rotation.identity()
+        if found and pose.base_turn is not None:
+            before = found[-1] * Rotation.from_matrix(pose.base_turn.R)
+        tip = Rotation.align_vectors([level], [before.apply(up)])[0]
+        found.append(tip * before)
+    return Rotation.concatenate(found)
+
+
+@dataclass(frozen=True)
+class WorldSolution:
+    """Attitudes and how well they are known."""
+
+    at: Attitudes  # The solution
+    # (9, 9): Of `R_K_B` in {K} (rad), the base accelerometer's bias (m/s^2), `R_P_I` in {I} (rad)
+    covariance: FloatArray
+    camera_rad: FloatArray  # (n, 3) rad: what is left of `R_K_P`, in {K}
+    worst_sigma: FloatArray  # (n,): the largest misfit of a pose in sigmas
+    cost: float  # Sum of squares of all misfits
+
+
+class _Chain:
+    """Misfits of the chain in sigmas, at any attitudes."""
+
+    def __init__(
+        self,
+        poses: list[WorldPose],
+        start: Attitudes,
+        mounting_sigma_rad: float | None,
+        bias_m_s2: float,
+    ):
+        self._start, self._mounting = start, mounting_sigma_rad
+        self._bias_sigma = np.array([bias_m_s2] * 6 + [IRON] * 6 + [DIP_RAD] * 2)
+        self._weight = np.linalg.inv(np.linalg.cholesky([pose.covariance for pose in poses]))
+        self._seen = Rotation.from_matrix([pose.R_K_P for pose in poses])
+        sensors = [[pose.base for pose in poses], [pose.panel for pose in poses]]  # as everywhere below
+        self._acc = np.array([[rest.acc for rest in rests] for rests in sensors])
+        noise = np.array([[rest.acc_sigma.mean() for rest in rests] for rests in sensors])
+        self._level = np.hypot(noise / np.linalg.norm(self._acc, axis=2), TILT_RAD)[..., None]
+        self._field: FloatArray | None = None
+        if all(pose.has_north for pose in poses):
+            self._field = unit(np.array([[rest.mag for rest in rests] for rests in sensors]))
+        self._turns = []
+        for own in ([pose.base_turn for pose in poses], [pose.panel_turn for pose in poses]):
+            known = [(i, turn) for i, turn in enumerate(own) if i and turn is not None]
+            later = np.array([i for i, _ in known], dtype=int)
+            back = Rotation.from_matrix(np.array([turn.R.T for _, turn in known]).reshape(-1, 3, 3))
+            self._turns.append((later, back, np.array([[turn.sigma_rad] for _, turn in known])))
+
+    def camera_left(self, at: Attitudes) -> FloatArray:
+        """What is left (n, 3) of the panel's rotation in the camera, rad in {K}."""
+        chain = at.R_K_B * at.R_W_B.inv() * at.R_W_I * at.R_P_I.inv()
+        return np.asarray((chain * self._seen.inv()).as_rotvec())
+
+    def of_poses(self, at: Attitudes) -> FloatArray:
+        """(n, 3, 3): of the panel in the camera, and of up by either accelerometer."""
+        left = np.einsum("nij,nj->ni", self._weight, self.camera_left(at))
+        tips = []
+        for imu, R_W in enumerate((at.R_W_B, at.R_W_I)):
+            up = R_W.apply(unit(self._acc[imu] - at.rest[3 * imu : 3 * imu + 3]))
+            tips.append(np.cross(up, [0.0, 0.0, 1.0]) / self._level[imu])
+        return np.stack([left, *tips], axis=1)
+
+    def misfit(self, at: Attitudes) -> FloatArray:
+        """All misfits: of poses, fields and turns, and of what is known beforehand."""
+        start, rows = self._start, [self.of_poses(at)]
+        for imu, R_W in enumerate((at.R_W_B, at.R_W_I)):
+            if self._field is not None:  # unit fields in {W}, whose x axis is magnetic north
+                dip = at.rest[12 + imu]
+                field = R_W.apply(unit(self._field[imu] - at.rest[6 + 3 * imu : 9 + 3 * imu]))
+                rows.append((field - [np.cos(dip), 0.0, -np.sin(dip)]) / ROOM_RAD)
+            later, back, sigma = self._turns[imu]  # since the pose before
+            if len(later):
+                rows.append((back * R_W[later - 1].inv() * R_W[later]).as_rotvec() / sigma)
+        # every rotation is free, or nearly; biases are small
+        rows += [
+            (known.inv() * R).as_rotvec() / FREE_RAD
+            for R, known in (
+                (at.R_K_B, start.R_K_B),
+                (at.R_P_I, start.R_P_I),
+                (at.R_W_B, start.R_W_B),
+                (at.R_W_I, start.R_W_I),
+            )
+        ]
+        if self._mounting is not None:  # lined up by eye
+            rows.append(at.R_P_I.as_rotvec() / self._mounting)
+        rows.append((at.rest - start.rest) / self._bias_sigma)
+        return np.concatenate([np.ravel(row) for row in rows])
+
+    def _slopes(self, at: Attitudes, misfit: FloatArray, size: int) -> FloatArray:
+        """Derivatives (r, c) of the misfits at some attitudes, by small steps."""
+        steps = _STEP * np.eye(size)
+        return np.stack([(self.misfit(at.moved(step)) - misfit) / _STEP for step in steps], axis=1)
+
+    def solved(self) -> WorldSolution:
+        """Least squares over all poses, by Gauss and Newton with Levenberg's damping."""
+        at, count, damping = self._start, len(self._seen), 1e-6
+        size = 6 + 6 * count + len(at.rest)
+        misfit = self.misfit(at)
+        for _ in range(_ROUNDS):
+            jacobian = self._slopes(at, misfit, size)
+            normal = jacobian.T @ jacobian
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -jacobian.T @ misfit)
+            trial = at.moved(np.asarray(step, dtype=np.float64))
+            tried = self.misfit(trial)
+            gain = float(misfit @ misfit - tried @ tried)
+            if gain < 0:
+                damping = max(damping, 1e-8) * 10
+                continue
+            at, misfit, damping = trial, tried, damping / 10
+            if gain < _SMALL * (1 + tried @ tried):
+                break
+        jacobian = self._slopes(at, misfit, size)
+        # three rows of a direction have two degrees; a few poses may fit by luck
+        spare = len(misfit) - (2 if self._field is None else 4) * count - size
+        spread = max(1.0, float(misfit @ misfit) / spare) if spare > 0 else 1.0
+        bias = size - len(at.rest)
+        kept = np.r_[0:3, bias : bias + 3, 3:6]
+        covariance = np.linalg.inv(jacobian.T @ jacobian) * spread
+        return WorldSolution(
+            at,
+            covariance[np.ix_(kept, kept)],
+            self.camera_left(at),
+            np.linalg.norm(self.of_poses(at), axis=2).max(axis=1),
+            float(misfit @ misfit),
+        )
+
+
+#: An IMU that was lined up with the panel by eye is off by this, per axis.
+BY_EYE_RAD = np.radians(3.0)
+#: Poses whose residuals exceed this many sigmas contradict the others and are left out.
+CONTRADICTS_SIGMA = 5.0
+#: Another answer that costs less than this more is as likely (two degrees of freedom, 99 %).
+AS_LIKELY = 9.2
+#: This many poses must remain.
+FEWEST = 3
+
+
+@dataclass(frozen=True)
+class WorldCalibration:
+    """Camera from base IMU, and the data it is based on."""
+
+    solution: WorldSolution  # Rotations with covariance
+    poses: tuple[WorldPose, ...]  # Those that were used
+    by_eye: bool  # The poses did not give the mounting of the panel's IMU: it was taken as lined up by eye
+    notes: tuple[str, ...]  # What was left out, and why
+    # The base IMU's accelerometer was corrected by a calibration of its own before
+    accelerometer_corrected: bool = False
+
+    @property
+    def R_K_B(self) -> FloatArray:
+        """(3, 3) base IMU axes to camera axes."""
+        return np.asarray(self.solution.at.R_K_B.as_matrix())
+
+    @property
+    def R_P_I(self) -> FloatArray:
+        """(3, 3) axes of the panel's IMU to panel axes."""
+        return np.asarray(self.solution.at.R_P_I.as_matrix())
+
+
+@dataclass(frozen=True)
+class PanelView:
+    """The panel in the camera in one pose."""
+
+    name: str  # For messages
+    t_s: float  # Time of the images on the IMUs' clock
+    R_K_P: FloatArray  # (3, 3): panel axes to camera axes
+    covariance: FloatArray  # (3, 3) rad^2: of its rotation vector in {K}
+
+
+def world_poses(
+    views: Sequence[PanelView], panel: Sequence[ImuStream], base: Sequence[ImuStream]
+) -> tuple[list[WorldPose], list[str]]:
+    """Each pose as measured by camera and IMUs; poses in which an IMU moves are left out, with a note."""
+    poses: list[WorldPose] = []
+    notes: list[str] = []
+    last = -1
+    for i, view in enumerate(views):
+        try:
+            on_panel = rest_at(panel[i], view.t_s, view.name, "on the panel")
+            on_base = rest_at(base[i], view.t_s, view.name, "on the camera")
+        except CalibrationError as error:
+            notes.append(f"{error} The pose is left out.")
+            continue
+        pose = WorldPose(view.name, view.R_K_P, view.covariance, on_panel, on_base)
+        if poses and panel[i] is panel[last] and base[i] is base[last]:
+            pose = replace(
+                pose,
+                panel_turn=turn_between(panel[i], poses[-1].panel, on_panel),
+                base_turn=turn_between(base[i], poses[-1].base, on_base),
+            )
+        poses.append(pose)
+        last = i
+    if not poses:
+        raise CalibrationError(
+            notes[0].removesuffix(" The pose is left out.") if notes else "There is no pose."
+        )
+    return poses, notes
+
+
+def calibrate_world(
+    poses: Sequence[WorldPose], notes: Sequence[str] = (), bias_m_s2: float = BIAS_M_S2
+) -> WorldCalibration:
+    """Find `R_K_B`, and how the panel's IMU sits on the panel."""
+    kept, sentences = list(poses), list(notes)
+    while True:
+        solution, by_eye = _solve(kept, bias_m_s2)
+        worst = int(np.argmax(solution.worst_sigma))
+        if solution.worst_sigma[worst] < CONTRADICTS_SIGMA or len(kept) < 2:
+            return WorldCalibration(solution, tuple(kept), by_eye, tuple(sentences))
+        if len(kept) <= FEWEST:
+            raise CalibrationError(
+                f"The poses contradict each other ({kept[worst].name} by"
+                f" {solution.worst_sigma[worst]:.0f} sigmas); check that each IMU is fixed to its body"
+                " and uses the camera's clock, and record more poses."
+            )
+        sentences.append(
+            f"{kept[worst].name} contradicts the other poses by {solution.worst_sigma[worst]:.0f} sigmas "
+            "and is left out."
+        )
+        kept.pop(worst)
+        # what followed it is no longer linked to what went before
+        if worst < len(kept):
+            kept[worst] = replace(kept[worst], panel_turn=None, base_turn=None)
+
+
+def _solve(poses: list[WorldPose], bias_m_s2: float) -> tuple[WorldSolution, bool]:
+    """The solution, and whether the mounting had to be taken as lined up by eye."""
+    if len(poses) >= FEWEST:
+        starts = first_guesses(poses, lined_up=False)
+        tried = [_Chain(poses, start, None, bias_m_s2).solved() for start in starts]
+        tried.sort(key=lambda solution: solution.cost)
+        best = tried[0]
+        known = np.sqrt(np.linalg.eigvalsh(best.covariance[6:, 6:])[-1]) < BY_EYE_RAD
+        likely = [other for other in tried[1:] if other.cost < best.cost + AS_LIKELY]
+        apart = [(best.at.R_P_I.inv() * other.at.R_P_I).magnitude() for other in likely]
+        if known and max(apart, default=0.0) < BY_EYE_RAD:
+            return best, False
+    start = first_guesses(poses, lined_up=True)[0]
+    return _Chain(poses, start, BY_EYE_RAD, bias_m_s2).solved(), True
+
+
+def tilt_covariance(
+    R_K_B: FloatArray,  # (3, 3)
+    covariance: FloatArray,  # (6, 6)
+    acc: FloatArray,  # (3,) m/s^2
+) -> FloatArray:  # (3, 3) rad^2
+    """Covariance (3, 3) of down in {K} (rad^2 across it) for a reading of the base accelerometer."""
+    size = float(np.linalg.norm(acc))
+    up = acc / size
+    slope = np.hstack([-skew(R_K_B @ up), -R_K_B @ (np.eye(3) - np.outer(up, up)) / size])
+    return np.asarray(slope @ covariance @ slope.T)
+
+
+#: A rotation is not known better than this: lens, and the shape of the panel, rad.
+FLOOR_RAD = np.radians(0.03)
+
+
+def calibrate_world_from_views(
+    views: Sequence[View],
+    t_s: Sequence[float],
+    panel_imu: Sequence[ImuStream],
+    base_imu: Sequence[ImuStream],
+    panel: Panel,
+    lens: Intrinsics,
+    file: CalibrationFile | None = None,
+) -> WorldCalibration:
+    """Camera from base IMU from images of the panel and the IMUs' samples (JA II-F.2)."""
+    file = file or CalibrationFile()
+    panel_imu, panel_known = corrected_streams(panel_imu, file)
+    base_imu, base_known = corrected_streams(base_imu, file)
+    poses, notes = world_poses(
+        [view_panel(view, at, panel, lens) for view, at in zip(views, t_s, strict=True)], panel_imu, base_imu
+    )
+    found = calibrate_world(poses, notes, CORRECTED_M_S2 if panel_known and base_known else BIAS_M_S2)
+    return replace(found, accelerometer_corrected=base_known)
+
+
+def common_time(panel_imu: ImuStream, base_imu: ImuStream) -> float:
+    """The middle of the time in which both IMUs were recorded, s: when a pose of its own was held."""
+    first, last = max(panel_imu.t_s[0], base_imu.t_s[0]), min(panel_imu.t_s[-1], base_imu.t_s[-1])
+    if last <= first:
+        raise CalibrationError("the IMUs' samples do not overlap in time")
+    return 0.5 * float(first + last)
+
+
+def view_panel(view: View, t_s: float, panel: Panel, lens: Intrinsics) -> PanelView:
+    """Find the panel in a pair of images."""
+    seen = see_panel(view, panel, lens)
+    return PanelView(view.name, t_s, seen.frame.R, rotation_covariance(seen, lens))
+
+
+def rotation_covariance(seen: SeenPanel, lens: Intrinsics) -> FloatArray:
+    """Covariance (3, 3) of the panel's rotation vector, rad^2 in {K}."""
+    theta = seen.plane.theta
+    size = float(np.linalg.norm(theta))
+    n = theta / size
+    slope = skew(n) @ (np.eye(3) - np.outer(n, n)) / size
+    arms = seen.points_K - seen.points_K.mean(axis=0)
+    sigma_m = seen.blobs.sigmas_px[list(seen.spots)] / lens.focal_px * seen.points_K[:, 2]
+    about_n = 1 / float(((arms**2).sum(axis=1) / sigma_m**2).sum())
+    covariance = slope @ seen.plane.covariance @ slope.T + about_n * np.outer(n, n)
+    return np.asarray(covariance + FLOOR_RAD**2 * np.eye(3))
+
+
+#: Sigma of the camera's tilt that is good for `smooth`, or still of use, degrees.
+GOOD_DEG, USABLE_DEG = 0.3, 1.0
+#: A heading that is known less than this is as good as free, degrees.
+FREE_DEG = 15.0
+
+
+@dataclass(frozen=True)
+class WorldAccuracy:
+    """Standard deviations, degrees."""
+
+    rotation_deg: FloatArray  # (3,) degrees: of camera from base IMU about the camera's axes
+    # Of down in the camera, per axis, for a camera placed as in the poses (the worst of them)
+    tilt_deg: float
+    heading_deg: float  # Of the turn between camera and base IMU about the vertical
+    mounting_deg: FloatArray  # (3,) degrees: of the panel's IMU on the panel, about the IMU's axes
+    off_deg: float  # How far that mounting is from lined up
+
+    @property
+    def heading_free(self) -> bool:
+        """Nothing of use is known about the heading."""
+        return self.heading_deg > FREE_DEG
+
+
+def accuracy(calibration: WorldCalibration) -> WorldAccuracy:
+    """Sigmas of rotation, tilt, heading and mounting."""
+    covariance = calibration.solution.covariance
+    bias = calibration.solution.at.rest[:3]
+    forces = [pose.base.acc - bias for pose in calibration.poses]
+    tilts = [np.trace(tilt_covariance(calibration.R_K_B, covariance[:6, :6], acc)) / 2 for acc in forces]
+    up = calibration.R_K_B @ np.mean([acc / np.linalg.norm(acc) for acc in forces], axis=0)
+    up /= np.linalg.norm(up)
+    return WorldAccuracy(
+        rotation_deg=np.degrees(np.sqrt(np.diag(covariance)[:3])),
+        tilt_deg=float(np.degrees(np.sqrt(max(tilts)))),
+        heading_deg=float(np.degrees(np.sqrt(up @ covariance[:3, :3] @ up))),
+        mounting_deg=np.degrees(np.sqrt(np.diag(covariance)[6:])),
+        off_deg=float(np.degrees(calibration.solution.at.R_P_I.magnitude())),
+    )
+
+
+def verdict(calibration: WorldCalibration) -> Verdict:
+    """Good or not, for what, and what to record next."""
+    sigma = accuracy(calibration)
+    grade, use = "not good enough", "not better than assuming a level camera"
+    if sigma.tilt_deg <= GOOD_DEG:
+        grade, use = "good", "good for `smooth`, which takes gravity from the base IMU"
+    elif sigma.tilt_deg <= USABLE_DEG:
+        grade, use = "usable", "of use for `smooth`, which weighs gravity from the base IMU by this sigma"
+    said, advice = [], []
+    if sigma.heading_free:
+        said.append(
+            "The heading between camera and base IMU is undetermined: neither a magnetometer nor a"
+            " rotation of the camera shows it. Gravity is valid while the camera is placed about as in"
+            " these poses."
+        )
+    else:
+        said.append(f"The heading between camera and base IMU is known to {sigma.heading_deg:.1f} degrees.")
+    if calibration.by_eye:
+        said.append(
+            "The poses do not show how the IMU sits on the panel: it was taken as lined up with the panel's "
+            "axes to 3 degrees, as in the published method."
+        )
+        advice.append(
+            "Hold the panel in at least four different poses: rolled by 90 degrees in the image, and tilted."
+        )
+    else:
+        said.append(
+            f"The IMU on the panel is {sigma.off_deg:.1f} degrees off the panel's axes "
+            f"(+- {float(np.linalg.norm(sigma.mounting_deg)):.1f})."
+        )
+    if sigma.heading_free:
+        advice.append(
+            "To have the heading, turn and tilt the camera with its base IMU by 30 degrees or more between "
+            "some poses, the panel in view."
+        )
+    if not calibration.by_eye and sigma.mounting_deg.max() > GOOD_DEG:
+        advice.append(
+            "Tilt the panel by 30 to 40 degrees, in another direction in each pose; rolls alone leave"
+            " one rotation undetermined."
+        )
+    elif not sigma.heading_free and sigma.tilt_deg > GOOD_DEG:
+        advice.append("Take more poses, the camera tilted anew for each, and hold each for two seconds.")
+    sentence = f"{grade}: the camera's tilt is known to {sigma.tilt_deg:.2f} degrees (one sigma): {use}."
+    return Verdict(grade, sentence, (*said, *calibration.notes), tuple(advice))
+
+
+NAME = "camera_from_base"
+
+
+@dataclass(frozen=True)
+class CameraFromBase:
+    """The base IMU on the camera, as a calibration file has it."""
+
+    R_K_B: FloatArray  # (3, 3): base IMU axes to camera axes; camera optical, x right, y down, z forward
+    accelerometer_bias: FloatArray  # (3,) m/s^2: in {B}
+    covariance: FloatArray  # (6, 6): of a small rotation in {K} (rad), and of the bias (m/s^2)
+    # The base IMU's own calibration (`[imu.base]`) was taken off before
+    accelerometer_corrected: bool = False
+
+
+def world_answer(calibration: WorldCalibration) -> Answer:
+    """Camera from base IMU, and its tables; quaternions are qw, qx, qy, qz, sigmas one standard deviation."""
+    sigma, words, solution = accuracy(calibration), verdict(calibration), calibration.solution
+    at = solution.at
+    down = -(at.R_K_B * at.R_W_B.inv()).apply([0.0, 0.0, 1.0])
+    tables = {
+        NAME: {
+            "rotation": _quaternion(at.R_K_B),
+            "rotation_sigma_deg": sigma.rotation_deg.tolist(),
+            "accelerometer_bias": at.rest[:3].tolist(),
+            "covariance": solution.covariance[:6, :6].tolist(),
+            "accelerometer_corrected": calibration.accelerometer_corrected,
+        },
+        "panel_from_imu": {
+            "rotation": _quaternion(at.R_P_I),
+            "rotation_sigma_deg": sigma.mounting_deg.tolist(),
+            "lined_up_by_eye": calibration.by_eye,
+        },
+        "world": {
+            "tilt_sigma_deg": sigma.tilt_deg,
+            "heading": "free" if sigma.heading_free else "known",
+            "heading_sigma_deg": sigma.heading_deg,
+            "poses": len(calibration.poses),
+            "grade": words.grade,
+            "verdict": words.sentence,
+            "residuals": [
+                {
+                    "pose": pose.name,
+                    "down": [round(float(x), 6) for x in down[i]],
+                    "rotation_deg": round(float(np.degrees(np.linalg.norm(solution.camera_rad[i]))), 4),
+                    "worst_sigma": round(float(solution.worst_sigma[i]), 2),
+                    "rest_s": round(min(pose.panel.length_s, pose.base.length_s), 2),
+                }
+                for i, pose in enumerate(calibration.poses)
+            ],
+        },
+    }
+    heading = ("the heading between camera and base IMU",) if sigma.heading_free else ()
+    mounting = ("how the IMU sits on the panel",) if calibration.by_eye else ()
+    return Answer(
+        verdict=words,
+        open_questions=(*heading, *mounting),
+        table=CalibrationFile(tables=tables),
+        figures={**tables, "words": words.words},
+    )
+
+
+def read_table(file: CalibrationFile) -> CameraFromBase | None:
+    """The base IMU on the camera."""
+    table = file.tables.get(NAME)
+    if table is None:
+        return None
+    again = "run `unocclude calibrate world` again"
+    try:
+        q = np.array(table["rotation"], float).reshape(4)
+        bias = np.array(table.get("accelerometer_bias", [0.0, 0.0, 0.0]), float).reshape(3)
+        if "covariance" in table:
+            covariance = np.array(table["covariance"], float).reshape(6, 6)
+        else:
+            sigma = np.radians(np.array(table["rotation_sigma_deg"], float).reshape(3))
+            covariance = np.diag(np.r_[sigma**2, np.zeros(3)])
+    except (KeyError, TypeError, ValueError) as error:
+        what = f"lacks {error}" if isinstance(error, KeyError) else f"contains a wrong value ({error})"
+        raise CalibrationError(f"{file.source}: [{NAME}] {what}; {again}.") from None
+    finite = all(np.isfinite(values).all() for values in (q, bias, covariance))
+    if not (finite and abs(np.linalg.norm(q) - 1) < 1e-3 and np.linalg.eigvalsh(covariance)[0] > -1e-9):
+        raise CalibrationError(
+            f"{file.source}: [{NAME}] has no unit quaternion [qw, qx, qy, qz] with its covariance; {again}."
+        )
+    R_K_B = Rotation.from_quat(q, scalar_first=True).as_matrix()
+    return CameraFromBase(R_K_B, bias, covariance, bool(table.get("accelerometer_corrected", False)))
+
+
+def _quaternion(R: Rotation) -> list[float]:
+    return np.asarray(R.as_quat(canonical=True, scalar_first=True)).tolist()
+
+
+#: What a bias drifts with temperature, m/s^2; axes of the skeleton against those of the images, rad.
+_DRIFT_M_S2, _SKELETON_RAD = 0.02, np.radians(0.05)
+#: A camera that tilts by more than this in a recording did not stand still, rad.
+_MOVED_RAD = np.radians(0.7)
+#: So much of a recording is looked at together, s.
+_PART_S = 600
+#: Optical axes (x right, y down, z forward) to those of the skeleton.
+_FROM_OPTICAL = {CameraFrame.OPTICAL: np.eye(3), CameraFrame.KINECT: np.diag([-1.0, -1.0, 1.0])}
+
+
+def with_gravity(recording: Recording, file: CalibrationFile) -> Recording:
+    """The recording with down in the camera from its base IMU, where both know it."""
+    known, base = read_table(file), recording.base_imu
+    if known is None or base is None or len(base) == 0:
+        return recording
+    sensor = sensor_of(file, base.name)
+    is_corrected = sensor is not None and sensor.accelerometer is not None
+    if recording.camera_frame not in _FROM_OPTICAL:
+        note = "The base IMU was not used: the camera's axes of the recording are unknown."
+    elif is_corrected != known.accelerometer_corrected:
+        note = (
+            "The base IMU was not used: its accelerometer's calibration is newer or older than "
+            "[camera_from_base]; run `unocclude calibrate world` again."
+        )
+    else:
+        down, sigma, moved = down_of(known, base)
+        note = f"Gravity in the camera is from the base IMU, good to {np.degrees(sigma):.1f} degrees."
+        if moved > _MOVED_RAD:
+            note += f" The camera was tilted by up to {np.degrees(moved):.1f} degrees while it recorded."
+        hint = _FROM_OPTICAL[recording.camera_frame] @ down
+        recording = replace(recording, gravity_hint=hint, gravity_sigma_rad=sigma)
+    return replace(recording, notes=(*recording.notes, note))
+
+
+def down_of(known: CameraFromBase, base: ImuStream) -> tuple[FloatArray, float, float]:
+    """Down in {K} (3,) by the base IMU, its sigma (rad per axis), and how far the camera tilted (rad)."""
+    means = _means(base)
+    acc = np.median(means, axis=0) - known.accelerometer_bias
+    each = (means - known.accelerometer_bias) / np.linalg.norm(means, axis=1)[:, None]
+    up = acc / np.linalg.norm(acc)
+    away = np.linalg.norm(np.cross(each, up), axis=1)
+    moved = float(np.percentile(away, 95)) if len(away) > 1 else 0.0
+    drifted = known.covariance.copy()
+    drifted[3:, 3:] += _DRIFT_M_S2**2 * np.eye(3)
+    variance = np.trace(tilt_covariance(known.R_K_B, drifted, acc)) / 2
+    sigma = float(np.sqrt(variance + _SKELETON_RAD**2 + (moved if moved > _MOVED_RAD else 0.0) ** 2))
+    return -known.R_K_B @ up, sigma, moved
+
+
+def _means(base: ImuStream) -> FloatArray:
+    """Specific force (seconds, 3) averaged over each second that has samples, a part at a time."""
+    second = np.floor(base.t_s - base.t_s[0]).astype(int)
+    means = []
+    for start in range(0, int(second[-1]) + 1, _PART_S):
+        rows = slice(*np.searchsorted(second, [start, start + _PART_S]).tolist())
+        _, inverse = np.unique(second[rows], return_inverse=True)
+        count = np.bincount(inverse)
+        means += [np.stack([np.bincount(inverse, base.acc[rows, i]) / count for i in range(3)], axis=1)]
+    return np.concatenate(means)
