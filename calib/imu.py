@@ -791,10 +791,9 @@ def magnetometer_answer(calibration: MagnetometerCalibration, imu_name: str) -> 
         f"{100 * coverage.share:.0f} % of the sphere's cells were covered, the largest hole reaches"
         f" {np.degrees(coverage.hole_rad):.0f} degrees",
     )
-    again = (
+    advice: tuple[str, ...] = (
         "calibrate again when the sensor's battery, case or strap buckle changes: iron on it moves the field"
     )
-    advice = (again,)
     if calibration.residual > 0.5 * LARGE_MAG_RESIDUAL:
         advice = (
             "turn the sensor on one spot rather than carrying it about, half a metre from iron, loudspeakers"
