@@ -6,9 +6,10 @@ import json
 from pathlib import Path
 from typing import Any, TypeVar
 
+import typer
 from pydantic import BaseModel, ValidationError
 
-from ..config import Config
+from ..config import Anatomy, ArmPrior, Config
 from ..errors import UnoccludeError
 from ..runtime.inputs import check_input, read_toml
 
@@ -23,8 +24,13 @@ def read_config(
 ) -> Config:
     """Read a configuration; what neither it nor the options name keeps its default."""
     config = with_processes(read_settings(path, Config), processes)
-    config = config if anatomy is None else with_anatomy(config, anatomy)
-    return config if height_m is None else with_height(config, height_m)
+    arm: dict[str, Any] = {} if anatomy is None else {"anatomy": Anatomy(anatomy)}
+    if height_m is not None:
+        try:
+            arm["height_m"] = ArmPrior(height_m=height_m).height_m
+        except ValidationError as error:
+            raise typer.BadParameter(f"--body-height is in m, as 1.75; not {height_m:g}") from error
+    return config.model_copy(update={"arm": config.arm.model_copy(update=arm)}) if arm else config
 
 
 def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
@@ -94,28 +100,3 @@ def _value(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
     return json.dumps(value, ensure_ascii=False)
-
-
-def with_anatomy(config: Config, name: str) -> Config:
-    """The configuration for another person's arm."""
-    import typer
-
-    from ..config import Anatomy
-
-    if name not in tuple(Anatomy):
-        raise typer.BadParameter(f"--anatomy is one of {', '.join(Anatomy)}, not {name}")
-    return config.model_copy(update={"arm": config.arm.model_copy(update={"anatomy": Anatomy(name)})})
-
-
-def with_height(config: Config, height_m: float) -> Config:
-    """The configuration for a person of this height, m."""
-    import typer
-    from pydantic import ValidationError
-
-    from ..config import ArmPrior
-
-    try:
-        ArmPrior(height_m=height_m)
-    except ValidationError as error:
-        raise typer.BadParameter(f"--body-height is in m, as 1.75; not {height_m:g}") from error
-    return config.model_copy(update={"arm": config.arm.model_copy(update={"height_m": height_m})})

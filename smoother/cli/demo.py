@@ -125,19 +125,8 @@ def _recording(folder: Path) -> Path:
 
 
 PACKAGES = (
-    "unocclude",
-    "gtsam",
-    "numpy",
-    "scipy",
-    "vqf",
-    "mcap",
-    "protobuf",
-    "foxglove-schemas-protobuf",
-    "pydantic",
-    "typer",
-    "rich",
-    "plotly",
-    "opencv-python-headless",
+    *("unocclude", "gtsam", "numpy", "scipy", "vqf", "mcap", "protobuf", "foxglove-schemas-protobuf"),
+    *("pydantic", "typer", "rich", "plotly", "opencv-python-headless"),
 )
 
 

@@ -2,95 +2,130 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from ..errors import UnoccludeError
 from . import options as o
-from .live_arms import check_arms, further_streams, receivers_of, sides_of, streams_of_arms, together
 from .live_lines import Lines
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
 
 if TYPE_CHECKING:
     from ..config import Config
-    from ..streams.arrivals import Source
+    from ..streams.arrivals import Source, SourceInfo
     from ..streams.lsl_source import LslSource
     from ..streams.session import LiveSession, Receiver, SessionCalibration
     from ..streams.session_recording import Recorder
 
 
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
-
-
 class StopRequest:
-    """Takes signals and keys down; nothing is interrupted, so that the recording stays whole.
-
-    Keys on a terminal: `q` ends, `s` ends and smooths what was recorded.
-    """
+    """Takes signals down; nothing is interrupted, so that the recording stays whole."""
 
     def __init__(self) -> None:
-        self.wanted = self.smooth = self.killed = False
+        self.wanted = self.killed = False
         self._before: dict[int, Any] = {}
-        self._terminal: list[Any] | None = None
 
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():
-            for name in _SIGNALS:
+            for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
                 number = getattr(signal, name, None)
                 if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._end)
-        with suppress(ImportError, OSError, ValueError, AttributeError):
-            import termios
-            import tty
-
-            # in the background of a shell, a change of the terminal would stop this program
-            if sys.stdin.isatty() and os.getpgrp() == os.tcgetpgrp(sys.stdin.fileno()):
-                self._terminal = termios.tcgetattr(sys.stdin)
-                tty.setcbreak(sys.stdin)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
-        if self._terminal is not None:
-            import termios
-
-            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
-
-    @property
-    def has_keys(self) -> bool:
-        """Keys are listened to."""
-        return self._terminal is not None
 
     def __call__(self) -> bool:
         """Whether the session is to end."""
-        if self._terminal is not None and not self.wanted:
-            self._read_key()
         return self.wanted
-
-    def _read_key(self) -> None:
-        import select
-
-        if select.select([sys.stdin], [], [], 0)[0]:
-            key = os.read(sys.stdin.fileno(), 1).decode("ascii", "ignore").lower()
-            self.wanted = key in ("q", "s")
-            self.smooth = key == "s"
-            if not key:  # the terminal has gone
-                self._terminal = None
 
     def _end(self, number: int, _: FrameType | None) -> None:
         self.wanted = True
         self.killed |= number != signal.SIGINT
+
+
+def streams_of(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | None, dict[str, str]]:
+    """Names of streams or topics by arm and segment ("" is the forearm), of `--imu [PLACE=]STREAM`."""
+    from ..body import FURTHER
+
+    places = {
+        "-".join(filter(None, (side if len(sides) > 1 else None, segment.replace("_", "-")))): (side, segment)
+        for side in sides
+        for segment in ("", *(each.name for each in FURTHER))
+    }
+    streams: dict[str | None, dict[str, str]] = {side: {} for side in sides}
+    for text in given:
+        key, mark, name = text.partition("=")
+        if len(sides) == 1 and not mark:
+            key, name = "", text
+        side, segment = places.get(key, (None, None))
+        if segment is None or not name or segment in streams[side]:
+            known = ", ".join(filter(None, places))
+            raise typer.BadParameter(f"--imu {text}: give PLACE=STREAM once for each place, of {known}")
+        streams[side][segment] = name
+    return streams
+
+
+def check_arms(infos: Sequence[SourceInfo], replay: Path | None) -> None:
+    """Refuse two arms of which one stream is to be both."""
+    names = [name for info in infos for name in info.imus.values()]
+    if replay is not None and len(set(names)) < len(names):
+        raise UnoccludeError(
+            f"{replay}: which IMU is on which arm does not show by the topics' names; give --imu right=TOPIC"
+            " --imu left=TOPIC"
+        )
+
+
+def receivers_of(
+    infos: Sequence[SourceInfo],
+    foxglove: int | None,
+    lsl_out: str | None,
+    lsl_network: bool,
+    stack: ExitStack,
+) -> list[list[Receiver]]:
+    """Who is sent the answers of each arm, and where they are found."""
+    info, *others = infos
+    receivers: list[list[Receiver]] = [[] for _ in infos]
+    if foxglove is not None:
+        from ..streams.foxglove import FoxgloveServer
+
+        server = FoxgloveServer(info, foxglove, others)
+        stack.callback(server.close)
+        say(f"Foxglove: open connection, Foxglove WebSocket, {server.address}; layout:"
+            " docs/unocclude.foxglove-layout.json")  # fmt: skip
+        for number, of_arm in enumerate(receivers):
+            of_arm.append(partial(server.send, number=number))
+    if lsl_out is not None:
+        from ..streams.lsl import LslOutlet
+        from ..streams.lsl_local import LocalLslOutlet
+
+        for of_arm, each in zip(receivers, infos, strict=True):
+            name = f"{lsl_out}_{each.side}" if others else lsl_out
+            outlet = (LslOutlet if lsl_network else LocalLslOutlet)(name, each)
+            stack.callback(outlet.close)
+            of_arm.append(outlet.send)
+            who = "all computers of this network" if lsl_network else "this computer"
+            say(f"LSL: streams {name} and {name}_settled, for {who}")
+    return receivers
+
+
+def together(infos: Sequence[SourceInfo], figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Figures of the session; of two arms the first one's, and `arms` with each."""
+    if len(figures) == 1:
+        return figures[0]
+    each = [{"side": info.side, **own} for info, own in zip(infos, figures, strict=True)]
+    return {**each[0], "arms": each}
 
 
 @contextmanager
@@ -127,16 +162,6 @@ def engine_sessions(
             stack.enter_context(engine)
             sessions.append(LiveSession(source, engine, calibration, recording, of_arm, number))
         yield sessions
-
-
-def run_sessions(sessions: Sequence[LiveSession], stop_request: StopRequest) -> list[dict[str, Any]]:
-    """Run the sessions of all arms until they end, and show them; their figures."""
-    from ..streams.session import run_together
-
-    if sys.stdout.isatty():
-        say("q ends, s ends and smooths" if stop_request.has_keys else "Ctrl-C ends")
-    with Lines() as lines:
-        return [each.figures() for each in run_together(sessions, stop_request, lines.show)]
 
 
 def print_source(source: Source, calibration: SessionCalibration) -> None:
@@ -187,8 +212,9 @@ def live(
     imu: Annotated[
         list[str] | None,
         o.option(
-            "The IMU's LSL stream; a topic with --replay. With --arms both right=STREAM and left=STREAM.",
-            metavar="STREAM",
+            "The IMU's LSL stream; a topic with --replay. Of several each with its place: upper-arm, hand;"
+            " with --arms both right, left, right-upper-arm, ..",
+            metavar="[PLACE=]STREAM",
         ),
     ] = None,
     skeleton: Annotated[
@@ -196,10 +222,6 @@ def live(
     ] = None,
     gyro: Annotated[
         str | None, o.option("The gyroscope's LSL stream, if it has one of its own.", metavar="STREAM")
-    ] = None,
-    further_imu: Annotated[
-        list[str] | None,
-        o.option("A further IMU's: upper-arm=NAME; may be given again.", metavar="SEGMENT=STREAM"),
     ] = None,
     side: Annotated[Literal["left", "right"] | None, o.option("The arm that wears the IMU.")] = None,
     arms: Annotated[Literal["one", "both"], o.option("Both arms of a person, each with its IMU.")] = "one",
@@ -233,14 +255,16 @@ def live(
 ) -> None:
     """Recover the arm live: now, and a moment ago with less error.
 
-    Streams come from the Lab Streaming Layer, with labelled channels and units. Ctrl-C (or q) ends the
-    session with a complete recording; s ends it and smooths the recording. Needs
-    `pip install '.[live]'`.
+    Streams come from the Lab Streaming Layer, with labelled channels and units. Ctrl-C ends the session with
+    a complete recording. Needs `pip install '.[live]'`.
 
     Example: unocclude live --imu wrist --skeleton kinect --side right --record session.mcap --foxglove
     """
-    sides = sides_of(arms, side, gyro)
-    imus, further = streams_of_arms(imu or (), sides), further_streams(further_imu or (), sides)
+    if arms == "both" and gyro is not None:
+        raise typer.BadParameter("--gyro is of one arm; with --arms both send each IMU in one stream")
+    both: list[str | None] = ["left", "right"] if side == "left" else ["right", "left"]
+    sides = [side] if arms == "one" else both
+    imus = streams_of(imu or (), sides)
     if lsl_network and lsl_out is None:
         raise typer.BadParameter("--lsl-network is of what --lsl-out sends; give it as well")
     if then_smooth and record is None:
@@ -248,8 +272,9 @@ def live(
     for option, given in (("--speed", speed != 1.0), ("--latency", latency is not None)):
         if given and replay is None:
             raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
-    for option, name in (("--body", body), ("--gyro", gyro), ("--further-imu", "".join(further_imu or ()))):
-        if replay is not None and name:
+    further = any(set(streams) - {""} for streams in imus.values())
+    for option, named in (("--body", body), ("--gyro", gyro), ("a further --imu", further)):
+        if named and replay is not None:
             raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
     recovered = None
     if record is not None:
@@ -261,7 +286,7 @@ def live(
     from ..streams.lsl import lsl_module
     from ..streams.lsl_source import LslSource
     from ..streams.replay import Replay
-    from ..streams.session import SessionCalibration, prefer_side, read_calibration_file
+    from ..streams.session import SessionCalibration, prefer_side, read_calibration_file, run_together
     from ..streams.session_recording import Recorder, SessionRecording, check_recording
     from .config import read_config
 
@@ -279,10 +304,11 @@ def live(
         received: LslSource | None = None
         for each in sides:
             if replay is not None:
-                played = Replay(replay, imus[each], skeleton, each, prefer, speed, latency, played)
+                played = Replay(replay, imus[each].get(""), skeleton, each, prefer, speed, latency, played)
                 sources.append(played)
                 continue
-            received = LslSource(imus[each], skeleton, each, prefer, body, gyro, further[each], received)
+            forearm = imus[each].pop("", None)
+            received = LslSource(forearm, skeleton, each, prefer, body, gyro, imus[each], received)
             stack.callback(received.close)
             if not sources:
                 say(f"looking for the streams, at most {wait:g} s")
@@ -303,7 +329,10 @@ def live(
         sessions = stack.enter_context(
             engine_sessions(sources, calibrations, config, lag, recording, receivers)
         )
-        figures = run_sessions(sessions, stop_request)
+        if sys.stdout.isatty():
+            say("Ctrl-C ends")
+        with Lines() as lines:
+            figures = [each.figures() for each in run_together(sessions, stop_request, lines.show)]
     write_json(json_file, together(infos, figures), force)
     for info, own in zip(infos, figures, strict=True):
         print_session(own, f"{info.side} arm, " if len(sides) > 1 else "")
@@ -314,7 +343,7 @@ def live(
     arguments = ["smooth", str(record), "-o", str(recovered)]
     for option, value in (("--calibration", calibration), ("--config", config_file)):
         arguments += [] if value is None else [option, str(value)]
-    if (then_smooth or stop_request.smooth) and not stop_request.killed:
+    if then_smooth and not stop_request.killed:
         smooth_recording([*arguments, *(["--force"] if force else [])])
     else:
         say_command(*arguments)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +16,13 @@ from ..evaluation.methods import METHODS
 from ..table import Table
 from . import options as o
 from .arm_output import (
+    MOST_SENTENCES,
     arms_figures,
     end_strictly,
     print_arm,
     print_camera,
     print_clock,
     say_arm,
-    say_untrusted_parts,
     say_verdict,
 )
 from .load import ArmInput, damage
@@ -31,7 +31,6 @@ from .output import (
     check_mcap,
     check_outputs,
     is_imported,
-    print_notes,
     progress_bar,
     say,
     say_more,
@@ -215,6 +214,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     from calib.motion import found_in
 
     from ..evaluation.summary import camera_sentences, gap_summaries
+    from ..result.untrusted import untrusted_sentences
 
     gaps = list(enumerate(gap_summaries(recovery), start=1))
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
@@ -236,15 +236,22 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     found = found_in(recovery, recording)
     if verbose:
         say_more(len(gaps), most, "gaps more; --json and the report have them all")
-        say_untrusted_parts(recovery)
         if found is not None:
             print_found(found)
-        print_rejected(recovery)
-        print_notes([*recording.notes, *recovery.notes], imported=True)
-    else:
-        remarks = _remarks(recording, recovery, () if found is None else found.not_determined)
-        table = len(rows) + TABLE_LINES if rows else 0
-        print_remarks(remarks, MOST_LINES - _verdict_lines(recovery) - table - 3)
+        show(rejected_table(recovery))
+    notes = dict.fromkeys((*recording.notes, *recovery.notes))
+    damaged = damage(notes)
+    remarks = [
+        *(f"not to be trusted: {sentence}" for sentence in untrusted_sentences(recovery)),
+        *(f"note: {note}" for note in damaged),
+        *(f"not determined: {sentence}" for sentence in (() if found is None else found.not_determined)),
+        *(f"note: {each}" for each in notes if each not in damaged and (verbose or not is_imported(each))),
+    ]
+    few = MOST_SENTENCES if verbose else FEW_REMARKS
+    for remark in remarks[:few]:
+        say(remark)
+    how = "" if verbose else "--verbose prints them, "
+    say_more(len(remarks), few, f"more remarks; {how}--json and the report have them")
 
 
 def _doubt(gap: GapSummary) -> tuple[bool, float]:
@@ -266,55 +273,17 @@ def _gap_row(number: int, gap: GapSummary) -> tuple[object, ...]:
     )
 
 
-def _remarks(recording: Recording, recovery: Recovery, not_determined: Iterable[str]) -> list[str]:
-    """What must be known of a result, the most important first: one sentence each, with what it is."""
-    from ..result.untrusted import untrusted_sentences
-
-    notes = [note for note in (*recording.notes, *recovery.notes) if not is_imported(note)]
-    damaged = damage(notes)
-    return [
-        *(f"not to be trusted: {sentence}" for sentence in untrusted_sentences(recovery)),
-        *(f"note: {note}" for note in dict.fromkeys(damaged)),
-        *(f"not determined: {sentence}" for sentence in not_determined),
-        *(f"note: {note}" for note in dict.fromkeys(notes) if note not in damaged),
-    ]
-
-
-def _verdict_lines(recovery: Recovery) -> int:
-    """How many lines `say_verdict` takes."""
-    estimates = recovery.estimates
-    signs = len(estimates.reasons[1:]) if estimates.cause else 0
-    return bool(estimates.verdict) + (estimates.self_check is not None) + signs
-
-
-def print_remarks(remarks: Sequence[str], lines: int) -> None:
-    """Print remarks on this many lines, one at least: the first of them, and how many more there are.
-
-    What is not to be trusted, and what is damaged, is printed in any case.
-    """
-    damaged = len(damage(each.removeprefix("note: ") for each in remarks))
-    grave = damaged + sum(each.startswith("not to be trusted") for each in remarks)
-    few = len(remarks) if len(remarks) <= max(lines, 1) else max(lines - 1, min(grave, MOST_GRAVE))
-    for remark in remarks[:few]:
-        say(remark)
-    if more := len(remarks) - few:
-        counted = f".. and {more} more remarks" if few else f"{more} remarks on the result"
-        say(f"{counted}: --verbose prints them, --json and the report have them")
-
-
 def print_found(found: ArmEstimates) -> None:
-    """Print what the recording showed of arm, sensor and clock, and what it did not."""
+    """Print what the recording showed of arm, sensor and clock."""
     if not found.all_given:
         print_arm(found)
     for offset in found.offsets:
         print_clock(offset)
     print_camera(found)
-    for sentence in found.not_determined:
-        say(f"not determined: {sentence}")
 
 
-def print_rejected(recovery: Recovery) -> None:
-    """Print what was rejected of the camera's samples, one row per reason."""
+def rejected_table(recovery: Recovery) -> Table:
+    """What was rejected of the camera's samples, one row per reason."""
     from ..evaluation.advice import rejected
 
     rows = rejected(recovery)
@@ -330,12 +299,12 @@ def print_rejected(recovery: Recovery) -> None:
             )
         )
     columns = ("why", "samples (share of the joint's tracked ones)", "first .. last, s")
-    show(Table("Tracked samples that were rejected", columns, table))
+    return Table("Tracked samples that were rejected", columns, table)
 
 
 #: A table longer than this is too long for a terminal: without --verbose this many gaps are shown.
 MOST_ROWS, FEW_GAPS = 25, 4
-#: An arm takes this many lines; this many grave remarks are printed anyway; lines of a table besides rows.
-MOST_LINES, MOST_GRAVE, TABLE_LINES = 15, 3, 5
+#: And this many remarks, the gravest first.
+FEW_REMARKS = 5
 #: A normal error is smaller than this many sigmas in 95 of 100 cases.
 SIGMAS_95 = 1.96

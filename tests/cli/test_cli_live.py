@@ -20,7 +20,6 @@ from made_recordings import make
 
 import smoother.live.smoother
 from smoother.cli import live as command
-from smoother.cli.live import StopRequest
 from smoother.cli.live_lines import Lines, words
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
@@ -171,21 +170,3 @@ def test_lines_tell_each_event_once(capsys):
     said = capsys.readouterr().out
     assert said.count("one happened") == 1
     assert said.count("two happened") == 2
-
-
-def test_keys_end_a_session(monkeypatch):
-    pty = pytest.importorskip("pty")
-    master, slave = pty.openpty()
-    with os.fdopen(slave) as terminal:
-        monkeypatch.setattr(sys, "stdin", terminal)
-        monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp())
-        with StopRequest() as stop_request:
-            assert stop_request.has_keys
-            os.write(master, b"x")
-            assert not stop_request()
-            os.write(master, b"s")
-            deadline = time.monotonic() + 5
-            while not stop_request() and time.monotonic() < deadline:
-                time.sleep(0.01)
-            assert (stop_request.wanted, stop_request.smooth) == (True, True)
-    os.close(master)

@@ -123,15 +123,15 @@ def test_what_a_person_gets_wrong(both, capsys):
         return said
 
     played = ("--replay", str(both))
-    assert "give one or both" in sentence(*played, "--arms", "three")
-    assert "right=STREAM and left=STREAM" in sentence(*played, "--arms", "both", "--imu", "wrist")
-    assert "right=STREAM and left=STREAM" in sentence("--arms", "both", "--imu", "up=wrist")
-    assert "--imu is given twice" in sentence("--imu", "a", "--imu", "b")
+    assert "'three' is not one of 'one', 'both'" in sentence(*played, "--arms", "three")
+    places = "of right, right-upper-arm, right-hand, left, left-upper-arm, left-hand"
+    for imu in ("wrist", "up=wrist", "hand=a"):
+        assert places in sentence("--arms", "both", "--imu", imu)
+    assert "once for each place, of upper-arm, hand" in sentence("--imu", "a", "--imu", "b")
+    assert "once for each place" in sentence("--imu", "hand=a", "--imu", "hand=b")
+    assert "of upper-arm, hand" in sentence("--imu", "leg=a")
     assert "--gyro is of one arm" in sentence("--arms", "both", "--gyro", "g")
-    assert "--further-imu is of a stream" in sentence(*played, "--further-imu", "hand=a")
-    assert "of upper-arm, hand" in sentence("--further-imu", "leg=a")
-    assert "of right-upper-arm, right-hand" in sentence("--arms", "both", "--further-imu", "hand=a")
-    assert "once for each segment" in sentence("--further-imu", "hand=a", "--further-imu", "hand=b")
+    assert "a further --imu is of a stream" in sentence(*played, "--imu", "hand=a")
     same = ("--imu", "right=/imu/forearm_left", "--imu", "left=/imu/forearm_left")
     said = sentence(*played, "--arms", "both", "--speed", "0", *same, code=1)
     assert "/imu/forearm_left" in said or "which IMU is on which arm" in said

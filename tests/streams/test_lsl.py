@@ -216,8 +216,8 @@ def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     outlets = lab.start("lsl_lab.py", "play", both, "imu", "kinect", "--both")
     lines_until(outlets, "ready")
     arguments = ["--arms", "both", "--imu", "right=imu_right", "--imu", "left=imu_left"]
-    arguments += ["--further-imu", "right-upper-arm=imu_right_upper_arm"]
-    arguments += ["--further-imu", "left-upper-arm=imu_left_upper_arm", "--skeleton", "kinect"]
+    arguments += ["--imu", "right-upper-arm=imu_right_upper_arm"]
+    arguments += ["--imu", "left-upper-arm=imu_left_upper_arm", "--skeleton", "kinect"]
     arguments += ["--lsl-out", "arm", "--record", "session.mcap", "--json", "session.json"]
     live = lab.start("live_program.py", "--echo", "live", *arguments)
     lines_until(live, "LSL: streams arm_left and arm_left_settled, for this computer")
