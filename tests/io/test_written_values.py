@@ -4,38 +4,30 @@ from __future__ import annotations
 
 import csv
 import json
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
 from smoother.calibration import ArmCalibration, Length, LeverArm
-from smoother.cli.config import read_config, to_toml
-from smoother.config import Config
 from smoother.io import export_csv, read_recovery, write_recovery
 from smoother.io.export.csv import csv_columns
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
-from smoother.io.export.storage import MotTable, write_mot
-from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.mcap.repair import repair_container
 from smoother.io.recording.read import open_recording
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import write_recording
-from smoother.io.rig.images import raw_image, read_images
-from smoother.io.tables.columns import Guess, toml_of
 from smoother.io.tables.markers import read_c3d, read_trc
 from smoother.io.wire.protobuf_encode import encoded
 from smoother.io.wire.schemas import parsed
 from smoother.result import Recovery
-from smoother.runtime.outputs import writing
 
 quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 START = 1_700_000_000 * 10**9
@@ -205,42 +197,6 @@ def test_c3d(tmp_path: Path, position: np.ndarray, data: st.DataObject):
 
 
 @few
-@given(st.integers(1, 8), words, st.data())
-def test_motion_files(tmp_path: Path, count: int, name: str, data: st.DataObject):
-    columns = arrays.arrays(np.float64, count, elements=large)
-    angles = {key: data.draw(columns) for key in ("elbow_flexion", "pro_sup")}
-    flags = [data.draw(arrays.arrays(np.bool_, count)) for _ in range(2)]
-    table = MotTable(np.arange(count) / 100, 100.0, angles, *flags, notes=())
-    write_mot(table, tmp_path / "a.mot", replace(recovery(60), name=name), force=True)
-    text = (tmp_path / "a.mot").read_bytes().decode()
-    assert text.split("\n")[1:4] == ["version=1", f"nRows={count}", "nColumns=5"]
-    _, _, body = text.partition("endheader\n")
-    header, *rows = [line.split("\t") for line in body.splitlines()]
-    assert header == ["time", *angles, "occluded", "answered"]
-    wanted = np.column_stack([table.t_s, *angles.values(), *flags])
-    np.testing.assert_allclose(np.array(rows, float), wanted, atol=0.5e-9, rtol=1e-15)
-
-
-@few
-@given(words, st.dictionaries(st.sampled_from(["ax", "ay", "t_s"]), words | st.integers(1, 99)), words)
-@example("\x7f.csv", {"ax": "a\x7f\x85"}, "\n[imu]")
-def test_described_tables(file: str, columns: dict[str, object], unit: str):
-    """Names that a stranger gave to columns are text of the recording.toml, and nothing else."""
-    file = file.replace("/", "").replace("\0", "") or "a"
-    guess = Guess("imu", columns, {"accelerometer_unit": unit}, {"accelerometer_unit": "the size says so"})
-    section = tomllib.loads(toml_of(Path(file), guess, "forearm"))["imu"]["forearm"]
-    assert section == {"file": file, "accelerometer_unit": unit, "columns": columns}
-
-
-@few
-@given(st.floats(1e-4, 1.0), st.booleans(), st.integers(1, 64))
-def test_settings(tmp_path: Path, sigma: float, shared: bool, processes: int):
-    config = Config.model_validate({"camera": {"joint_sigma_m": sigma}, "windows": {"processes": processes}})
-    (tmp_path / "a.toml").write_text(to_toml(config), encoding="utf-8")
-    assert read_config(tmp_path / "a.toml") == config
-
-
-@few
 @given(
     arrays.arrays(np.float64, st.tuples(st.integers(1, 5), st.just(3)), elements=any_number),
     st.lists(st.integers(-(2**62), 2**62), min_size=5, max_size=5),
@@ -258,19 +214,3 @@ def test_messages_that_are_encoded_together(acc: np.ndarray, stamps: list[int], 
         for name in names[2:4]:
             got = getattr(message, name)
             np.testing.assert_array_equal([got.x, got.y, got.z], vector)
-
-
-@few
-@given(
-    arrays.arrays(np.uint16, st.tuples(st.integers(1, 5), st.integers(1, 5))),
-    st.integers(1, 2**62),
-    words,
-)
-def test_images(tmp_path: Path, depth: np.ndarray, stamp: int, frame: str):
-    path, data = tmp_path / "a.mcap", raw_image(frame, "16UC1", depth, stamp)
-    with writing(path, True) as temporary, Output(temporary) as output:
-        channel = output.channel("/depth", "foxglove.RawImage")
-        output.write([OutputStream(channel, np.array([stamp]), lambda part: [data])])
-    (image,) = read_images(path)
-    assert (image.stamp_ns, image.frame_id) == (stamp, frame)
-    np.testing.assert_array_equal(image.pixels(), depth)

@@ -32,21 +32,6 @@ def preintegrated(acc: FloatArray, gyro: FloatArray, h: float) -> gtsam.Preinteg
     return pim
 
 
-def zero_order_hold(imu: ImuStream, start_s: float, end_s: float, held_from: str) -> Preintegration:
-    """Each sample held constant, from its stamp (the mistake) or over its own interval."""
-    half = 0.5 / imu.rate_hz
-    begin = imu.t_s if held_from == "stamp" else imu.t_s - half
-    h = 1e-4
-    t = start_s + h * (np.arange(round((end_s - start_s) / h)) + 0.5)
-    row = np.searchsorted(begin, t, side="right") - 1
-    R, v, p = Rotation.identity(), np.zeros(3), np.zeros(3)
-    for k in row:
-        a = R.apply(imu.acc[k])
-        p, v = p + h * v + 0.5 * h * h * a, v + h * a
-        R = R * Rotation.from_rotvec(imu.gyro[k] * h)
-    return Preintegration(R.as_matrix()[None], v[None], p[None], np.array([end_s - start_s]))
-
-
 @pytest.mark.parametrize("rate_hz", [40.0, 100.0, 285.714])
 def test_means_over_the_samples_are_the_samples(rate_hz: float) -> None:
     """The cumulative sum goes through the edges, so a sample's own interval gives the sample back."""
@@ -136,19 +121,6 @@ def test_integrate_against_the_closed_form(seed: int, rate_hz: float) -> None:
     assert np.abs(motion.delta_p - p).max() < 6e-4
 
 
-def test_integrate_is_of_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Halving the step quarters the error: a wrong coefficient anywhere would leave first order."""
-    curve, t = Curve(1), np.array([0.7, 1.7, 2.7])
-    signal, errors = InertialSignal(curve.imu(400.0, 4.0)), []
-    R, v, p = curve.increments(t)
-    for rate in (240.0, 480.0):
-        monkeypatch.setattr("smoother.measurements.inertial.FINE_STEP_S", 1.0 / rate)
-        motion = integrate(signal, t, NO_BIAS)
-        distances = (motion.delta_v - v, motion.delta_p - p)
-        errors.append([angle_rad(motion.delta_R, R).max(), *(np.abs(each).max() for each in distances)])
-    np.testing.assert_allclose(np.divide(errors[0], errors[1]), 4.0, rtol=0.1)
-
-
 def test_integrate_against_an_ode_solver_with_bias() -> None:
     """The same signal, less a bias, by scipy at rtol 1e-10: what the steps cost, without the sampling."""
     signal = InertialSignal(Curve(5).imu(100.0, 3.0))
@@ -171,33 +143,6 @@ def test_integrate_against_an_ode_solver_with_bias() -> None:
     np.testing.assert_allclose(motion.delta_p[0], end[12:], atol=1e-5)
 
 
-def test_integrate_with_a_bias_an_interval_is_the_same_as_one_for_all() -> None:
-    signal = InertialSignal(Curve(6).imu(80.0, 3.0))
-    t = np.array([0.3, 0.31, 0.4, 0.52, 1.0])
-    bias = np.array([0.0, 0.01, 0.02, 0.03, 0.04, 0.05])
-    one, each = integrate(signal, t, bias), integrate(signal, t, np.tile(bias, (4, 1)))
-    np.testing.assert_array_equal(one.delta_p, each.delta_p)
-    np.testing.assert_array_equal(one.delta_R, each.delta_R)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_sample_is_centred_on_its_stamp(seed: int) -> None:
-    """At 40 Hz, holding a sample from its stamp is a shift of 12.5 ms: it must cost far more than we do."""
-    curve = Curve(seed, fastest_hz=1.0)
-    imu = curve.imu(40.0, 4.0)
-    t = np.array([1.0, 2.0])
-    _, v, p = curve.increments(t)
-    motion = integrate(InertialSignal(imu), t, NO_BIAS)
-    shifted = zero_order_hold(imu, 1.0, 2.0, "stamp")
-    centred = zero_order_hold(imu, 1.0, 2.0, "centre")
-
-    def error(motion: Preintegration) -> float:
-        return float(np.linalg.norm(motion.delta_p - p) + np.linalg.norm(motion.delta_v - v))
-
-    assert error(motion) < 0.02 * error(shifted)
-    assert error(motion) < error(centred)
-
-
 @pytest.mark.parametrize("rate_hz", [80.0, 120.0, 285.714])
 def test_smooth_motion_is_no_knock(rate_hz: float) -> None:
     """Brisk smooth motion must not widen the accelerometer's noise: 0.02 m/s^2/sqrt(Hz) is the default."""
@@ -206,15 +151,6 @@ def test_smooth_motion_is_no_knock(rate_hz: float) -> None:
     density = InertialSignal(imu).velocity_error(t) / np.sqrt(np.diff(t))
     assert density.max() < 0.02  # added in quadrature: at most 40 % at the briskest moment
     assert np.median(density) < 0.005
-
-
-def test_sensor_noise_is_no_knock() -> None:
-    """White noise of an ordinary MEMS accelerometer at rest stays far below the default density."""
-    rng = np.random.default_rng(0)
-    imu = Curve(7).imu(100.0, 10.0)
-    noisy = ImuStream("", imu.t_s, imu.acc + 0.03 * rng.normal(size=imu.acc.shape), imu.gyro)
-    t = np.arange(0.1, 9.9, 1 / 30)
-    assert (InertialSignal(noisy).velocity_error(t) / np.sqrt(np.diff(t))).max() < 0.02
 
 
 def test_a_knock_is_felt_where_it_is() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from made_segments import ELBOW, FOREARM_M, HAND, WRIST, forearm, still_imu, with_position
 from made_segments import STRAP as STRAP_COLUMN
 
-from smoother.array_types import BoolArray, FloatArray
+from smoother.array_types import FloatArray
 from smoother.measurements.alignment import Alignment
 from smoother.measurements.inertial import InertialSignal
 from smoother.measurements.outliers import (
@@ -33,67 +33,9 @@ X = np.array([1.0, 0.0, 0.0])
 RESTING = Alignment(np.zeros(1), Rotation.from_quat([[0.0, 0.0, 0.0, 1.0]]), np.eye(3)[None])
 
 
-def rejected_for(before: Segment, after: Segment, why: Rejection) -> BoolArray:
-    """Which samples (F, 5) one reason rejected; every one that was rejected has a reason, no other has."""
-    lost = before.accepted & ~after.accepted
-    np.testing.assert_array_equal(after.reason != 0, lost)
-    return np.asarray(after.reason == why)
-
-
-def frames_of(mask: BoolArray, column: int) -> list[int]:
-    return np.flatnonzero(mask[:, column]).tolist()
-
-
 def test_nothing_is_rejected_from_good_samples() -> None:
     for segment in (forearm(), forearm(rate=TURNING), forearm(along=(0.0, 0.0, -1.0))):
         assert reject_by_camera(segment) is segment
-
-
-@pytest.mark.parametrize("rate", [None, TURNING], ids=["still", "turning"])
-def test_a_frozen_value_only_while_the_sensor_moves(rate: FloatArray | None) -> None:
-    segment = forearm(rate=rate)
-    frozen = with_position(segment, slice(30, 40), WRIST, segment.position[29, WRIST])
-    checked = reject_by_camera(frozen)
-    rows = frames_of(rejected_for(frozen, checked, Rejection.FROZEN), WRIST)
-    assert rows == ([] if rate is None else list(range(30, 40)))  # the first of the run is a measurement
-    assert (checked.accepted[:, ELBOW] == frozen.accepted[:, ELBOW]).all()
-
-
-@pytest.mark.parametrize(("off_m", "is_jump"), [(0.10, False), (0.25, True)])
-def test_a_jump(off_m: float, is_jump: bool) -> None:
-    segment = forearm()
-    jumped = with_position(segment, [40, 41], HAND, segment.position[40, HAND] + [0.0, off_m, 0.0])
-    checked = reject_by_camera(jumped)
-    assert frames_of(rejected_for(jumped, checked, Rejection.JUMP), HAND) == ([40, 41] if is_jump else [])
-
-
-def test_a_fast_arm_does_not_jump() -> None:
-    """Four metres a second, 13 cm per frame, straight on: far from its neighbours and still right."""
-    segment = forearm()
-    position = segment.position + np.outer(4.0 * segment.frame_t_camera, X)[:, None]
-    fast = replace(segment, position=position)
-    checked = reject_by_camera(fast)
-    assert checked.accepted.sum() == fast.accepted.sum()
-
-
-def test_the_far_side_of_a_gap_does_not_jump() -> None:
-    segment = forearm()
-    position, accepted = segment.position.copy(), segment.accepted.copy()
-    accepted[40:70] = False
-    position[70:] += [0.0, 0.5, 0.0]
-    gap = replace(segment, position=position, accepted=accepted)
-    assert reject_by_camera(gap).accepted.sum() == accepted.sum()
-
-
-def test_the_first_reason_is_kept() -> None:
-    segment = forearm()
-    jumped = with_position(segment, [40], WRIST, segment.position[40, WRIST] + [0.0, 0.3, 0.0])
-    checked = reject_by_camera(jumped)
-    assert checked.reason[40, WRIST] == Rejection.JUMP
-    residual = np.full((*segment.accepted.shape, 3), 1.0)
-    again = reject_by_residual(checked, residual, {"wrist": JointNoise(0.01, 0.01, 0.0)})
-    assert again.reason[40, WRIST] == Rejection.JUMP
-    assert again.reason[41, WRIST] == Rejection.RESIDUAL
 
 
 @settings(max_examples=40, deadline=None)
@@ -248,17 +190,6 @@ def test_two_repeats_are_frozen(repeats: int) -> None:
     assert not _frozen(replace(frozen, position=one_axis), HAND)[30]
 
 
-def test_repeats_at_the_same_time() -> None:
-    """Frames without time between them: what the sensor did in the twentieth of a second from there."""
-    segment = turning_from(1.08, 9.0, 0.5)
-    t = segment.frame_t_camera.copy()
-    t[29:35] = t[29]
-    frozen = with_position(
-        replace(segment, frame_t_camera=t), slice(30, 35), HAND, segment.position[29, HAND]
-    )
-    assert _frozen(frozen, HAND)[30:35].all()
-
-
 @pytest.mark.parametrize(("off_m", "is_jump"), [(0.148, False), (0.152, True)])
 def test_a_jump_is_fifteen_centimetres(off_m: float, is_jump: bool) -> None:
     segment = exact()
@@ -302,16 +233,6 @@ def test_a_bone_is_a_third_too_long_or_short(part: float, wrong: bool) -> None:
     found = why(off, reject_by_camera(off))
     expected = only(WRIST, range(40, 60), Rejection.BONE) | only(ELBOW, range(40, 60), Rejection.BONE)
     assert found == (expected if wrong else {})
-
-
-@pytest.mark.parametrize("frames", [9, 10])
-def test_ten_frames_make_a_usual_length(frames: int) -> None:
-    segment = exact(frames)
-    position = segment.position.copy()
-    position[3, WRIST] += 0.12 * X  # half as long again, and no jump
-    off = replace(segment, position=position, accepted=segment.accepted & (np.arange(5) != STRAP_COLUMN))
-    found = why(off, reject_by_camera(off))
-    assert set(found.values()) == ({Rejection.BONE} if frames == 10 else set())
 
 
 @pytest.mark.parametrize(

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import itertools
-import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import done
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smoother.io import write_recording
 from smoother.measurements.allowance import allowance
 from smoother.measurements.visibility import (
     MISSING_S,
@@ -53,25 +49,12 @@ def test_two_joints_make_a_frame_visible(rows: list[tuple[bool, bool, bool]]) ->
     assert visible(tracks(elbow=elbow, wrist=wrist, hand=hand)) == [sum(row) >= needed for row in rows]
 
 
-def test_a_strap_alone_is_enough_and_the_shoulder_is_not() -> None:
-    assert visible(tracks(strap=[True, False])) == [True, False]
-    assert visible(tracks(strap=[True, False], shoulder=[True, True])) == [True, False]
-    assert visible(tracks(shoulder=[True, True])) == [False, False]
-
-
 @pytest.mark.parametrize("state", [JointState.INFERRED, JointState.NOT_TRACKED])
 def test_a_guess_or_a_nan_is_not_accepted(state: JointState) -> None:
     arm = tracks(elbow=[True] * 3, wrist=[True] * 3)
     arm.state[1, JOINTS.index("wrist")] = state
     arm.position[2, JOINTS.index("wrist"), 1] = np.nan
     assert visible(arm) == [True, False, False]
-
-
-def test_a_rejected_sample_counts_as_missing() -> None:
-    arm = tracks(elbow=[True] * 2, wrist=[True] * 2)
-    accepted = accepted_samples(arm)
-    accepted[1, JOINTS.index("elbow")] = False
-    assert visible_frames(arm, accepted).tolist() == [True, False]
 
 
 @given(masks)
@@ -119,16 +102,6 @@ def test_frames_that_never_arrived_are_a_gap() -> None:
     assert find_gaps(slow[keep], keep[keep], 0.0, slow[-1]) == ()  # 0.2 s at 10 Hz: two frames
 
 
-def test_open_gaps_at_both_ends() -> None:
-    t = np.arange(0.0, 3.0, 1 / 30)
-    shown = (t > 0.5) & (t < 2.5)
-    first, last = find_gaps(t, shown, -0.2, 3.1)
-    assert (first.start_s, first.open_start, first.open_end) == (-0.2, True, False)
-    assert first.end_s == t[shown][0]
-    assert (last.end_s, last.open_start, last.open_end) == (3.1, False, True)
-    assert last.start_s == t[shown][-1]
-
-
 def test_an_imu_that_runs_on_is_a_gap_only_when_it_is_long() -> None:
     """The first frame comes some time after the first IMU sample: that alone is no occlusion."""
     t = np.arange(30) / 30.0
@@ -168,12 +141,6 @@ def test_a_slow_imu_allows_less_and_then_nothing():
     assert not still_slower.ready and "samples per second" in still_slower.sentence
 
 
-def test_without_a_shoulder_gaps_are_shorter():
-    tracks = arm().arm
-    without = replace(arm(), arm=tracks.hide(np.ones(len(tracks), bool), ("shoulder",)))
-    assert allowance(without).longest_s < allowance(arm()).longest_s
-
-
 def test_a_point_is_no_arm():
     found = allowance(simulate_point(PointSimulation(duration_s=20.0), 1).recording)
     assert found.ready and not any("roll" in sentence for sentence in found.undetermined)
@@ -203,16 +170,6 @@ def test_nothing_tracked_and_no_common_time():
     assert "never tracked" in nothing.sentence and not nothing.ready
     apart = allowance(replace(arm(), arm=replace(tracks, t_s=tracks.t_s + 1000.0)))
     assert "in common" in apart.sentence and not apart.ready
-
-
-def test_info_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    write_recording(arm(), tmp_path / "good.mcap")
-    write_recording(slower(arm(), 100), tmp_path / "slow.mcap")
-    for name, ready in (("good", True), ("slow", False)):
-        done("info", tmp_path / f"{name}.mcap", "--json", tmp_path / "i.json", "--force")
-        values, printed = json.loads((tmp_path / "i.json").read_text()), capsys.readouterr().out
-        assert values["ready"] is ready and values["allows"] in printed
-        assert ("not ready for `unocclude smooth`" in printed) is not ready
 
 
 def test_what_one_camera_without_depth_leaves_open_is_said() -> None:

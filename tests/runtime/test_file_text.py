@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from smoother.errors import UnoccludeError
 from smoother.evaluation.measure_files import _detectable_of_user
 from smoother.evaluation.mocap.markers import read_marker_map
 from smoother.io.tables.recording_toml import read_description
-from smoother.runtime.inputs import MOST_DEEP, read_toml, toml_text
+from smoother.runtime.inputs import toml_text
 
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-32")
 LENS = "width = 640\nheight = 480\nfx = 500\nfy = 500\ncx = 320\ncy = 240\n"
@@ -75,16 +74,6 @@ def test_a_key_of_many_parts_is_refused_at_once(tmp_path: Path) -> None:
     for depth in (40, 3000):
         refused(tmp_path, f"a = {depth * '['}{depth * ']'}\n", "tables within tables")
         refused(tmp_path, f"a = {depth * '{a = '}1{depth * '}'}\n", "tables within tables")
-
-
-def test_what_is_no_deep_key_is_read(tmp_path: Path) -> None:
-    path, dots = tmp_path / "a.toml", ".".join(["a"] * 100)
-    allowed = ".".join(["a"] * (MOST_DEEP - 2))
-    text = f"# {dots}\nb = '{dots}'\nc = [{', '.join(['1.5'] * 1000)}]\n{allowed} = 1\n" + "".join(
-        f"d{k}.x.y = {k}\n" for k in range(200)
-    )
-    path.write_text(text, encoding="utf-8")
-    assert read_toml(path) == tomllib.loads(text)
 
 
 def test_a_file_that_is_no_settings_is_not_read_whole(tmp_path: Path) -> None:

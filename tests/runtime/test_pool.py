@@ -88,27 +88,6 @@ def test_a_plain_script_without_a_guard(how: str, tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-START = """
-import sys, threading, time
-from smoother.runtime.pool import _start_method
-print(_start_method())
-threading.Thread(target=time.sleep, args=(5,), daemon=True).start()
-print(_start_method())
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
-def test_workers_are_forked_where_there_is_no_other_thread() -> None:
-    """A lock that another thread holds would never open in a forked worker."""
-    done = subprocess.run(
-        [sys.executable, "-c", START],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )
-    assert done.stdout.split() == ["fork", "spawn"], done.stderr
-
-
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_a_killed_worker_is_started_once_more(tmp_path: Path):
     marks = [str(tmp_path / name) for name in ("a", "b", "c.once", "d", "e", "f", "g")]
@@ -148,34 +127,6 @@ def test_a_worker_that_dies_while_it_answers_is_started_once_more(tmp_path: Path
         marks = [str(tmp_path / name) for name in ("a", "b")]
         (tmp_path / "b").touch()
         assert list(pool.map(answer_half, marks)) == ["a", "b"]
-
-
-HALF = """
-import sys
-from pathlib import Path
-from pool_jobs import answer_half
-from smoother.runtime.pool import Pool
-from studies import until
-
-def items():
-    yield sys.argv[1]
-    until(Path(sys.argv[1]).exists)
-    raise KeyboardInterrupt
-
-with Pool(2, 10**6) as pool:
-    list(pool.map(answer_half, items()))
-"""
-
-
-@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
-def test_an_interrupt_while_a_worker_answers(tmp_path: Path):
-    """What it had not written yet never comes: the command waited for it for ever."""
-    mark = tmp_path / "a.long"
-    done = subprocess.run(
-        [sys.executable, "-c", HALF, str(mark)], env=_with_helpers(), capture_output=True, timeout=60
-    )
-    assert b"KeyboardInterrupt" in done.stderr
-    until(lambda: not is_alive(int(mark.read_text())))
 
 
 def _with_helpers() -> dict[str, str]:
