@@ -16,7 +16,7 @@ from ..io.mcap.merge import Output
 from ..io.recording.read import RESULT_PREFIX
 from ..io.recording.write import CAMERA
 from ..io.result.messages import gap_messages
-from ..io.result.streams import RecoveryStreams
+from ..io.result.streams import recovery_streams
 from ..io.wire.schemas import message_class, schema_data
 from ..live.answers import LiveEstimate, LiveOutput, LiveState
 from ..measurements.visibility import Gap
@@ -84,8 +84,11 @@ class LiveMessages:
         suffix = self._suffix + suffix
         topics = _among(names, suffix, wanted)
         if topics:
-            here = _no_frame(self._info.skeleton, estimate.t_s)
-            yield from self._encoded(self._recovery(estimate, here), suffix, topics)
+            nothing = np.empty((0, len(JOINTS)))
+            frames = JointTracks(
+                self._info.skeleton, np.empty(0), np.empty((*nothing.shape, 3)), nothing.astype(np.int8)
+            )
+            yield from self._encoded(self._recovery(estimate, frames), suffix, topics)
 
     def frames(
         self, frames: FrameRows, offset_s: float, wanted: Collection[str] = TOPICS
@@ -116,10 +119,8 @@ class LiveMessages:
 
     def _encoded(self, recovery: Recovery, suffix: str, wanted: set[str]) -> Iterator[LiveMessage]:
         channels = _Channels()
-        streams = RecoveryStreams(channels, recovery, suffix, CAMERA, 0, self._down)
-        streams.camera_joints = [JOINTS.index(joint) for joint in self._info.joints]
-        samples, frames = slice(0, len(recovery)), slice(0, len(recovery.arm))
-        for stream in streams.batch(samples, frames, slice(0, 0), slice(0, 0), slice(0, 0)):
+        joints = [JOINTS.index(joint) for joint in self._info.joints]
+        for stream in recovery_streams(channels, recovery, suffix, CAMERA, 0, self._down, joints):
             topic, schema = channels.names[stream.channel]
             if topic not in wanted:
                 continue
@@ -165,12 +166,6 @@ class LiveMessages:
 def _among(names: Collection[str], suffix: str, wanted: Collection[str]) -> set[str]:
     """Topics of these names that are wanted."""
     return {topic for name in names if (topic := f"{RESULT_PREFIX}{name}{suffix}") in wanted}
-
-
-def _no_frame(name: str, t_s: float) -> JointTracks:
-    """A frame without joints: the moment at which the arm is drawn."""
-    position = np.full((1, len(JOINTS), 3), np.nan)
-    return JointTracks(name, np.array([t_s]), position, np.zeros((1, len(JOINTS)), np.int8))
 
 
 #: The port that Foxglove proposes.

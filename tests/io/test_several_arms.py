@@ -161,7 +161,7 @@ def test_one_arm_is_written_as_before(tmp_path: Path) -> None:
         reader = make_reader(stream)
         (record,) = [one for one in reader.iter_metadata() if one.name.startswith("unocclude.result")]
         topics = {channel.topic for _, channel, _ in reader.iter_messages()}
-    assert record.name == "unocclude.result" and "body" not in record.metadata
+    assert record.name == "unocclude.result" and record.metadata["body"] == "null"
     assert json.loads(record.metadata["side"]) == made.side
     assert all(topic.count("/") == 2 for topic in topics if topic.startswith("/unocclude/"))
 

@@ -17,6 +17,7 @@ from ...result.untrusted import usable
 from ...runtime.outputs import writing
 from ...runtime.printable import plain
 from ..mcap.messages import nanoseconds
+from ..result.tables import rounded
 from ..result.write import recovery_values
 from .csv import column_groups
 
@@ -70,10 +71,6 @@ def trusted_array(recovery: Recovery) -> pyarrow.BooleanArray:
     import pyarrow as pa
 
     return pa.array(recovery.trusted) if recovery.has_verdict else pa.nulls(len(recovery), pa.bool_())
-
-
-#: Numbers are rounded to this many parts of a metre, which is 8 micrometres, and of one.
-_PARTS = 2.0**17
 
 
 def drawn_rows(recovery: Recovery) -> int:
@@ -133,7 +130,7 @@ def _motion(answer: Recovery, draws: Draws, k: int) -> dict[str, NDArray]:
         names = (f"{joint}_x", f"{joint}_y", f"{joint}_z")
         groups[names] = answer.joints[joint] + draws.joints[joint][k]
     return {
-        name: np.rint(values * _PARTS).astype(np.float32) / np.float32(_PARTS)
+        name: rounded(values)
         for names, group in groups.items()
         for name, values in zip(names, group.T, strict=True)
     }

@@ -7,6 +7,7 @@ messages of a batch are packed together by NumPy; all other records are the pack
 from __future__ import annotations
 
 import itertools
+import os
 import struct
 import zlib
 from collections import Counter
@@ -35,11 +36,11 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from ...array_types import FloatArray, IntArray
+from ...array_types import IntArray
 from ..wire.layout import Buffer, copy_runs, runs
 from ..wire.schemas import schema_data
 from .container import CHUNK, HEAD, MAGIC, MESSAGE
-from .messages import ChunkMessages, Topic, nanoseconds
+from .messages import ChunkMessages, Topic
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 SLICE = 2048
@@ -127,20 +128,22 @@ class Output:
         record = _packed(Metadata(name=name, metadata=values))
         self._metadata.append(MetadataIndex(offset=self._put(record), length=len(record), name=name))
 
-    def attachment(self, name: str, data: Buffer, media_type: str = "application/octet-stream") -> None:
-        """Write an attachment; only its head passes through the memory."""
+    def attachment(self, name: str, data: IO[bytes], media_type: str = "application/octet-stream") -> None:
+        """Write an attachment of what a file has from its start on, a part at a time."""
+        size = data.seek(0, os.SEEK_END)
         builder = RecordBuilder()
-        builder.write8(0)  # times
-        builder.write8(0)
+        builder.write(bytes(16))  # times
         builder.write_prefixed_string(name)
         builder.write_prefixed_string(media_type)
-        builder.write8(len(data))
-        head, size = builder.end(), len(data)
-        crc = struct.pack("<I", zlib.crc32(data, zlib.crc32(head)))
-        at = self._put(HEAD.pack(Opcode.ATTACHMENT, len(head) + size + len(crc)) + head)
-        for part in (data, crc):
+        builder.write8(size)
+        head = builder.end()
+        at = self._put(HEAD.pack(Opcode.ATTACHMENT, len(head) + size + 4) + head)
+        crc = zlib.crc32(head)
+        data.seek(0)
+        while part := data.read(_CHUNK_BYTES):
+            crc = zlib.crc32(part, crc)
             self._put(part)
-        length = HEAD.size + len(head) + size + len(crc)
+        length = self._put(struct.pack("<I", crc)) + 4 - at
         self._attachments.append(AttachmentIndex(at, length, 0, 0, size, name, media_type))
 
     def channel(self, topic: str, schema: str) -> int:
@@ -308,7 +311,7 @@ class Output:
         footer = Footer(summary_start=start, summary_offset_start=place, summary_crc=crc)
         self._put(summary + _packed(footer) + MAGIC)
 
-    def _put(self, data: Buffer) -> int:
+    def _put(self, data: bytes) -> int:
         """Write bytes; where they begin."""
         assert self._file is not None
         self._file.write(data)
@@ -338,43 +341,3 @@ def _slices(outgoing: Sequence[OutputStream], until: int) -> Iterator[tuple[int,
                 parts.append(_Part.of(stream.channel, stream.time_ns[part], stream.encode(part)))
             starts[i] = stop
         yield edge, parts
-
-
-class TimeAxis(NamedTuple):
-    """Times of a stream."""
-
-    t_s: FloatArray  # (N,) s: after the origin, in rising order
-    origin_ns: int  # The origin, and log time less stamp
-    shift_ns: int  # The origin, and log time less stamp
-
-    def log_ns(self, rows: slice) -> IntArray:
-        """Log times of some rows, ns."""
-        return nanoseconds(self.t_s[rows], self.origin_ns) + self.shift_ns
-
-
-class TimeBatch(NamedTuple):
-    """Rows of several streams."""
-
-    until_ns: int  # Log time that they end before
-    rows: list[slice]  # Of each axis
-
-
-def time_batches(axes: Sequence[TimeAxis], most: int = SLICE) -> Iterator[TimeBatch]:
-    """Cut streams where the densest of them has `most` rows; there is one batch at the least."""
-    starts = [0] * len(axes)
-    while True:
-        ahead = [
-            axis.log_ns(slice(start, start + most + 1)) for axis, start in zip(axes, starts, strict=True)
-        ]
-        until = min((int(times[most]) for times in ahead if len(times) > most), default=END)
-        first = min((int(times[0]) for times in ahead if len(times)), default=END)
-        until = max(until, first + 1) if until != END else END  # on and on, also where times stand still
-        rows = []
-        for i, times in enumerate(ahead):
-            late = times >= until
-            count = int(np.argmax(late)) if late.any() and until != END else len(times)
-            rows.append(slice(starts[i], starts[i] + count))
-            starts[i] += count
-        yield TimeBatch(until, rows)
-        if until == END:
-            return

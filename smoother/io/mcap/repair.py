@@ -8,6 +8,7 @@ import os
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
+from io import BytesIO
 from typing import IO, Any
 
 import numpy as np
@@ -81,7 +82,7 @@ def _carried_over(container: Container, file: Output) -> int:
     left_out = 0
     for name in container.attachments:
         try:
-            file.attachment(name, container.attachment(name))
+            file.attachment(name, BytesIO(container.attachment(name)))
         except ValueError:
             left_out += 1
     return left_out

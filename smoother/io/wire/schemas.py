@@ -21,10 +21,7 @@ from typing import Any
 from google.protobuf import descriptor_pb2
 
 #: Modules of the messages that have a file of their own.
-_MODULES = {
-    **dict.fromkeys(("Draws", "DrawnMotion"), "unocclude_draws_pb2"),
-    **dict.fromkeys(("Keypoint", "Keypoints2D"), "unocclude_pixels_pb2"),
-}
+_MODULES = dict.fromkeys(("Keypoint", "Keypoints2D"), "unocclude_pixels_pb2")
 
 
 @cache
