@@ -791,14 +791,14 @@ def magnetometer_answer(calibration: MagnetometerCalibration, imu_name: str) -> 
         f"{100 * coverage.share:.0f} % of the sphere's cells were covered, the largest hole reaches"
         f" {np.degrees(coverage.hole_rad):.0f} degrees",
     )
-    advice: tuple[str, ...] = (
+    advice = [
         "calibrate again when the sensor's battery, case or strap buckle changes: iron on it moves the field"
-    )
+    ]
     if calibration.residual > 0.5 * LARGE_MAG_RESIDUAL:
-        advice = (
+        advice.insert(
+            0,
             "turn the sensor on one spot rather than carrying it about, half a metre from iron, loudspeakers"
             " and telephones",
-            *advice,
         )
     table = {
         "offset": calibration.offset.tolist(),
@@ -818,7 +818,7 @@ def magnetometer_answer(calibration: MagnetometerCalibration, imu_name: str) -> 
         f" they lie {100 * calibration.residual:.1f} % off the ellipsoid (root mean square)"
     )
     return Answer(
-        Verdict("usable" if remarks else "good", sentence, findings, advice),
+        Verdict("usable" if remarks else "good", sentence, findings, tuple(advice)),
         remarks,
         CalibrationFile().with_table("imu", {sensor_name(imu_name): {"magnetometer": table}}),
         {"imu": imu_name, "magnetometer": figures},

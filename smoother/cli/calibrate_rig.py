@@ -16,11 +16,11 @@ from .calibrate import error_prefix, finish, load_existing_calibration
 from .load import load_arm, refuse_twice
 
 if TYPE_CHECKING:
-    from calib.clock.beeps import Beep
-    from calib.clock.links import Receptions
-    from calib.clock.motion_clock import MotionClock
+    from calib.clock import Receptions
     from calib.intrinsics import Intrinsics
+    from calib.motion_clock import MotionClock
     from calib.panel.images import View
+    from calib.sound import Beep
 
     from ..array_types import FloatArray
     from ..recording import ImuStream
@@ -284,9 +284,9 @@ def clock(
 
     Example: unocclude calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv
     """
-    from calib.clock.clock_calibration import calibrate_clocks, clock_answer
-    from calib.clock.links import beep_receptions, beeps_of_tracks, buzzer_node
-    from calib.clock.motion_clock import clock_from_motion
+    from calib.clock import calibrate_clocks, clock_answer
+    from calib.motion_clock import clock_from_motion
+    from calib.sound import beep_receptions, beeps_of_tracks, buzzer_node
 
     from ..io.rig.clock import read_broadcast, read_sound
     from .config import read_config
@@ -312,7 +312,9 @@ def clock(
     if sound is not None:
         tracks = read_sound(sound, audio_topic, audio_rate_hz, notes)
         with error_prefix(str(sound)):
-            beeps = beeps_of_tracks(tracks, tone_hz, sound_start)
+            beeps = beeps_of_tracks(
+                ((each.samples, each.rate_hz, each.start_s) for each in tracks), tone_hz, sound_start
+            )
             own = beep_receptions(
                 beeps,
                 event_time or [],

@@ -144,7 +144,7 @@ class ArmInput:
 
     def clock(self, recording: Recording) -> Clock | None:
         """The clock that was measured, by option, else by the calibration; None where it is to be found."""
-        from calib.clock.links import measured_clock
+        from calib.clock import measured_clock
         from calib.file import read_calibration
 
         from ..measurements.clock import constant_clock

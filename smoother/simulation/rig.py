@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 from scipy.spatial.transform import Rotation, Slerp
 
-from calib.clock.links import ClockLink, Receptions
+from calib.clock import ClockLink, Receptions
 
 from ..array_types import FloatArray
 from ..linalg import unit

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib import CalibrationFile, read_calibration, write_calibration
-from calib.clock.clock_calibration import calibrate_clocks, clock_answer
-from calib.clock.links import beep_receptions, buzzer_node
+from calib.clock import calibrate_clocks, clock_answer
 from calib.file import to_toml
 from calib.imu import calibrate_imu, calibrate_magnetometer, imu_answer, magnetometer_answer
 from calib.protocol import Answer, findings
+from calib.sound import beep_receptions, buzzer_node
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError
 from smoother.runtime.printable import plain

@@ -22,12 +22,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.clock.beeps import find_beeps
-from calib.clock.motion_clock import clock_from_motion
-from calib.clock.network import solve_clocks
+from calib.clock import solve_clocks
 from calib.forearm import calibrate_forearm, compare
 from calib.imu import GRAVITY, allan_noise, calibrate_imu, calibrate_magnetometer, find_rests
 from calib.intrinsics import Intrinsics, PlacedCamera
+from calib.motion_clock import clock_from_motion
+from calib.sound import find_beeps
 from calib.strap import Depth, find_strap
 from smoother.errors import CalibrationError
 from smoother.linalg import sphere

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.clock.links import Receptions
+from calib.clock import Receptions
 
 from ...array_types import FloatArray
 from ...errors import RecordingError

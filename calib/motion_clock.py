@@ -26,7 +26,7 @@ from smoother.runtime.pool import Pool
 from smoother.selfcal.pairing import coarse_offset
 from smoother.selfcal.rounds import self_calibrate
 
-from .links import SKEW_SIGMA, ClockLink
+from .clock import SKEW_SIGMA, ClockLink
 
 #: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.
 COARSE_S = 0.75 * LARGEST_OFFSET_S

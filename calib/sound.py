@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
@@ -12,6 +13,8 @@ from scipy.signal import fftconvolve, find_peaks, get_window
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import parabola_vertex, runs
+
+from .clock import Receptions
 
 #: How long before the end of all sound the direct sound may have ended, s.
 LOOK_BACK_S = 0.35
@@ -25,43 +28,38 @@ APART_S = 0.003
 RING_S, TAIL_S = (1e-4, 0.006), 1.0
 
 
-@dataclass(frozen=True)
-class Step:
-    """The step of the complex envelope at the end of the direct sound."""
-
-    t_s: float  # Where it is, to about a millisecond
-    doubt_s: float  # How far away an earlier step lies that is about as large; 0 where there is none
-
-
 def direct_end(
     samples: FloatArray,  # (N,)
     rate_hz: float,
     tone_hz: float,
     start_s: float,
     end_s: float,
-) -> Step:
-    """The largest step of the tone's complex envelope before all sound has ended."""
+) -> tuple[float, float]:
+    """The largest step of the tone's complex envelope before all sound has ended, to about a millisecond.
+
+    And how far away an earlier step lies that is about as large; 0 where there is none.
+    """
     low = max(start_s + ONSET_S, end_s - LOOK_BACK_S)
     first = max(int((low - 2 * STEP_S) * rate_hz), 0)
     last = min(int((end_s + 5 * STEP_S) * rate_hz), len(samples))
     t = np.arange(first, last) / rate_hz
     width = max(round(max(round(STEP_S * tone_hz), 2) / tone_hz * rate_hz), 8)  # whole periods
     if len(t) < 2 * width + 3:
-        return Step(end_s, 0.0)
+        return end_s, 0.0
     total = np.concatenate([[0.0], np.cumsum(samples[first:last] * np.exp(-2j * np.pi * tone_hz * t))])
     mean = (total[width:] - total[:-width]) / width
     size = np.abs(mean[width:] - mean[:-width])
     at = t[width : width + len(size)]
     size = np.where(at >= low, size, 0.0)
     if not size.max() > 0:
-        return Step(end_s, 0.0)
+        return end_s, 0.0
     peaks, _ = find_peaks(
         np.concatenate([[0.0], size, [0.0]]),
         height=AS_LARGE * size.max(),
         distance=max(int(APART_S * rate_hz), 1),
     )
     places = at[np.clip(peaks - 1, 0, len(at) - 1)]
-    return Step(float(places[-1]), float(places[-1] - places[0]))
+    return float(places[-1]), float(places[-1] - places[0])
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,6 @@ class Fall:
     tail: float  # Size of the tail against the beep
     decay_s: float  # Its time constant
     drop: float  # What stops at once, against the beep; 1 without a tail
-    fitted: FloatArray  # (n,): the envelope's size as fitted
 
 
 def fit_fall(
@@ -123,14 +120,13 @@ def fit_fall(
     worth = max(1.5 * len(kernel) / 2, 1.0)
     variance = 2 * best.cost * worth / max(2 * len(envelope) - 7 * worth, 1.0)
     spread = np.linalg.pinv(best.jac.T @ best.jac) * variance
-    seen, weight = sizes(best.x)
+    _, weight = sizes(best.x)
     return Fall(
         end_s=float(best.x[0]),
         variance_s2=float(spread[0, 0]),
         tail=float(abs(weight[1]) / max(abs(weight[0]), 1e-12)),
         decay_s=float(np.exp(best.x[1])),
         drop=float(abs(weight[0] - weight[1]) / max(abs(weight[0]), 1e-12)),
-        fitted=np.abs(seen @ weight),
     )
 
 
@@ -166,16 +162,13 @@ BATCH_S = 60.0
 class Beep:
     """One beep."""
 
-    start_s: float  # After the track's first sample; sigma is of the end
-    end_s: float  # After the track's first sample; sigma is of the end
-    sigma_s: float  # After the track's first sample; sigma is of the end
+    start_s: float  # After the track's first sample
+    end_s: float
+    sigma_s: float  # Of the end
     frequency_hz: float  # Its tone
     above_quiet_db: float  # Level above the background
     decay_s: float  # Time constant of its tail
     loud_room: bool  # The room's answer is about as loud as the beep, so that its end is hard to tell
-    t_s: FloatArray  # (n,) s: times about its end
-    envelope: FloatArray  # (n,): the envelope there, and what was fitted to it
-    fitted: FloatArray  # (n,): the envelope there, and what was fitted to it
 
 
 def find_beeps(
@@ -282,8 +275,7 @@ def _fit_end(
     samples: FloatArray, rate_hz: float, start_s: float, end_s: float, tone_hz: float, above_db: float
 ) -> Beep:
     """The end of one beep: a step to a decaying tail, fitted to the complex envelope of its tone."""
-    step = direct_end(samples, rate_hz, tone_hz, start_s, end_s)
-    near = step.t_s
+    near, doubt = direct_end(samples, rate_hz, tone_hz, start_s, end_s)
     before = min(BEFORE_S, 0.6 * (near - start_s) + 0.5 * FRAME_S)
     first = max(int((near - before - SMOOTH_S) * rate_hz), 0)
     last = min(int((near + AFTER_S + SMOOTH_S) * rate_hz), len(samples))
@@ -301,7 +293,7 @@ def _fit_end(
     # the buzzer stops somewhere in a period of its tone, and no tail is quite exponential: the less stops
     # at once, the more the tail's shape counts
     shape = TAIL_PART * min(fall.decay_s, AFTER_S) * min(fall.tail, 1.0) / max(fall.drop, 0.05)
-    doubt = DOUBT_PART * step.doubt_s
+    doubt *= DOUBT_PART
     sigma = float(
         np.sqrt(fall.variance_s2 + (1 / tone_hz) ** 2 / 12 + MODEL_SIGMA_S**2 + shape**2 + doubt**2)
     )
@@ -313,9 +305,6 @@ def _fit_end(
         above_quiet_db=above_db,
         decay_s=fall.decay_s,
         loud_room=loud_room or doubt > MODEL_SIGMA_S,
-        t_s=t[inside],
-        envelope=np.abs(envelope),
-        fitted=fall.fitted,
     )
 
 
@@ -331,3 +320,62 @@ def _steady(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, t
     turn = float(np.angle(np.sum(quarters[1:] * np.conj(quarters[:-1]))))
     found = turn * rate_hz / (2 * np.pi * count)
     return tone_hz + (found if abs(turn) < 1.0 else 0.0)
+
+
+#: Speed of sound in a room, m/s.
+SOUND_M_S = 343.0
+
+
+def beeps_of_tracks(
+    tracks: Iterable[tuple[FloatArray, float, float]],  # samples (N,), their rate, Hz, the first's time, s
+    tone_hz: float | None = None,
+    start_s: float = 0.0,
+) -> list[Beep]:
+    """All beeps of a sound in tracks without a pause, on the clock of its stamps."""
+    beeps: list[Beep] = []
+    reason: CalibrationError | None = None
+    for samples, rate_hz, first_s in tracks:
+        try:
+            found = find_beeps(samples, rate_hz, tone_hz)
+        except CalibrationError as error:
+            reason = error
+            continue
+        shift = first_s + start_s
+        beeps += [replace(beep, start_s=beep.start_s + shift, end_s=beep.end_s + shift) for beep in found]
+    if not beeps and reason is not None:
+        raise reason
+    return beeps
+
+
+def beep_receptions(
+    beeps: Sequence[Beep],
+    event_times_s: Sequence[float],
+    clocks: tuple[str, str] = ("camera", "base"),
+    *,
+    distance_m: float = 0.0,
+    resolution_s: float = 0.3125e-3,
+    source: str = "sound",
+) -> Receptions:
+    """The ends of beeps on both clocks (Jatesiktat & Ang, II-G.1)."""
+    if len(beeps) != len(event_times_s):
+        ends = ", ".join(f"{beep.end_s:.2f} s" for beep in beeps[:12]) + (", .." if len(beeps) > 12 else "")
+        raise CalibrationError(
+            f"beeps that end in it: {len(beeps)} ({ends}), event times given: {len(event_times_s)}; give one"
+            " --event-time for each beep, cut the sound, or name the buzzer's tone with --tone-hz"
+        )
+    ends_s = np.array([beep.end_s for beep in beeps]) - distance_m / SOUND_M_S
+    sigma = np.array([beep.sigma_s for beep in beeps])
+    return Receptions(
+        event=np.repeat(np.arange(len(beeps)), 2),
+        node=list(clocks) * len(beeps),
+        t_s=np.column_stack([ends_s, np.sort(event_times_s)]).ravel(),
+        sigma_s=np.column_stack([sigma, np.full(len(beeps), resolution_s / np.sqrt(12))]).ravel(),
+        source=source,
+        estimate_noise=len(beeps) > 2,
+    )
+
+
+def buzzer_node(nodes: Iterable[str], usual: str = "base") -> str:
+    """The one node of a broadcast that is called base something, whose buzzer the camera heard."""
+    named = [name for name in dict.fromkeys(nodes) if usual in name.lower()]
+    return named[0] if len(named) == 1 else usual

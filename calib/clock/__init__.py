@@ -1,1 +1,0 @@
-"""Clocks against each other: beeps, broadcasts, motion."""
