@@ -1,18 +1,8 @@
 """Baseline `gaussian-process`: Feng (thesis, Glasgow 2014), chapter 4, as a smoother over gaps and margins.
 
-The published form answers live from the last frames (`predict`); here the same joint prior (4.24) is
-conditioned on everything in a window, before and after a gap: its best within what was published. Windows
-contain a gap and its margins, or some seconds of visible motion, so that cost grows with the length only. The
-process is about the window's mean position.
-
-Hyper-parameters by maximum likelihood on visible motion (2.13), started from the published ones. A few
-seconds do not show how far a movement goes in the end, so v0 is the points' variance over the whole
-segment, and no less than published; w and the acceleration's noise, a wrong orientation included, are the
-likeliest. The camera's noise is the scene's.
-
-Order of the method: on error-free sensors half a millimetre, what a smooth prior leaves of a movement.
-
-The process itself, its kernel and the likelihood of measurements are in `measurements.position_process`.
+The published form answers live from the last frames (`predict`); here the joint prior (4.24) is conditioned
+on everything in a window about its mean position. Hyper-parameters by maximum likelihood on visible motion
+(2.13), but v0: seconds do not show how far a movement goes, so it is the variance over the whole segment.
 """
 
 from __future__ import annotations
@@ -42,10 +32,7 @@ from .scene import Path, Scene, no_answer
 
 
 class Posterior:
-    """The positions given the measurements (4.24, with the covariance 4.23 belongs to).
-
-    Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, algorithm 2.1.
-    """
+    """The positions given the measurements (4.24; Rasmussen and Williams 2006, algorithm 2.1)."""
 
     def __init__(self, kernel: Kernel, data: Measurements) -> None:
         self._kernel, self._data = kernel, data

@@ -20,7 +20,7 @@ class Chain:
     """A Gauss-Markov chain of n states of dimension d, and what was measured of it."""
 
     F: FloatArray  # (n - 1, ..., d, d): transitions and covariances of the process noise
-    Q: FloatArray  # (n - 1, ..., d, d): transitions and covariances of the process noise
+    Q: FloatArray
     drift: FloatArray  # (n - 1, ..., d, c) or what broadcasts to it
     information: FloatArray  # (n, ..., d, d): sum of H' R^-1 H; zero where nothing was measured
     vector: FloatArray  # (n, ..., d, c): sum of H' R^-1 z
@@ -202,7 +202,7 @@ class FilterNoise:
 
     sigma_m: float = POSITION_SIGMA_M  # Of a position
     acc_still: float = ACC_SIGMA_STILL  # m/s^2: of an acceleration of a still and of a moving hand
-    acc_moving: float = ACC_SIGMA_MOVING  # m/s^2: of an acceleration of a still and of a moving hand
+    acc_moving: float = ACC_SIGMA_MOVING
 
 
 @dataclass(frozen=True)
@@ -215,14 +215,10 @@ class Events:
 
 
 def multirate_kalman(scene: Scene) -> Path:
-    """Recover one segment; nan before the camera first sees the arm (Feng, Glasgow thesis 2014, chapter 3).
-
-    Published: q = 2000 mm^2/s^5, 8 mm, 10 mm/s^2 for a hand at rest and 100 mm/s^2 above 150 mm/s, where the
-    process noise grows too, to a value that is not given: here the likeliest of `Q_MOVING` on the camera's
-    samples of this segment. The camera's noise is the scene's; gravity that the scene's orientation may leave
-    in the accelerations is added to theirs. The switch follows the speed of a first pass of the filter (the
-    published one that of its last state).
-    """
+    """Recover one segment; nan before the camera first sees the arm (Feng, thesis, Glasgow 2014, ch. 3)."""
+    # not given: the process noise of a moving hand, here the likeliest of `Q_MOVING` on the camera's samples.
+    # Gravity that the orientation may leave in the accelerations is added to their noise. The switch follows
+    # the speed of a first pass of the filter (published: of its last state)
     frame_t, point = scene.visible_points
     frame_t, point = frame_t[frame_t <= scene.t[-1]], point[frame_t <= scene.t[-1]]
     if len(frame_t) < 2:
@@ -272,10 +268,7 @@ def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[fl
 def multirate_model(
     events: Events, moving: BoolArray, noise: FilterNoise, q_moving: FloatArray | float
 ) -> Chain:
-    """Equations 3.1-3.7 with the continuous Wiener-process acceleration model.
-
-    Q's entry [2, 2] is dt^3/3 (Bar-Shalom et al. 2004; misprinted as dt^3/6 in 3.3).
-    """
+    """Equations 3.1-3.7; Q's entry [2, 2] is dt^3/3 (Bar-Shalom et al. 2004; misprinted as dt^3/6 in 3.3)."""
     q = np.asarray(q_moving, dtype=np.float64)
 
     def for_all(stack: FloatArray) -> FloatArray:

@@ -1,9 +1,6 @@
-"""Orientation filters for the baselines: the sensor in a frame {E} with z up, by name.
+"""Orientation filters for the baselines, by name: `R_E_A` of a sensor in a frame {E} with z up.
 
-Every filter gets the same even samples, its gyroscope's bias taken off, and answers with quaternions
-qw, qx, qy, qz of `R_E_A` (body to earth, z up: at rest the specific force is +9.81 m/s^2 along z of {E}) at
-the ends of the samples' intervals. The heading of {E} drifts, or starts anywhere; {E} is aligned to the
-camera's frame by the camera (`smoother.measurements.alignment.align`), for all filters alike.
+The heading of {E} drifts, or starts anywhere; the camera aligns it to its own frame, for all filters alike.
 """
 
 from __future__ import annotations
@@ -18,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import rotation
 from ..array_types import FloatArray
-from ..linalg import unit
+from ..linalg import sphere, unit
 from ..measurements.inertial import InertialAttitude, InertialSignal
 from ..recording import ImuStream
 from ..units import GRAVITY
@@ -78,7 +75,7 @@ def _field(imu: ImuStream, t: FloatArray) -> FloatArray | None:
 
 
 def start_attitude(samples: EvenSamples) -> Rotation:
-    """`R_E_A` at the end of the first interval: its tilt from the force of the first seconds, x ahead."""
+    """`R_E_A` at the end of the first interval: its tilt from the force of the first seconds."""
     count = min(len(samples), max(int(START_S / samples.step_s), 1))
     turns = Rotation.from_rotvec(samples.gyro[1:count] * samples.step_s)
     here = Rotation.identity()
@@ -95,11 +92,7 @@ def tilted(up_A: FloatArray) -> Rotation:
 
 
 def vqf(samples: EvenSamples) -> FloatArray:
-    """Quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` by the package `vqf`: forwards and backwards in time.
-
-    VQF (Laidig and Seel, Information Fusion 2023). Its class `offlineVQF` with the published settings; 6D,
-    without a magnetometer.
-    """
+    """VQF (Laidig and Seel, Information Fusion 2023) by its package, forwards and backwards in time, 6D."""
     from vqf import offlineVQF
 
     answer = offlineVQF(
@@ -113,12 +106,7 @@ GAIN = 0.033
 
 
 def madgwick(samples: EvenSamples) -> FloatArray:
-    """Quaternions (n, 4; qw, qx, qy, qz) of `R_E_A`, from a start whose tilt is right.
-
-    Madgwick's gradient descent filter (Madgwick 2010), gyroscope and accelerometer, by the package `ahrs`.
-    The package's objective compares the measured force with the third row of the quaternion's matrix, so
-    its quaternion maps {A} to an earth frame with z up: `R_E_A`, as it stands.
-    """
+    """Madgwick's gradient descent filter (2010), gyroscope and accelerometer, by the package `ahrs`."""
     from ahrs.filters import Madgwick
 
     start = start_attitude(samples).as_quat(scalar_first=True)
@@ -141,13 +129,7 @@ Vector = tuple[float, float, float]
 
 
 def comotti(samples: EvenSamples) -> FloatArray:
-    """Quaternions (n, 4; qw, qx, qy, qz) of `R_E_A`, x of {E} to magnetic north where there is a field.
-
-    A quaternion Kalman filter with an observation in closed form (Comotti 2013; JA: Jatesiktat and Ang 2017).
-    JA II-D: the gyroscope predicts the quaternion; gravity's and the magnetic field's directions give all
-    three axes of the earth in the sensor (eq 1), which as a quaternion of the sign nearer to the prediction
-    (eq 2) is the observation. Their noise figures are not given; ours are here.
-    """
+    """A quaternion Kalman filter with an observation in closed form (Comotti 2013; JA II-D, eq 1-2)."""
     q: Quaternion = tuple(start_attitude(samples).as_quat(scalar_first=True))
     quaternion = np.empty((len(samples), 4))
     quaternion[0] = q
@@ -232,14 +214,9 @@ Angles = tuple[float, float, float]
 
 
 def complementary(samples: EvenSamples) -> FloatArray:
-    """Quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` = Rz(heading) Ry(pitch) Rx(roll), z of {E} up.
-
-    A complementary filter on the angles (Feng, thesis, Glasgow 2014, eq 3.10 and 3.13-3.19). The class of
-    that name in `ahrs` is another algorithm: it uses body rates as the angles' rates and leaves the heading
-    at zero without a magnetometer. Feng's text leaves open what rates are meant; here the gyroscope turns
-    the attitude exactly, and the angles are blended after that. It has a compass; where there is none, the
-    blend turns about the level alone, so that the heading is the gyroscope's.
-    """
+    """A complementary filter on roll, pitch, heading (Feng, thesis, Glasgow 2014, eq 3.10, 3.13-3.19)."""
+    # `ahrs` has another algorithm of that name: body rates as the angles' rates, no heading without a field.
+    # What rates Feng means is open: here the gyroscope turns the attitude, then the angles are blended
     R_B_A = level_axes(samples)
     acc, gyro = R_B_A.apply(samples.acc), R_B_A.apply(samples.gyro)
     mag = None if samples.mag is None else R_B_A.apply(samples.mag)
@@ -268,11 +245,7 @@ def complementary(samples: EvenSamples) -> FloatArray:
 def level_axes(samples: EvenSamples) -> Rotation:
     """`R_B_A`: axes whose x keeps farthest from the vertical, by the force's direction over time."""
     up = unit(samples.acc)
-    count = np.arange(200) + 0.5
-    polar, around = np.arccos(1.0 - count / 200.0), np.pi * (1.0 + np.sqrt(5.0)) * count
-    candidates = np.stack(
-        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=1
-    )  # evenly over half of the sphere
+    candidates = sphere(400)[:200]  # half of it
     nearest = np.quantile(np.abs(up @ candidates.T), 0.99, axis=0)
     x = candidates[int(np.argmin(nearest))]
     z = unit(np.cross(x, np.eye(3)[int(np.argmin(np.abs(x)))]))
@@ -318,9 +291,7 @@ def angles_of(R: FloatArray) -> Angles:
 
 
 def same_heading(R: FloatArray, roll: float, pitch: float) -> float:
-    """The heading with which an attitude (3, 3) gets another roll and pitch by turning about the level
-    alone.
-    """
+    """The heading with which an attitude (3, 3) gets another roll and pitch by turning about the level."""
     up = matrix_of(roll, pitch, 0.0)[2]  # of the earth, in the sensor
     x, y, z = R @ up
     # the shortest turn from there to (0, 0, 1), and what it makes of the sensor's first axis
@@ -334,15 +305,10 @@ def wrapped(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-#: A filter: even samples in, quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` out.
-Filter = Callable[[EvenSamples], FloatArray]
-#: All of them by name.
-FILTERS: dict[str, Filter] = {each.__name__: each for each in (vqf, madgwick, comotti, complementary)}
-
-
-def orientation_filter(name: str) -> Filter:
-    """The filter of a name in `baselines.registry.ORIENTATIONS`."""
-    return FILTERS[name]
+#: The filters by name: even samples in, quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` out.
+FILTERS: dict[str, Callable[[EvenSamples], FloatArray]] = {
+    each.__name__: each for each in (vqf, madgwick, comotti, complementary)
+}
 
 
 def attitude_by(
@@ -350,6 +316,5 @@ def attitude_by(
 ) -> InertialAttitude:
     """Run a filter over a signal."""
     samples = even_samples(signal, rate_hz, gyroscope_bias, imu)
-    quaternion = orientation_filter(name)(samples)
-    attitude = rotation.Rotation.from_quat(quaternion, scalar_first=True)
+    attitude = rotation.Rotation.from_quat(FILTERS[name](samples), scalar_first=True)
     return InertialAttitude(samples.t, attitude, gyroscope_bias)

@@ -27,71 +27,51 @@ class BaselineEntry:
     """One method to compare with."""
 
     name: str  # As users call it; the function is the module's of that name, with underscores
+    module: str  # Where the function is
     words: str = ""  # What it is, and whose, in a paper's sentence; keys as in `report.methods`
     needs_orientation: bool = True  # The answer depends on the orientation filter
     options: frozenset[str] = frozenset()  # Keyword arguments of the function that a user may set
-    module: str = ""  # Where the function is; the module of its own name where ""
 
     def function(self, options: Mapping[str, Any]) -> Baseline:
         """The method, from a scene to a path, its options set."""
-        name = self.name.replace("-", "_")
-        function: Baseline = getattr(import_module(f".{self.module or name}", __package__), name)
+        module = import_module(f".{self.module}", __package__)
+        function: Baseline = getattr(module, self.name.replace("-", "_"))
         return partial(function, **options) if options else function
 
 
-#: Every baseline, the strongest first.
-BASELINES: dict[str, BaselineEntry] = {
-    entry.name: entry
-    for entry in (
-        BaselineEntry(
-            "rts", "an iterated error-state Kalman filter with Rauch-Tung-Striebel smoothing [@bell1994]"
-        ),
-        BaselineEntry("ukf", "an unscented Kalman filter after [@tian2015], with one IMU"),
-        BaselineEntry(
-            "gaussian-process",
-            "Gaussian-process regression of positions and accelerations after [@feng2014]",
-        ),
-        BaselineEntry(
-            "multirate-kalman",
-            "a multi-rate Kalman filter of positions and accelerations after [@feng2014]",
-            module="kalman",
-        ),
-        BaselineEntry("kalman", "a Kalman filter of position, velocity and acceleration after [@le2017]"),
-        BaselineEntry(
-            "linear-drift",
-            "double integration of the accelerometer through each gap, its error spread linearly in time"
-            " [@jatesiktat2017]",
-            options=frozenset({"boundary_s"}),
-            module="simple",
-        ),
-        BaselineEntry(
-            "camera-only",
-            "the camera's own skeleton alone, its guesses included [@jatesiktat2017]",
-            needs_orientation=False,
-            module="simple",
-        ),
-        BaselineEntry(
-            "pchip",
-            "shape-preserving cubic interpolation of the camera's points [@fritsch1980]",
-            module="simple",
-        ),
-        BaselineEntry("hold", "the last visible value carried forward", module="simple"),
-    )
-}
+def _by_name(*entries: BaselineEntry) -> dict[str, BaselineEntry]:
+    return {entry.name: entry for entry in entries}
 
+
+_RTS = "an iterated error-state Kalman filter with Rauch-Tung-Striebel smoothing [@bell1994]"
+_GAUSSIAN = "Gaussian-process regression of positions and accelerations after [@feng2014]"
+_MULTIRATE = "a multi-rate Kalman filter of positions and accelerations after [@feng2014]"
+_LINEAR = (
+    "double integration of the accelerometer through each gap, its error spread linearly in time"
+    " [@jatesiktat2017]"
+)
+_CAMERA = "the camera's own skeleton alone, its guesses included [@jatesiktat2017]"
+_PCHIP = "shape-preserving cubic interpolation of the camera's points [@fritsch1980]"
+_LATENCY = frozenset({"latency_s"})
+#: Every baseline, the strongest first.
+BASELINES = _by_name(
+    BaselineEntry("rts", "rts", _RTS),
+    BaselineEntry("ukf", "ukf", "an unscented Kalman filter after [@tian2015], with one IMU"),
+    BaselineEntry("gaussian-process", "gaussian_process", _GAUSSIAN),
+    BaselineEntry("multirate-kalman", "kalman", _MULTIRATE),
+    BaselineEntry(
+        "kalman", "kalman", "a Kalman filter of position, velocity and acceleration after [@le2017]"
+    ),
+    BaselineEntry("linear-drift", "simple", _LINEAR, options=frozenset({"boundary_s"})),
+    BaselineEntry("camera-only", "simple", _CAMERA, needs_orientation=False),
+    BaselineEntry("pchip", "simple", _PCHIP),
+    BaselineEntry("hold", "simple", "the last visible value carried forward"),
+)
 #: Baselines that see only what has arrived: they answer for the present.
-LIVE_BASELINES: dict[str, BaselineEntry] = {
-    entry.name: entry
-    for entry in (
-        BaselineEntry("autoregressive", options=frozenset({"latency_s"}), module="simple"),
-        BaselineEntry(
-            "constant-velocity",
-            needs_orientation=False,
-            options=frozenset({"latency_s"}),
-            module="simple",
-        ),
-    )
-}
+LIVE_BASELINES = _by_name(
+    BaselineEntry("autoregressive", "simple", options=_LATENCY),
+    BaselineEntry("constant-velocity", "simple", needs_orientation=False, options=_LATENCY),
+)
 
 
 def recover(
@@ -102,8 +82,7 @@ def recover(
     options: Mapping[str, Any] | None = None,
 ) -> Recovery:
     """Recover a recording by a baseline."""
-    from .one_camera import of_best_camera
-    from .scene import recovery_of, scenes_of
+    from .scene import of_best_camera, recovery_of, scenes_of
 
     options = dict(options or {})
     entries = BASELINES | LIVE_BASELINES

@@ -1,16 +1,10 @@
 """Baseline `rts`: an error-state Kalman filter with Rauch-Tung-Striebel smoothing over the whole segment.
 
-The strongest thing short of the graph: the IMU integrated between camera frames, every accepted joint as a
-measurement of its own lever arm's end, the shoulder and the upper arm's length, biases, gravity and shoulder
-as states. Each round linearises about the last one's answer and weighs the camera's samples by Cauchy's
-loss: Gauss-Newton on the whole segment (Bell, SIAM J. Optimization 1994, for the iterated smoother; Sola
-2017 for the error state). What the graph has beyond it: lever arms solved along, and a quiet arm's prior.
-
-State at a node: position p, velocity v (m, m/s in {K}), `R_K_A`, accelerometer and gyroscope bias in {A},
-gravity g and the shoulder s in {K}. The error is additive, of the orientation a rotation vector in {K}:
-R = Exp(theta) R_hat.
-
-Order of the method: on error-free sensors tenths of a millimetre, what the integration leaves.
+The IMU integrated between camera frames, joints as measurements of their lever arms' ends, the upper arm's
+length; each round linearises about the last one's answer and weighs the camera's samples by Cauchy's loss:
+Gauss-Newton on the whole segment (Bell, SIAM J. Optimization 1994, for the iterated smoother; Sola 2017 for
+the error state, additive but for R = Exp(theta) R_hat). The graph also solves lever arms, and has a quiet
+arm's prior.
 """
 
 from __future__ import annotations
@@ -49,7 +43,7 @@ class InertialTrajectory:
 
     t: FloatArray  # (n,) s
     p: FloatArray  # (n, 3) m and m/s: of the IMU in {K}
-    v: FloatArray  # (n, 3) m and m/s: of the IMU in {K}
+    v: FloatArray
     R: FloatArray  # (n, 3, 3): orientation `R_K_A`
     bias: FloatArray  # (n, 6) m/s^2 and rad/s: of accelerometer and gyroscope in {A}
     gravity: FloatArray  # (n, 3) m/s^2: in {K}
@@ -109,10 +103,7 @@ def joint_sigma(scene: Scene) -> float:
 
 
 def predict(states: InertialTrajectory, motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """p, v (n - 1, 3) and R (n - 1, 3, 3) of the next nodes by the IMU from each node's state.
-
-    Forster et al., IEEE Trans. Robotics 33:1-21 (2017), eq 33.
-    """
+    """p, v and R of the next nodes by the IMU (Forster et al., IEEE Trans. Robotics 33:1-21, 2017, eq 33)."""
     h, g, R = motion.dt[:, None], states.gravity[:-1], states.R[:-1]
     p = states.p[:-1] + states.v[:-1] * h + 0.5 * g * h**2 + np.einsum("nij,nj->ni", R, motion.delta_p)
     v = states.v[:-1] + g * h + np.einsum("nij,nj->ni", R, motion.delta_v)
@@ -120,11 +111,7 @@ def predict(states: InertialTrajectory, motion: Preintegration) -> tuple[FloatAr
 
 
 def transition(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
-    """Jacobian (n - 1, 21, 21) of the next node's error to this one's, over a whole interval.
-
-    Sola, Quaternion kinematics for the error-state Kalman filter (arXiv 1711.02508, 2017), section 7 (global
-    angular errors). Bias derivatives treat the rotation inside an interval to first order.
-    """
+    """Jacobian (n - 1, 21, 21) of the next node's error to this one's (Sola, arXiv 1711.02508, section 7)."""
     h, R = motion.dt[:, None, None], states.R[:-1]
     eye = np.eye(3)
     middle = 0.5 * (R + R @ motion.delta_R)
@@ -223,7 +210,7 @@ class CameraAtNodes:
     sigma_m: FloatArray  # (5,) m: noise of the joints, per axis
     levers: dict[str, FloatArray]  # dict of (3,) m: lever arms in {A}, by joint
     upper_arm_m: float  # Length shoulder to elbow and how it varies; nan where unknown
-    upper_arm_sigma_m: float  # Length shoulder to elbow and how it varies; nan where unknown
+    upper_arm_sigma_m: float
 
 
 def rts(scene: Scene) -> Path:

@@ -1,8 +1,6 @@
 """From a recording to the scenes that a baseline gets, and from its paths to a `Recovery`.
 
-A `Scene` is one segment of the recording (between pauses of the IMU); a baseline is a function from a scene
-to a `Path`. It gets the graph's calibration, its clock (wander included), the samples it accepted, its
-gravity and its gaps, so that a comparison is of the methods. It gets nothing of the graph's path.
+A baseline gets the graph's calibration, clock, accepted samples, gravity and gaps, and nothing of its path.
 """
 
 from __future__ import annotations
@@ -15,6 +13,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration
+from ..cameras import join_cameras
+from ..cameras.joining import FOREARM_M
 from ..config import CameraNoise
 from ..errors import SolveError
 from ..linalg import interpolate, rotate_covariance, skew
@@ -22,7 +22,7 @@ from ..measurements.alignment import Alignment, VectorPairs, align, lever_of, pa
 from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
 from ..measurements.timestamps import dejitter, split_at_pauses
-from ..measurements.visibility import Gap, enough_joints, joints_needed, occluded_at
+from ..measurements.visibility import Gap, enough_joints, find_gaps, joints_needed, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording
 from ..result import Estimates, Recovery
 from ..units import GRAVITY
@@ -44,8 +44,7 @@ class Scene:
     frame_t: FloatArray  # (f,) s: times of the camera frames, increasing
     joints: FloatArray  # (f, 5, 3) m: accepted joints in the order of `JOINTS`; nan where there is none
     camera_joints: FloatArray  # (f, 5, 3) m: whatever the camera stated, `inferred` included
-    # (f, 3) m: The IMU's position at visible frames, the mean over joints of joint - R_K_A lever
-    point: FloatArray
+    point: FloatArray  # (f, 3) m: the IMU at visible frames, the mean over joints of joint - R_K_A lever
     point_sigma_m: float  # Noise of `point`, per axis
     gaps: tuple[Gap, ...]  # The gaps inside
     calibration: ArmCalibration  # Lever arms and measures
@@ -113,6 +112,31 @@ def between(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
     """Linear interpolation (n, 3) between the finite rows of the values (f, 3), held beyond the ends."""
     t, values = finite_rows(t, values)
     return interpolate(t, values, at) if len(t) else np.full((len(at), 3), np.nan)
+
+
+def of_best_camera(recording: Recording, graph: Recovery) -> tuple[Recording, Recovery]:
+    """A recording and its recovery with the frames of the camera that saw the forearm most often, in {K}."""
+    # a camera without depth gets places on its rays, by the forearm's length that the graph found
+    if recording.arm.camera is None and (recording.cameras or recording.arm.pixel_rad is not None):
+        levers = {} if graph.calibration is None else graph.calibration.lever_arms
+        forearm_m = FOREARM_M
+        if {"elbow", "wrist"} <= levers.keys():
+            forearm_m = float(np.linalg.norm(levers["wrist"].position_m - levers["elbow"].position_m))
+        recording, _ = join_cameras(recording, forearm_m=forearm_m)
+    if graph.arm.camera is None or recording.arm.camera is None or len(graph.arm) != len(recording.arm):
+        return recording, graph
+    residuals = graph.residuals
+    needed = joints_needed(graph.arm)
+    used = recording.arm.state > 0 if residuals is None else np.asarray(residuals.used)
+    rows = max(graph.arm.rows_by_camera, key=lambda own: int(enough_joints(used[own], needed).sum()))
+    arm = replace(graph.arm.select(rows), camera=None)
+    visible = enough_joints(used[rows], needed)
+    gaps = find_gaps(np.asarray(arm.t_s), visible, float(graph.t_s[0]), float(graph.t_s[-1]))
+    if residuals is not None:
+        names = ("t_s", "residual", "used", "reason")
+        residuals = replace(residuals, **{name: getattr(residuals, name)[rows] for name in names})
+    own = replace(recording.arm.select(rows), camera=None)
+    return replace(recording, arm=own), replace(graph, arm=arm, residuals=residuals, gaps=gaps)
 
 
 #: How far the filter's vertical is off at any one frame, rad: {E} is tied to the graph's gravity.
@@ -287,9 +311,7 @@ def recovery_of(
     method: str,
     settings: dict[str, object] | None = None,
 ) -> Recovery:
-    """A baseline's answer at every IMU sample; nan where it has none, covariances nan where it states
-    none.
-    """
+    """A baseline's answer at every IMU sample; nan where it has none or states none."""
     assert graph.residuals is not None
     n, frames = len(recording.imu), len(graph.arm)
     names = [joint for joint in JOINTS if joint in recording.arm.present and joint != "strap"]

@@ -1,8 +1,4 @@
-"""Baselines in a few lines: `hold`, `pchip`, `camera-only`, `linear-drift`, and two that see only the past.
-
-Those two are what could be shown live without this program: they answer for the present from frames that
-arrive a latency late.
-"""
+"""Baselines in a few lines: `hold`, `pchip`, `camera-only`, `linear-drift`, and two of the past alone."""
 
 from __future__ import annotations
 
@@ -20,13 +16,7 @@ from .scene import Path, Scene, between, finite_rows, no_answer
 
 
 def hold(scene: Scene) -> Path:
-    """The pose of the last visible frame until the forearm is visible again; while it is visible, its own.
-
-    Last observation carried forward (LOCF; Little and Rubin, Statistical Analysis with Missing Data, 2002),
-    which is what a live display shows. Before the first visible frame: that frame's. Position is
-    the camera's point, linear between frames; orientation is the filter's, held through a gap with the
-    position, so that the joints stand still too.
-    """
+    """The pose of the last visible frame carried forward through each gap, as a live display shows it."""
     t, point = scene.visible_points
     position = between(t, point, scene.t)
     pose_of = np.arange(len(scene.t))
@@ -40,14 +30,7 @@ def hold(scene: Scene) -> Path:
 
 
 def pchip(scene: Scene) -> Path:
-    """Piecewise cubic Hermite interpolation of the visible positions.
-
-    Fritsch and Carlson, SIAM J. Numerical Analysis 17:238-246 (1980), by `scipy.interpolate`. Position:
-    through the camera's points at visible frames. Joints: each through its own accepted samples, as one fills
-    the tracks of a skeleton. Orientation: the filter's, which is at hand, and far better over a gap than to
-    turn evenly from the last visible orientation to the next. Beyond the first and last visible frame the
-    value is held: an extrapolated cubic is not a result.
-    """
+    """Shape-preserving cubics through visible positions, each joint's too (Fritsch and Carlson 1980)."""
     joints = {}
     for joint in ("shoulder", *(name for name in FOREARM_JOINTS if name != "strap")):
         t, position = finite_rows(scene.frame_t, scene.joints[:, JOINTS.index(joint)])
@@ -64,37 +47,21 @@ def _through(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def camera_only(scene: Scene) -> Path:
-    """The IMU's position interpolated between the camera's elbow and wrist, `inferred` ones included.
+    """The IMU between the camera's elbow and wrist, guesses included (Jatesiktat and Ang, EMBC 2017, eq 16).
 
-    Jatesiktat and Ang, EMBC 2017, eq 16: D = L + d_se / (d_sw + d_se) (T - L), with d_se and d_sw the strap's
-    distances from elbow L and wrist T along the forearm. The point lies on the forearm's axis, as
-    published, so it is off by the sensor's distance from that axis (some centimetres). Where the camera
-    gives nothing, the last and the next value are joined by a straight line. A recording with a
-    `strap` alone has the strap itself; with a wrist alone, the wrist. No orientation is given: elbow and
-    wrist do not show how the forearm is rolled.
+    The point lies on the forearm's axis, as published: off by the sensor's distance from it. No orientation:
+    elbow and wrist do not show how the forearm is rolled.
     """
     tracks = {name: scene.camera_joints[:, JOINTS.index(name)] for name in JOINTS}
     joints = {name: between(scene.frame_t, track, scene.t) for name, track in tracks.items()}
-    no_orientation = np.full((len(scene.t), 3, 3), np.nan)
-    position = between(scene.frame_t, _position(scene, tracks), scene.t)
-    return Path(position=position, R_K_A=no_orientation, joints=joints)
-
-
-def _position(scene: Scene, tracks: dict[str, FloatArray]) -> FloatArray:
-    """The IMU's position (f, 3) m at the frames, from whichever joints the recording has."""
-    share = _share(scene)
-    if share is not None and np.isfinite(tracks["elbow"]).any():
-        return tracks["elbow"] + share * (tracks["wrist"] - tracks["elbow"])
-    return tracks["strap"] if np.isfinite(tracks["strap"]).any() else tracks["wrist"]
-
-
-def _share(scene: Scene) -> float | None:
-    """d_se / (d_sw + d_se): where between elbow (0) and wrist (1) the IMU sits; None without lever arms."""
+    elbow, wrist = (lever_of(scene.calibration, joint) for joint in ("elbow", "wrist"))
     along = scene.calibration.forearm_direction
-    elbow, wrist = lever_of(scene.calibration, "elbow"), lever_of(scene.calibration, "wrist")
-    if along is None or elbow is None or wrist is None:
-        return None
-    return float(-(elbow @ along) / ((wrist - elbow) @ along))
+    place = tracks["strap"] if np.isfinite(tracks["strap"]).any() else tracks["wrist"]
+    if along is not None and elbow is not None and wrist is not None and np.isfinite(tracks["elbow"]).any():
+        share = float(-(elbow @ along) / ((wrist - elbow) @ along))  # d_se / (d_sw + d_se)
+        place = tracks["elbow"] + share * (tracks["wrist"] - tracks["elbow"])
+    no_orientation = np.full((len(scene.t), 3, 3), np.nan)
+    return Path(position=between(scene.frame_t, place, scene.t), R_K_A=no_orientation, joints=joints)
 
 
 #: Visible time beside the gap through which the boundary lines are fitted, s (II-K.1).
@@ -116,7 +83,11 @@ def linear_drift(scene: Scene, boundary_s: float = BOUNDARY_S) -> Path:
             position[inside] = _drift_through(scene, gap, inside, before, after)
     inside = np.flatnonzero(scene.occluded)
     position[inside] = snapped(scene, inside, position[inside])
-    return Path(position=position, notes=_notes(scene))
+    known = scene.calibration.upper_arm is not None and lever_of(scene.calibration, "elbow") is not None
+    if not scene.gaps or (known and np.isfinite(scene.shoulder).all()):
+        return Path(position=position)
+    note = "shoulder and upper arm are not known: gaps are recovered without the shoulder's constraint"
+    return Path(position=position, notes=(note,))
 
 
 def boundary(
@@ -177,15 +148,6 @@ def snapped(scene: Scene, rows: np.ndarray, position: FloatArray) -> FloatArray:
     return np.where(good, centre + upper_arm.value_m * away / np.where(good, length, 1.0), position)
 
 
-def _notes(scene: Scene) -> tuple[str, ...]:
-    if not scene.gaps:
-        return ()
-    known = scene.calibration.upper_arm is not None and lever_of(scene.calibration, "elbow") is not None
-    if known and np.isfinite(scene.shoulder).all():
-        return ()
-    return ("shoulder and upper arm are not known: gaps are recovered without the shoulder's constraint",)
-
-
 #: The camera's latency by default, s (Feng's Kinect).
 LATENCY_S = 0.1
 #: Frames that the predictor looks back (L = 5), and the display's velocity is taken over.
@@ -197,12 +159,8 @@ VELOCITY_WALK = 1.0
 
 
 def autoregressive(scene: Scene, latency_s: float = LATENCY_S) -> Path:
-    """Feng's online predictor: the last frames that have arrived, and the accelerations up to now.
-
-    Feng, thesis, Glasgow 2014, section 4.3. The hyper-parameters are the likeliest over the whole segment,
-    and the orientation behind the accelerations is the offline filter's: better than a live predictor would
-    have them.
-    """
+    """The last frames that have arrived, and accelerations up to now (Feng, thesis, Glasgow 2014, 4.3)."""
+    # hyper-parameters and orientation are of the whole segment: better than a live predictor would have them
     if scene.visible.sum() < 2:
         return no_answer(scene)
     data = measurements(scene)

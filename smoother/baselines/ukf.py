@@ -1,13 +1,8 @@
 """Baseline `ukf`: after Tian et al. (Neurocomputing 2015), an unscented Kalman filter, here with one IMU.
 
-State position, velocity and orientation; the IMU drives it, the camera's joints are measurements, each at
-the end of its own lever arm, which also keeps the heading. Sigma points live in the error of the state (the
-orientation's as a rotation vector in {K}), so that quaternions stay of unit length. It has no biases in its
-state: the gyroscope's is taken from the scene's orientation before, as a calibration at rest would do, and
-what the accelerometer keeps is part of the process noise. It starts from the scene's orientation. It is a
-filter: inside a gap it has seen the camera only up to the gap, and it jumps where the camera comes back.
-
-Order of the method: on error-free sensors tenths of a millimetre, what the integration leaves.
+State position, velocity and orientation, driven by the IMU; joints are measured at the ends of their lever
+arms. Sigma points live in the error of the state. No biases in the state: the gyroscope's is taken off
+before, as a calibration at rest would do; the accelerometer's is part of the process noise.
 """
 
 from __future__ import annotations

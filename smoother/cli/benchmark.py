@@ -55,7 +55,7 @@ def benchmark(
 ) -> None:
     """Score all methods on public data sets with hidden gaps.
 
-    The folder of --data contains broad/, utd_mhad/, smartfallmm/ and sevivi/ as published; missing ones are
+    The folder of --data contains broad/, utd_mhad/ and smartfallmm/ as published; missing ones are
     named and left out. Splits and gaps are frozen: they depend only on a trial's name and the seed. Writes
     benchmark.json, benchmark.md (the table) and gaps.csv (one row per gap).
 

@@ -8,7 +8,8 @@ and Conditioning Research 19:231-240 (2005), SEM and minimal difference.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,19 +32,15 @@ FORGOTTEN = 0.05
 class Agreement:
     """Agreement of an answer with a reference, in the unit of both; None where there are too few samples."""
 
-    rmse: float | None  # Root mean square of answer minus reference
-    bias: float | None  # Mean of answer minus reference
-    limits_low: float | None  # Limits of agreement, bias -+ 1.96 standard deviations
-    limits_high: float | None  # Limits of agreement, bias -+ 1.96 standard deviations
-    icc: float | None  # ICC(A,1) with its 95 % interval
-    icc_low: float | None  # ICC(A,1) with its 95 % interval
-    icc_high: float | None  # ICC(A,1) with its 95 % interval
     samples: int  # How many were compared
     independent: float  # Samples as the interval counts them: neighbours in time are not independent
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain values by name, as `--json` writes them."""
-        return asdict(self)
+    rmse: float | None = None  # Root mean square of answer minus reference
+    bias: float | None = None  # Mean of answer minus reference
+    limits_low: float | None = None  # Limits of agreement, bias -+ 1.96 standard deviations
+    limits_high: float | None = None
+    icc: float | None = None  # ICC(A,1) with its 95 % interval
+    icc_low: float | None = None
+    icc_high: float | None = None
 
 
 def agreement(
@@ -58,23 +55,24 @@ def agreement(
     if degrees:
         answer, reference = unwound_deg(answer, reference)
     count = len(answer)
-    if count < 3:
-        return Agreement(None, None, None, None, None, None, None, count, float(count))
+    if count < FEWEST_PAIRS:
+        return Agreement(count, float(count))
     difference = answer - reference
-    bias, spread = float(difference.mean()), float(difference.std(ddof=1))
+    bias, half = float(difference.mean()), LIMITS * float(difference.std(ddof=1))
     independent = count / memory(reference)
-    icc, low, high = icc_a1(np.column_stack([answer, reference]), independent)
-    return Agreement(
-        rmse=float(np.sqrt(np.mean(difference**2))),
-        bias=bias,
-        limits_low=bias - LIMITS * spread,
-        limits_high=bias + LIMITS * spread,
-        icc=icc,
-        icc_low=low,
-        icc_high=high,
-        samples=count,
-        independent=independent,
-    )
+    icc = icc_a1(np.column_stack([answer, reference]), independent)
+    rmse = float(np.sqrt(np.mean(difference**2)))
+    return Agreement(count, independent, rmse, bias, bias - half, bias + half, *icc)
+
+
+def interval(low: float | None, high: float | None, digits: int) -> str | None:
+    """An interval for a cell; None where there is none."""
+    return None if low is None or high is None else f"{low:.{digits}f} to {high:.{digits}f}"
+
+
+def with_interval(value: float | None, low: float | None, high: float | None, digits: int = 3) -> str | None:
+    """A coefficient with its interval, for a cell; None where there is none."""
+    return None if value is None else f"{value:.{digits}f} ({interval(low, high, digits)})"
 
 
 def unwound_deg(answer: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -99,6 +97,15 @@ def memory(values: FloatArray) -> float:
     return float(min(count / 2.0, max(1.0, 1.0 + 2.0 * correlation[1:last].sum())))
 
 
+def mean_squares(ratings: FloatArray) -> tuple[float, float, float]:  # ratings (n, k)
+    """Between rows (persons), between columns (sessions, raters), and of the error."""
+    n, k = ratings.shape
+    rows, columns, grand = ratings.mean(axis=1), ratings.mean(axis=0), ratings.mean()
+    residual = ratings - rows[:, None] - columns + grand
+    error = (residual**2).sum() / ((n - 1) * (k - 1))
+    return float(k * ((rows - grand) ** 2).sum() / (n - 1)), float(n * columns.var(ddof=1)), float(error)
+
+
 def icc_a1(
     ratings: FloatArray,
     independent: float | None = None,  # ratings (n, k)
@@ -107,16 +114,13 @@ def icc_a1(
     from scipy.stats import f as f_distribution
 
     n, k = ratings.shape
-    rows, columns, grand = ratings.mean(axis=1), ratings.mean(axis=0), ratings.mean()
-    between_rows = k * ((rows - grand) ** 2).sum() / (n - 1)
-    column_variance = ((columns - grand) ** 2).sum() / (k - 1)
-    residual = ratings - rows[:, None] - columns + grand
-    error = (residual**2).sum() / ((n - 1) * (k - 1))
-    icc = _icc(between_rows, n * column_variance, error, n, k)
-    if icc is None:
+    between_rows, between_columns, error = mean_squares(ratings)
+    whole = between_rows + (k - 1) * error + k / n * (between_columns - error)
+    if whole <= 0:
         return None, None, None
+    icc = (between_rows - error) / whole
     m = max(float(n if independent is None else independent), 3.0)
-    between_columns = m * column_variance
+    between_columns *= m / n
     if error <= 0 or icc >= 1:
         return icc, icc, icc
     a = k * icc / (m * (1 - icc))
@@ -132,28 +136,22 @@ def icc_a1(
     return icc, float(low), float(high)
 
 
-def _icc(rows: float, columns: float, error: float, n: int, k: int) -> float | None:
-    whole = rows + (k - 1) * error + k / n * (columns - error)
-    return float((rows - error) / whole) if whole > 0 else None
-
-
 #: Fewer pairs have a mean difference and nothing else.
 FEWEST_PAIRS = 3
 
 
-@dataclass(frozen=True)
-class AgreementLimits:
-    """Mean difference and limits of agreement, each with its 95 % interval."""
+class AgreementLimits(NamedTuple):
+    """Mean difference and limits of agreement (-+ 1.96 standard deviations), each with its 95 % interval."""
 
-    bias: float  # Mean of the differences
-    bias_low: float  # Mean of the differences
-    bias_high: float  # Mean of the differences
-    low: float  # Mean -+ 1.96 standard deviations
-    low_from: float  # Mean -+ 1.96 standard deviations
-    low_to: float  # Mean -+ 1.96 standard deviations
-    high: float  # Mean -+ 1.96 standard deviations
-    high_from: float  # Mean -+ 1.96 standard deviations
-    high_to: float  # Mean -+ 1.96 standard deviations
+    bias: float
+    bias_low: float
+    bias_high: float
+    low: float
+    low_from: float
+    low_to: float
+    high: float
+    high_from: float
+    high_to: float
 
 
 def limits_of_agreement(difference: FloatArray) -> AgreementLimits:  # difference (n,)
@@ -181,22 +179,18 @@ class PairAgreement:
     pairs: int  # How many were compared
     bias: float | None = None  # Mean of answer minus reference
     limits_low: float | None = None  # Limits of agreement, bias -+ 1.96 standard deviations
-    limits_high: float | None = None  # Limits of agreement, bias -+ 1.96 standard deviations
+    limits_high: float | None = None
     icc: float | None = None  # ICC(2,1) with its 95 % interval
-    icc_low: float | None = None  # ICC(2,1) with its 95 % interval
-    icc_high: float | None = None  # ICC(2,1) with its 95 % interval
+    icc_low: float | None = None
+    icc_high: float | None = None
     sem: float | None = None  # Standard error of measurement of the answer
     mdc95: float | None = None  # Minimal detectable change, 1.96 sqrt(2) SEM
     mdc95_low: float | None = None  # The 95 % interval of it: few pairs say little about a standard deviation
-    mdc95_high: float | None = None  # The 95 % interval of it
-    limits_low_from: float | None = None  # Their 95 % intervals
-    limits_low_to: float | None = None  # Their 95 % intervals
-    limits_high_from: float | None = None  # Their 95 % intervals
-    limits_high_to: float | None = None  # Their 95 % intervals
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain values by name, as `--json` writes them."""
-        return asdict(self)
+    mdc95_high: float | None = None
+    limits_low_from: float | None = None  # The 95 % intervals of the limits
+    limits_low_to: float | None = None
+    limits_high_from: float | None = None
+    limits_high_to: float | None = None
 
 
 def pair_agreement(answer: FloatArray, reference: FloatArray) -> PairAgreement:  # answer (n,); reference (n,)
@@ -206,36 +200,17 @@ def pair_agreement(answer: FloatArray, reference: FloatArray) -> PairAgreement: 
     count, difference = len(answer), answer - reference
     if count < FEWEST_PAIRS:
         return PairAgreement(count, float(difference.mean()) if count else None)
-    limits, spread = limits_of_agreement(difference), float(difference.std(ddof=1))
-    icc, icc_low, icc_high = icc_a1(np.column_stack([answer, reference]))
-    low, high = _sigma_interval(spread, count)
-    return PairAgreement(
-        pairs=count,
-        bias=limits.bias,
-        limits_low=limits.low,
-        limits_high=limits.high,
-        limits_low_from=limits.low_from,
-        limits_low_to=limits.low_to,
-        limits_high_from=limits.high_from,
-        limits_high_to=limits.high_to,
-        icc=icc,
-        icc_low=icc_low,
-        icc_high=icc_high,
-        sem=spread,
-        mdc95=detectable_change(spread),
-        mdc95_low=detectable_change(low),
-        mdc95_high=detectable_change(high),
-    )
+    limits, sem = limits_of_agreement(difference), float(difference.std(ddof=1))
+    icc = icc_a1(np.column_stack([answer, reference]))
+    low, high = (detectable_change(end) for end in sigma_interval(sem, count - 1))
+    changes = (sem, detectable_change(sem), low, high)
+    ends = (limits.low_from, limits.low_to, limits.high_from, limits.high_to)
+    return PairAgreement(count, limits.bias, limits.low, limits.high, *icc, *changes, *ends)
 
 
 def measurement_error(ratings: FloatArray) -> float:  # ratings (n, k)
-    """Standard error of measurement of alike trials or raters: sqrt of the error's mean square (Weir
-    2005).
-    """
-    n, k = ratings.shape
-    rows, columns = ratings.mean(axis=1), ratings.mean(axis=0)
-    residual = ratings - rows[:, None] - columns + ratings.mean()
-    return float(np.sqrt((residual**2).sum() / ((n - 1) * (k - 1))))
+    """Standard error of measurement of alike trials: sqrt of the error's mean square (Weir 2005)."""
+    return float(np.sqrt(mean_squares(ratings)[2]))
 
 
 def detectable_change(sem: float) -> float:
@@ -243,11 +218,11 @@ def detectable_change(sem: float) -> float:
     return LIMITS * float(np.sqrt(2.0)) * sem
 
 
-def _sigma_interval(sigma: float, count: int) -> tuple[float, float]:
-    """95 % interval of a standard deviation of normal values (chi-square)."""
+def sigma_interval(sigma: float, freedom: float) -> tuple[float, float]:
+    """95 % interval of a standard deviation of normal values with these degrees of freedom (chi-square)."""
     from scipy.stats import chi2
 
-    tail, freedom = 0.5 * (1 - CONFIDENCE), count - 1
+    tail = 0.5 * (1 - CONFIDENCE)
     low, high = (sigma * np.sqrt(freedom / chi2.ppf(p, freedom)) for p in (1 - tail, tail))
     return float(low), float(high)
 
@@ -269,7 +244,7 @@ class AngleComparison:
 
     t_s: FloatArray  # (n,) s: times
     answer: dict[str, FloatArray]  # dict of (n,): by the names of `smoother.joint_angles.ANGLES`
-    truth: dict[str, FloatArray]  # dict of (n,): by the names of `smoother.joint_angles.ANGLES`
+    truth: dict[str, FloatArray]
     # Median of the truth's carrying angle, None without markers on the epicondyles
     carrying_truth_deg: float | None = None
     notes: tuple[str, ...] = ()  # Notes on the comparison, one sentence each
@@ -296,21 +271,19 @@ def compare_angles(
     landmark_t_s: FloatArray | None = None,  # (m,) s
 ) -> AngleComparison | None:
     """Angles of a recovery beside those of a truth; None where they share none."""
-    count = len(recovery)
     joints = {
         name: np.where(reference.score[:, None], place, np.nan) for name, place in reference.joints.items()
     }
-    if not {"shoulder", "elbow"} <= joints.keys() or not {"shoulder", "elbow"} <= recovery.joints.keys():
+    if not {"shoulder", "elbow"} <= joints.keys() & recovery.joints.keys():
         return None
-    landmarks = landmarks or {}
     at = {
         name: position_at(landmark_t_s, place, recovery.t_s)
-        for name, place in landmarks.items()
+        for name, place in (landmarks or {}).items()
         if landmark_t_s is not None
     }
     R_K_F, notes = _true_forearm(recovery, reference, joints, at)
-    answer = recovery_angles(recovery)
-    truth = arm_angles(joints, count, R_K_F, recovery.side, recovery.gravity_direction)
+    about = (recovery.side, recovery.gravity_direction)
+    answer, truth = recovery_angles(recovery), arm_angles(joints, len(recovery), R_K_F, *about)
     good_answer, good_truth = defined(answer), defined(truth)
     masked = [
         {name: np.where(good_answer[name] & good_truth[name], angles[name], np.nan) for name in ANGLES}
@@ -319,9 +292,8 @@ def compare_angles(
     carrying = None
     if {"medial_epicondyle", "lateral_epicondyle"} <= at.keys():
         axis = at["lateral_epicondyle"] - at["medial_epicondyle"]
-        own = arm_angles(joints, count, None, recovery.side, recovery.gravity_direction, flexion_axis=axis)
-        known = own["carrying"][np.isfinite(own["carrying"])]
-        carrying = float(np.median(known)) if len(known) else None
+        own = arm_angles(joints, len(recovery), None, *about, flexion_axis=axis)["carrying"]
+        carrying = float(np.nanmedian(own)) if np.isfinite(own).any() else None
     found = AngleComparison(recovery.t_s, masked[0], masked[1], carrying, tuple(notes))
     return found if found.compared else None
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from ..recording import Recording
 from ..runtime.pool import Pool
 from ..table import Table, cell_text, centimetres, percent
 from .datasets import DATASETS, VERSION, BenchmarkTrial
-from .gap_table import GapFigures, GapTable, pooled, spread_by_length, table_of
-from .gaps import Collected, GapCopy, hide, try_methods
+from .gap_table import GapRow, GapTable, pooled, spread_by_length
+from .gaps import GapCopy, hide, try_methods
 from .hidden_gaps import GapErrors, HiddenGap, place_gaps
 from .methods import GRAPH, make_methods
 
@@ -46,9 +46,7 @@ class BenchmarkRun:
     """What came out."""
 
     tables: dict[tuple[str, str], GapTable]  # By data set and split
-    trials: dict[tuple[str, str], int]  # How many trials each holds
     digest: str  # SHA-256 over the files that were read: two runs with the same one saw the same data
-    notes: tuple[str, ...] = field(default=())
 
 
 def find_trials(
@@ -83,96 +81,70 @@ def run_benchmark(
     processes: int = 0,
 ) -> BenchmarkRun:
     """Hide, recover and score; seed 0 is the published benchmark, 0 processes are one per core."""
-    tasks = [task for trial in trials for task in _tasks(trial)]
+    tasks = [
+        BenchmarkTask(trial, lengths_s)
+        for trial in trials
+        for data in [DATASETS[trial.dataset]]
+        for lengths_s in ([data.lengths_s] if data.together else [(each,) for each in data.lengths_s])
+    ]
+    answers: dict[tuple[str, str], list[GapTable]] = {}
     with Pool(processes, _MANY_FRAMES) as pool:
         progress(0.0, "calibrating")
         calibrations = _calibrations(folder, trials, pool)
-        job = partial(_collected, methods=tuple(methods), seed=seed, calibrations=calibrations)
-        answers = []
+        job = partial(_tried, methods=tuple(methods), seed=seed, calibrations=calibrations)
         for number, (task, answer) in enumerate(zip(tasks, pool.map(job, tasks), strict=True)):
             progress(number / len(tasks), task.trial.key)
-            answers.append(answer)
+            answers.setdefault((task.trial.dataset, task.trial.split), []).append(answer)
     progress(1.0, "done")
-    tables = {}
-    for dataset, split in dict.fromkeys((trial.dataset, trial.split) for trial in trials):
-        own = [
-            answer
-            for task, answer in zip(tasks, answers, strict=True)
-            if (task.trial.dataset, task.trial.split) == (dataset, split)
-        ]
-        # lengths in their order, whichever trial came first
-        table = pooled([table_of(each.rows, each.hidden, each.notes) for each in own])
-        tables[dataset, split] = GapTable(
-            {length: table.lengths[length] for length in sorted(table.lengths)},
-            table.rows,
-            table.notes,
-            table.errors,
-        )
-    counts = {key: len({row.recording for row in table.rows}) for key, table in tables.items()}
-    return BenchmarkRun(tables, counts, _digest(trials))
-
-
-def _tasks(trial: BenchmarkTrial) -> list[BenchmarkTask]:
-    """The copies of a trial."""
-    data = DATASETS[trial.dataset]
-    if data.together:
-        return [BenchmarkTask(trial, data.lengths_s)]
-    return [BenchmarkTask(trial, (length_s,)) for length_s in data.lengths_s]
+    return BenchmarkRun({key: pooled(tables) for key, tables in answers.items()}, _digest(trials))
 
 
 def _calibrations(folder: Path, trials: Sequence[BenchmarkTrial], pool: Pool) -> dict[str, ArmCalibration]:
     """By data set and group, from the recordings that are not scored."""
     wanted = sorted({(trial.dataset, trial.calibrated_on) for trial in trials if trial.calibrated_on})
-    groups = []
-    for dataset, group in wanted:
-        own = DATASETS[dataset].calibrations(folder / dataset).get(group, [])
-        if own:
-            groups.append((f"{dataset}/{group}", own))
-    return {
-        name: calibration
-        for (name, _), calibration in zip(groups, pool.map(_calibration, groups), strict=True)
-        if calibration is not None
+    groups = {
+        f"{dataset}/{group}": own
+        for dataset, group in wanted
+        if (own := DATASETS[dataset].calibrations(folder / dataset).get(group))
     }
+    made = zip(groups, pool.map(_calibration, groups.values()), strict=True)
+    return {name: calibration for name, calibration in made if calibration is not None}
 
 
-def _calibration(group: tuple[str, list[BenchmarkTrial]]) -> ArmCalibration | None:
+def _calibration(group: list[BenchmarkTrial]) -> ArmCalibration | None:
     from calib.motion import calibrate_motion
 
-    recordings = [DATASETS[trial.dataset].open(trial) for trial in group[1]]
+    recordings = [DATASETS[trial.dataset].open(trial) for trial in group]
     try:
         return calibrate_motion(recordings, None, Config.model_validate(_CONFIG)).calibration
     except UnoccludeError:
         return None
 
 
-def _collected(
+def _tried(
     task: BenchmarkTask, methods: tuple[str, ...], seed: int, calibrations: dict[str, ArmCalibration]
-) -> Collected:
+) -> GapTable:
     """One task by all methods."""
-    trial, data, collected = task.trial, DATASETS[task.trial.dataset], Collected()
+    trial = task.trial
     try:
-        recording = replace(data.open(trial), name=trial.name)
+        recording = replace(DATASETS[trial.dataset].open(trial), name=trial.name)
         gaps = placed_gaps(task, recording, seed)
     except UnoccludeError as error:
-        collected.notes.append(f"{trial.key} could not be opened: {error}")
-        return collected
-    missing = [f"{length_s:g}" for length_s in task.lengths_s if length_s not in {each for each, _ in gaps}]
+        return GapTable((), (f"{trial.key} could not be opened: {error}",))
+    lengths = {gap: length_s for length_s, gap in gaps}
+    missing = [f"{length_s:g}" for length_s in task.lengths_s if length_s not in lengths.values()]
+    notes = []
     if missing:
         words = " and ".join(missing)
-        collected.notes.append(f"{trial.key} shows no arm for long enough to hide it for {words} s.")
+        notes.append(f"{trial.key} shows no arm for long enough to hide it for {words} s.")
     if not gaps:
-        return collected
+        return GapTable((), tuple(notes))
     calibration = calibrations.get(f"{trial.dataset}/{trial.calibrated_on}")
-    lengths = {gap: length_s for length_s, gap in gaps}
-    copy = GapCopy(task.lengths_s[0], 0, list(lengths))
     made = make_methods([GRAPH, *methods], calibration, Config.model_validate(_CONFIG))
-    found = try_methods(copy, recording, made, one_noise=True)
-    wanted = [row.method in methods for row in found.rows]
-    collected.rows += [row for row, kept in zip(found.rows, wanted, strict=True) if kept]
-    collected.hidden += [each for each, kept in zip(found.hidden, wanted, strict=True) if kept]
-    collected.notes += [f"{trial.key}: {note}" for note in found.notes]
-    collected.rows = [replace(row, length_s=lengths[row.gap]) for row in collected.rows]
-    return collected
+    found = try_methods(GapCopy(task.lengths_s[0], 0, list(lengths)), recording, made, one_noise=True)
+    notes += [f"{trial.key}: {note}" for note in found.notes]
+    rows = [replace(row, length_s=lengths[row.gap]) for row in found.rows if row.method in methods]
+    return GapTable(tuple(rows), tuple(notes))
 
 
 def placed_gaps(task: BenchmarkTask, recording: Recording, seed: int) -> list[tuple[float, HiddenGap]]:
@@ -199,100 +171,74 @@ def _digest(trials: Sequence[BenchmarkTrial]) -> str:
     return total.hexdigest()
 
 
-@dataclass(frozen=True)
-class MethodRow:
-    """A method over one data set and split."""
-
-    method: str
-    median_m: dict[float, float | None]  # By length: the median over the gaps of their rms
-    rms_m: dict[float, float | None]  # By length: over all samples
-    inside_95: float | None  # Share of all samples inside the stated 95 % region, over all lengths
-    gaps: int  # That were tried, and those of them without an answer
-    failed: int  # That were tried, and those of them without an answer
-
-
-def method_rows(table: GapTable) -> list[MethodRow]:
-    """The methods of a data set, by the sum of their medians, those without an answer last."""
-    spreads = spread_by_length(table.rows)
-    methods = dict.fromkeys(row.method for row in table.rows)
-    rows = []
-    for name in methods:
-        median = {length: by[name].median_m for length, by in spreads.items() if name in by}
-        rms = {length: by[name].figures.position_rms_m for length, by in table.lengths.items() if name in by}
-        own = [errors for row, errors in zip(table.rows, table.errors, strict=True) if row.method == name]
-        together = GapErrors.pooled(own).figures()
-        failed = sum(bool(row.failure) for row in table.rows if row.method == name)
-        rows.append(MethodRow(name, median, rms, together.coverage_95, len(own), failed))
-    return sorted(rows, key=_rank)
-
-
-def _rank(row: MethodRow) -> tuple[int, float]:
-    known = [value for value in row.median_m.values() if value is not None]
-    return len(row.median_m) - len(known), sum(known)
-
-
-def plain(run: BenchmarkRun, seed: int, version: str) -> dict[str, object]:
-    """Plain values by name, as `benchmark.json` holds them; nothing in it changes from run to run."""
+def _method(name: str, rows: Sequence[GapRow]) -> dict[str, Any]:
+    """A method over one data set and split: by length median over the gaps, rms over the samples."""
+    lengths = GapTable(tuple(rows)).lengths
+    rms = {length: lengths[length][name].figures.position_rms_m for length in sorted(lengths)}
     return {
-        "benchmark": VERSION,
-        "version": version,
-        "seed": seed,
-        "data_sha256": run.digest,
-        "datasets": [
-            {
-                "dataset": dataset,
-                "split": split,
-                "trials": run.trials[dataset, split],
-                "lengths": [
-                    {"length_s": length, "methods": {name: _figures(each) for name, each in by.items()}}
-                    for length, by in table.lengths.items()
-                ],
-                "methods": [
-                    {
-                        "method": row.method,
-                        "median_m": {f"{length:g}": value for length, value in row.median_m.items()},
-                        "rms_m": {f"{length:g}": value for length, value in row.rms_m.items()},
-                        "inside_95": row.inside_95,
-                        "gaps": row.gaps,
-                        "failed": row.failed,
-                    }
-                    for row in method_rows(table)
-                ],
-            }
-            for (dataset, split), table in run.tables.items()
-        ],
-        "notes": list(all_notes(run)),
+        "method": name,
+        "median_m": {f"{length:g}": by[name].median_m for length, by in spread_by_length(rows).items()},
+        "rms_m": {f"{length:g}": value for length, value in rms.items()},
+        "inside_95": GapErrors.pooled([row.errors for row in rows]).figures().coverage_95,
+        "gaps": len(rows),
+        "failed": sum(bool(row.failure) for row in rows),
     }
 
 
-def _figures(figures: GapFigures) -> dict[str, object]:
-    return {name: value for name, value in figures.to_dict().items() if not name.endswith("_cm")}
+def plain(run: BenchmarkRun, seed: int, version: str) -> dict[str, Any]:
+    """Plain values by name, as `benchmark.json` holds them; nothing in it changes from run to run."""
+    datasets = []
+    for (dataset, split), table in run.tables.items():
+        names = dict.fromkeys(row.method for row in table.rows)
+        methods = [_method(name, [row for row in table.rows if row.method == name]) for name in names]
+        lengths = [
+            {
+                "length_s": length,
+                "methods": {
+                    name: {key: value for key, value in each.to_dict().items() if not key.endswith("_cm")}
+                    for name, each in by.items()
+                },
+            }
+            for length, by in sorted(table.lengths.items())
+        ]
+        counted = len({row.recording for row in table.rows})
+        about = {"dataset": dataset, "split": split, "trials": counted, "lengths": lengths}
+        datasets.append(about | {"methods": sorted(methods, key=_rank)})
+    head = {"benchmark": VERSION, "version": version, "seed": seed, "data_sha256": run.digest}
+    return head | {"datasets": datasets, "notes": all_notes(run)}
 
 
-def all_notes(run: BenchmarkRun) -> Sequence[str]:
+def _rank(row: dict[str, Any]) -> tuple[int, float]:
+    """Methods by the sum of their medians, those without an answer last."""
+    known = [value for value in row["median_m"].values() if value is not None]
+    return len(row["median_m"]) - len(known), sum(known)
+
+
+def all_notes(run: BenchmarkRun) -> list[str]:
     """What a reader must know, one sentence each, none twice."""
-    return list(dict.fromkeys([*run.notes, *(note for table in run.tables.values() for note in table.notes)]))
+    return list(dict.fromkeys(note for table in run.tables.values() for note in table.notes))
 
 
 def summary(run: BenchmarkRun, dataset: str, split: str) -> Table:
     """The table of a data set: by method median / rms in cm by length, the share inside, the gaps."""
-    table, trials = run.tables[dataset, split], run.trials[dataset, split]
+    only = BenchmarkRun({(dataset, split): run.tables[dataset, split]}, "")
+    (figures,) = plain(only, 0, "")["datasets"]
+    lengths = [f"{each['length_s']:g}" for each in figures["lengths"]]
     rows = [
         (
-            row.method,
+            row["method"],
             *(
-                f"{cell_text(centimetres(row.median_m.get(length)))}"
-                f" / {cell_text(centimetres(row.rms_m.get(length)))}"
-                for length in table.lengths
+                " / ".join(cell_text(centimetres(row[what].get(length))) for what in ("median_m", "rms_m"))
+                for length in lengths
             ),
-            percent(row.inside_95),
-            f"{row.gaps} ({row.failed} failed)" if row.failed else f"{row.gaps}",
+            percent(row["inside_95"]),
+            f"{row['gaps']} ({row['failed']} failed)" if row["failed"] else f"{row['gaps']}",
         )
-        for row in method_rows(table)
+        for row in figures["methods"]
     ]
+    trials = figures["trials"]
     title = f"{DATASETS[dataset].title}, {split}: {trials} trial{'' if trials == 1 else 's'}"
-    columns = ("method", *(f"{length:g} s" for length in table.lengths), "inside 95 %", "gaps")
-    return Table(title, columns, rows)
+    return Table(title, ("method", *(f"{length} s" for length in lengths), "inside 95 %", "gaps"), rows)
 
 
 def markdown(run: BenchmarkRun) -> str:
@@ -306,7 +252,7 @@ def gap_rows(run: BenchmarkRun) -> Iterable[Sequence[str]]:
     yield CSV_COLUMNS
     for (dataset, split), table in run.tables.items():
         for row in table.rows:
-            numbers = (row.figures.position_rms_m, row.figures.position_max_m, row.sigma_max_m)
+            numbers = (row.figures.position_rms_m, row.figures.position_max_m, row.errors.sigma_max_m)
             cells = [dataset, split, row.recording, f"{row.length_s:g}", row.method]
             cells += [repr(float(row.gap.start_s)), repr(float(row.gap.end_s)), str(row.figures.samples)]
             cells += ["" if value is None else repr(float(value)) for value in numbers]

@@ -5,7 +5,7 @@ The live smoother as methods: a recording played into it on a simulated clock, t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -20,7 +20,8 @@ from ..linalg import interpolate
 from ..live.answers import LiveEstimate
 from ..live.buffers import ImuBatch, SkeletonFrame
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, Recording, Truth
+from ..measures.motion import one_sign
+from ..recording import Recording, Truth
 from ..result import Recovery
 from ..runtime.pool import Pool, Progress
 from ..table import Table, centimetres, percent
@@ -28,7 +29,7 @@ from .gaps import Method
 from .metrics import Figures, lag_s, truth_at
 from .reference import ReferenceAlignment
 from .truth import truth_notes
-from .validate import PARTS, Validation, validate
+from .validate import PARTS, Validation, validated
 
 #: The point that is compared where the truth has it; joints where it has no IMU.
 SENSOR = "sensor"
@@ -72,7 +73,7 @@ class Comparison:
     rows: tuple[MethodResult, ...]
     point: str  # What is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU
     clock_offset_s: float  # `t_imu = t_camera + offset`, estimated by the graph, given to all
-    clock_offset_sigma_s: float  # `t_imu = t_camera + offset`, estimated by the graph, given to all
+    clock_offset_sigma_s: float
     # By joint, lag of the camera's own samples behind the truth, stamps as they came
     camera_lag_s: dict[str, float]
     t_s: FloatArray  # (n,) s: the IMU's times
@@ -100,11 +101,11 @@ class Comparison:
 
     def figures(self, row: MethodResult, part: str) -> Figures | None:
         """Figures of the compared point over a part ("all", "occluded" or "visible")."""
-        return None if row.validation is None else figures_of(row.validation, self.point, part)
+        return None if row.validation is None else row.validation.figures_of(self.point, part)
 
     def title(self, text: str) -> str:
         """The title of one of its results: states where the truth was aligned."""
-        return f"{text} ({self.alignment.title})" if self.alignment.title else text
+        return self.alignment.titled(text)
 
     @property
     def tables(self) -> tuple[Table, Table, Table]:
@@ -125,18 +126,14 @@ class Comparison:
             found = [row.validation.points.get(joint, {}).get(self.part) for joint in names]
             joints.append((row.method, *(each and centimetres(each.position_rms_m) for each in found)))
         lags = [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in self.rows]
-        columns = (
-            *("method", "rms, cm", "95 %", "max", "rms, deg", "NEES", "inside 95 %"),
-            *("visible rms, cm", "deg"),
-        )
+        columns = ("method", "rms, cm", "95 %", "max", "rms, deg", "NEES", "inside 95 %", "visible rms, cm")
         what = "forearm IMU" if self.point == SENSOR else self.point
         best = self.title(f"Error of the {what} {self.where}, the best method first")
-        rms = self.title(f"Joints {self.where}, rms, cm")
-        lag = self.title("Lag left behind the truth, ms")
+        rms, lag = f"Joints {self.where}, rms, cm", "Lag left behind the truth, ms"
         return (
-            Table(best, columns, errors, _ERRORS),
-            Table(rms, ("method", *names), joints if names else (), _JOINTS),
-            Table(lag, ("method", "all samples", "in gaps"), lags, _LAG),
+            Table(best, (*columns, "deg"), errors, _ERRORS),
+            Table(self.title(rms), ("method", *names), joints if names else (), _JOINTS),
+            Table(self.title(lag), ("method", "all samples", "in gaps"), lags, _LAG),
         )
 
     @property
@@ -166,16 +163,15 @@ class Comparison:
         }
 
     def _method(self, row: MethodResult) -> dict[str, Any]:
-        plain: dict[str, Any] = {"failure": row.failure}
-        if row.validation is not None:
-            whole = row.validation.to_dict()
-            plain |= {key: whole[key] for key in (*PARTS, "points", "gaps")}
-            plain |= {"lag_s": row.lag_s, "lag_occluded_s": row.lag_occluded_s}
-        return plain
+        if row.validation is None:
+            return {"failure": row.failure}
+        whole = row.validation.to_dict()
+        own = {"failure": row.failure, "lag_s": row.lag_s, "lag_occluded_s": row.lag_occluded_s}
+        return own | {key: whole[key] for key in (*PARTS, "points", "gaps")}
 
 
-def _ms(value: float | None) -> str | None:
-    return None if value is None else f"{1e3 * value:+.1f}"
+def _ms(value_s: float | None) -> str | None:
+    return None if value_s is None else f"{1e3 * value_s:+.1f}"
 
 
 def compare(
@@ -189,7 +185,7 @@ def compare(
 ) -> Comparison:
     """Run every method on one recording and hold each answer against the same truth."""
     alignment = alignment or ReferenceAlignment()
-    point = compared_point(validate(graph, truth, alignment), graph)
+    point = compared_point(validated(graph, truth, alignment)[0], graph)
     report = progress or (lambda part, text: None)
     job = partial(
         _result, methods=methods, recording=recording, truth=truth, alignment=alignment, point=point
@@ -218,21 +214,13 @@ def compare(
 def compared_point(validation: Validation, recovery: Recovery) -> str:
     """The first of `POINTS` that truth and answer share."""
     for point in POINTS:
-        figures = figures_of(validation, point, "all")
+        figures = validation.figures_of(point, "all")
         if figures is not None and figures.samples:
             return point
     raise RecordingError(
         f"{recovery.name}: the truth has no position that the methods answer (the IMU's, wrist, hand or"
         " elbow), so there is nothing to compare"
     )
-
-
-def figures_of(validation: Validation, point: str, part: str) -> Figures | None:
-    """Figures of a point over a part, the IMU's orientation with the IMU; None where there are none."""
-    if point == SENSOR:
-        figures: Figures = getattr(validation, part)
-        return figures
-    return validation.points.get(point, {}).get(part)
 
 
 def _result(
@@ -245,29 +233,24 @@ def _result(
 ) -> MethodResult:
     try:
         recovery = methods[name](recording)
-        validation = validate(recovery, truth, alignment)
+        validation, _ = validated(recovery, truth, alignment)
     except UnoccludeError as error:
         return MethodResult(name, None, failure=str(error))
     path = recovery.position if point == SENSOR else recovery.joints[point]
     reference = truth.position if point == SENSOR else truth.joints[point]
     reference = np.where(truth.score[:, None], reference, np.nan)
-    hidden = np.where(recovery.occluded[:, None], path, np.nan)
-    return MethodResult(
-        name,
-        validation,
-        lag_s=lag_s(recovery.t_s, path, reference, truth.t_s),
-        lag_occluded_s=lag_s(recovery.t_s, hidden, reference, truth.t_s),
-        path=path,
+    lag, lag_occluded = (
+        lag_s(recovery.t_s, samples, reference, truth.t_s)
+        for samples in (path, np.where(recovery.occluded[:, None], path, np.nan))
     )
+    return MethodResult(name, validation, lag, lag_occluded, path)
 
 
 def _rank(row: MethodResult, point: str) -> tuple[bool, float]:
     """The error in gaps, else over all samples; without an answer last."""
-    if row.validation is None:
-        return True, 0.0
     for part in ("occluded", "all"):
-        figures = figures_of(row.validation, point, part)
-        if figures is not None and figures.position_rms_m is not None:
+        figures = row.validation and row.validation.figures_of(point, part)
+        if figures and figures.position_rms_m is not None:
             return False, figures.position_rms_m
     return True, 0.0
 
@@ -312,60 +295,36 @@ STEPS_OF_CALIBRATION = 15
 APART_S = 0.2
 
 
-class LivePlay:
-    """A recording played once into the live smoother, for several methods."""
+#: By kind ("now" or "settled"), every answer of the live smoother.
+LiveAnswers = dict[str, list[LiveEstimate]]
 
-    def __init__(
-        self,
-        graph: Method,
-        calibration: ArmCalibration | None,
-        config: Config,
-        latency_s: float = 0.1,
-        lag_s: float = 0.2,
-    ) -> None:
-        self._graph, self._calibration, self._config = graph, calibration, config
-        self._latency_s, self._lag_s = latency_s, lag_s
-        self._recording: Recording | None = None
-        self._answers: dict[str, list[tuple[float, FloatArray]]] = {}
 
-    def method(self, kind: str) -> Method:
-        """The method that answers with "now" or "settled"."""
+def play(
+    recording: Recording,
+    graph: Method,
+    calibration: ArmCalibration | None,
+    config: Config,
+    latency_s: float = 0.1,
+    lag_s: float = 0.2,
+) -> LiveAnswers:
+    """What the live smoother answers to a recording that arrives step by step."""
+    from ..live.calibrations import InlineCalibrator
+    from ..live.smoother import LiveSmoother
 
-        def run(recording: Recording) -> Recovery:
-            graph = self._graph(recording)
-            if self._recording is not recording:
-                self._answers = self._played(recording, graph.clock_offset_s)
-                self._recording = recording
-            return _as_recovery(graph, self._answers[kind], f"live-{kind}")
-
-        return run
-
-    def _played(self, recording: Recording, offset_s: float) -> dict[str, list[tuple[float, FloatArray]]]:
-        """Time and values (position, quaternion, velocity, covariance, joints) of each answer."""
-        from ..live.calibrations import InlineCalibrator
-        from ..live.smoother import LiveSmoother
-
-        answers: dict[str, list[tuple[float, FloatArray]]] = {"now": [], "settled": []}
-        smoother = LiveSmoother(
-            recording.side,
-            self._calibration,
-            self._config,
-            self._lag_s,
-            recording.gravity_hint,
-            recording.camera_frame,
-            InlineCalibrator(STEPS_OF_CALIBRATION),
-        )
-        with smoother as live:
-            for now_s, imu, frames in arrivals(recording, offset_s, self._latency_s):
-                for batch in imu:
-                    live.add_imu(batch)
-                for frame in frames:
-                    live.add_frame(frame)
-                output = live.step(now_s)
-                for kind, estimate in (("now", output.now), ("settled", output.settled)):
-                    if estimate is not None:
-                        answers[kind].append((estimate.t_s, _values(estimate)))
-        return answers
+    answers: LiveAnswers = {"now": [], "settled": []}
+    calibrator = InlineCalibrator(STEPS_OF_CALIBRATION)
+    given = (recording.gravity_hint, recording.camera_frame, calibrator)
+    with LiveSmoother(recording.side, calibration, config, lag_s, *given) as live:
+        for now_s, imu, frames in arrivals(recording, graph(recording).clock_offset_s, latency_s):
+            for batch in imu:
+                live.add_imu(batch)
+            for frame in frames:
+                live.add_frame(frame)
+            output = live.step(now_s)
+            for kind, own in answers.items():
+                if (estimate := getattr(output, kind)) is not None:
+                    own.append(estimate)
+    return answers
 
 
 def arrivals(
@@ -388,50 +347,42 @@ def arrivals(
         first, frame = last, until
 
 
-def _values(estimate: LiveEstimate) -> FloatArray:
-    """Position, quaternion, velocity, pose covariance, joints and their covariances in one row."""
-    joints = [estimate.joints.get(joint, np.full(3, np.nan)) for joint in JOINTS]
-    spreads = [estimate.joint_covariance.get(joint, np.full((3, 3), np.nan)).ravel() for joint in JOINTS]
-    return np.concatenate(
-        [
-            estimate.position,
-            estimate.quaternion,
-            estimate.velocity,
-            estimate.pose_covariance.ravel(),
-            *joints,
-            *spreads,
-        ]
-    )
-
-
-def _as_recovery(graph: Recovery, answers: list[tuple[float, FloatArray]], name: str) -> Recovery:
-    """The answers at the times of the graph's recovery; nan before the first."""
+def by_live(
+    kind: str, played: Callable[[Recording], LiveAnswers], graph: Method, recording: Recording
+) -> Recovery:
+    """The live answers at the times of the graph's recovery; nan before the first."""
+    solved, answers = graph(recording), played(recording)[kind]
     if len(answers) < 2:
         raise UnoccludeError(
-            f"{graph.name}: too short for {name}, which calibrates itself on the first seconds"
+            f"{solved.name}: too short for live-{kind}, which calibrates itself on the first seconds"
         )
-    rows = dict(answers)
-    t, values = np.array(list(rows)), np.array(list(rows.values()))
-    order = np.argsort(t)
-    t, values = t[order], values[order]
-    flips = np.where((values[1:, 3:7] * values[:-1, 3:7]).sum(axis=1) < 0, -1.0, 1.0)
-    values[1:, 3:7] *= np.cumprod(flips)[:, None]
-    at = interpolate(t, values, graph.t_s)
-    right = np.clip(np.searchsorted(t, graph.t_s), 1, len(t) - 1)
-    unknown = (graph.t_s < t[0]) | (graph.t_s > t[-1]) | (t[right] - t[right - 1] > APART_S)
-    at[unknown] = np.nan
-    quaternion = at[:, 3:7] / np.linalg.norm(at[:, 3:7], axis=1, keepdims=True)
-    joints = at[:, 46 : 46 + 3 * len(JOINTS)].reshape(-1, len(JOINTS), 3)
-    spreads = at[:, 46 + 3 * len(JOINTS) :].reshape(-1, len(JOINTS), 3, 3)
-    columns = {joint: JOINTS.index(joint) for joint in graph.joints}
+    by_time = {answer.t_s: answer for answer in answers}
+    t = np.array(sorted(by_time))
+    answers = [by_time[t_s] for t_s in t.tolist()]
+    right = np.clip(np.searchsorted(t, solved.t_s), 1, len(t) - 1)
+    unknown = (solved.t_s < t[0]) | (solved.t_s > t[-1]) | (t[right] - t[right - 1] > APART_S)
+
+    def column(values: list[FloatArray]) -> FloatArray:
+        at = interpolate(t, np.array(values), solved.t_s)
+        at[unknown] = np.nan
+        return at
+
+    quaternion = column(list(one_sign(np.array([answer.quaternion for answer in answers]))))
+    no_place, no_spread = np.full(3, np.nan), np.full((3, 3), np.nan)
     return replace(
-        graph,
-        method=name,
-        position=at[:, :3],
-        quaternion=quaternion,
-        velocity=at[:, 7:10],
-        pose_covariance=at[:, 10:46].reshape(-1, 6, 6),
-        velocity_covariance=np.full((len(at), 3, 3), np.nan),
-        joints={joint: joints[:, column] for joint, column in columns.items()},
-        joint_covariance={joint: spreads[:, column] for joint, column in columns.items()},
+        solved,
+        method=f"live-{kind}",
+        position=column([answer.position for answer in answers]),
+        quaternion=quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
+        velocity=column([answer.velocity for answer in answers]),
+        pose_covariance=column([answer.pose_covariance for answer in answers]),
+        velocity_covariance=np.full((len(solved), 3, 3), np.nan),
+        joints={
+            joint: column([answer.joints.get(joint, no_place) for answer in answers])
+            for joint in solved.joints
+        },
+        joint_covariance={
+            joint: column([answer.joint_covariance.get(joint, no_spread) for answer in answers])
+            for joint in solved.joints
+        },
     )

@@ -5,10 +5,8 @@ The `development` split is what this project was developed on; the rest has not 
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import re
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -18,8 +16,6 @@ from ..recording import Recording
 
 #: Of the tasks: it changes when a split, a gap or a way to score does.
 VERSION = 1
-
-
 #: What the authors of a method worked with, and what none of them should look at before they publish.
 SPLITS = ("development", "test")
 
@@ -47,12 +43,10 @@ class BenchmarkTrial:
 
 @dataclass(frozen=True)
 class BenchmarkData:
-    """A public data set."""
+    """A public data set; docs/benchmark.md has its source and licence."""
 
     key: str  # Its folder, and what users call it
     title: str
-    source: str  # The paper or the place to cite, with its licence
-    point: str  # What is scored, in words
     lengths_s: tuple[float, ...]  # Of the gaps
     gaps: int  # Most gaps of a length in a trial
     together: bool  # Gaps of all lengths are in one copy of a trial, as long recordings allow
@@ -64,14 +58,16 @@ class BenchmarkData:
     calibrations: Callable[[Path], dict[str, list[BenchmarkTrial]]] = lambda folder: {}
 
 
-#: BROAD's trials by number, UTD-MHAD's and SmartFallMM's subjects of the development split.
-_BROAD = frozenset({3, 5, 7, 11, 14, 16, 24, 33})
-_UTD = frozenset({1, 2, 3, 4})
-_SMARTFALLMM = frozenset({43, 44})
+#: The development split: BROAD's trials by number, UTD-MHAD's and SmartFallMM's subjects.
+_DEVELOPMENT = {
+    "broad": {3, 5, 7, 11, 14, 16, 24, 33},
+    "utd_mhad": {1, 2, 3, 4},
+    "smartfallmm": {43, 44},
+}
 
 
-def _split(is_development: bool) -> str:
-    return "development" if is_development else "test"
+def _split(dataset: str, number: str) -> str:
+    return "development" if int(number) in _DEVELOPMENT[dataset] else "test"
 
 
 # --- BROAD
@@ -82,7 +78,7 @@ def broad_trials(folder: Path) -> Iterator[BenchmarkTrial]:
     for path in sorted(folder.rglob("*.mat")):
         number = re.match(r"(\d+)_", path.name)
         if number:
-            yield BenchmarkTrial("broad", path.stem, _split(int(number[1]) in _BROAD), (path,))
+            yield BenchmarkTrial("broad", path.stem, _split("broad", number[1]), (path,))
 
 
 def _open_broad(trial: BenchmarkTrial) -> Recording:
@@ -107,7 +103,8 @@ def utd_files(folder: Path) -> dict[tuple[int, int, int], BenchmarkTrial]:
         skeleton = next((at for place in places if (at := place / f"{name}_skeleton.mat").exists()), None)
         if skeleton is not None:
             found[subject, action, trial] = BenchmarkTrial(
-                "utd_mhad", name, _split(subject in _UTD), (inertial, skeleton), f"subject {subject}"
+                *("utd_mhad", name, _split("utd_mhad", numbers[2])),
+                *((inertial, skeleton), f"subject {subject}"),
             )
     return dict(sorted(found.items()))
 
@@ -142,7 +139,7 @@ def smartfallmm_trials(folder: Path) -> Iterator[BenchmarkTrial]:
         sensors = [folder / kind / "meta_wrist" / skeleton.name for kind in ("accelerometer", "gyroscope")]
         subject = re.match(r"S(\d+)A", skeleton.name)
         if subject and all(path.exists() for path in sensors):
-            split = _split(int(subject[1]) in _SMARTFALLMM)
+            split = _split("smartfallmm", subject[1])
             yield BenchmarkTrial("smartfallmm", skeleton.stem, split, (skeleton, *sensors))
 
 
@@ -151,107 +148,35 @@ def open_smartfallmm(trial: BenchmarkTrial) -> Recording:
     return imported(trial.name, trial.files[0], trial.files[1:])
 
 
-def imported(name: str, skeleton: Path, sensors: tuple[Path, ...], side: str = "right") -> Recording:
+def imported(name: str, skeleton: Path, sensors: tuple[Path, ...]) -> Recording:
     """The recording of files as devices write them."""
     from ..io import ImuFiles, import_files, read_recording, write_recording
 
     with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:
         path = Path(folder) / f"{name}.mcap"
-        file, _ = import_files([skeleton], [ImuFiles(sensors, f"forearm_{side}")])
+        file, _ = import_files([skeleton], [ImuFiles(sensors, "forearm_right")])
         write_recording(file, path)
-        return read_recording(path, side=side)
+        return read_recording(path, side="right")
 
 
-# --- sevivi: an Azure Kinect by its mkv extractor, Xsens DOTs
-
-#: Its folders in which the sensors are on the forearms, and the side of each file.
-_SEVIVI = ("hand_movement",)
-_SEVIVI_SIDES = {"LF": "left", "RF": "right"}
-
-
-def sevivi_trials(folder: Path) -> Iterator[BenchmarkTrial]:
-    """The sessions in which a hand was moved, an arm each."""
-    for skeleton in sorted((folder / "skeletons").glob("*/positions_3d.csv*")):
-        session = skeleton.parent.name
-        if not any(word in session for word in _SEVIVI):
-            continue
-        for sensor in sorted((folder / "sensors" / session).glob("*.csv*")):
-            letters = sensor.name.split(".")[0]
-            if letters in _SEVIVI_SIDES:
-                yield BenchmarkTrial("sevivi", f"{session}_{letters}", "test", (skeleton, sensor))
-
-
-def _open_sevivi(trial: BenchmarkTrial) -> Recording:
-    side = _SEVIVI_SIDES[trial.name.rsplit("_", 1)[1]]
-    with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:
-        plain = [_unpacked(path, Path(folder)) for path in trial.files]
-        return imported(trial.name, plain[0], (plain[1],), side)
-
-
-def _unpacked(path: Path, folder: Path) -> Path:
-    """The file itself, or what its .gz holds."""
-    if path.suffix != ".gz":
-        return path
-    plain = folder / path.stem
-    with gzip.open(path) as packed, open(plain, "wb") as file:
-        shutil.copyfileobj(packed, file)
-    return plain
-
-
-_CAMERA = "the wrist, against the camera's hidden samples"
 #: Every data set, by the name of its folder.
 DATASETS: Mapping[str, BenchmarkData] = {
     data.key: data
     for data in (
+        # the IMU against optical motion capture, whose positions at 30 Hz with 8 mm of noise are the camera
         BenchmarkData(
-            "broad",
-            "BROAD",
-            "Laidig, Caruso, Cereatti, Seel, Data 6(7):72, 2021; CC BY 4.0",
-            "the IMU, against optical motion capture; its positions at 30 Hz with 8 mm of white noise"
-            " serve as the camera",
-            (0.5, 1.0, 2.0, 3.0),
-            4,
-            True,
-            broad_trials,
-            _open_broad,
+            *("broad", "BROAD", (0.5, 1.0, 2.0, 3.0), 4, True, broad_trials, _open_broad),
             "broad/NN_*.mat",
         ),
+        # the others: the wrist against the camera's hidden samples
         BenchmarkData(
-            "utd_mhad",
-            "UTD-MHAD",
-            "Chen, Jafari, Kehtarnavaz, ICIP 2015; research use with citation",
-            _CAMERA,
-            (0.5, 1.0),
-            1,
-            False,
-            utd_trials,
-            open_utd,
+            *("utd_mhad", "UTD-MHAD", (0.5, 1.0), 1, False, utd_trials, open_utd),
             "utd_mhad/Inertial/aA_sS_tT_inertial.mat and utd_mhad/Skeleton/aA_sS_tT_skeleton.mat",
             utd_calibrations,
         ),
         BenchmarkData(
-            "smartfallmm",
-            "SmartFallMM",
-            "SmartFallMM, Texas State University; no licence stated",
-            _CAMERA,
-            (0.5, 1.0, 2.0),
-            2,
-            False,
-            smartfallmm_trials,
-            open_smartfallmm,
+            *("smartfallmm", "SmartFallMM", (0.5, 1.0, 2.0), 2, False, smartfallmm_trials, open_smartfallmm),
             "smartfallmm/skeleton/SnnAnnTnn.csv with accelerometer/meta_wrist and gyroscope/meta_wrist",
-        ),
-        BenchmarkData(
-            "sevivi",
-            "sevivi",
-            "HPI-CH/sevivi, test_files; MIT",
-            _CAMERA,
-            (0.5, 1.0, 2.0, 3.0),
-            4,
-            True,
-            sevivi_trials,
-            _open_sevivi,
-            "sevivi/skeletons/NAME/positions_3d.csv[.gz] with sevivi/sensors/NAME/LF.csv[.gz] or RF.csv[.gz]",
         ),
     )
 }

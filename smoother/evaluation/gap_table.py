@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from ..measurements.visibility import accepted_samples, find_gaps, visible_frame
 from ..recording import Recording
 from ..units import GRAVITY
 from .hidden_gaps import GapErrors, HiddenGap
-from .metrics import Figures, summarise
+from .metrics import Figures
 
 
 @dataclass(frozen=True)
@@ -26,30 +28,31 @@ class GapRow:
     method: str  # Name of the method
     run: int  # Which copy of the recording the gap was hidden in
     gap: HiddenGap  # Where it was hidden, on the camera's clock
-    reference: str  # "truth", "wrist", "strap" ..: what the answer was compared with
-    figures: Figures  # Errors inside the gap
-    sigma_max_m: float | None = None  # Largest stated standard deviation inside the gap, on one axis
-    path_m: float | None = None  # Length of the hidden path
+    errors: GapErrors  # Sample by sample inside the gap
     failure: str = ""  # Why there is no answer, "" where there is one
     recording: str = ""  # Name of the recording
 
+    @property
+    def reference(self) -> str:
+        """What the answer was compared with: "truth", "wrist", "strap" .."""
+        return self.errors.reference
+
+    @cached_property
+    def figures(self) -> Figures:
+        """Errors inside the gap."""
+        return self.errors.figures()
+
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
-        figures = self.figures
         return {
-            "length_s": self.length_s,
-            "method": self.method,
-            "run": self.run,
+            **{name: getattr(self, name) for name in ("length_s", "method", "run", "reference")},
             "start_s": self.gap.start_s,
             "end_s": self.gap.end_s,
-            "reference": self.reference,
-            "rms_m": figures.position_rms_m,
-            "max_m": figures.position_max_m,
-            "orientation_rms_deg": figures.orientation_rms_deg,
-            "nees": figures.nees,
-            "samples": figures.samples,
-            "sigma_max_m": self.sigma_max_m,
-            "path_m": self.path_m,
+            "rms_m": self.figures.position_rms_m,
+            "max_m": self.figures.position_max_m,
+            **{name: getattr(self.figures, name) for name in ("orientation_rms_deg", "nees", "samples")},
+            "sigma_max_m": self.errors.sigma_max_m,
+            "path_m": self.errors.path_m,
             "failure": self.failure,
             "recording": self.recording,
         }
@@ -65,48 +68,34 @@ class GapFigures:
 
     def to_dict(self) -> dict[str, float | int | None]:
         """Plain values by name, distances in m and in cm."""
-        f = self.figures
-        metres = {
-            "rms": f.position_rms_m,
-            "median": f.position_median_m,
-            "p95": f.position_p95_m,
-            "max": f.position_max_m,
-        }
-        result: dict[str, float | int | None] = {f"{name}_m": value for name, value in metres.items()}
-        for name, value in metres.items():
-            result[f"{name}_cm"] = None if value is None else 100.0 * value
-        result |= {
-            "orientation_rms_deg": f.orientation_rms_deg,
-            "orientation_max_deg": f.orientation_max_deg,
-            "nees": f.nees,
-            "coverage_95": f.coverage_95,
-            "gaps": self.gaps,
-            "failed": self.failed,
-            "samples": f.samples,
-            "unanswered": f.unanswered,
-        }
-        return result
+        figures = asdict(self.figures)
+        result: dict[str, float | int | None] = {}
+        for name in ("rms", "median", "p95", "max"):
+            value = figures[f"position_{name}_m"]
+            result |= {f"{name}_m": value, f"{name}_cm": None if value is None else 100.0 * value}
+        names = ("orientation_rms_deg", "orientation_max_deg", "nees", "coverage_95", "samples", "unanswered")
+        return result | {name: figures[name] for name in names} | {"gaps": self.gaps, "failed": self.failed}
 
 
 @dataclass(frozen=True)
 class GapTable:
     """Error against gap length."""
 
-    # By gap length (s), by method, its figures over all gaps of that length
-    lengths: dict[float, dict[str, GapFigures]]
     rows: tuple[GapRow, ...]  # Each gap by itself
     notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
-    errors: tuple[GapErrors, ...] = ()  # Of each row, sample by sample
+
+    @cached_property
+    def lengths(self) -> dict[float, dict[str, GapFigures]]:
+        """By gap length (s), by method, its figures over all gaps of that length."""
+        return {
+            length: {name: _figures(rows) for name, rows in by_method.items()}
+            for length, by_method in _grouped(self.rows).items()
+        }
 
     def sigma_factors(self, method: str = "graph") -> tuple[LengthFactor, ...]:
         """By what a method's sigma has to be multiplied to hold; empty without its answers."""
-        return length_factors(
-            [
-                (row.length_s, errors.needed_factors)
-                for row, errors in zip(self.rows, self.errors, strict=True)
-                if row.method == method
-            ]
-        )
+        own = [row for row in self.rows if row.method == method]
+        return length_factors([(row.length_s, row.errors.needed_factors) for row in own])
 
     def to_dict(self) -> dict[str, object]:
         """Plain values, as `--json` writes them."""
@@ -121,39 +110,32 @@ class GapTable:
         }
 
 
-def table_of(rows: Sequence[GapRow], errors: Sequence[GapErrors], notes: Sequence[str]) -> GapTable:
-    """The gaps by length and method."""
-    lengths: dict[float, dict[str, GapFigures]] = {}
-    for length in dict.fromkeys(row.length_s for row in rows):
-        for name in dict.fromkeys(row.method for row in rows):
-            chosen = [
-                (row, hidden)
-                for row, hidden in zip(rows, errors, strict=True)
-                if row.length_s == length and row.method == name
-            ]
-            if chosen:
-                samples = GapErrors.pooled([hidden for _, hidden in chosen])
-                failed = sum(bool(row.failure) for row, _ in chosen)
-                figures = GapFigures(samples.figures(), gaps=len(chosen), failed=failed)
-                lengths.setdefault(float(length), {})[name] = figures
-    return GapTable(lengths, tuple(rows), tuple(dict.fromkeys(notes)), tuple(errors))
+def _grouped(rows: Iterable[GapRow]) -> dict[float, dict[str, list[GapRow]]]:
+    """Rows by length (s) and method, in order of appearance."""
+    by_length: dict[float, dict[str, list[GapRow]]] = {}
+    for row in rows:
+        by_length.setdefault(float(row.length_s), {}).setdefault(row.method, []).append(row)
+    return by_length
+
+
+def _figures(rows: Sequence[GapRow]) -> GapFigures:
+    together = GapErrors.pooled([row.errors for row in rows])
+    return GapFigures(together.figures(), len(rows), sum(bool(row.failure) for row in rows))
 
 
 def pooled(tables: Sequence[GapTable]) -> GapTable:
     """The gaps of several recordings as one table."""
-    notes = [note for table in tables for note in table.notes]
-    rows = [row for table in tables for row in table.rows]
-    errors = [each for table in tables for each in table.errors]
-    return table_of(rows, errors, notes)
+    notes = dict.fromkeys(note for table in tables for note in table.notes)
+    return GapTable(tuple(row for table in tables for row in table.rows), tuple(notes))
 
 
 @dataclass(frozen=True)
 class GapSpread:
-    """Errors gap by gap: quartiles over gaps of the rms inside each."""
+    """Errors gap by gap: quartiles (25, 50, 75 %) over gaps of the rms inside each; None without any."""
 
-    low_m: float | None  # Quartiles (25, 50 and 75 %) of the gaps' rms; None without any
-    median_m: float | None  # Quartiles (25, 50 and 75 %) of the gaps' rms; None without any
-    high_m: float | None  # Quartiles (25, 50 and 75 %) of the gaps' rms; None without any
+    low_m: float | None
+    median_m: float | None
+    high_m: float | None
     rms_m: float | None  # Root mean square over gaps, each weighing the same
     worst_m: float | None  # The worst gap's rms
     gaps: int  # Gaps that were tried
@@ -178,12 +160,12 @@ def spread_of(rms_m: Sequence[float | None]) -> GapSpread:
 
 def spread_by_length(rows: Iterable[GapRow]) -> dict[float, dict[str, GapSpread]]:
     """By gap length (s) and method the spread over its gaps; lengths rise, methods in order of appearance."""
-    by_length: dict[float, dict[str, list[float | None]]] = {}
-    for row in rows:
-        error = None if row.failure else row.figures.position_rms_m
-        by_length.setdefault(row.length_s, {}).setdefault(row.method, []).append(error)
+    by_length = _grouped(rows)
     return {
-        length: {name: spread_of(errors) for name, errors in by_length[length].items()}
+        length: {
+            name: spread_of([None if row.failure else row.figures.position_rms_m for row in own])
+            for name, own in by_length[length].items()
+        }
         for length in sorted(by_length)
     }
 
@@ -209,7 +191,6 @@ class RealGaps:
     count: int  # Real gaps
     # Rms turn rate, and rms of specific force less gravity's size, in real gaps over those in hidden ones
     turning_ratio: float | None = None
-    # Rms turn rate, and rms of specific force less gravity's size, in real gaps over those in hidden ones
     acceleration_ratio: float | None = None
     error_ratio: float | None = None  # How much larger errors are to be expected in real gaps
 
@@ -244,23 +225,20 @@ def compare_real_gaps(recordings: Sequence[Recording], table: GapTable, method: 
         for start_s, end_s in _real_gaps(recording)
         if (movement := _movement(recording, start_s, end_s)) is not None
     ]
-    rows = [row for row in table.rows if row.method == method and not row.failure]
-    rows = rows or [row for row in table.rows if not row.failure]
+    rows = [row for row in table.rows if not row.failure]
     hidden = [
         (row, movement)
-        for row in rows
+        for row in [row for row in rows if row.method == method] or rows
         if (movement := _movement(by_name[row.recording], row.gap.start_s, row.gap.end_s)) is not None
     ]
     if not real or not hidden:
         return RealGaps(len(real))
-    ratio = _rms(np.array(real)) / np.maximum(_rms(np.array([movement for _, movement in hidden])), 1e-6)
-    power = _growth([row for row, _ in hidden], np.array([movement[0] for _, movement in hidden]))
-    return RealGaps(
-        len(real),
-        float(ratio[0]),
-        float(ratio[1]),
-        None if power is None else float(max(ratio[0], 1e-6) ** power),
-    )
+    moved = np.array([movement for _, movement in hidden])
+    of_real, of_hidden = (np.sqrt(np.mean(each**2, axis=0)) for each in (np.array(real), moved))
+    turning, acceleration = (float(ratio) for ratio in of_real / np.maximum(of_hidden, 1e-6))
+    power = _growth([row for row, _ in hidden], moved[:, 0])
+    error = None if power is None else max(turning, 1e-6) ** power
+    return RealGaps(len(real), turning, acceleration, error)
 
 
 def _real_gaps(recording: Recording) -> list[tuple[float, float]]:
@@ -282,10 +260,6 @@ def _movement(recording: Recording, start_s: float, end_s: float) -> tuple[float
     gyro, acc = recording.imu.gyro[first:last], recording.imu.acc[first:last]
     turning = np.sqrt(np.mean(np.sum(np.square(gyro), axis=1)))
     return float(turning), float(np.sqrt(np.mean((np.linalg.norm(acc, axis=1) - GRAVITY) ** 2)))
-
-
-def _rms(values: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def _growth(rows: Sequence[GapRow], turning: FloatArray) -> float | None:
@@ -310,27 +284,22 @@ def _growth(rows: Sequence[GapRow], turning: FloatArray) -> float | None:
 BORDERS_S = (0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 30.0)
 
 
-@dataclass(frozen=True)
-class SinceFigures:
+class SinceFigures(NamedTuple):
     """A method's errors at some time since the last frame."""
 
-    from_s: float  # The time since the last frame
-    to_s: float  # The time since the last frame
+    from_s: float
+    to_s: float
     method: str
     figures: Figures
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
-        return {
-            "from_s": self.from_s,
-            "to_s": self.to_s,
-            "method": self.method,
-            "rms_m": self.figures.position_rms_m,
-            "median_m": self.figures.position_median_m,
-            "p95_m": self.figures.position_p95_m,
-            "nees": self.figures.nees,
-            "samples": self.figures.samples,
-        }
+        distances = {f"{name}_m": getattr(self.figures, f"position_{name}_m") for name in _SINCE}
+        about = {"from_s": self.from_s, "to_s": self.to_s, "method": self.method}
+        return about | distances | {"nees": self.figures.nees, "samples": self.figures.samples}
+
+
+_SINCE = ("rms", "median", "p95")
 
 
 def since_last_frame(table: GapTable, methods: Sequence[str]) -> list[SinceFigures]:
@@ -338,22 +307,10 @@ def since_last_frame(table: GapTable, methods: Sequence[str]) -> list[SinceFigur
     rows = []
     for from_s, to_s in pairwise(BORDERS_S):
         for method in methods:
-            errors = [
-                errors
-                for row, errors in zip(table.rows, table.errors, strict=True)
-                if row.method == method and len(errors.since_s)
-            ]
-            if not errors:
-                continue
-            together = GapErrors.pooled(errors)
+            own = [row.errors for row in table.rows if row.method == method and len(row.errors.since_s)]
+            together = GapErrors.pooled(own or [GapErrors.empty()])
             inside = (together.since_s >= from_s) & (together.since_s < to_s)
             inside &= np.isfinite(together.distance_m)
             if inside.any():
-                figures = summarise(
-                    together.distance_m[inside],
-                    together.angle_deg[inside],
-                    together.squared_sigmas[inside],
-                    0,
-                )
-                rows.append(SinceFigures(from_s, to_s, method, figures))
+                rows.append(SinceFigures(from_s, to_s, method, together.figures(inside)))
     return rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -14,26 +14,11 @@ from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..result import Recovery
 from ..runtime.pool import Pool, Progress
-from .gap_table import GapFigures, GapRow, GapTable, pooled, table_of
+from .gap_table import GapRow, GapTable, pooled
 from .hidden_gaps import GapErrors, HiddenGap, place_gaps, score_gap
 
 #: A method: recording in, recovery out.
 Method = Callable[[Recording], Recovery]
-
-
-@dataclass
-class Collected:
-    """Rows and their samples while the runs go on."""
-
-    rows: list[GapRow] = field(default_factory=list)
-    hidden: list[GapErrors] = field(default_factory=list)  # Of each row, sample by sample
-    notes: list[str] = field(default_factory=list)
-
-    def add(self, other: Collected) -> None:
-        """What came later."""
-        self.rows += other.rows
-        self.hidden += other.hidden
-        self.notes += other.notes
 
 
 class GapCopy(NamedTuple):
@@ -57,19 +42,32 @@ def evaluate_gaps(
     processes: int = 1,
 ) -> GapTable:
     """Hide visible frames at random, recover them, and measure the error there."""
-    collected = Collected()
-    # what is hidden is hidden from all cameras
-    recording, _ = join_cameras(recording)
+    recording, _ = join_cameras(recording)  # what is hidden is hidden from all cameras
     report = progress or (lambda part, text: None)
-    trials = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
+    copies, notes = [], []
+    for length in lengths_s:
+        for run in range(repetitions):
+            # a generator a length and run: adding a length to the list moves no other gap
+            rng = np.random.default_rng([seed, round(1000 * length), run])
+            gaps = place_gaps(recording, length, rng, count=gaps_per_run, margin_s=margin_s)
+            if gaps:
+                copies.append(GapCopy(length, run, gaps))
+        if not any(copy.length_s == length for copy in copies):
+            notes.append(f"The camera never sees the forearm for long enough to hide a gap of {length:g} s.")
+    if not copies:
+        raise RecordingError(
+            f"{recording.name}: the camera never sees the forearm for long enough to hide a gap of"
+            f" {min(lengths_s, default=0.0):g} s with 0.4 s visible on both sides"
+        )
+    tables = [GapTable((), tuple(notes))]
     job = partial(try_methods, recording=recording, methods=methods)
-    with Pool(min(processes, len(trials)), len(trials) * len(recording.arm)) as workers:
-        answers = workers.map(job, trials)
-        for number, trial in enumerate(trials):
-            report(number / len(trials), f"gaps of {trial.length_s:g} s")
-            collected.add(next(answers))
+    with Pool(min(processes, len(copies)), len(copies) * len(recording.arm)) as workers:
+        answers = workers.map(job, copies)
+        for number, copy in enumerate(copies):
+            report(number / len(copies), f"gaps of {copy.length_s:g} s")
+            tables.append(next(answers))
     report(1.0, "done")
-    return table_of(collected.rows, collected.hidden, collected.notes)
+    return pooled(tables)
 
 
 def hide(recording: Recording, gaps: Sequence[HiddenGap]) -> Recording:
@@ -80,82 +78,27 @@ def hide(recording: Recording, gaps: Sequence[HiddenGap]) -> Recording:
     return replace(recording, arm=recording.arm.hide(hidden), truth=None)
 
 
-def _place_all(
-    recording: Recording,
-    lengths_s: Sequence[float],
-    seed: int,
-    repetitions: int,
-    gaps_per_run: int,
-    margin_s: float,
-    collected: Collected,
-) -> list[GapCopy]:
-    """The gaps of every copy."""
-    trials = []
-    for length in lengths_s:
-        for run in range(repetitions):
-            # a generator a length and run: adding a length to the list moves no other gap
-            rng = np.random.default_rng([seed, round(1000 * length), run])
-            gaps = place_gaps(recording, length, rng, count=gaps_per_run, margin_s=margin_s)
-            if gaps:
-                trials.append(GapCopy(length, run, gaps))
-        if not any(trial.length_s == length for trial in trials):
-            collected.notes.append(
-                f"The camera never sees the forearm for long enough to hide a gap of {length:g} s."
-            )
-    if not trials:
-        shortest = min(lengths_s, default=0.0)
-        raise RecordingError(
-            f"{recording.name}: the camera never sees the forearm for long enough to hide a gap of"
-            f" {shortest:g} s with 0.4 s visible on both sides"
-        )
-    return trials
-
-
 def try_methods(
     trial: GapCopy, recording: Recording, methods: Mapping[str, Method], one_noise: bool = False
-) -> Collected:
+) -> GapTable:
     """All methods on one copy; what one of them cannot do becomes rows without figures."""
-    collected = Collected()
+    rows, notes = [], []
     copy = hide(recording, trial.gaps)
     noise_of: Recovery | None = None
     for name, method in methods.items():
+        row = partial(GapRow, trial.length_s, name, trial.run, recording=recording.name)
         try:
             recovery = method(copy)
         except UnoccludeError as error:
-            collected.notes.append(f"{name} could not recover gaps of {trial.length_s:g} s: {error}")
-            hidden = [GapErrors.empty()] * len(trial.gaps)
-            failures = [str(error)] * len(trial.gaps)
-        else:
-            noise_of = (noise_of or recovery) if one_noise else None
-            hidden = [score_gap(recording, recovery, gap, noise_of) for gap in trial.gaps]
-            failures = [
-                "" if np.isfinite(each.distance_m).any() else "no answer inside the gap" for each in hidden
-            ]
-        for gap, errors, failure in zip(trial.gaps, hidden, failures, strict=True):
-            collected.rows.append(row_of(trial, name, gap, errors, failure, recording.name))
-        collected.hidden += hidden
-    return collected
-
-
-def row_of(
-    trial: GapCopy, method: str, gap: HiddenGap, errors: GapErrors, failure: str, recording: str
-) -> GapRow:
-    """What a method made of one gap, as a row."""
-    return GapRow(
-        trial.length_s,
-        method,
-        trial.run,
-        gap,
-        errors.reference,
-        errors.figures(),
-        sigma_max_m=errors.sigma_max_m,
-        path_m=errors.path_m,
-        failure=failure,
-        recording=recording,
-    )
-
-
-__all__ = ["GapFigures", "GapRow", "GapTable", "evaluate_gaps", "hide", "pooled"]
+            notes.append(f"{name} could not recover gaps of {trial.length_s:g} s: {error}")
+            rows += [row(gap, GapErrors.empty(), str(error)) for gap in trial.gaps]
+            continue
+        noise_of = (noise_of or recovery) if one_noise else None
+        for gap in trial.gaps:
+            errors = score_gap(recording, recovery, gap, noise_of)
+            answered = np.isfinite(errors.distance_m).any()
+            rows.append(row(gap, errors, "" if answered else "no answer inside the gap"))
+    return GapTable(tuple(rows), tuple(notes))
 
 
 #: Gaps of these lengths are hidden, s; values between are read off the line through them.
@@ -170,7 +113,7 @@ class TriedGaps:
     """How uncertain hidden gaps are by their length."""
 
     length_s: tuple[float, ...]  # Of the gaps that could be hidden
-    sigma_m: tuple[float, ...]  # Of the gaps that could be hidden
+    sigma_m: tuple[float, ...]  # Theirs
     not_determined: tuple[str, ...] = ()  # What the motion left open
 
     @property
@@ -233,17 +176,16 @@ def try_gaps(
             recording, LENGTHS_S, methods, gaps_per_run=GAPS, progress=progress, processes=processes
         )
     except RecordingError:  # never visible for long enough
-        return TriedGaps((), (), tuple(not_determined))
-    rows = [(length_s, _sigma_m(table, length_s)) for length_s in table.lengths]
-    known = [(length_s, sigma_m) for length_s, sigma_m in rows if np.isfinite(sigma_m)]
-    return TriedGaps(tuple(row[0] for row in known), tuple(row[1] for row in known), tuple(not_determined))
+        table = GapTable(())
+    sigmas = {length_s: _sigma_m(table, length_s) for length_s in table.lengths}
+    known = {length_s: sigma_m for length_s, sigma_m in sigmas.items() if np.isfinite(sigma_m)}
+    return TriedGaps(tuple(known), tuple(known.values()), tuple(not_determined))
 
 
 def _sigma_m(table: GapTable, length_s: float) -> float:
     """Median over the gaps of a length, widened where errors exceed what is stated; nan without any."""
-    sigmas = [
-        row.sigma_max_m for row in table.rows if row.length_s == length_s and row.sigma_max_m is not None
-    ]
+    own = [row.errors.sigma_max_m for row in table.rows if row.length_s == length_s]
+    sigmas = [sigma_m for sigma_m in own if sigma_m is not None]
     nees = table.lengths[length_s]["graph"].figures.nees
     widened = float(np.sqrt(max(nees, 1.0))) if nees is not None and np.isfinite(nees) else 1.0
     return widened * float(np.median(sigmas)) if sigmas else float("nan")

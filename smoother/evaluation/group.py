@@ -28,8 +28,8 @@ class Spread:
     """Values of several persons."""
 
     count: int  # Persons
-    mean: float  # nan without any, and of one
-    sd: float  # nan without any, and of one
+    mean: float  # nan without any
+    sd: float  # nan without two
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class GroupMeasure:
     key: str
     name: str
     unit: str
-    first: Spread  # Of the persons' first sessions; of the last ones of those who have several
-    last: Spread  # Of the persons' first sessions; of the last ones of those who have several
+    first: Spread  # Of the persons' first sessions
+    last: Spread  # Of the last sessions of those who have several
     change: float = math.nan  # Mean of last less first over those persons; nan without any
     low: float = math.nan  # 95 % interval of that mean by Student's t over the persons
-    high: float = math.nan  # 95 % interval of that mean by Student's t over the persons
+    high: float = math.nan
 
 
 def write_long(rows: Sequence[Mapping[str, Any]], path: Path) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,15 +16,8 @@ from ..linalg import robust_sigma
 from ..measurements.visibility import accepted_samples, seen_by_any, visible_frames
 from ..recording import JOINTS, Recording
 from ..result import Recovery
-from .metrics import (
-    Figures,
-    linear_at,
-    orientation_error_deg,
-    position_at,
-    squared_sigmas,
-    summarise,
-    truth_at,
-)
+from .metrics import Figures, linear_at, position_at, squared_sigmas, summarise
+from .validate import sample_errors
 
 #: Frames without the forearm up to this long do not end a visible run, s.
 FLICKER_S = 0.2
@@ -155,12 +149,12 @@ REFERENCES = ("wrist", "strap", "hand", "elbow")
 
 @dataclass(frozen=True)
 class GapErrors:
-    """Errors sample by sample inside a gap."""
+    """Errors sample by sample inside a gap; nan where there is no answer."""
 
     reference: str  # What the answer was compared with: "truth" or a joint
-    distance_m: FloatArray  # (n,): as in `metrics`; nan where there is no answer
-    angle_deg: FloatArray  # (n,): as in `metrics`; nan where there is no answer
-    squared_sigmas: FloatArray  # (n,): as in `metrics`; nan where there is no answer
+    distance_m: FloatArray  # (n,)
+    angle_deg: FloatArray  # (n,)
+    squared_sigmas: FloatArray  # (n,)
     unanswered: int = 0  # Samples with a reference and without an answer
     sigma_max_m: float | None = None  # Largest stated standard deviation, on one axis
     path_m: float | None = None  # Length of the hidden path
@@ -168,9 +162,10 @@ class GapErrors:
     needed_factors: FloatArray = field(default_factory=lambda: np.zeros((0, len(LEVELS))))
     since_s: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,) s: time since the gap began
 
-    def figures(self) -> Figures:
-        """The figures of these samples."""
-        return summarise(self.distance_m, self.angle_deg, self.squared_sigmas, self.unanswered)
+    def figures(self, chosen: BoolArray | slice = slice(None)) -> Figures:
+        """The figures of these samples, or of some."""
+        columns = (self.distance_m[chosen], self.angle_deg[chosen], self.squared_sigmas[chosen])
+        return summarise(*columns, self.unanswered)
 
     @staticmethod
     def empty() -> GapErrors:
@@ -180,26 +175,61 @@ class GapErrors:
     @staticmethod
     def pooled(parts: Sequence[GapErrors]) -> GapErrors:
         """The samples of several gaps together."""
-        return GapErrors(
-            reference=parts[0].reference,
-            distance_m=np.concatenate([part.distance_m for part in parts]),
-            angle_deg=np.concatenate([part.angle_deg for part in parts]),
-            squared_sigmas=np.concatenate([part.squared_sigmas for part in parts]),
-            unanswered=sum(part.unanswered for part in parts),
-            needed_factors=np.concatenate([part.needed_factors for part in parts]),
-            since_s=np.concatenate([part.since_s for part in parts]),
-        )
+        columns = ("distance_m", "angle_deg", "squared_sigmas", "needed_factors", "since_s")
+        together: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in columns
+        }
+        return GapErrors(parts[0].reference, unanswered=sum(part.unanswered for part in parts), **together)
 
 
 def score_gap(
     recording: Recording, recovery: Recovery, gap: HiddenGap, noise_of: Recovery | None = None
 ) -> GapErrors:
     """Errors of a recovery inside a gap of the recording, which still holds what was hidden."""
-    if recording.truth is not None and len(recording.truth):
-        errors, t_s = _against_truth(recording, recovery, gap)
+    arm, truth = recording.arm, recording.truth
+    own_t_s = frame_times(recording, recovery)
+    if truth is not None and len(truth):
+        t_s = recovery.t_s  # on the camera's clock, on which gaps are hidden
+        if len(own_t_s):
+            t_s = t_s - np.interp(t_s, own_t_s, own_t_s - arm.t_s)
+        rows = np.flatnonzero(gap.contains(t_s))
+        samples = sample_errors(recovery.rows(rows), truth)
+        return _errors(
+            "truth",
+            samples.difference_m,
+            samples.reference.position,
+            recovery.pose_covariance[rows, :3, :3],
+            np.zeros((3, 3)),
+            samples.angle_deg,
+            samples.scored,
+            t_s[rows] - gap.start_s,
+        )
+    inside = gap.contains(arm.t_s)
+    for joint in REFERENCES:
+        answered = joint == "strap" or joint in recovery.joints
+        frames = inside & arm.tracked(joint)
+        if answered and frames.any():
+            break
     else:
-        errors, t_s = _against_camera(recording, recovery, gap, noise_of or recovery)
-    return replace(errors, since_s=t_s - gap.start_s)
+        return GapErrors.empty()
+    if joint == "strap":
+        known, covariance = strap_position(recovery), recovery.pose_covariance[:, :3, :3]
+    else:
+        known = recovery.joints[joint]
+        covariance = recovery.joint_covariance.get(joint, np.full((len(recovery), 3, 3), np.nan))
+    reference, t_s = arm.joint(joint)[frames], own_t_s[frames]
+    stated = linear_at(recovery.t_s, covariance.reshape(-1, 9), t_s).reshape(-1, 3, 3)
+    return _errors(
+        joint,
+        position_at(recovery.t_s, known, t_s) - reference,
+        reference,
+        stated,
+        # a hidden sample has the camera's own noise, which the answer's covariance does not include
+        camera_noise(noise_of or recovery, joint),
+        np.full(len(t_s), np.nan),
+        np.ones(len(t_s), dtype=bool),
+        arm.t_s[frames] - gap.start_s,
+    )
 
 
 def frame_times(recording: Recording, recovery: Recovery) -> FloatArray:
@@ -208,54 +238,6 @@ def frame_times(recording: Recording, recovery: Recovery) -> FloatArray:
         return np.asarray(recovery.arm.t_s)
     offset = recovery.clock_offset_s if np.isfinite(recovery.clock_offset_s) else 0.0
     return np.asarray(recording.arm.t_s + offset)
-
-
-def _on_camera_clock(recording: Recording, recovery: Recovery) -> FloatArray:
-    """The answer's times (N,) on the camera's clock, on which gaps are hidden, s."""
-    own = frame_times(recording, recovery)
-    if not len(own):
-        return recovery.t_s
-    return np.asarray(recovery.t_s - np.interp(recovery.t_s, own, own - recording.arm.t_s))
-
-
-def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap) -> tuple[GapErrors, FloatArray]:
-    """Errors at the IMU's times, and these on the camera's clock."""
-    assert recording.truth is not None
-    t_s = _on_camera_clock(recording, recovery)
-    inside = gap.contains(t_s)
-    truth = truth_at(recording.truth, recovery.t_s[inside])
-    scored = truth.score & np.isfinite(truth.position).all(axis=1)
-    position = np.where(scored[:, None], recovery.position[inside], np.nan)
-    covariance = recovery.pose_covariance[inside, :3, :3]
-    angle = orientation_error_deg(recovery.quaternion[inside], truth.quaternion)
-    exact = np.zeros((3, 3))
-    angle = np.where(truth.score, angle, np.nan)
-    errors = _errors("truth", position, truth.position, covariance, exact, angle, scored)
-    return errors, t_s[inside]
-
-
-def _against_camera(
-    recording: Recording, recovery: Recovery, gap: HiddenGap, noise_of: Recovery
-) -> tuple[GapErrors, FloatArray]:
-    """Errors at the hidden frames, and their times on the camera's clock."""
-    joint = _reference_joint(recording, recovery, gap)
-    if joint is None:
-        return GapErrors.empty(), np.zeros(0)
-    frames = gap.contains(recording.arm.t_s) & recording.arm.tracked(joint)
-    reference = recording.arm.joint(joint)[frames]
-    t_s = frame_times(recording, recovery)[frames]
-    if joint == "strap":
-        known, covariance = strap_position(recovery), recovery.pose_covariance[:, :3, :3]
-    else:
-        known = recovery.joints[joint]
-        covariance = recovery.joint_covariance.get(joint, np.full((len(recovery), 3, 3), np.nan))
-    answer = position_at(recovery.t_s, known, t_s)
-    stated = linear_at(recovery.t_s, covariance.reshape(-1, 9), t_s).reshape(-1, 3, 3)
-    # a hidden sample has the camera's own noise, which the answer's covariance does not include
-    noise = camera_noise(noise_of, joint)
-    scored = np.ones(len(t_s), dtype=bool)
-    errors = _errors(joint, answer, reference, stated, noise, np.full(len(t_s), np.nan), scored)
-    return errors, recording.arm.t_s[frames]
 
 
 def strap_position(recovery: Recovery) -> FloatArray:
@@ -270,23 +252,12 @@ def strap_position(recovery: Recovery) -> FloatArray:
     return strap
 
 
-def _reference_joint(recording: Recording, recovery: Recovery, gap: HiddenGap) -> str | None:
-    """The first joint that the camera saw in the gap and that the recovery answers."""
-    inside = gap.contains(recording.arm.t_s)
-    for joint in REFERENCES:
-        answered = joint == "strap" or joint in recovery.joints
-        if answered and (recording.arm.tracked(joint) & inside).any():
-            return joint
-    return None
-
-
 def camera_noise(recovery: Recovery, joint: str) -> FloatArray:
     """Covariance (3, 3) of a joint's camera samples, m^2, from the residuals where it was used."""
     if recovery.residuals is None:
         return np.zeros((3, 3))
     index = JOINTS.index(joint)
-    used = recovery.residuals.used[:, index]
-    residual = recovery.residuals.residual[used, index]
+    residual = recovery.residuals.residual[recovery.residuals.used[:, index], index]
     residual = residual[np.isfinite(residual).all(axis=1)]
     if len(residual) < 10:
         return np.zeros((3, 3))
@@ -295,15 +266,15 @@ def camera_noise(recovery: Recovery, joint: str) -> FloatArray:
 
 def _errors(
     name: str,
-    answer: FloatArray,
+    difference: FloatArray,
     reference: FloatArray,
     stated: FloatArray,
     noise: FloatArray,
     angle: FloatArray,
     scored: BoolArray,
+    since_s: FloatArray,
 ) -> GapErrors:
     """Errors against a reference with noise of its own (3, 3) m^2."""
-    difference = answer - reference
     distance = np.linalg.norm(difference, axis=1)
     variance = np.einsum("nii->ni", stated)
     finite = variance[np.isfinite(variance).all(axis=1)]
@@ -317,4 +288,5 @@ def _errors(
         sigma_max_m=float(np.sqrt(finite.max())) if len(finite) else None,
         path_m=float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) if len(path) > 1 else None,
         needed_factors=needed_factors(difference, stated, noise),
+        since_s=since_s,
     )

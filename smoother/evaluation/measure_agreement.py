@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..array_types import FloatArray
-from ..measures import Measure, Measures, Movement
+from ..measures import Measures, Movement, Scope
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.pool import Progress
@@ -28,15 +27,15 @@ class MeasurePair:
 
     recording: str  # What it was measured on
     side: str  # The arm
-    scope: str  # "session", "movement" or "repetition"
+    scope: Scope
     movement: int | None  # Of the answer; None for the session
     key: str  # As a `Measure` has them
-    name: str  # As a `Measure` has them
-    unit: str  # As a `Measure` has them
-    value: float  # Of the answer; nan without an interval
-    low: float  # Of the answer; nan without an interval
-    high: float  # Of the answer; nan without an interval
-    reference: float  # Of the reference
+    name: str
+    unit: str
+    value: float  # Of the answer
+    low: float  # nan without an interval
+    high: float
+    reference: float  # Value of the reference
     recovered_share: float  # How much of the answer's value comes from recovered samples
 
     @property
@@ -71,20 +70,19 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
     """Answer and reference as recoveries, each without what the other does not have."""
     score = reference.score[:, None]
     position = np.where(score, reference.position, np.nan)
-    has_pose = bool(np.isfinite(position).any())
+    place = position if np.isfinite(position).any() else recovery.position
     joints = {
-        name: np.where(score, place, np.nan)
-        for name, place in reference.joints.items()
-        if name in recovery.joints and np.isfinite(place).any()
+        name: np.where(score, joint, np.nan)
+        for name, joint in reference.joints.items()
+        if name in recovery.joints and np.isfinite(joint).any()
     }
     known = {name: np.isfinite(place).all(axis=1, keepdims=True) for name, place in joints.items()}
-    quaternion = np.where(score, reference.quaternion, np.nan)
     motion = replace(
         recovery,
         method="reference",
-        position=position if has_pose else recovery.position,
-        quaternion=quaternion,
-        velocity=_speed(recovery.t_s, position if has_pose else recovery.position),
+        position=place,
+        quaternion=np.where(score, reference.quaternion, np.nan),
+        velocity=np.gradient(place, recovery.t_s, axis=0) if len(recovery) > 1 else np.zeros_like(place),
         joints=joints,
         joint_covariance={name: np.zeros((len(recovery), 3, 3)) for name in joints},
         segments={},
@@ -98,38 +96,21 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
     return answer, motion
 
 
-def _speed(t_s: FloatArray, position: FloatArray) -> FloatArray:
-    return np.gradient(position, t_s, axis=0) if len(t_s) > 1 else np.zeros_like(position)
-
-
-def is_measurable(motion: Recovery) -> bool:
-    """Whether any joint is known for longer than a sample."""
-    return any(np.isfinite(place).all(axis=1).sum() > 1 for place in motion.joints.values())
-
-
 def pairs_of(mine: Measures, theirs: Measures, recording: str) -> list[MeasurePair]:
     """The measures that answer and reference both have, by session, movement and repetition."""
-    places: list[tuple[Mapping[str, Measure], Mapping[str, Measure]]] = [(mine.by_key, theirs.by_key)]
-    for scope, ours, others in (
+    kinds: list[tuple[Scope, Sequence[Movement], Sequence[Movement]]] = [
         ("movement", mine.movements, theirs.movements),
         ("repetition", mine.repetitions, theirs.repetitions),
-    ):
-        for here, there in same_movements(ours, others):
-            places.append((mine.of(scope, here), theirs.of(scope, there)))  # type: ignore[arg-type]
+    ]
+    places = [(mine.by_key, theirs.by_key)]
+    for scope, ours, others in kinds:
+        places += [
+            (mine.of(scope, here), theirs.of(scope, there)) for here, there in same_movements(ours, others)
+        ]
     return [
         MeasurePair(
-            recording=recording,
-            side=mine.side,
-            scope=row.scope,
-            movement=row.movement,
-            key=key,
-            name=row.name,
-            unit=row.unit,
-            value=row.value,
-            low=row.low,
-            high=row.high,
-            reference=others[key].value,
-            recovered_share=row.recovered_share,
+            *(recording, mine.side, row.scope, row.movement, key, row.name, row.unit),
+            *(row.value, row.low, row.high, others[key].value, row.recovered_share),
         )
         for rows, others in places
         for key, row in rows.items()
@@ -139,24 +120,23 @@ def pairs_of(mine: Measures, theirs: Measures, recording: str) -> list[MeasurePa
 
 def same_movements(ours: Sequence[Movement], others: Sequence[Movement]) -> list[tuple[int, int]]:
     """Movements of two lists that share more than half of the time that either takes, by their numbers."""
-    matches = []
-    for here, mine in enumerate(ours):
-        for there, other in enumerate(others):
-            shared = min(mine.end_s, other.end_s) - max(mine.start_s, other.start_s)
-            either = max(mine.end_s, other.end_s) - min(mine.start_s, other.start_s)
-            if shared > SAME_SHARE * either:  # more than half: at most one matches
-                matches.append((here, there))
-    return matches
+    return [
+        (here, there)
+        for here, mine in enumerate(ours)
+        for there, other in enumerate(others)
+        if min(mine.end_s, other.end_s) - max(mine.start_s, other.start_s)
+        > SAME_SHARE * (max(mine.end_s, other.end_s) - min(mine.start_s, other.start_s))
+    ]
 
 
 @dataclass(frozen=True)
 class KeyAgreement:
     """How well a measure agrees over many pairs."""
 
-    scope: str  # What is compared
-    key: str  # What is compared
-    name: str  # What is compared
-    unit: str  # What is compared
+    scope: str
+    key: str
+    name: str
+    unit: str
     recordings: int  # Of how many recordings the pairs are
     inside: int  # Intervals that contain the reference
     intervals: int  # Pairs with an interval
@@ -165,7 +145,7 @@ class KeyAgreement:
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
         about = {name: getattr(self, name) for name in ("name", "unit", "recordings", "inside", "intervals")}
-        return about | self.agreement.to_dict()
+        return about | asdict(self.agreement)
 
 
 @dataclass(frozen=True)
@@ -213,7 +193,7 @@ def compare_measures(
     from ..measures import measure
 
     answer, motion = same_samples(recovery, reference)
-    if not is_measurable(motion):
+    if not any(np.isfinite(place).all(axis=1).sum() > 1 for place in motion.joints.values()):
         return None
     mine, theirs = measure(answer, processes=processes, progress=progress), measure(motion)
     pairs = tuple(pairs_of(mine, theirs, recovery.name))
@@ -247,16 +227,11 @@ def _agreement(pairs: Sequence[MeasurePair]) -> KeyAgreement:
     first = pairs[0]
     inside = [pair.inside for pair in pairs if pair.inside is not None]
     return KeyAgreement(
-        scope=first.scope,
-        key=first.key,
-        name=first.name,
-        unit=first.unit,
+        *(first.scope, first.key, first.name, first.unit),
         recordings=len({(pair.recording, pair.side) for pair in pairs}),
         inside=sum(inside),
         intervals=len(inside),
-        agreement=pair_agreement(
-            np.array([pair.value for pair in pairs]), np.array([pair.reference for pair in pairs])
-        ),
+        agreement=pair_agreement(*np.array([(pair.value, pair.reference) for pair in pairs]).T),
     )
 
 

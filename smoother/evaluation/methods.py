@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES
+from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES, recover
 from ..errors import UnoccludeError
 
 if TYPE_CHECKING:
@@ -17,10 +17,11 @@ if TYPE_CHECKING:
     from ..recording import Recording
     from ..result import Recovery
     from ..runtime.pool import Progress
-    from .compare import LivePlay
 
     Method = Callable[[Recording], Recovery]
 
+
+T = TypeVar("T")
 
 GRAPH = "graph"
 #: Every method, ours first, then the baselines, the strongest first.
@@ -43,50 +44,42 @@ class BaselineSettings:
         return {key: value for key, value in self.options.items() if key in known}
 
 
-class SharedGraph:
-    """The graph's recovery of a recording, solved once and kept until another recording comes."""
+class Shared(Generic[T]):
+    """What is made of a recording, made once and kept until another recording comes; failures too."""
 
-    def __init__(
-        self,
-        calibration: ArmCalibration | None,
-        config: Config,
-        progress: Progress | None = None,
-        clock: Clock | None = None,
-    ) -> None:
-        self._calibration, self._config, self._progress = calibration, config, progress
-        self._clock = clock
+    def __init__(self, make: Callable[..., T], **here: object) -> None:
+        self._make, self._here = make, here
         self._recording: Recording | None = None
-        self._answer: Recovery | UnoccludeError | None = None
+        self._answer: T | UnoccludeError | None = None
 
     def __getstate__(self) -> dict[str, object]:
         """In another process there is no progress to report, and the answer is in its memory."""
-        return {**self.__dict__, "_progress": None}
+        return {**self.__dict__, "_here": {}}
 
-    def __call__(self, recording: Recording) -> Recovery:
-        """The recovery of this very object."""
-        if self._recording is not recording:
-            self._answer = self._solve(recording)
+    def __call__(self, recording: Recording) -> T:
+        """What is made of this very object."""
+        if self._recording is not recording or self._answer is None:
+            try:
+                self._answer = self._make(recording, **self._here)
+            except UnoccludeError as error:
+                self._answer = error
             self._recording = recording
         if isinstance(self._answer, UnoccludeError):
             raise self._answer
-        assert self._answer is not None
         return self._answer
 
-    def last(self) -> Recovery:
-        """The recovery of the recording that was solved last."""
-        if isinstance(self._answer, UnoccludeError):
-            raise self._answer
-        if self._answer is None:
-            raise UnoccludeError("no recording was solved yet")
-        return self._answer
 
-    def _solve(self, recording: Recording) -> Recovery | UnoccludeError:
-        from .. import smooth
+def shared_graph(
+    calibration: ArmCalibration | None,
+    config: Config,
+    progress: Progress | None = None,
+    clock: Clock | None = None,
+) -> Shared[Recovery]:
+    """The graph's recovery of a recording, solved once."""
+    from ..smoothing import smooth
 
-        try:
-            return smooth(recording, self._calibration, self._config, self._progress, clock=self._clock)
-        except UnoccludeError as error:
-            return error
+    solve = partial(smooth, calibration=calibration, config=config, clock=clock)
+    return Shared(solve, progress=progress)
 
 
 def make_methods(
@@ -99,14 +92,19 @@ def make_methods(
     latency_s: float = 0.1,
 ) -> dict[str, Method]:
     """The chosen methods by name; the baselines start from what the graph estimates, which they share."""
-    graph, settings = SharedGraph(calibration, config, progress, clock), settings or BaselineSettings()
-    live = _SharedPlay(graph, calibration, config, latency_s)
+    from .compare import by_live, play
+
+    graph, settings = (
+        shared_graph(calibration, config, progress, clock),
+        settings or BaselineSettings(),
+    )
+    played = Shared(partial(play, graph=graph, calibration=calibration, config=config, latency_s=latency_s))
 
     def method(name: str) -> Method:
         if name == GRAPH:
             return graph
         if name in LIVE_SMOOTHER:
-            return partial(live, LIVE_SMOOTHER[name])
+            return partial(by_live, LIVE_SMOOTHER[name], played, graph)
         options = settings.for_method(name)
         if name in LIVE_BASELINES:
             options["latency_s"] = latency_s
@@ -115,29 +113,7 @@ def make_methods(
     return {name: method(name) for name in names}
 
 
-class _SharedPlay:
-    """A recording played once into the live smoother, for what it answers now and later."""
-
-    def __init__(
-        self, graph: SharedGraph, calibration: ArmCalibration | None, config: Config, latency_s: float
-    ) -> None:
-        self._inputs = graph, calibration, config, latency_s
-        self._play: LivePlay | None = None
-
-    def __getstate__(self) -> dict[str, object]:
-        return {"_inputs": self._inputs, "_play": None}
-
-    def __call__(self, kind: str, recording: Recording) -> Recovery:
-        from .compare import LivePlay
-
-        if self._play is None:
-            self._play = LivePlay(*self._inputs)
-        return self._play.method(kind)(recording)
-
-
 def _by_baseline(
-    name: str, graph: SharedGraph, orientation: str, options: Mapping[str, Any], recording: Recording
+    name: str, graph: Method, orientation: str, options: Mapping[str, Any], recording: Recording
 ) -> Recovery:
-    from ..baselines.registry import recover
-
     return recover(recording, graph(recording), name, orientation, options)

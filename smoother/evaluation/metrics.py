@@ -9,7 +9,8 @@ A reference motion at other times, never beyond its ends or gaps; how late an an
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -72,39 +73,31 @@ def squared_sigmas(
     return result
 
 
+def _of_finite(values: FloatArray, figure: Callable[[FloatArray], Any]) -> float | None:
+    """A figure of the finite values, or None without any."""
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    return float(figure(finite)) if len(finite) else None
+
+
 def rms(values: FloatArray) -> float | None:
     """Root mean square of the finite values, or None without any."""
-    finite = _finite(values)
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else None
-
-
-def maximum(values: FloatArray) -> float | None:
-    """Largest finite value, or None without any."""
-    finite = _finite(values)
-    return float(finite.max()) if len(finite) else None
+    return _of_finite(values, lambda finite: np.sqrt(np.mean(finite**2)))
 
 
 def percentile(values: FloatArray, percent: float) -> float | None:
     """Percentile of the finite values (linear between samples), or None without any."""
-    finite = _finite(values)
-    return float(np.percentile(finite, percent)) if len(finite) else None
+    return _of_finite(values, lambda finite: np.percentile(finite, percent))
 
 
 def nees(squared: FloatArray) -> float | None:
     """Mean squared position error in sigmas / 3: 1 where the stated covariance is consistent."""
-    finite = _finite(squared)
-    return float(finite.mean() / 3.0) if len(finite) else None
+    return _of_finite(squared, lambda finite: finite.mean() / 3.0)
 
 
 def coverage_95(squared: FloatArray) -> float | None:
     """Part of the samples whose error lies inside the stated 95 % region (0.95 is consistent)."""
-    finite = _finite(squared)
-    return float((finite <= CHI2_95_3).mean()) if len(finite) else None
-
-
-def _finite(values: FloatArray) -> FloatArray:
-    values = np.asarray(values, dtype=float)
-    return values[np.isfinite(values)]
+    return _of_finite(squared, lambda finite: (finite <= CHI2_95_3).mean())
 
 
 @dataclass(frozen=True)
@@ -130,10 +123,6 @@ class Figures:
     orientation_nees: float | None = None  # As for the position, of the rotation vector
     orientation_coverage_95: float | None = None  # As for the position, of the rotation vector
 
-    def to_dict(self) -> dict[str, object]:
-        """Plain values by name, as `--json` writes them."""
-        return asdict(self)
-
 
 def summarise(
     distance_m: FloatArray, angle_deg: FloatArray, squared: FloatArray, unanswered: int = 0
@@ -141,9 +130,9 @@ def summarise(
     """The figures of a set of samples."""
     return Figures(
         position_rms_m=rms(distance_m),
-        position_max_m=maximum(distance_m),
+        position_max_m=percentile(distance_m, 100),
         orientation_rms_deg=rms(angle_deg),
-        orientation_max_deg=maximum(angle_deg),
+        orientation_max_deg=percentile(angle_deg, 100),
         nees=nees(squared),
         samples=int(np.isfinite(distance_m).sum()),
         position_median_m=percentile(distance_m, 50),
@@ -163,13 +152,10 @@ STAMP_S = 1e-6
 def truth_at(truth: Truth, t_s: FloatArray) -> Truth:
     """The truth at the given times (its own clock), nan where it has none."""
     t_s = np.asarray(t_s, dtype=float)
-    quaternion = np.full((len(t_s), 4), np.nan)
-    if len(truth):
-        quaternion = _piecewise(truth.t_s, truth.quaternion, t_s, _slerp)
     return Truth(
         t_s=t_s,
         position=position_at(truth.t_s, truth.position, t_s),
-        quaternion=quaternion,
+        quaternion=orientation_at(truth.t_s, truth.quaternion, t_s),
         score=_scored(truth, t_s),
         joints={name: position_at(truth.t_s, value, t_s) for name, value in truth.joints.items()},
     )
@@ -177,27 +163,17 @@ def truth_at(truth: Truth, t_s: FloatArray) -> Truth:
 
 def position_at(t_known: FloatArray, position: FloatArray, t_s: FloatArray) -> FloatArray:
     """Positions (M, 3) read at other times (N, 3): cubic, nan where none is near."""
-    return _piecewise(t_known, position, t_s, _cubic)
+    return _read(_pieces(t_known, position), t_s, _cubic, 3)
 
 
 def orientation_at(t_known: FloatArray, quaternion: FloatArray, t_s: FloatArray) -> FloatArray:
     """Orientations (M, 4) read at other times (N, 4): slerp, nan where none is near."""
-    return _piecewise(t_known, quaternion, t_s, _slerp)
+    return _read(_pieces(t_known, quaternion), t_s, _slerp, 4)
 
 
 def linear_at(t_known: FloatArray, values: FloatArray, t_s: FloatArray) -> FloatArray:
     """Values (M, D) read at other times (N, D): linear, so that variances stay positive."""
-    return _piecewise(t_known, values, t_s, _linear)
-
-
-def _piecewise(
-    t_known: FloatArray,
-    values: FloatArray,
-    t_s: FloatArray,
-    reader: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
-) -> FloatArray:
-    """Apply a reader between samples that may be bridged; other times stay nan."""
-    return _read(_pieces(t_known, values), t_s, reader, values.shape[1])
+    return _read(_pieces(t_known, values), t_s, _linear, values.shape[1])
 
 
 def _pieces(t_known: FloatArray, values: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
@@ -247,18 +223,16 @@ def _slerp(t: FloatArray, quaternion: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def _scored(truth: Truth, t_s: FloatArray) -> BoolArray:
-    if not len(truth):
-        return np.zeros(len(t_s), dtype=bool)
     after = np.searchsorted(truth.t_s, t_s - STAMP_S)  # first sample at or after
     before = np.searchsorted(truth.t_s, t_s + STAMP_S, side="right") - 1  # last at or before
     inside = (after < len(truth)) & (before >= 0)
-    last = len(truth) - 1
-    both = truth.score[np.clip(after, 0, last)] & truth.score[np.clip(before, 0, last)]
-    return inside & both
+    inside[inside] = truth.score[after[inside]] & truth.score[before[inside]]
+    return inside
 
 
 #: Lags looked at, s: up to this in coarse steps, then about the best one in finer steps.
 LONGEST_S, COARSE_S, FINE_S = 0.5, 0.02, 0.002
+_COARSE = np.arange(-LONGEST_S, LONGEST_S + 0.5 * COARSE_S, COARSE_S)
 #: From fewer samples no lag is read; more than the second make it no surer.
 FEWEST, MOST = 20, 20_000
 
@@ -273,24 +247,18 @@ def lag_s(
     reference_t_s: FloatArray | None = None,  # (m,) s
 ) -> float | None:  # s
     """Lag of samples behind a reference."""
-    t_reference = t_s if reference_t_s is None else reference_t_s
-    coarse = _coarse_lags()
-    roughly = _peak(coarse, _correlations(t_s, samples, reference, t_reference, coarse))
+    given = (t_s, samples, reference, t_s if reference_t_s is None else reference_t_s)
+    roughly = _peak(_COARSE, _correlations(*given, _COARSE))
     if roughly is None:
         return None
     fine = np.linspace(roughly - 10 * FINE_S, roughly + 10 * FINE_S, 21)
-    exactly = _peak(fine, _correlations(t_s, samples, reference, t_reference, fine))
+    exactly = _peak(fine, _correlations(*given, fine))
     return roughly if exactly is None else exactly
 
 
 def best_correlation(t_s: FloatArray, samples: FloatArray, reference: FloatArray) -> float | None:
     """The largest correlation of samples and a reference (n, d), both at times (n,) s, at any lag."""
-    r = _correlations(t_s, samples, reference, t_s, _coarse_lags())
-    return float(np.nanmax(r)) if np.isfinite(r).any() else None
-
-
-def _coarse_lags() -> FloatArray:
-    return np.arange(-LONGEST_S, LONGEST_S + 0.5 * COARSE_S, COARSE_S)
+    return percentile(_correlations(t_s, samples, reference, t_s, _COARSE), 100)
 
 
 def _correlations(
@@ -306,8 +274,13 @@ def _correlations(
     for k, lag in enumerate(lags):
         b = _read(pieces, t - lag, _linear, reference.shape[1])
         both = np.isfinite(b).all(axis=1)
-        if both.sum() >= FEWEST:
-            r[k] = _correlation(a[both], b[both])
+        if both.sum() < FEWEST:
+            continue
+        # over all columns together, each about its own mean; nothing where one stands still
+        x, y = (each[both] - each[both].mean(axis=0) for each in (a, b))
+        scale = float(np.sqrt((x * x).sum() * (y * y).sum()))
+        if scale > 1e-9 * len(x):
+            r[k] = float((x * y).sum()) / scale
     return r
 
 
@@ -318,10 +291,3 @@ def _peak(lags: FloatArray, r: FloatArray) -> float | None:
     if not 0 < best < len(r) - 1 or not np.isfinite(r[around]).all():
         return None
     return parabola_vertex(lags[around], -r[around])
-
-
-def _correlation(a: FloatArray, b: FloatArray) -> float:
-    """Over all columns together, each about its own mean; nan where one stands still."""
-    x, y = a - a.mean(axis=0), b - b.mean(axis=0)
-    scale = float(np.sqrt((x * x).sum() * (y * y).sum()))
-    return float((x * y).sum()) / scale if scale > 1e-9 * len(a) else float("nan")

@@ -1,13 +1,10 @@
-"""A person's measures over the sessions: what changed, in words that the intervals support.
-
-Measures as people read them: values with their unit, and which of many come first.
-"""
+"""Measures as people read them, and a person's over the sessions: what changed, as the intervals support."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -26,21 +23,20 @@ _SHOWN: dict[str, tuple[float, str, int]] = {
 }
 
 
+def _shown(unit: str) -> tuple[float, str, int]:
+    return _SHOWN.get(unit, (1.0, "", 2))
+
+
 def shown_unit(unit: str) -> str:
     """The unit for people: "cm" for lengths that are stored in m."""
-    return _SHOWN.get(unit, (1.0, "", 2))[1].strip()
-
-
-def scaled(value: float, unit: str) -> float:
-    """A value in its unit for people."""
-    return value * _SHOWN.get(unit, (1.0, "", 2))[0]
+    return _shown(unit)[1].strip()
 
 
 def number(value: float, unit: str, signed: bool = False) -> str:
     """A value in its unit for people, without the unit; a dash where there is none."""
     if not math.isfinite(value):
         return "–"
-    factor, _, decimals = _SHOWN.get(unit, (1.0, "", 2))
+    factor, _, decimals = _shown(unit)
     if not unit and value == round(value):  # a count
         decimals = 0
     text = f"{factor * value:{'+' if signed else ''}.{decimals}f}"
@@ -50,7 +46,7 @@ def number(value: float, unit: str, signed: bool = False) -> str:
 def quantity(value: float, unit: str, signed: bool = False) -> str:
     """A value with its unit for people."""
     text = number(value, unit, signed)
-    return text if text == "–" else text + _SHOWN.get(unit, (1.0, "", 2))[1]
+    return text if text == "–" else text + _shown(unit)[1]
 
 
 def worded(key: str, value: float, unit: str) -> str:
@@ -118,8 +114,8 @@ class SessionValue:
     session: str  # What the session is called
     day: float  # Days since the person's first session; nan where that is not known
     value: float  # The value and its 95 % interval; nan without one
-    low: float = math.nan  # The value and its 95 % interval; nan without one
-    high: float = math.nan  # The value and its 95 % interval; nan without one
+    low: float = math.nan
+    high: float = math.nan
     sigma: float = math.nan  # Standard deviation by the draws; nan without them
     recovered_share: float = math.nan  # How much of it comes from samples that the camera did not see
     n_draws: int = 0  # How many draws the interval is of
@@ -138,12 +134,12 @@ class SessionValue:
 class Change:
     """A measure in two sessions."""
 
-    first: SessionValue  # The two
-    last: SessionValue  # The two
+    first: SessionValue
+    last: SessionValue
     difference: float  # Last minus first
-    low: float  # Its 95 % interval by the draws of both; nan without draws
-    high: float  # Its 95 % interval by the draws of both; nan without draws
-    p: float  # How likely so large a difference is without any change; nan without draws
+    low: float = math.nan  # Its 95 % interval by the draws of both; nan without draws
+    high: float = math.nan
+    p: float = math.nan  # How likely so large a difference is without any change; nan without draws
     mdc95: float = math.nan  # The minimal detectable change that was given; nan without one
     word: Word = UNKNOWN  # "clearly more", "clearly less", "no clear change" or "cannot be assessed"
     limits: tuple[str, ...] = ()  # What limits the statement, one sentence each
@@ -157,36 +153,19 @@ class Change:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them."""
-        return {
-            "from": self.first.session,
-            "to": self.last.session,
-            "difference": self.difference,
-            "low": self.low,
-            "high": self.high,
-            "p": self.p,
-            "p_together": self.p_together,
-            "mdc95": self.mdc95,
-            "detectable": self.detectable,
-            "word": self.word,
-            "limits": list(self.limits),
-        }
+        names = ("difference", "low", "high", "p", "p_together", "mdc95", "detectable", "word", "limits")
+        sessions = {"from": self.first.session, "to": self.last.session}
+        return sessions | {name: getattr(self, name) for name in names}
 
 
 def change_between(first: SessionValue, last: SessionValue, mdc95: float = math.nan) -> Change:
-    """Compare a measure of two sessions.
-
-    The errors of both are independent, so their variances add; as each sigma is of a limited number of draws,
-    the difference in sigmas has Student's t with the degrees of freedom of Welch and Satterthwaite
-    (Welch, Biometrika 34:28-35, 1947). A change is clear where zero lies outside its 95 % interval and, if a
-    minimal detectable change is given, it is larger than that.
-    """
+    """Compare a measure of two sessions: clear where beyond its 95 % interval and the detectable change."""
+    # errors of both are independent; of a limited number of draws each, so that the difference in sigmas has
+    # Student's t with the freedom of Welch and Satterthwaite (Welch, Biometrika 34:28-35, 1947)
     difference = last.value - first.value
     spread = math.hypot(first.spread, last.spread)
     if not math.isfinite(difference) or not math.isfinite(spread):
-        unknown = math.nan
-        return Change(
-            first, last, difference, unknown, unknown, unknown, mdc95, UNKNOWN, _unknown(first, last)
-        )
+        return Change(first, last, difference, mdc95=mdc95, limits=_unknown(first, last))
     half, p = _half_and_p(first, last, difference, spread)
     clear = p < LEVEL and not abs(difference) <= mdc95
     word: Word = (MORE if difference > 0 else LESS) if clear else UNCLEAR
@@ -204,16 +183,8 @@ def without_like_movements(
     reason = _unlike(change, first_count, last_count)
     if not reason:
         return change
-    unknown = math.nan
-    return replace(
-        change,
-        difference=unknown,
-        low=unknown,
-        high=unknown,
-        p=unknown,
-        word=UNKNOWN,
-        limits=(reason, *change.limits),
-    )
+    limits = (reason, *change.limits)
+    return Change(change.first, change.last, math.nan, mdc95=change.mdc95, limits=limits)
 
 
 def _unlike(change: Change, *counts: SessionValue | None) -> str:
@@ -240,10 +211,7 @@ def _unlike(change: Change, *counts: SessionValue | None) -> str:
 
 
 def together(changes: Sequence[Change]) -> list[float]:
-    """Probabilities of many comparisons together, each as Holm's step-down makes it.
-
-    Source: Holm, Scandinavian Journal of Statistics 6:65-70 (1979).
-    """
+    """Probabilities of many comparisons together, by step-down (Holm, Scand J Statistics 6:65-70, 1979)."""
     known = sorted((change.p, place) for place, change in enumerate(changes) if math.isfinite(change.p))
     adjusted, largest = [math.nan] * len(changes), 0.0
     for rank, (p, place) in enumerate(known):
@@ -261,16 +229,11 @@ def _half_and_p(
         return 0.0, min(1.0, RULE_OF_THREE / max(draws, 1)) if difference else 1.0
     from scipy.stats import t as student
 
-    freedom = _freedom(first, last)
-    half = float(student.ppf(1 - LEVEL / 2, freedom)) * spread
-    return half, float(2 * student.sf(abs(difference) / spread, freedom))
-
-
-def _freedom(first: SessionValue, last: SessionValue) -> float:
-    """Degrees of freedom of the sum of two variances, each estimated by draws."""
     parts = [(value.spread**2, max(value.n_draws - 1, 1)) for value in (first, last)]
     total = sum(variance for variance, _ in parts)
-    return total**2 / sum(variance**2 / count for variance, count in parts)
+    freedom = total**2 / sum(variance**2 / count for variance, count in parts)
+    half = float(student.ppf(1 - LEVEL / 2, freedom)) * spread
+    return half, float(2 * student.sf(abs(difference) / spread, freedom))
 
 
 def _unknown(first: SessionValue, last: SessionValue) -> tuple[str, ...]:
@@ -306,11 +269,11 @@ class Series:
     """A measure of one arm over a person's sessions."""
 
     person: str  # Whose, which arm, and of which recording of a session ("" where a session has one)
-    side: str  # Whose, which arm, and of which recording of a session ("" where a session has one)
-    task: str  # Whose, which arm, and of which recording of a session ("" where a session has one)
+    side: str
+    task: str
     key: str  # As a `Measure` has them
-    name: str  # As a `Measure` has them
-    unit: str  # As a `Measure` has them
+    name: str
+    unit: str
     values: tuple[SessionValue, ...]  # In the order of time
     changes: tuple[Change, ...] = ()  # Each session against the first
 
@@ -321,11 +284,9 @@ class Series:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them."""
-        return {
-            **{name: getattr(self, name) for name in ("person", "side", "task", "key", "name", "unit")},
-            "sessions": [asdict(value) for value in self.values],
-            "changes": [change.to_dict() for change in self.changes],
-        }
+        about = {name: getattr(self, name) for name in ("person", "side", "task", "key", "name", "unit")}
+        changes = [change.to_dict() for change in self.changes]
+        return about | {"sessions": [asdict(value) for value in self.values], "changes": changes}
 
 
 @dataclass(frozen=True)
@@ -354,19 +315,10 @@ class PersonProgress:
     @property
     def clear(self) -> tuple[Series, ...]:
         """The main measures that changed clearly."""
-        return tuple(
-            each for each in self.main if each.change is not None and each.change.word in (MORE, LESS)
-        )
+        return tuple(each for each in self.main if each.change and each.change.word in (MORE, LESS))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them."""
-        return {
-            "person": self.person,
-            "sessions": list(self.sessions),
-            "days": list(self.days),
-            "compared": len(self.compared),
-            "clear": len(self.clear),
-            "measures": [each.to_dict() for each in self.series],
-            "left_out": list(self.left_out),
-            "notes": list(self.notes),
-        }
+        about = {name: getattr(self, name) for name in ("person", "sessions", "days", "left_out", "notes")}
+        counts = {"compared": len(self.compared), "clear": len(self.clear)}
+        return about | counts | {"measures": [each.to_dict() for each in self.series]}

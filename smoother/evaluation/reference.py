@@ -50,14 +50,14 @@ class ReferenceAlignment:
     landmarks: dict[str, FloatArray] | None = None
     notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
-    @property
-    def title(self) -> str:
-        """What every title of a result adds about it; "" where nothing was aligned."""
-        return {
+    def titled(self, text: str) -> str:
+        """The title of a result: states where the truth was aligned."""
+        how = {
             "none": "",
-            "calibration": "clock aligned, frame from the calibration",
-            "solved": "aligned: frame and clock of the truth solved from this recording",
-        }[self.kind]
+            "calibration": " (clock aligned, frame from the calibration)",
+            "solved": " (aligned: frame and clock of the truth solved from this recording)",
+        }
+        return text + how[self.kind]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them."""
@@ -65,17 +65,16 @@ class ReferenceAlignment:
         plain: dict[str, Any] = {
             "alignment": self.kind,
             "clock": {
-                "offset_s": 0.0 if clock is None else clock.offset_s,
-                "sigma_s": None if clock is None else clock.sigma_s,
-                "skew_ppm": None if clock is None else 1e6 * clock.skew,
-                "skew_sigma_ppm": None if clock is None else 1e6 * clock.skew_sigma,
-                "correlation": None if clock is None else clock.correlation,
+                "offset_s": clock.offset_s if clock else 0.0,
+                "sigma_s": clock and clock.sigma_s,
+                "skew_ppm": clock and 1e6 * clock.skew,
+                "skew_sigma_ppm": clock and 1e6 * clock.skew_sigma,
+                "correlation": clock and clock.correlation,
             },
         }
         if frame is not None:
-            quaternion = Rotation.from_matrix(frame.R_K_E).as_quat(canonical=True, scalar_first=True)
             plain["camera_from_mocap"] = {
-                "rotation": quaternion,
+                "rotation": Rotation.from_matrix(frame.R_K_E).as_quat(canonical=True, scalar_first=True),
                 "translation": frame.t_K_E,
                 "rotation_sigma_deg": frame.rotation_sigma_deg,
                 "translation_sigma_m": frame.translation_sigma_m,

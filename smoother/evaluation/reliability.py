@@ -14,7 +14,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from ..array_types import FloatArray
-from .agreement import CONFIDENCE, detectable_change, icc_a1, limits_of_agreement, measurement_error
+from .agreement import (
+    detectable_change,
+    icc_a1,
+    limits_of_agreement,
+    mean_squares,
+    sigma_interval,
+    with_interval,
+)
 from .progress import PersonProgress, interval, is_main, quantity
 
 #: Fewer persons have no figures.
@@ -25,35 +32,31 @@ FEWEST_PERSONS = 3
 class Reliability:
     """How reliable a measure is over repeated sessions, in its unit."""
 
-    side: str  # What was measured
-    task: str  # What was measured
-    key: str  # What was measured
-    name: str  # What was measured
-    unit: str  # What was measured
+    side: str
+    task: str
+    key: str  # As a `Measure` has them
+    name: str
+    unit: str
     persons: int  # How many, each person with as many sessions
-    sessions: int  # How many, each person with as many sessions
+    sessions: int
     # ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval
     icc_21: float | None
-    # ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval
     icc_21_low: float | None
-    # ICC(2,1), two-way random effects, absolute agreement, single measurement, with its 95 % interval
     icc_21_high: float | None
     # Standard error of measurement, with systematic differences between sessions, and its 95 % interval
     sem_agreement: float
-    # Standard error of measurement, with systematic differences between sessions, and its 95 % interval
     sem_agreement_low: float
-    # Standard error of measurement, with systematic differences between sessions, and its 95 % interval
     sem_agreement_high: float
     sdc: float  # Smallest detectable change of one person, 1.96 sqrt(2) SEM_agreement (also called MDC95)
     bias: float  # Mean of the second session minus the first, with its interval
-    bias_low: float  # Mean of the second session minus the first, with its interval
-    bias_high: float  # Mean of the second session minus the first, with its interval
+    bias_low: float
+    bias_high: float
     limits_low: float  # Limits of agreement of these two sessions, each with its interval
-    limits_low_from: float  # Limits of agreement of these two sessions, each with its interval
-    limits_low_to: float  # Limits of agreement of these two sessions, each with its interval
-    limits_high: float  # Limits of agreement of these two sessions, each with its interval
-    limits_high_from: float  # Limits of agreement of these two sessions, each with its interval
-    limits_high_to: float  # Limits of agreement of these two sessions, each with its interval
+    limits_low_from: float
+    limits_low_to: float
+    limits_high: float
+    limits_high_from: float
+    limits_high_to: float
     values: tuple[tuple[float, float], ...]  # First and second session of each person
 
     def to_dict(self) -> dict[str, object]:
@@ -75,60 +78,27 @@ def reliability_of(persons: Sequence[PersonProgress]) -> list[Reliability]:
     for key, own in values.items():
         if len(own) >= FEWEST_PERSONS and is_main(key[2]):
             ratings = np.array([each[: min(map(len, own))] for each in own])
-            found.append(_reliability((*key, *about[key[2]]), ratings))
+            sem = sem_agreement(ratings)
+            limits = limits_of_agreement(ratings[:, 1] - ratings[:, 0])
+            pairs = tuple((float(first), float(second)) for first, second in ratings[:, :2])
+            what = (*key, *about[key[2]], len(ratings), ratings.shape[1])
+            figures = (*icc_a1(ratings), *sem, detectable_change(sem[0]))
+            found.append(Reliability(*what, *figures, *limits, pairs))
     return found
-
-
-def _reliability(about: tuple[str, str, str, str, str], ratings: FloatArray) -> Reliability:
-    n, k = ratings.shape
-    sem, low, high = sem_agreement(ratings)
-    limits = limits_of_agreement(ratings[:, 1] - ratings[:, 0])
-    return Reliability(
-        *about,
-        n,
-        k,
-        *icc_a1(ratings),
-        sem,
-        low,
-        high,
-        detectable_change(sem),
-        limits.bias,
-        limits.bias_low,
-        limits.bias_high,
-        limits.low,
-        limits.low_from,
-        limits.low_to,
-        limits.high,
-        limits.high_from,
-        limits.high_to,
-        tuple((float(first), float(second)) for first, second in ratings[:, :2]),
-    )
-
-
-def _mean_squares(ratings: FloatArray) -> tuple[float, float, float]:
-    """Between persons, between sessions, error."""
-    n, k = ratings.shape
-    rows, columns, grand = ratings.mean(axis=1), ratings.mean(axis=0), ratings.mean()
-    between = k * ((rows - grand) ** 2).sum() / (n - 1)
-    return float(between), float(n * columns.var(ddof=1)), measurement_error(ratings) ** 2
 
 
 def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:  # ratings (n, k)
     """SEM_agreement, sqrt(variance between sessions + error), and its 95 % interval (Satterthwaite)."""
-    from scipy.stats import chi2
-
     n, k = ratings.shape
-    _, sessions, error = _mean_squares(ratings)
+    _, sessions, error = mean_squares(ratings)
     parts = [(sessions / n, k - 1), ((n - 1) / n * error, (n - 1) * (k - 1))]
-    if sessions < error:  # the sessions do not differ: a variance is not negative
+    if sessions <= error * (1 + 1e-12):  # the sessions do not differ: a variance is not negative
         parts = [(error, (n - 1) * (k - 1))]
     variance = sum(part for part, _ in parts)
     if variance <= 0:
         return 0.0, 0.0, 0.0
     freedom = variance**2 / sum(part**2 / count for part, count in parts)
-    tail = 0.5 * (1 - CONFIDENCE)
-    low, high = (np.sqrt(variance * freedom / chi2.ppf(p, freedom)) for p in (1 - tail, tail))
-    return float(np.sqrt(variance)), float(low), float(high)
+    return float(np.sqrt(variance)), *sigma_interval(float(np.sqrt(variance)), freedom)
 
 
 #: Heads of the table of `reliability_cells`.
@@ -141,14 +111,10 @@ def reliability_cells(found: Sequence[Reliability]) -> list[tuple[str, ...]]:
         (
             ", ".join(filter(None, (one.name, one.side, one.task))),
             f"{one.persons} x {one.sessions}",
-            _icc(one.icc_21, one.icc_21_low, one.icc_21_high),
+            with_interval(one.icc_21, one.icc_21_low, one.icc_21_high, 2) or "-",
             quantity(one.sem_agreement, one.unit),
             quantity(one.sdc, one.unit),
             interval(one.limits_low, one.limits_high, one.unit, signed=True),
         )
         for one in found
     ]
-
-
-def _icc(value: float | None, low: float | None, high: float | None) -> str:
-    return "-" if value is None else f"{value:.2f} ({low:.2f} to {high:.2f})"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..body import SEGMENTS
+from ..calibration import LeverArm
 from ..error_radius import error_radius, pooled_radius
 from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
@@ -56,42 +58,36 @@ class GapSummary:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
-        return {
-            "start_s": self.gap.start_s,
-            "end_s": self.gap.end_s,
-            "length_s": self.gap.length_s,
-            "open_start": self.gap.open_start,
-            "open_end": self.gap.open_end,
-            "sigma_max_m": self.sigma_max_m,
-            "sigma_max_deg": self.sigma_max_deg,
-            "sigma_max_flexion_deg": self.sigma_max_flexion_deg,
-            "error_95_m": self.error_95_m,
-            "orientation_95_deg": self.orientation_95_deg,
-            "answered": self.answered,
-            "trusted": self.trusted,
-            "reasons": list(self.reasons),
-        }
+        gap = {name: getattr(self.gap, name) for name in _OF_GAP}
+        return gap | {name: getattr(self, name) for name in _OF_ANSWER} | {"reasons": list(self.reasons)}
+
+
+_OF_GAP = ("start_s", "end_s", "length_s", "open_start", "open_end")
+_OF_ANSWER = (
+    *("sigma_max_m", "sigma_max_deg", "sigma_max_flexion_deg", "error_95_m", "orientation_95_deg"),
+    *("answered", "trusted"),
+)
 
 
 def gap_summaries(recovery: Recovery) -> list[GapSummary]:
     """The recovery's gaps, in order of time, with how sure it is in each."""
-    starts = np.searchsorted(recovery.t_s, [gap.start_s for gap in recovery.gaps], "left")
-    stops = np.searchsorted(recovery.t_s, [gap.end_s for gap in recovery.gaps], "right")
-    verdicts: tuple[GapVerdict | None, ...] = recovery.gap_verdicts
-    if not recovery.has_verdict:
-        verdicts = (None,) * len(recovery.gaps)
+    verdicts = recovery.gap_verdicts if recovery.has_verdict else (None,) * len(recovery.gaps)
     summaries = []
-    for gap, verdict, start, stop in zip(
-        recovery.gaps, verdicts, starts.tolist(), stops.tolist(), strict=True
-    ):
+    for gap, verdict in zip(recovery.gaps, verdicts, strict=True):
+        start = int(np.searchsorted(recovery.t_s, gap.start_s, "left"))
+        stop = int(np.searchsorted(recovery.t_s, gap.end_s, "right"))
         inside = recovery.rows(slice(start, stop))
-        answered = float(inside.answered.mean()) if len(inside) else 0.0
-        sigma_m, sigma_deg = _largest(inside.worst_sigma_m), _largest(inside.sigma_deg)
-        flexion_deg = _largest(elbow_flexion_sigma(inside))
-        error_m = _largest(inside.error_95_m)
-        turn_deg = _largest(np.degrees(error_radius(inside.pose_covariance[:, 3:, 3:])))
         summaries.append(
-            GapSummary(gap, sigma_m, sigma_deg, flexion_deg, answered, verdict, error_m, turn_deg)
+            GapSummary(
+                gap,
+                _largest(inside.worst_sigma_m),
+                _largest(inside.sigma_deg),
+                _largest(elbow_flexion_sigma(inside)),
+                float(inside.answered.mean()) if len(inside) else 0.0,
+                verdict,
+                _largest(inside.error_95_m),
+                _largest(np.degrees(error_radius(inside.pose_covariance[:, 3:, 3:]))),
+            )
         )
     return summaries
 
@@ -99,7 +95,6 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
 def recovery_figures(recovery: Recovery) -> dict[str, object]:
     """The figures of a recovery as plain values, as `smooth --json` writes them."""
     t = recovery.t_s
-    rate_hz = _rate(t)
     return {
         "method": recovery.method,
         "recording": recovery.name,
@@ -107,7 +102,7 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "samples": len(recovery),
         "answered": int(recovery.answered.sum()),
         "duration_s": float(t[-1] - t[0]) if len(t) else 0.0,
-        "rate_hz": rate_hz,
+        "rate_hz": float(1.0 / np.median(np.diff(t), overwrite_input=True)) if len(t) > 1 else None,
         "occluded_samples": int(recovery.occluded.sum()),
         "occluded_s": float(sum(gap.length_s for gap in recovery.gaps)),
         "gaps": [summary.to_dict() for summary in gap_summaries(recovery)],
@@ -148,14 +143,29 @@ def camera_sentences(recovery: Recovery) -> list[str]:
     return sentences
 
 
+def _by_part(
+    recovery: Recovery,
+    values: FloatArray,
+    only: BoolArray | None,
+    figures: Callable[[IntArray], dict[str, float | None]],
+) -> dict[str, dict[str, float | None]]:
+    """Figures of the samples with a finite value, while seen and in gaps."""
+    good = np.isfinite(values) if only is None else only & np.isfinite(values)
+    parts = {"visible": ~recovery.occluded, "occluded": recovery.occluded}
+    return {part: figures(np.flatnonzero(good & inside)) for part, inside in parts.items()}
+
+
 def sigma_figures(
     recovery: Recovery,
     only: BoolArray | None = None,  # bool (N,)
 ) -> dict[str, dict[str, float | None]]:
     """Median and largest standard deviation of the position on its worst axis, m, while seen and in gaps."""
-    sigma, occluded = recovery.worst_sigma_m, recovery.occluded
-    counts = np.ones(len(recovery), bool) if only is None else only
-    return {"visible": _sigmas(sigma, counts & ~occluded), "occluded": _sigmas(sigma, counts & occluded)}
+    sigma = recovery.worst_sigma_m
+
+    def figures(rows: IntArray) -> dict[str, float | None]:
+        return {"median": float(np.median(sigma[rows])) if len(rows) else None, "max": _largest(sigma[rows])}
+
+    return _by_part(recovery, sigma, only, figures)
 
 
 def error_figures(
@@ -163,15 +173,13 @@ def error_figures(
     only: BoolArray | None = None,  # bool (N,)
 ) -> dict[str, dict[str, float | None]]:
     """How far off the IMU's position is in 95 of 100 cases, m, while seen and in gaps."""
-    radius, occluded = recovery.error_95_m, recovery.occluded
-    counts = np.isfinite(radius) if only is None else only & np.isfinite(radius)
-    figures = {}
-    for part, chosen in (("visible", counts & ~occluded), ("occluded", counts & occluded)):
-        rows = np.flatnonzero(chosen)
-        rows = rows[:: max(1, len(rows) // _MOST_POOLED)]
-        pooled = pooled_radius(recovery.pose_covariance[rows][:, :3, :3])
-        figures[part] = {"all": pooled, "max": _largest(radius[chosen])}
-    return figures
+    radius = recovery.error_95_m
+
+    def figures(rows: IntArray) -> dict[str, float | None]:
+        some = recovery.pose_covariance[rows[:: max(1, len(rows) // _MOST_POOLED)]]
+        return {"all": pooled_radius(some[:, :3, :3]), "max": _largest(radius[rows])}
+
+    return _by_part(recovery, radius, only, figures)
 
 
 def verdict_figures(estimates: Estimates) -> dict[str, object]:
@@ -196,18 +204,6 @@ def trust_word(trusted: bool | None, gaps: int | None, untrusted: int | None) ->
     return "" if trusted is None else "yes"
 
 
-def _rate(t_s: FloatArray) -> float | None:
-    """Median rate, Hz; None for fewer than two samples."""
-    return float(1.0 / np.median(np.diff(t_s), overwrite_input=True)) if len(t_s) > 1 else None
-
-
-def _sigmas(sigma: np.ndarray, chosen: BoolArray) -> dict[str, float | None]:
-    values = sigma[chosen & np.isfinite(sigma)]
-    largest = _largest(values)
-    median = float(np.median(values, overwrite_input=True)) if len(values) else None
-    return {"median": median, "max": largest}
-
-
 def _largest(values: np.ndarray) -> float | None:
     largest = np.max(values, initial=-np.inf, where=np.isfinite(values))
     return float(largest) if np.isfinite(largest) else None
@@ -217,23 +213,18 @@ def _calibration(recovery: Recovery) -> dict[str, object] | None:
     arm = recovery.calibration
     if arm is None:
         return None
-    return {
+
+    def levers(arms: Mapping[str, LeverArm]) -> dict[str, object]:
+        return {
+            joint: {"position_m": each.position_m, "sigma_m": each.sigma_m} for joint, each in arms.items()
+        }
+
+    plain = {name: getattr(arm, name) for name in ("R_F_A", "accelerometer_bias", "gyroscope_bias")}
+    plain |= {f"{SEGMENTS[name].prefix}_imu": levers(each.lever_arms) for name, each in arm.mountings.items()}
+    return plain | {
         "side": arm.side,
-        "lever_arms": {
-            joint: {"position_m": lever.position_m, "sigma_m": lever.sigma_m}
-            for joint, lever in arm.lever_arms.items()
-        },
-        "upper_arm_m": None if arm.upper_arm is None else arm.upper_arm.value_m,
-        "upper_arm_sigma_m": None if arm.upper_arm is None else arm.upper_arm.sigma_m,
-        "R_F_A": arm.R_F_A,
-        "accelerometer_bias": arm.accelerometer_bias,
-        "gyroscope_bias": arm.gyroscope_bias,
-        **{
-            f"{SEGMENTS[name].prefix}_imu": {
-                joint: {"position_m": lever.position_m, "sigma_m": lever.sigma_m}
-                for joint, lever in mounting.lever_arms.items()
-            }
-            for name, mounting in arm.mountings.items()
-        },
+        "lever_arms": levers(arm.lever_arms),
+        "upper_arm_m": arm.upper_arm and arm.upper_arm.value_m,
+        "upper_arm_sigma_m": arm.upper_arm and arm.upper_arm.sigma_m,
         **({"R_U_B": arm.R_U_B} if arm.upper_imu else {}),
     }

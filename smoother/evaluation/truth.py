@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from ..io.tables.table import shown
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input
-from .metrics import best_correlation, orientation_at, orientation_error_deg, position_at, truth_at
+from .metrics import best_correlation, orientation_error_deg, truth_at
+from .mocap.clock import STEP_S, turns_rad, way_m
 
 #: What a truth may be read from.
 FORMATS = (".mcap", ".csv")
@@ -45,20 +47,25 @@ def read_truth_csv(path: Path) -> Truth:
         with open(path, newline="", encoding="utf-8-sig") as file:
             table = csv.reader(file)
             header = [name.strip() for name in next(table, [])]
-            missing = [name for name in _COLUMNS if name not in header]
-            if missing:
-                raise RecordingError(
-                    f"{path}: the column {', '.join(missing)} is missing; the file has"
-                    f" {shown(', '.join(header)) or 'nothing'}"
-                )
             rows = [(table.line_num, row) for row in table if any(cell.strip() for cell in row)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"{path}: not a CSV file with a header ({shown(str(error))})") from error
+    if missing := [name for name in _COLUMNS if name not in header]:
+        raise RecordingError(
+            f"{path}: the column {', '.join(missing)} is missing; the file has"
+            f" {shown(', '.join(header)) or 'nothing'}"
+        )
     values = np.full((len(rows), 8), np.nan)
     for place, name in enumerate(_COLUMNS + _ORIENTATION):
-        if name in header:
-            column = header.index(name)
-            values[:, place] = [_number(row, column, path, line, name) for line, row in rows]
+        column = header.index(name) if name in header else len(header)
+        for number, (line, row) in enumerate(rows):
+            text = row[column].strip() if column < min(len(row), len(header)) else ""
+            try:
+                values[number, place] = float(text or "nan")
+            except ValueError:
+                raise RecordingError(
+                    f"{path}, line {line}: '{shown(text, 40)}' in column {name} is not a number"
+                ) from None
     values = values[np.isfinite(values[:, 0])]
     if not len(values):
         raise RecordingError(f"{path}: no row has a time")
@@ -66,32 +73,11 @@ def read_truth_csv(path: Path) -> Truth:
     return Truth(values[:, 0], values[:, 1:4], values[:, 4:8], np.ones(len(values), dtype=bool))
 
 
-def _number(row: list[str], column: int, path: Path, line: int, name: str) -> float:
-    text = row[column].strip() if column < len(row) else ""
-    if not text:
-        return float("nan")
-    try:
-        return float(text)
-    except ValueError:
-        raise RecordingError(
-            f"{path}, line {line}: '{shown(text, 40)}' in column {name} is not a number"
-        ) from None
-
-
 def on_clock_of(recovery: Recovery, truth: Truth) -> Truth:
-    """Count a plain file's times from the recovery's origin.
-
-    A plain file counts from what the plain recording counted from: zero, or 1970. Where that leaves
-    no overlap, its times are taken to count from the recovery's origin already.
-    """
-    shifted = truth.t_s - recovery.origin_ns * 1e-9
-    if recovery.origin_ns and _overlap(shifted, recovery.t_s):
-        return Truth(shifted, truth.position, truth.quaternion, truth.score, truth.joints)
-    return truth
-
-
-def _overlap(a: FloatArray, b: FloatArray) -> bool:
-    return bool(len(a) and len(b) and a[0] <= b[-1] and b[0] <= a[-1])
+    """Count a plain file's times from the recovery's origin, unless they count from there already."""
+    shifted, own = truth.t_s - recovery.origin_ns * 1e-9, recovery.t_s
+    overlap = len(shifted) and len(own) and shifted[0] <= own[-1] and own[0] <= shifted[-1]
+    return replace(truth, t_s=shifted) if recovery.origin_ns and overlap else truth
 
 
 def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
@@ -116,15 +102,10 @@ def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
         )
     stream = named[0]
     t_s: FloatArray = (stream.stamp_ns - recovery.origin_ns) / 1e9
-    order = np.argsort(t_s, kind="stable")
     score = np.ones(len(t_s), dtype=bool) if stream.score is None else stream.score
-    return Truth(
-        t_s[order],
-        stream.position[order],
-        stream.quaternion[order],
-        score[order],
-        {name: value[order] for name, value in stream.joints.items()},
-    )
+    order = np.argsort(t_s, kind="stable")
+    joints = {name: value[order] for name, value in stream.joints.items()}
+    return Truth(t_s[order], stream.position[order], stream.quaternion[order], score[order], joints)
 
 
 #: No arm is this far from where the camera saw it: the truth is in another unit, m (median).
@@ -136,8 +117,6 @@ OTHER_FRAME_M = 0.3
 OTHER_AXES_DEG = 60.0
 #: Quaternions read in the right order are nearer than this, degrees (median).
 RIGHT_ORDER_DEG = 20.0
-#: Speeds are of the way, and the turn, over this time, s: the camera's noise is small against the way.
-STEP_S = 0.2
 #: Speeds of one motion agree better than this; another trial of a protocol stays below within half a second.
 LEAST_CORRELATION = 0.5
 #: A signal whose speed varies less (standard deviation) is not informative, m/s and rad/s.
@@ -171,15 +150,20 @@ def truth_notes(recovery: Recovery, truth: Truth, aligned: bool = False) -> list
     return notes + _axes_notes(recovery, at, chosen)
 
 
+def _shared(recovery: Recovery, truth: Truth) -> list[tuple[FloatArray, FloatArray]]:
+    """Positions of both: of the IMU, and of the joints they share."""
+    pairs = [(recovery.position, truth.position)]
+    return pairs + [
+        (recovery.joints[name], place) for name, place in truth.joints.items() if name in recovery.joints
+    ]
+
+
 def _distance_m(recovery: Recovery, at: Truth, chosen: BoolArray) -> float:
     """Median distance of answer and truth: of the IMU, else of the joints they share; nan without any."""
-    pairs = [(recovery.position, at.position)]
-    pairs += [(recovery.joints[name], at.joints[name]) for name in at.joints if name in recovery.joints]
-    for mine, other in pairs:
+    for mine, other in _shared(recovery, at):
         distance = np.linalg.norm(mine - other, axis=1)[chosen]
-        distance = distance[np.isfinite(distance)]
-        if len(distance):
-            return float(np.median(distance))
+        if np.isfinite(distance).any():
+            return float(np.nanmedian(distance))
     return float("nan")
 
 
@@ -203,14 +187,14 @@ def _correlations(recovery: Recovery, truth: Truth) -> list[float]:
         return []
     t = np.arange(first, last, 1.0 / RATE_HZ)
     hidden = recovery.occluded[np.clip(np.searchsorted(recovery.t_s, t), 0, len(recovery) - 1)]
-    pairs = [(recovery.position, truth.position)]
-    pairs += [(recovery.joints[name], truth.joints[name]) for name in truth.joints if name in recovery.joints]
-    signals = [
-        (_speed(recovery.t_s, mine, t), _speed(truth.t_s, other, t), STILL_M_S) for mine, other in pairs
+    own, others = (recovery.t_s, recovery.quaternion), (truth.t_s, truth.quaternion)
+    speeds = [
+        (way_m(recovery.t_s, mine, t) / STEP_S, way_m(truth.t_s, other, t) / STEP_S, STILL_M_S)
+        for mine, other in _shared(recovery, truth)
     ]
-    turning = _turning(recovery.t_s, recovery.quaternion, t), _turning(truth.t_s, truth.quaternion, t)
+    turning = (np.linalg.norm(turns_rad(*each, t), axis=1) / STEP_S for each in (own, others))
     found = []
-    for mine, other, still in [*signals, (*turning, STILL_RAD_S)]:
+    for mine, other, still in [*speeds, (*turning, STILL_RAD_S)]:
         mine = np.where(hidden, np.nan, mine)
         known = np.isfinite(mine) & np.isfinite(other)
         if known.sum() < SHORTEST_S * RATE_HZ or min(mine[known].std(), other[known].std()) < still:
@@ -219,18 +203,6 @@ def _correlations(recovery: Recovery, truth: Truth) -> list[float]:
         if best is not None:
             found.append(best)
     return found
-
-
-def _speed(t_known: FloatArray, position: FloatArray, t: FloatArray) -> FloatArray:
-    """Speed (N,) m/s over a step; nan where unknown."""
-    before, after = (position_at(t_known, position, t + part * STEP_S) for part in (-0.5, 0.5))
-    return np.asarray(np.linalg.norm(after - before, axis=1) / STEP_S)
-
-
-def _turning(t_known: FloatArray, quaternion: FloatArray, t: FloatArray) -> FloatArray:
-    """Angular speed (N,) rad/s over a step; nan where unknown."""
-    before, after = (orientation_at(t_known, quaternion, t + part * STEP_S) for part in (-0.5, 0.5))
-    return np.asarray(np.radians(orientation_error_deg(before, after)) / STEP_S)
 
 
 def _axes_notes(recovery: Recovery, at: Truth, chosen: BoolArray) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..recording import Truth
 from ..result import Recovery
 from ..runtime.pool import Progress
 from ..table import Table, centimetres, fixed, percent
-from .agreement import WORDS, Agreement, AngleComparison, compare_angles
+from .agreement import WORDS, Agreement, AngleComparison, compare_angles, interval, with_interval
 from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
 from .metrics import (
     Figures,
@@ -45,47 +45,43 @@ class SampleErrors:
 
     reference: Truth  # The truth at the recovery's times
     scored: BoolArray  # bool (n,): the reference has a position there that is to be scored
-    distance_m: FloatArray  # (n,) m: position error
-    angle_deg: FloatArray  # (n,) degrees: orientation error, as an angle of rotation
-    squared_sigmas: FloatArray  # (n,): squared position error in sigmas
-    # dict of (n,) m: Position error of the joints that the reference has, by joint
-    joint_distance_m: dict[str, FloatArray]
     difference_m: FloatArray  # (n, 3) m: answer minus reference, in {K}
+    squared_sigmas: FloatArray  # (n,): squared position error in sigmas
     turn_rad: FloatArray  # (n, 3) rad: rotation vector from reference to answer, in {K}
+    angle_deg: FloatArray  # (n,) degrees: orientation error, as an angle of rotation
     turn_squared_sigmas: FloatArray  # (n,): squared orientation error in sigmas
-    joint_difference_m: dict[str, FloatArray]  # dict of (n, 3) and (n,): likewise by joint
-    joint_squared_sigmas: dict[str, FloatArray]  # dict of (n, 3) and (n,): likewise by joint
+    joint_difference_m: dict[str, FloatArray]  # dict of (n, 3) and (n,): of joints that the reference has
+    joint_squared_sigmas: dict[str, FloatArray]
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """(n,) m: position error."""
+        return np.asarray(np.linalg.norm(self.difference_m, axis=1))
+
+    @property
+    def joint_distance_m(self) -> dict[str, FloatArray]:
+        """(n,) m: position error by joint."""
+        return {name: np.linalg.norm(each, axis=1) for name, each in self.joint_difference_m.items()}
 
     def figures(self, chosen: BoolArray) -> Figures:
         """The figures of the chosen samples (N,)."""
-        unanswered = int((chosen & self.scored & ~np.isfinite(self.distance_m)).sum())
-        figures = summarise(
-            self.distance_m[chosen], self.angle_deg[chosen], self.squared_sigmas[chosen], unanswered
-        )
-        turn = mean_vector(np.degrees(self.turn_rad[chosen]))
+        distance = self.distance_m[chosen]
+        unanswered = int((self.scored[chosen] & ~np.isfinite(distance)).sum())
+        squared = self.turn_squared_sigmas[chosen]
         return replace(
-            figures,
-            joint_rms_m={name: rms(distance[chosen]) for name, distance in self.joint_distance_m.items()},
+            summarise(distance, self.angle_deg[chosen], self.squared_sigmas[chosen], unanswered),
+            joint_rms_m={name: rms(each[chosen]) for name, each in self.joint_distance_m.items()},
             position_bias_m=mean_vector(self.difference_m[chosen]),
-            orientation_bias_deg=turn,
-            orientation_nees=nees(self.turn_squared_sigmas[chosen]),
-            orientation_coverage_95=coverage_95(self.turn_squared_sigmas[chosen]),
+            orientation_bias_deg=mean_vector(np.degrees(self.turn_rad[chosen])),
+            orientation_nees=nees(squared),
+            orientation_coverage_95=coverage_95(squared),
         )
 
     def joint_figures(self, joint: str, chosen: BoolArray) -> Figures:
         """The figures of a joint's position over the chosen samples (N,)."""
-        nothing = np.full(int(chosen.sum()), np.nan)
-        figures = summarise(
-            self.joint_distance_m[joint][chosen], nothing, self.joint_squared_sigmas[joint][chosen]
-        )
-        return replace(figures, position_bias_m=mean_vector(self.joint_difference_m[joint][chosen]))
-
-
-def _icc(each: Agreement) -> str | None:
-    """The coefficient with its 95 % interval."""
-    if each.icc is None or each.icc_low is None or each.icc_high is None:
-        return None
-    return f"{each.icc:.3f} ({each.icc_low:.3f} to {each.icc_high:.3f})"
+        difference, squared = self.joint_difference_m[joint][chosen], self.joint_squared_sigmas[joint][chosen]
+        figures = summarise(np.linalg.norm(difference, axis=1), np.full(len(squared), np.nan), squared)
+        return replace(figures, position_bias_m=mean_vector(difference))
 
 
 @dataclass(frozen=True)
@@ -93,8 +89,8 @@ class Validation:
     """A recovery held against a reference."""
 
     all: Figures  # Figures of all samples, of those in gaps, and of the others
-    occluded: Figures  # Figures of all samples, of those in gaps, and of the others
-    visible: Figures  # Figures of all samples, of those in gaps, and of the others
+    occluded: Figures
+    visible: Figures
     notes: tuple[str, ...] = ()  # Notes on the comparison for the reader, one sentence each
     # Figures of each joint that truth and answer share, by joint and part
     points: dict[str, dict[str, Figures]] = field(default_factory=dict)
@@ -107,27 +103,29 @@ class Validation:
     alignment: ReferenceAlignment = field(default_factory=ReferenceAlignment)
     measures: MeasureComparison | None = None  # What clinicians read, of both
 
+    def figures_of(self, point: str, part: str) -> Figures | None:
+        """Figures of a joint, or of the "sensor", over a part; None where there are none."""
+        if point == "sensor":
+            figures: Figures = getattr(self, part)
+            return figures
+        return self.points.get(point, {}).get(part)
+
     def to_dict(self) -> dict[str, Any]:
         """The figures by name, as `--json` writes them."""
-        points = {
-            name: {part: figures.to_dict() for part, figures in parts.items()}
-            for name, parts in self.points.items()
-        }
-        angles = {
-            part: {name: found.to_dict() for name, found in each.items()}
-            for part, each in self.angle_figures.items()
-        }
-        gaps = [
-            {"start_s": gap.start_s, "end_s": gap.end_s, **figures.to_dict()} for gap, figures in self.gaps
-        ]
         return {
-            "all": self.all.to_dict(),
-            "occluded": self.occluded.to_dict(),
-            "visible": self.visible.to_dict(),
-            "points": points,
+            **{part: asdict(getattr(self, part)) for part in PARTS},
+            "points": {
+                name: {part: asdict(figures) for part, figures in parts.items()}
+                for name, parts in self.points.items()
+            },
             **self.alignment.to_dict(),
-            "gaps": gaps,
-            "angles_deg": angles,
+            "gaps": [
+                {"start_s": gap.start_s, "end_s": gap.end_s, **asdict(figures)} for gap, figures in self.gaps
+            ],
+            "angles_deg": {
+                part: {name: asdict(found) for name, found in each.items()}
+                for part, each in self.angle_figures.items()
+            },
             "carrying_truth_deg": None if self.angles is None else self.angles.carrying_truth_deg,
             "lag_s": self.lag_s,
             "measures": None if self.measures is None else self.measures.to_dict(),
@@ -136,17 +134,13 @@ class Validation:
 
     def title(self, text: str) -> str:
         """The title of one of its results: states where the truth was aligned."""
-        return f"{text} ({self.alignment.title})" if self.alignment.title else text
+        return self.alignment.titled(text)
 
     def errors(self, recovery: Recovery) -> Table:
         """The errors of the sensor by part, with what was stated of them."""
         rows: list[tuple[object, ...]] = []
-        hidden = recovery.occluded
-        for part, figures, inside in (
-            ("all", self.all, np.ones_like(hidden)),
-            ("occluded", self.occluded, hidden),
-            ("visible", self.visible, ~hidden),
-        ):
+        for part, inside in _parts(recovery).items():
+            figures: Figures = getattr(self, part)
             chosen = np.flatnonzero(inside)
             some = recovery.pose_covariance[chosen[:: max(1, len(chosen) // _MOST_POOLED)]]
             stated_m = pooled_radius(some[:, :3, :3]) if figures.position_p95_m is not None else None
@@ -196,33 +190,29 @@ class Validation:
     @property
     def angle_errors(self) -> Table:
         """The agreement of the joint angles by part."""
-        rows = []
-        for name in self.angles.compared if self.angles else ():
-            for part in PARTS:
-                each = self.angle_figures[part][name]
-                if each.samples:
-                    limits = f"{each.limits_low or 0.0:.1f} to {each.limits_high or 0.0:.1f}"
-                    rows.append(
-                        (
-                            WORDS[name],
-                            part,
-                            fixed(each.rmse),
-                            fixed(each.bias),
-                            None if each.limits_low is None else limits,
-                            _icc(each),
-                            each.samples,
-                        )
-                    )
-        columns = (
-            "angle",
-            "part",
-            "RMSE",
-            "bias",
-            "limits of agreement",
-            "ICC(A,1), 95 % interval",
-            "samples",
-        )
-        return Table(self.title("Joint angles, degrees (answer minus truth)"), columns, rows)
+        rows = [
+            (
+                WORDS[name],
+                part,
+                fixed(each.rmse),
+                fixed(each.bias),
+                interval(each.limits_low, each.limits_high, 1),
+                with_interval(each.icc, each.icc_low, each.icc_high),
+                each.samples,
+            )
+            for name in (self.angles.compared if self.angles else ())
+            for part in PARTS
+            if (each := self.angle_figures[part][name]).samples
+        ]
+        columns = ("angle", "part", "RMSE", "bias", "limits of agreement", "ICC(A,1), 95 % interval")
+        title = self.title("Joint angles, degrees (answer minus truth)")
+        return Table(title, (*columns, "samples"), rows)
+
+
+def _parts(recovery: Recovery) -> dict[str, BoolArray]:
+    """Which samples (N,) are in each of `PARTS`."""
+    hidden = recovery.occluded
+    return {"all": np.ones_like(hidden), "occluded": hidden, "visible": ~hidden}
 
 
 def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
@@ -241,10 +231,8 @@ def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
     return SampleErrors(
         reference=reference,
         scored=reference.score & np.isfinite(reference.position).all(axis=1),
-        distance_m=np.linalg.norm(difference, axis=1),
         angle_deg=np.where(reference.score, angle, np.nan),
         squared_sigmas=squared_sigmas(difference, recovery.pose_covariance[:, :3, :3]),
-        joint_distance_m={name: np.linalg.norm(each, axis=1) for name, each in joints.items()},
         difference_m=difference,
         turn_rad=turn,
         turn_squared_sigmas=squared_sigmas(turn, recovery.pose_covariance[:, 3:, 3:]),
@@ -291,37 +279,45 @@ def validate(
     RecordingError
         The truth contains nothing during the recovery.
     """
+    validation, errors = validated(recovery, truth, alignment)
+    measures = compare_measures(recovery, errors.reference, pooled, processes, progress)
+    return replace(validation, measures=measures)
+
+
+def validated(
+    recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | None = None
+) -> tuple[Validation, SampleErrors]:
+    """The same without the measures, and the errors sample by sample."""
     alignment = alignment or ReferenceAlignment()
     errors = sample_errors(recovery, truth)
     _refuse_without_overlap(recovery, truth, errors)
-    parts = {
-        "all": np.ones(len(recovery), dtype=bool),
-        "occluded": recovery.occluded,
-        "visible": ~recovery.occluded,
-    }
+    parts = _parts(recovery)
     figures = {name: errors.figures(chosen) for name, chosen in parts.items()}
     angles = compare_angles(recovery, errors.reference, alignment.landmarks, truth.t_s)
     points = {
         joint: {name: errors.joint_figures(joint, chosen) for name, chosen in parts.items()}
-        for joint in errors.joint_distance_m
+        for joint in errors.joint_difference_m
     }
-    return Validation(
-        **figures,
-        notes=(
-            *_same(figures["all"], points),
-            *alignment.notes,
-            *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
-            *_notes(errors, figures["all"]),
-            *(angles.notes if angles else ()),
-        ),
+    notes = (
+        *_same(figures["all"], points),
+        *alignment.notes,
+        *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
+        *_notes(errors, figures["all"]),
+        *(angles.notes if angles else ()),
+    )
+    validation = Validation(
+        figures["all"],
+        figures["occluded"],
+        figures["visible"],
+        notes=notes,
         points=points,
         gaps=tuple(_gaps(recovery, errors)),
         angles=angles,
         angle_figures={name: angles.figures(chosen) for name, chosen in parts.items()} if angles else {},
         lag_s=_lag(recovery, truth, errors),
         alignment=alignment,
-        measures=compare_measures(recovery, errors.reference, pooled, processes, progress),
     )
+    return validation, errors
 
 
 #: Two measurements of a motion never agree this well, m; an export rounds its values less.
@@ -365,7 +361,7 @@ def _lag(recovery: Recovery, truth: Truth, errors: SampleErrors) -> float | None
     """Lag of the IMU's position, or of the wrist where the truth has no IMU."""
     answer, position = recovery.position, truth.position
     if not errors.scored.any():
-        shared = [joint for joint in ("wrist", "hand", "elbow") if joint in errors.joint_distance_m]
+        shared = [joint for joint in ("wrist", "hand", "elbow") if joint in errors.joint_difference_m]
         if not shared:
             return None
         answer, position = recovery.joints[shared[0]], truth.joints[shared[0]]
@@ -373,10 +369,10 @@ def _lag(recovery: Recovery, truth: Truth, errors: SampleErrors) -> float | None
 
 
 def _refuse_without_overlap(recovery: Recovery, truth: Truth, errors: SampleErrors) -> None:
-    joints = errors.joint_distance_m.values()
+    joints = errors.joint_difference_m.values()
     if errors.scored.any() or np.isfinite(errors.angle_deg).any():
         return
-    if any(np.isfinite(distance).any() for distance in joints):
+    if any(np.isfinite(each).any() for each in joints):
         return
     known = truth.t_s[np.isfinite(truth.position).all(axis=1)]
     if not len(known):

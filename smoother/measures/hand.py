@@ -39,12 +39,7 @@ def way_figures(
 def straightness_figures(
     hand: FloatArray, speed: FloatArray, occluded: BoolArray, rate_hz: float
 ) -> dict[str, Figure]:
-    """Path ratio and time to peak of one movement.
-
-    Path ratio: the way of the hand over the straight line between its ends; 1 = straight (Cirstea and Levin,
-    Brain 123:940-953, 2000: index of curvature). Time to peak: from onset to the largest speed, in seconds
-    and in percent of the movement (Alt Murphy et al. 2011).
-    """
+    """Path ratio (Cirstea and Levin, Brain 123:940-953, 2000) and time to peak (Alt Murphy et al. 2011)."""
     if len(hand) < 3 or not np.isfinite(hand).all():
         return dict.fromkeys(("hand_path_ratio", "hand_time_to_peak_s", "hand_time_to_peak_percent"), UNKNOWN)
     steps = np.linalg.norm(np.diff(hand, axis=0), axis=1)
@@ -66,13 +61,9 @@ FEWEST_SAMPLES = 8
 
 
 def spectral_arc_length(speed: FloatArray, rate_hz: float) -> float:  # speed (n,) m/s
-    """SPARC: minus the length of the curve of the speed's normalised amplitude spectrum; 0 = smoothest.
+    """SPARC: minus the length of the speed's normalised amplitude spectrum as a curve; 0 = smoothest.
 
-    Source: Balasubramanian, Melendez-Calderon, Burdet, IEEE Trans Biomed Eng 59:2126-2136 (2012);
-    Balasubramanian, Melendez-Calderon, Roby-Brami, Burdet, J NeuroEng Rehabil 12:112 (2015), equation 9,
-    with the parameters of the latter: the spectrum is padded to 2^4 times the next power of two, and ends at
-    the last frequency below 10 Hz whose amplitude is 0.05 of the largest or more. So it depends neither on
-    the movement's size nor on its duration, and noise beyond the movement's own band is left out.
+    Balasubramanian, Melendez-Calderon, Roby-Brami, Burdet, J NeuroEng Rehabil 12:112 (2015), equation 9.
     """
     if len(speed) < FEWEST_SAMPLES or not np.isfinite(speed).all() or not speed.any():
         return float("nan")
@@ -89,12 +80,7 @@ def spectral_arc_length(speed: FloatArray, rate_hz: float) -> float:  # speed (n
 
 
 def log_dimensionless_jerk(speed: FloatArray, rate_hz: float) -> float:  # speed (n,) m/s
-    """LDLJ-V: minus the logarithm of the speed's squared jerk, made free of duration and peak.
-
-    -ln(T^3 / v_peak^2 * integral of (d^2 v / dt^2)^2 dt): Balasubramanian et al., J NeuroEng Rehabil 12:112
-    (2015), equations 4 and 5, of the tangential speed v. Nearer to zero = smoother; a movement of minimum
-    jerk has -ln(204.8) = -5.32.
-    """
+    """LDLJ-V, -ln(T^3 / v_peak^2 * integral of v''^2): Balasubramanian et al. 2015, equations 4 and 5."""
     if len(speed) < FEWEST_SAMPLES or not np.isfinite(speed).all():
         return float("nan")
     jerk = np.diff(speed, 2) * rate_hz**2
@@ -111,11 +97,7 @@ def velocity_peaks(
     rise_m_s: float,
     apart_s: float,
 ) -> IntArray:  # int (k,)
-    """Rows of the maxima of a speed that stand out: movement units.
-
-    A unit is a rise from a minimum to the next maximum by more than 20 mm/s, the maxima 150 ms or more
-    apart: Alt Murphy, Willen, Sunnerhagen, Neurorehabil Neural Repair 25:71-80 (2011).
-    """
+    """Rows of the maxima of a speed that stand out (Alt Murphy et al., Neurorehabil 25:71-80, 2011)."""
     from scipy.signal import find_peaks
 
     apart = max(round(apart_s * rate_hz), 1)
@@ -131,12 +113,9 @@ REACH_KEYS = ("hand_reach_hull_l", "hand_reach_alpha_l", "hand_reach_sphere_perc
 def reach_figures(
     place: FloatArray, occluded: BoolArray, arm_m: float, voxel_m: float, alpha_m: float
 ) -> dict[str, Figure]:
-    """Volume of the hand's places, from the shoulder where there is one.
+    """Volume of the hand's places: convex hull, alpha shape, and the hull over a ball of the arm's length.
 
-    Convex hull: Barber, Dobkin, Huhdanpaa, ACM Trans Math Softw 22:469-483 (1996). Alpha shape:
-    Edelsbrunner and Muecke, ACM Trans Graph 13:43-72 (1994). The part of the sphere is the hull's volume over
-    that of a ball with the arm's length as its radius, so that people of different size compare (as the
-    reachable workspace of Kurillo et al., Hum Mov Sci 32:1191-1200, 2013, is divided by the arm's).
+    Edelsbrunner and Muecke, ACM Trans Graph 13:43-72 (1994); Kurillo et al., Hum Mov Sci 32:1191-1200 (2013).
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -157,9 +136,7 @@ def reach_figures(
 
 
 def alpha_volume(points: FloatArray, alpha_m: float) -> float:  # points (n, 3) m
-    """Volume of the alpha shape of points (n, 3): the Delaunay tetrahedra that a ball of that radius
-    holds.
-    """
+    """Volume of the alpha shape: the Delaunay tetrahedra that a ball of that radius holds."""
     from scipy.spatial import Delaunay, QhullError
 
     try:
@@ -283,10 +260,6 @@ def _reached(key: str, distance: FloatArray, occluded: BoolArray) -> dict[str, F
     if not np.isfinite(distance).any():
         return {}
     least = float(np.nanmin(distance))
-    with np.errstate(invalid="ignore"):
-        near = distance <= max(least, 0.0) + 0.01
-    share = share_of(occluded, near)
-    return {
-        f"{key}_reached": Figure(float(least <= 0.0), share),
-        f"{key}_distance_m": Figure(max(least, 0.0), share),
-    }
+    share = share_of(occluded, np.nan_to_num(distance, nan=np.inf) <= max(least, 0.0) + 0.01)
+    reached = Figure(float(least <= 0.0), share)
+    return {f"{key}_reached": reached, f"{key}_distance_m": Figure(max(least, 0.0), share)}

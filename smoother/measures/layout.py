@@ -1,8 +1,6 @@
 """What is measured when: movements, repetitions and known angles as the answer has them.
 
-The figures of one movement or repetition, and those of angles, are measured over the same samples in the
-answer, a drawn motion and a truth. The number of movements and means over movements are of those that each
-motion finds in itself, so that their intervals include which movements were found.
+The number of movements and means over movements are of those that each drawn motion finds in itself.
 """
 
 from __future__ import annotations
@@ -49,9 +47,9 @@ class Layout:
 
     settings: MeasureSettings  # How
     places: tuple[slice, ...]  # Rows of the movements
-    movements: tuple[Movement, ...]  # The same in times
+    movements: tuple[Movement, ...]  # In times
     rounds: tuple[slice, ...]  # Rows of the repetitions
-    repetitions: tuple[Movement, ...]  # The same in times
+    repetitions: tuple[Movement, ...]
     known: dict[str, BoolArray]  # bool (n,): Where an angle is known, by its name
     centres_deg: dict[str, float]  # What an angle lies within half a turn of
     voxel_m: float  # Size of the cubes of which one place counts for the alpha shape
@@ -110,19 +108,22 @@ class Layout:
         for name, angle in angles.items():
             for zone, figure in zone_figures(name, angle, occluded).items():
                 figures[zone_key(name, zone, ZONE_DEG)] = figure
-        share = share_of(occluded)
-        figures["movement_count"] = Figure(float(len(places)), share)
         seconds = np.array([place.stop - place.start for place in places]) / grid.rate_hz
         whole = max(len(grid.t_s), 1) / grid.rate_hz
-        figures["movement_time_percent"] = Figure(100.0 * float(seconds.sum()) / whole, share)
-        figures["movement_duration_s"] = Figure(float(seconds.mean()) if len(places) else np.nan, share)
         rounds = np.array([each.length_s for each in find_repetitions(motion, self.settings.repetitions)])
-        figures["repetition_count"] = Figure(float(len(rounds)), share)
         mean = float(rounds.mean()) if len(rounds) else np.nan
-        figures["repetition_duration_s"] = Figure(mean, share)
-        spread = 100.0 * float(rounds.std(ddof=1)) / mean if len(rounds) > 2 else np.nan
-        figures["repetition_duration_cv_percent"] = Figure(spread, share)
-        return figures
+        values = {
+            "movement_count": float(len(places)),
+            "movement_time_percent": 100.0 * float(seconds.sum()) / whole,
+            "movement_duration_s": float(seconds.mean()) if len(places) else np.nan,
+            "repetition_count": float(len(rounds)),
+            "repetition_duration_s": mean,
+            "repetition_duration_cv_percent": 100.0 * float(rounds.std(ddof=1)) / mean
+            if len(rounds) > 2
+            else np.nan,
+        }
+        share = share_of(occluded)
+        return figures | {key: Figure(value, share) for key, value in values.items()}
 
     def _of_time(
         self,
@@ -160,24 +161,21 @@ class Layout:
         """The figures of a movement that sessions have as means."""
         occluded, rate = motion.occluded[place], motion.grid.rate_hz
         pace, settings = speed[place], self.settings.movements
-        figures = straightness_figures(motion.hand[place], pace, occluded, rate)
-        share = share_of(occluded)
         peaks = velocity_peaks(pace, rate, settings.peak_rise_m_s, settings.peak_apart_s)
-        figures["sparc"] = Figure(spectral_arc_length(pace, rate), share)
-        figures["ldlj_v"] = Figure(log_dimensionless_jerk(pace, rate), share)
-        figures["velocity_peaks"] = Figure(float(len(peaks)), share)
-        figures["duration_s"] = Figure((len(pace) - 1) / rate, share)
-        return figures
+        values = {
+            "sparc": spectral_arc_length(pace, rate),
+            "ldlj_v": log_dimensionless_jerk(pace, rate),
+            "velocity_peaks": float(len(peaks)),
+            "duration_s": (len(pace) - 1) / rate,
+        }
+        share = share_of(occluded)
+        figures = {key: Figure(value, share) for key, value in values.items()}
+        return straightness_figures(motion.hand[place], pace, occluded, rate) | figures
 
     def _reach(self, motion: Motion, place: slice) -> Figures:
         reach, lengths = self.settings.reach, bone_lengths(motion)
-        arm_m = (
-            lengths["upper_arm"] + lengths["forearm"]
-            if {"upper_arm", "forearm"} <= lengths.keys()
-            else np.nan
-        )
-        if motion.hand_joint == "hand":
-            arm_m += lengths.get("hand", np.nan)
+        bones = ("upper_arm", "forearm", *(("hand",) if motion.hand_joint == "hand" else ()))
+        arm_m = sum(lengths.get(bone, np.nan) for bone in bones)
         places = _from_shoulder(motion)[place]
         return reach_figures(places, motion.occluded[place], arm_m, self.voxel_m, reach.alpha_m)
 

@@ -127,20 +127,13 @@ class Measure:
 
     def as_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` states them; numbers that are not finite stay what they are."""
-        return {
-            "value": self.value,
-            "low": self.low,
-            "high": self.high,
-            "unit": self.unit,
-            "recovered_share": self.recovered_share,
-            "untrusted_share": self.untrusted_share,
-            "sigma": self.sigma,
-            "name": self.name,
-            "start_s": self.start_s,
-            "end_s": self.end_s,
-            "draws": self.n_draws,
-            "note": self.note,
-        }
+        return {name: getattr(self, name) for name in _IN_FILES} | {"draws": self.n_draws}
+
+
+_IN_FILES = (
+    *("value", "low", "high", "unit", "recovered_share", "untrusted_share", "sigma", "name"),
+    *("start_s", "end_s", "note"),
+)
 
 
 @dataclass(frozen=True)
@@ -213,20 +206,13 @@ class Measures:
         """
         import pyarrow as pa
 
-        names = [each.name for each in fields(Measure)]
-        types = {
-            "movement": pa.int32(),
-            "n_draws": pa.int32(),
-            **dict.fromkeys(
-                ("value", "low", "high", "sigma", "recovered_share", "untrusted_share", "start_s", "end_s"),
-                pa.float64(),
-            ),
-        }
+        numbers = ("value", "low", "high", "sigma", "recovered_share", "untrusted_share", "start_s", "end_s")
+        types = dict.fromkeys(("movement", "n_draws"), pa.int32()) | dict.fromkeys(numbers, pa.float64())
         columns = {
             "side": pa.array([self.side] * len(self.rows), pa.string()),
             "body": pa.array([self.body] * len(self.rows), pa.int32()),
         }
-        for name in names:
+        for name in (each.name for each in fields(Measure)):
             values = [getattr(row, name) for row in self.rows]
             columns[name] = pa.array(values, types.get(name, pa.string()), from_pandas=True)
         return pa.table(columns)
@@ -259,14 +245,11 @@ class Measures:
                 for number, place in enumerate(places)
             ]
 
-        return {
+        about = {
+            name: getattr(self, name) for name in ("side", "body", "trusted", "verdict", "start_s", "end_s")
+        }
+        return about | {
             "recording": self.name,
-            "side": self.side,
-            "body": self.body,
-            "trusted": self.trusted,
-            "verdict": self.verdict,
-            "start_s": self.start_s,
-            "end_s": self.end_s,
             "draws": self.n_draws,
             "measures": {key: row.as_dict() for key, row in self.by_key.items()},
             "movements": listed("movement", self.movements),

@@ -150,23 +150,10 @@ class Measuring:
         low, high, sigma = self.interval(place, key, figure.value)
         start_s, end_s = self.times(place)
         untrusted = float(np.nan_to_num(self.untrusted.get(place, {}).get(key, UNKNOWN).share))
-        return Measure(
-            key,
-            definition.name,
-            definition.unit,
-            figure.value,
-            low,
-            high,
-            sigma,
-            figure.share,
-            scope,
-            number,
-            start_s,
-            end_s,
-            self.drawn.count if np.isfinite(low) else 0,
-            self._on_gaps(untrusted) if np.isfinite(figure.value) else self._why(key),
-            untrusted,
-        )
+        words = self._on_gaps(untrusted) if np.isfinite(figure.value) else self._why(key)
+        count = self.drawn.count if np.isfinite(low) else 0
+        what = (key, definition.name, definition.unit, figure.value, low, high, sigma, figure.share)
+        return Measure(*what, scope, number, start_s, end_s, count, words, untrusted)
 
     def _on_gaps(self, untrusted: float) -> str:
         """In words how much rests on gaps that are not trusted; "" where all of the recording is not."""
@@ -201,19 +188,21 @@ class Measuring:
             return "The angle made a full turn: it has no smallest and largest value."
         if known:
             return "The angle is known for less than 0.3 s here."
-        if key.startswith(("hand_to_", "hand_behind", "elbow_trunk")):
-            return "Needs shoulder, elbow and wrist, and the direction of gravity."
-        if key == "hand_reach_sphere_percent":
-            return "Needs the arm's length: shoulder, elbow and wrist."
-        if key.startswith("hand_reach"):
-            return "The hand's positions have no volume."
-        if key == "hand_path_ratio":
-            return "No movement ends more than 5 cm from where it began."
-        if key.startswith("repetition"):
-            return "Too few repetitions."
-        return "There is no movement of the hand to measure."
+        return next(words for prefixes, words in _REASONS if key.startswith(prefixes))
 
 
+#: Why a measure has no value, by how its key begins.
+_REASONS = (
+    (
+        ("hand_to_", "hand_behind", "elbow_trunk"),
+        "Needs shoulder, elbow and wrist, and the direction of gravity.",
+    ),
+    (("hand_reach_sphere",), "Needs the arm's length: shoulder, elbow and wrist."),
+    (("hand_reach",), "The hand's positions have no volume."),
+    (("hand_path_ratio",), "No movement ends more than 5 cm from where it began."),
+    (("repetition",), "Too few repetitions."),
+    (("",), "There is no movement of the hand to measure."),
+)
 #: Measures that are a flexion of the elbow, not a difference or a part of the time.
 ELBOW_ANGLES = frozenset(
     f"elbow_flexion_{what}_deg" for what in ("min", "max", *(f"p{percentile}" for percentile in PERCENTILES))
@@ -259,18 +248,13 @@ def measures_of(measuring: Measuring) -> Measures:
     rows = [row for place in measuring.answer for row in measuring.rows(place)]
     start_s, end_s = measuring.times(SESSION)
     return Measures(
-        recovery.side,
-        recovery.body,
-        recovery.name,
-        start_s,
-        end_s,
-        tuple(rows),
-        layout.movements,
-        layout.repetitions,
-        recovery.estimates.trusted,
-        recovery.estimates.verdict,
-        measuring.drawn.count,
-        tuple(_notes(measuring)),
+        *(recovery.side, recovery.body, recovery.name, start_s, end_s, tuple(rows)),
+        movements=layout.movements,
+        repetitions=layout.repetitions,
+        trusted=recovery.estimates.trusted,
+        verdict=recovery.estimates.verdict,
+        n_draws=measuring.drawn.count,
+        notes=tuple(_notes(measuring)),
     )
 
 

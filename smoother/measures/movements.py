@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array_types import FloatArray, IntArray
 from ..linalg import masked_correlation, runs
@@ -11,20 +10,16 @@ from .measure import MatchingRepetitions, Movement, SegmentingMovements
 from .motion import Motion, TimeGrid
 
 
-# Dynamic time warping with bounded tempo. Own and minimal. Looked at: stumpy (matrix profiles) compares
-# windows of one fixed length, so a round done half as fast does not match, and brings numba and LLVM (some
-# 150 MB); dtaidistance aligns whole series and has the subsequence search in compiled extras; both would
-# outweigh the forty lines below.
+# Dynamic time warping with bounded tempo, own: stumpy compares windows of one fixed length, so a round done
+# half as fast does not match; dtaidistance has the subsequence search in compiled extras.
 def match_cost(
     pattern: FloatArray,  # (m, k)
     series: FloatArray,  # (n, k)
 ) -> tuple[FloatArray, IntArray]:  # cost (n,), start int (n,)
     """Least mean distance of the pattern to a part of the series that ends at each sample.
 
-    Sakoe and Chiba, IEEE Trans Acoust Speech Signal Process 26:43-49 (1978), symmetric form with slope
-    constraint P = 1 (tempo between half and double); the series' start is free (Mueller, Information
-    Retrieval for Music and Motion, 2007, section 4.4). Steps: one sample of both; two of the series for one
-    of the pattern; one of the series for two of the pattern.
+    Sakoe and Chiba, IEEE Trans Acoust Speech Signal Process 26:43-49 (1978), symmetric form, P = 1 (tempo
+    between half and double); the series' start is free (Mueller 2007, section 4.4).
     """
     n, columns = len(series), np.arange(len(series))
     distance = [np.nan_to_num(np.linalg.norm(series - row, axis=1), nan=np.inf) for row in pattern]
@@ -50,16 +45,9 @@ def match_cost(
 
 def _moved(path: tuple[FloatArray, FloatArray, IntArray], by: int) -> tuple[FloatArray, FloatArray, IntArray]:
     """The entries of this many columns before; where there are none no path ends."""
-    total, weight, start = (_later(part, by) for part in path)
+    total, weight, start = (np.concatenate([part[:by], part[:-by]]) for part in path)
     total[:by] = np.inf
     return total, weight, start
-
-
-def _later(row: NDArray, by: int) -> NDArray:
-    """A row whose entry j is the one of j - by; the first ones stay."""
-    moved = row.copy()
-    moved[by:] = row[:-by]
-    return moved
 
 
 def find_movements(
@@ -67,12 +55,7 @@ def find_movements(
     grid: TimeGrid,
     settings: SegmentingMovements,
 ) -> list[slice]:
-    """Rows of the movements, in the order of time.
-
-    A movement is a run in which the hand gets faster than `start_m_s`; it starts and ends where the speed
-    falls below 5 % of its peak (as is usual in reaching: Alt Murphy et al. 2011 take 2 %, others 5 or 10 %)
-    or below `rest_m_s`, whichever is more, so that the noise of a resting hand does not prolong it.
-    """
+    """Rows of the movements: faster than `start_m_s`, from and to `rest_share` of the peak or `rest_m_s`."""
     places: list[slice] = []
     quick = np.nan_to_num(speed)
     for run in grid.runs:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -120,21 +120,16 @@ def both_arms(left: Measuring, right: Measuring) -> BothArms:
         low, high, sigma = interval(value, drawn, definition)
         note = "" if np.isfinite(value) else "Both arms have none."
         rows.append(
-            replace(
-                one,
-                key=name,
-                name=definition.name,
-                unit=definition.unit,
-                value=value,
-                low=low,
-                high=high,
-                sigma=sigma,
+            Measure(
+                *(name, definition.name, definition.unit, value, low, high, sigma),
                 recovered_share=0.5 * (one.recovered_share + other.recovered_share),
-                untrusted_share=0.5 * (one.untrusted_share + other.untrusted_share),
+                scope="session",
+                movement=None,
                 start_s=min(one.start_s, other.start_s),
                 end_s=max(one.end_s, other.end_s),
                 n_draws=count if np.isfinite(low) else 0,
                 note=note,
+                untrusted_share=0.5 * (one.untrusted_share + other.untrusted_share),
             )
         )
     return BothArms(of_left, of_right, tuple(rows))

@@ -12,7 +12,7 @@ from solved_arms import ALONE
 from smoother import Recovery
 from smoother.baselines.registry import ORIENTATIONS, recover
 from smoother.evaluation.gaps import GapTable, evaluate_gaps
-from smoother.evaluation.methods import SharedGraph, make_methods
+from smoother.evaluation.methods import make_methods, shared_graph
 from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 
@@ -42,7 +42,7 @@ def rms_of(table: GapTable, length_s: float) -> dict[str, float]:
 
 def test_a_strap_alone():
     """Slow translation, gaps of 1 s; measured 0.5, 7.5, 15, 24 and 11 cm over 80 s of the trial."""
-    graph = SharedGraph(None, ALONE)
+    graph = shared_graph(None, ALONE)
 
     def baseline(name: str, orientation: str = "vqf") -> Callable[[Recording], Recovery]:
         return lambda copy: recover(copy, graph(copy), name, orientation)

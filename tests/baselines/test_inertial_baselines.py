@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 
 from smoother.baselines import rts as es
-from smoother.baselines.kalman import Chain, kalman_filter, rts_smoother
+from smoother.baselines.kalman import Chain, kalman_filter
 from smoother.baselines.rts import linearised, residuals, rts, start
 from smoother.baselines.scene import Baseline
 from smoother.baselines.ukf import (
@@ -18,7 +17,6 @@ from smoother.baselines.ukf import (
     GYRO_DENSITY,
     NavigationState,
     predicted,
-    sigma_points,
     ukf,
     updated,
 )
@@ -82,37 +80,6 @@ def test_measurements_are_the_derivative_of_the_residuals():
     np.testing.assert_allclose(slope, expected, rtol=0.01, atol=0.01 * np.abs(expected).max())
 
 
-def test_rts_is_at_the_minimum_of_the_whole_segment():
-    """Gauss-Newton has arrived: no joint step of all states, solved densely, is worth a tenth of a mm."""
-    made = arm("white", 1, occlusion_lengths_s=(0.5,), duration_s=4.0)
-    scene = scene_of(made)
-    states, camera = start(scene, es.levers_of(scene))
-    signal = InertialSignal(scene.imu)
-    for _ in range(6):
-        chain = linearised(states, camera, signal, scene)
-        error = rts_smoother(chain)
-        states = states.moved(error.mean[..., 0])
-    chain = linearised(states, camera, signal, scene)
-    n, d = len(states.t), es.SIZE
-    rows = [np.linalg.cholesky(np.linalg.inv(chain.covariance)).T @ np.eye(d, n * d)]
-    right = [np.linalg.cholesky(np.linalg.inv(chain.covariance)).T @ chain.mean[:, 0]]
-    gravity_and_more = 1e-12 * np.eye(d)  # constants have no process noise
-    for k in range(n - 1):
-        root = np.linalg.cholesky(np.linalg.inv(chain.Q[k] + gravity_and_more)).T
-        row = np.zeros((d, n * d))
-        row[:, k * d : (k + 1) * d], row[:, (k + 1) * d : (k + 2) * d] = -chain.F[k], np.eye(d)
-        rows.append(root @ row)
-        right.append(root @ chain.drift[k, :, 0])
-    A = np.vstack(rows)
-    normal, gradient = A.T @ A, A.T @ np.concatenate(right)
-    for k in range(n):
-        here = slice(k * d, (k + 1) * d)
-        normal[here, here] += chain.information[k]
-        gradient[here] += chain.vector[k, :, 0]
-    step = np.linalg.solve(normal, gradient).reshape(n, d)
-    assert np.abs(step[:, es.P]).max() < 1e-4
-
-
 def test_ukf_is_the_error_state_filter_where_errors_are_small():
     rng = np.random.default_rng(4)
     made = arm("white", 4, occlusion_lengths_s=NO_GAPS, duration_s=4.0)
@@ -164,14 +131,6 @@ def test_ukf_is_the_error_state_filter_where_errors_are_small():
         )
 
 
-def test_sigma_points_have_the_covariance():
-    rng = np.random.default_rng(1)
-    root = rng.normal(size=(9, 9))
-    points = sigma_points(root @ root.T)
-    np.testing.assert_allclose(points.T @ points / len(points), root @ root.T, atol=1e-10)
-    np.testing.assert_allclose(points.mean(axis=0), 0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("protocol", ["random", "behind"])
 def test_rts_recovers_gaps_to_centimetres(protocol: str):
     squares, worst, angles = [], [], []
@@ -213,19 +172,3 @@ def test_strap_alone_is_enough(baseline: Baseline):
     assert rms(error[4:][~scene.occluded[4:]]) < 0.012
     assert rms(error[scene.occluded]) < (0.02 if baseline is rts else 0.15)
     assert rms(turned_off(made, path.R_K_A)[200:]) < 3.0
-
-
-def test_moved_states_turn_in_the_cameras_frame():
-    R = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
-    states = es.InertialTrajectory(
-        np.zeros(1),
-        np.zeros((1, 3)),
-        np.zeros((1, 3)),
-        R[None],
-        np.zeros((1, 6)),
-        np.zeros((1, 3)),
-        np.zeros((1, 3)),
-    )
-    error = np.zeros((1, es.SIZE))
-    error[0, es.TURN] = [0.0, 0.0, 0.1]
-    np.testing.assert_allclose(states.moved(error).R[0], Rotation.from_rotvec([0, 0, 0.1]).as_matrix() @ R)

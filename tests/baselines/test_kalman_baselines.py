@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -182,33 +180,3 @@ def test_smoother_is_least_squares_over_all_states(seed: int):
     mean, covariance = batch(chain, used=len(chain.information))
     np.testing.assert_allclose(smoothed.mean, mean, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(smoothed.covariance, covariance, rtol=1e-8, atol=1e-8)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_filter_is_least_squares_over_what_was_seen_so_far(seed: int):
-    chain = a_chain(seed)
-    filtered, predicted = kalman_filter(chain)
-    for k in range(len(chain.information)):
-        for estimates, used in ((predicted, k), (filtered, k + 1)):
-            mean, covariance = batch(chain, used)
-            np.testing.assert_allclose(estimates.mean[k], mean[k], rtol=1e-8, atol=1e-8)
-            np.testing.assert_allclose(estimates.covariance[k], covariance[k], rtol=1e-8, atol=1e-8)
-
-
-def test_leading_axes_are_chains_of_their_own():
-    together = a_chain(3, lead=(2,))
-    smoothed = rts_smoother(together)
-    for k in range(2):
-        alone = rts_smoother(
-            replace(
-                together,
-                **{
-                    name: getattr(together, name)[:, k]
-                    for name in ("F", "Q", "drift", "information", "vector")
-                },
-                mean=together.mean[k],
-                covariance=together.covariance[k],
-            )
-        )
-        np.testing.assert_allclose(smoothed.mean[:, k], alone.mean, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(smoothed.covariance[:, k], alone.covariance, rtol=1e-9, atol=1e-9)

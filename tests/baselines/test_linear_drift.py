@@ -95,15 +95,6 @@ def test_the_published_steps(behind: SolvedArm, boundary_s: float):
         np.testing.assert_allclose(path.position[rows], expected, atol=1e-9)
 
 
-def test_the_elbow_is_an_upper_arm_from_the_shoulder(behind: SolvedArm):
-    scene = scene_of(behind)
-    inside = scene.occluded
-    lever, upper_arm = scene.calibration.lever_arms["elbow"], scene.calibration.upper_arm
-    elbow = linear_drift(scene).position[inside] + scene.R_K_A[inside] @ lever.position_m
-    length = np.linalg.norm(elbow - scene.shoulder[inside], axis=1)
-    np.testing.assert_allclose(length, upper_arm.value_m, rtol=1e-9)
-
-
 def test_errors_of_the_papers_size():
     """4.07 cm rms and 14.1 cm at most, each within a factor of 2.5, over three people."""
     squares, largest = [], []

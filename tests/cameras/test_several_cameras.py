@@ -10,7 +10,7 @@ import pytest
 
 from calib.camera_poses import calibrate_cameras, camera_poses, cameras_answer, with_camera_poses
 from calib.file import CalibrationFile
-from smoother.baselines.one_camera import of_best_camera
+from smoother.baselines.scene import of_best_camera
 from smoother.cameras import join_cameras
 from smoother.errors import CalibrationError
 from smoother.evaluation.gaps import hide

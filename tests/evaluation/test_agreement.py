@@ -11,22 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.agreement import agreement, icc_a1, memory, unwound_deg
-from smoother.evaluation.metrics import lag_s, linear_at, truth_at
+from smoother.evaluation.metrics import linear_at, truth_at
 from smoother.evaluation.reference import ReferenceAlignment
 from smoother.evaluation.validate import validate
 from smoother.recording import Truth
-
-
-def test_icc_against_sums_of_squares_by_loops():
-    rng = np.random.default_rng(0)
-    table = rng.normal(size=(30, 1)) * 3 + rng.normal(size=(30, 2)) + [0.0, 0.7]
-    grand = table.mean()
-    rows = sum(2 * (row.mean() - grand) ** 2 for row in table) / 29
-    columns = sum(30 * (table[:, j].mean() - grand) ** 2 for j in range(2)) / 1
-    total = sum((table[i, j] - grand) ** 2 for i in range(30) for j in range(2))
-    error = (total - 29 * rows - columns) / 29
-    expected = (rows - error) / (rows + error + 2 / 30 * (columns - error))
-    assert icc_a1(table)[0] == pytest.approx(expected)
 
 
 def test_an_offset_costs_agreement_though_not_correlation():
@@ -36,16 +24,6 @@ def test_an_offset_costs_agreement_though_not_correlation():
     assert found.rmse == pytest.approx(5)
     assert found.limits_low == pytest.approx(5, abs=1e-9)
     assert found.icc == pytest.approx(1 - 12.5 / (x.var(ddof=1) + 12.5), abs=0.005)
-
-
-def test_limits_of_agreement_hold_95_of_100_differences():
-    rng = np.random.default_rng(2)
-    x = rng.normal(size=20000) * 20
-    y = x + rng.normal(size=20000) * 2 - 1
-    found = agreement(y, x)
-    inside = (y - x > found.limits_low) & (y - x < found.limits_high)
-    assert inside.mean() == pytest.approx(0.95, abs=0.005)
-    assert found.icc_low < found.icc < found.icc_high
 
 
 def test_neighbours_in_time_widen_the_interval():
@@ -73,16 +51,6 @@ def test_little_to_compare_is_none():
     assert found.rmse is None
     assert found.samples == 1
     assert icc_a1(np.ones((5, 2)))[0] is None
-
-
-@pytest.mark.parametrize("late", [0.0, 0.0031, -0.0208, 0.11])
-def test_lag_is_found_between_samples(late):
-    t = np.arange(0, 20, 0.0125)
-    reference = path(t) + 0.02 * np.sin(7 * t)[:, None]
-    answer = path(t - late) + 0.02 * np.sin(7 * (t - late))[:, None]
-    reference[300:500] = np.nan
-    assert lag_s(t, answer, reference) == pytest.approx(late, abs=3e-4)
-    assert lag_s(t, np.zeros_like(answer), reference) is None
 
 
 def _with_joints(t):

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from smoother.errors import RecordingError, SolveError
 from smoother.evaluation.compare import compare
-from smoother.evaluation.gap_table import spread_by_length, spread_of
-from smoother.evaluation.gaps import GapRow
-from smoother.evaluation.hidden_gaps import HiddenGap
-from smoother.evaluation.metrics import lag_s, summarise
+from smoother.evaluation.gap_table import GapRow, spread_by_length, spread_of
+from smoother.evaluation.hidden_gaps import GapErrors, HiddenGap
+from smoother.evaluation.metrics import lag_s
 from smoother.recording import Recording, Truth
 from smoother.result import Recovery
 
@@ -162,8 +161,8 @@ class TestSpread:
 
     def test_by_length_and_method(self):
         def row(length: float, method: str, error: float, failure: str = "") -> GapRow:
-            figures = summarise(np.array([error]), np.zeros(1), np.zeros(1))
-            return GapRow(length, method, 0, HiddenGap(1.0, 1.0 + length), "truth", figures, failure=failure)
+            errors = GapErrors("truth", np.array([error]), np.zeros(1), np.zeros(1))
+            return GapRow(length, method, 0, HiddenGap(1.0, 1.0 + length), errors, failure)
 
         rows = [row(2.0, "b", 0.2), row(0.5, "b", 0.1), row(0.5, "a", 0.3), row(0.5, "b", 0.9, "no answer")]
         found = spread_by_length(rows)

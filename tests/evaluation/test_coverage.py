@@ -19,17 +19,13 @@ from calib.sigma_factor import (
 )
 from smoother.array_types import FloatArray
 from smoother.evaluation import coverage
-from smoother.evaluation.coverage import LEVELS, StatedAndActual, _evenly, camera_residuals, stated_and_actual
+from smoother.evaluation.coverage import LEVELS, StatedAndActual, camera_residuals, stated_and_actual
 from smoother.recording import JOINTS
 
 
 def made(squared: FloatArray, sigma_m: FloatArray | None = None) -> StatedAndActual:
     sigma_m = np.ones(len(squared)) if sigma_m is None else sigma_m
     return StatedAndActual(squared, sigma_m, sigma_m * np.arange(1.0, len(squared) + 1))
-
-
-def test_levels_are_two_percent_apart() -> None:
-    np.testing.assert_allclose(LEVELS, [0.02 * k for k in range(1, 50)])
 
 
 def test_shares_inside_each_region() -> None:
@@ -132,15 +128,6 @@ def test_the_camera_s_residuals() -> None:
         np.testing.assert_allclose(each.error_m, expected.error_m)
 
 
-def test_the_strap_s_own_covariance_comes_first() -> None:
-    answer = recovery()
-    own = answer.joint_covariance["wrist"] * 2.0
-    answer.joint_covariance["strap"] = own
-    rows = np.flatnonzero(answer.residuals.used[:, JOINTS.index("strap")]).tolist()
-    expected = by_hand(answer, "strap", own, 0.006, rows)
-    np.testing.assert_allclose(camera_residuals(answer)["strap"].squared, expected.squared)
-
-
 def test_of_many_samples_some(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coverage, "MOST", 4)
     answer = recovery()
@@ -148,13 +135,6 @@ def test_of_many_samples_some(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = rows[np.rint(np.linspace(0, len(rows) - 1, 4)).astype(int)].tolist()
     expected = by_hand(answer, "wrist", answer.joint_covariance["wrist"], 0.008, rows)
     np.testing.assert_allclose(camera_residuals(answer)["wrist"].squared, expected.squared)
-
-
-def test_rows_that_are_evenly_spaced() -> None:
-    index = np.arange(100, 111)
-    assert _evenly(index, 11) is index
-    assert _evenly(index, 10).tolist() == [100, 101, 102, 103, 104, 106, 107, 108, 109, 110]
-    assert _evenly(index, 3).tolist() == [100, 105, 110] and coverage.MOST == 50_000
 
 
 def test_what_has_no_residuals_has_no_shares() -> None:

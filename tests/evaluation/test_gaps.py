@@ -12,7 +12,7 @@ from arms import make_recording, make_recovery, make_truth, turn
 from calib.sigma_factor import LEVELS
 from smoother.calibration import LeverArm
 from smoother.errors import RecordingError, SolveError
-from smoother.evaluation.gap_table import GapRow, GapTable, pooled, table_of
+from smoother.evaluation.gap_table import GapRow, GapTable, pooled
 from smoother.evaluation.gaps import evaluate_gaps, hide
 from smoother.evaluation.hidden_gaps import (
     GapErrors,
@@ -178,9 +178,9 @@ def test_a_clock_that_drifts_costs_hidden_frames_nothing():
     table = evaluate_gaps(drifting, [1.0], {"graph": lambda copy: recovered_with_drift(copy, even)})
     figures = table.lengths[1.0]["graph"].figures
     assert figures.position_rms_m == pytest.approx(0.005 * np.sqrt(3), rel=0.15)  # the camera's noise
-    for row, errors in zip(table.rows, table.errors, strict=True):
+    for row in table.rows:
         frames = drifting.arm.t_s[row.gap.contains(drifting.arm.t_s)]
-        np.testing.assert_allclose(errors.since_s, frames - row.gap.start_s, atol=1e-9)
+        np.testing.assert_allclose(row.errors.since_s, frames - row.gap.start_s, atol=1e-9)
 
 
 def test_a_clock_that_drifts_moves_no_gap_against_the_truth():
@@ -194,7 +194,8 @@ def test_a_clock_that_drifts_moves_no_gap_against_the_truth():
         return replace(recovery, position=recovery.position + 0.05 * hidden[nearest, None])
 
     table = evaluate_gaps(drifting, [1.0], {"graph": wrong_where_hidden})
-    for row, errors in zip(table.rows, table.errors, strict=True):
+    for row in table.rows:
+        errors = row.errors
         # half a frame at either end belongs to the visible frame beside the gap
         inner = (errors.since_s > 0.04) & (errors.since_s < row.gap.length_s - 0.04)
         assert inner.sum() > 50
@@ -244,12 +245,11 @@ def errors(*metres: float) -> GapErrors:
 
 def row(length_s: float, method: str, of: GapErrors, recording: str = "a", failure: str = "") -> GapRow:
     gap = HiddenGap(5.0, 5.0 + length_s)
-    return GapRow(length_s, method, 0, gap, of.reference, of.figures(), 0.01, 0.4, failure, recording)
+    return GapRow(length_s, method, 0, gap, of, failure, recording)
 
 
 def table(recording: str, *entries: tuple[float, str, GapErrors], notes: tuple[str, ...] = ()) -> GapTable:
-    rows = [row(length, method, of, recording) for length, method, of in entries]
-    return table_of(rows, [of for *_, of in entries], notes)
+    return GapTable(tuple(row(length, method, of, recording) for length, method, of in entries), notes)
 
 
 FIRST = table(
@@ -278,13 +278,12 @@ def test_rows_keep_their_recording_and_notes_stand_once() -> None:
     both = pooled([FIRST, SECOND])
     assert [one.recording for one in both.rows] == ["a", "a", "a", "b", "b"]
     assert both.notes == ("once", "twice")
-    assert len(both.errors) == len(both.rows)
     assert pooled([FIRST]).to_dict() == FIRST.to_dict()
 
 
 def test_a_failed_gap_is_counted() -> None:
     of = errors(np.nan, np.nan)
-    failed = table_of([row(1.0, "graph", of, failure="no answer inside the gap")], [of], [])
+    failed = GapTable((row(1.0, "graph", of, failure="no answer inside the gap"),))
     entry = failed.to_dict()["lengths"][0]["methods"]["graph"]
     assert (entry["gaps"], entry["failed"], entry["unanswered"], entry["rms_m"]) == (1, 1, 2, None)
     assert entry["rms_cm"] is None
@@ -294,11 +293,6 @@ def test_sigma_factors_are_of_one_method() -> None:
     assert [factor.length_s for factor in FIRST.sigma_factors()] == [1.0, 2.0]
     assert [factor.length_s for factor in FIRST.sigma_factors("hold")] == [1.0]
     assert FIRST.sigma_factors("nothing") == ()
-
-
-def test_errors_must_be_those_of_the_rows() -> None:
-    with pytest.raises(ValueError, match="zip"):
-        table_of(FIRST.rows, FIRST.errors[:-1], ())
 
 
 LEVER = np.array([0.01, -0.02, 0.03])

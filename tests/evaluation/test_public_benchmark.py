@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import json
 import os
 from dataclasses import replace
 from pathlib import Path
 
-import device_files
 import numpy as np
 import pytest
-import skeleton_files
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
@@ -94,9 +91,9 @@ def test_gaps_are_frozen():
 def test_trials_and_splits(data: Path, tmp_path: Path):
     found, missing = find_trials(data, list(DATASETS), ("development", "test"))
     assert [(trial.name, trial.split) for trial in found] == [("03_slow", "development"), ("04_fast", "test")]
-    assert [note.split(" is not there")[0] for note in missing] == ["UTD-MHAD", "SmartFallMM", "sevivi"]
-    with pytest.raises(UnoccludeError, match="has no trial of sevivi"):
-        find_trials(data, ["sevivi"], ("test",))
+    assert [note.split(" is not there")[0] for note in missing] == ["UTD-MHAD", "SmartFallMM"]
+    with pytest.raises(UnoccludeError, match="has no trial of utd_mhad"):
+        find_trials(data, ["utd_mhad"], ("test",))
     files = {
         *("utd_mhad/Inertial/a1_s5_t1_inertial.mat", "utd_mhad/Skeleton/a1_s5_t1_skeleton.mat"),
         *("utd_mhad/Inertial/a1_s5_t2_inertial.mat", "utd_mhad/Skeleton/a1_s5_t2_skeleton.mat"),
@@ -116,21 +113,6 @@ def test_trials_and_splits(data: Path, tmp_path: Path):
     ]
     calibrations = DATASETS["utd_mhad"].calibrations(tmp_path / "utd_mhad")
     assert [t.name for t in calibrations.pop("subject 5")] == ["a1_s5_t1"] and not calibrations
-
-
-def test_sevivi_is_read_packed_or_not(tmp_path: Path):
-    folder = tmp_path / "sevivi"
-    session = "joint_synchronization_3d_hand_movement"
-    for part in ("skeletons", "sensors"):
-        (folder / part / session).mkdir(parents=True)
-    skeleton_files.azure_csv(tmp_path / "plain.csv", frames=60)
-    packed = folder / "skeletons" / session / "positions_3d.csv.gz"
-    packed.write_bytes(gzip.compress((tmp_path / "plain.csv").read_bytes()))
-    device_files.xsens_dot(folder / "sensors" / session / "RF.csv")
-    [trial] = DATASETS["sevivi"].find(folder)
-    assert trial.name == f"{session}_RF" and trial.split == "test"
-    recording = DATASETS["sevivi"].open(trial)
-    assert recording.side == "right" and len(recording.arm) == 60 and len(recording.imu) > 5
 
 
 @pytest.mark.real

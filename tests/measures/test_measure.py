@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from measured_arms import recovery_of, simulated, with_draws
-from pydantic import BaseModel
 from scipy.spatial.transform import Rotation
 
 from smoother.calibration import SegmentMounting
 from smoother.errors import UnoccludeError
 from smoother.measures import Measures, MeasureSettings, measure, measure_both
 from smoother.measures.angles import angle_figures, centre_of, centred, zone_figures
-from smoother.measures.definitions import ANGLE_WORDS, MeasureDefinition, definition_of, definitions, interval
+from smoother.measures.definitions import MeasureDefinition, definition_of, interval
 from smoother.measures.symmetry import symmetry_index
 from smoother.result import Estimates, Recovery
 from smoother.result.segment_motion import SegmentMotion
@@ -335,29 +332,3 @@ def test_an_elbow_bent_by_a_known_angle_and_a_level_arm():
     assert rows["elbow_flexion_peak_speed_deg_s"].value == pytest.approx(30 * 2 * np.pi * 0.2, rel=0.01)
     # the hand's way is an arc of 60 degrees, twice a period of 5 s, for two periods
     assert rows["hand_path_length_m"].value == pytest.approx(4 * np.radians(60) * 0.25, rel=0.01)
-
-
-PAGE = (Path(__file__).parents[2] / "docs" / "measures.md").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("key", definitions())
-def test_every_measure_is_there(key: str):
-    angle = next(
-        (name for name in sorted(ANGLE_WORDS, key=len, reverse=True) if key.startswith(f"{name}_")), None
-    )
-    if angle is None:
-        assert f"`{key}`" in PAGE
-    else:
-        assert f"`{angle.removesuffix('_trunk')}`" in PAGE and f"`ANGLE{key.removeprefix(angle)}`" in PAGE
-
-
-def test_every_setting_is_there_with_its_default():
-    table = PAGE[PAGE.index("## Settings") :]
-    for name, field in MeasureSettings.model_fields.items():
-        group = field.default
-        assert isinstance(group, BaseModel) and f"`[{name}]`" in table
-        for leaf, value in group.model_dump().items():
-            rows = [row for row in table.splitlines() if row.startswith("|") and f"`{leaf}`" in row]
-            assert rows, leaf
-            numbers = [float(text) for row in rows for text in re.findall(r"[\d.]+", row.split("|")[2])]
-            assert value is None or value in numbers, leaf

@@ -98,23 +98,6 @@ def ball(radius: float, count: int, seed: int = 0) -> np.ndarray:
     return radius * rng.uniform(size=(count, 1)) ** (1 / 3) * way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
-def sphere(radius: float, count: int) -> np.ndarray:
-    """Fibonacci's points on a sphere."""
-    k = np.arange(count) + 0.5
-    polar, turn = np.arccos(1 - 2 * k / count), np.pi * (1 + 5**0.5) * k
-    return radius * np.stack(
-        [np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1
-    )
-
-
-def test_a_sphere_has_the_volume_of_a_ball():
-    points = sphere(0.5, 600)
-    figures = reach_figures(points, np.zeros(len(points), bool), 0.5, 0.02, 1.0)
-    # a polyhedron with 600 corners fills all but a hundredth or two of the ball
-    assert figures["hand_reach_hull_l"].value == pytest.approx(4e3 / 3 * np.pi * 0.125, rel=0.025)
-    assert figures["hand_reach_sphere_percent"].value == pytest.approx(100.0, rel=0.025)
-
-
 def test_a_cube():
     corners = np.array(list(np.ndindex(2, 2, 2)), float)
     figures = reach_figures(corners, np.arange(8) < 2, 1.0, 0.02, 10.0)
@@ -150,11 +133,6 @@ def test_what_has_no_volume():
     for points in (line, np.zeros((2, 3)), np.full((30, 3), np.nan)):
         figures = reach_figures(points, np.zeros(len(points), bool), 0.5, 0.02, 0.3)
         assert all(np.isnan(figure.value) for figure in figures.values())
-
-
-def test_one_place_in_a_cube():
-    places = voxel_means(np.array([[0.001, 0, 0], [0.003, 0, 0], [0.05, 0, 0]]), 0.02)
-    np.testing.assert_allclose(places, [[0.002, 0, 0], [0.05, 0, 0]])
 
 
 def test_cubes_are_the_different_rows():

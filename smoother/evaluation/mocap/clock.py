@@ -8,7 +8,7 @@ speeds of the joint centres while the camera sees them serve instead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +20,7 @@ from ...result import Recovery
 from ..metrics import orientation_at, position_at
 from .motion import MocapMotion
 
-#: A turn or a way is taken over this time, s.
+#: A turn or a way is taken over this time, s: the camera's noise is small against the way.
 STEP_S = 0.2
 #: Grid of the correlation, Hz.
 GRID_HZ = 50.0
@@ -38,17 +38,17 @@ INDEPENDENT_S = 1.0
 
 @dataclass(frozen=True)
 class MocapClock:
-    """The mocap's clock against the IMU's."""
+    """What was found."""
 
     offset_s: float  # `t_imu = t_mocap (1 + skew) + offset`; times count from the recording's origin
-    sigma_s: float  # `t_imu = t_mocap (1 + skew) + offset`; times count from the recording's origin
+    sigma_s: float
     skew: float  # Parts (1e-6 = 1 ppm)
-    skew_sigma: float  # Parts (1e-6 = 1 ppm)
+    skew_sigma: float
     correlation: float  # Of the speeds at that offset, -1 to 1
     by: str  # What was compared
     R_A_P: FloatArray | None = None  # (3, 3): the plate's rotation in the IMU where it was solved
     mount_sigma_rad: float = float("nan")  # Its sigma; nan where it was not
-    notes: tuple[str, ...] = field(default_factory=tuple)  # Notes on it, one sentence each
+    notes: tuple[str, ...] = ()  # Notes on it, one sentence each
 
     def to_imu(self, t_mocap: FloatArray) -> FloatArray:
         """Mocap times on the IMU's clock, s."""
@@ -80,7 +80,7 @@ def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
     if rivals:
         text = ", ".join(f"{1000 * (other - lag):+.0f} ms" for other in rivals)
         note = f"The motion repeats itself: a clock offset other by {text} would fit nearly as well."
-        return MocapClock(**{**vars(clock), "notes": (note,)})
+        return replace(clock, notes=(note,))
     return clock
 
 
@@ -98,10 +98,10 @@ class _Turns:
         self.solves_mount = motion.R_A_P is None
 
     def answer(self, t: FloatArray) -> FloatArray:
-        return _turns(*self._answer, t)
+        return turns_rad(*self._answer, t)
 
     def truth(self, t: FloatArray) -> FloatArray:
-        return _turns(*self._plate, t)
+        return turns_rad(*self._plate, t)
 
     @staticmethod
     def speed(values: FloatArray) -> FloatArray:
@@ -135,10 +135,10 @@ class _Ways:
         ]
 
     def answer(self, t: FloatArray) -> FloatArray:
-        return np.column_stack([_way(*mine, t) for mine, _ in self._pairs])
+        return np.column_stack([way_m(*mine, t) for mine, _ in self._pairs])
 
     def truth(self, t: FloatArray) -> FloatArray:
-        return np.column_stack([_way(*other, t) for _, other in self._pairs])
+        return np.column_stack([way_m(*other, t) for _, other in self._pairs])
 
     @staticmethod
     def speed(values: FloatArray) -> FloatArray:
@@ -147,7 +147,7 @@ class _Ways:
         return np.where(known.all(axis=1), total / STEP_S, np.nan)
 
 
-def _turns(t_known: FloatArray, quaternion: FloatArray, t: FloatArray) -> FloatArray:
+def turns_rad(t_known: FloatArray, quaternion: FloatArray, t: FloatArray) -> FloatArray:
     """Rotation vectors (N, 3) rad from t - step/2 to t + step/2, in the body's axes; nan where unknown."""
     before = orientation_at(t_known, quaternion, t - 0.5 * STEP_S)
     after = orientation_at(t_known, quaternion, t + 0.5 * STEP_S)
@@ -158,7 +158,7 @@ def _turns(t_known: FloatArray, quaternion: FloatArray, t: FloatArray) -> FloatA
     return result
 
 
-def _way(t_known: FloatArray, position: FloatArray, t: FloatArray) -> FloatArray:
+def way_m(t_known: FloatArray, position: FloatArray, t: FloatArray) -> FloatArray:
     """Length (N,) m of the way from t - step/2 to t + step/2; nan where unknown."""
     before = position_at(t_known, position, t - 0.5 * STEP_S)
     return np.asarray(np.linalg.norm(position_at(t_known, position, t + 0.5 * STEP_S) - before, axis=1))

@@ -38,7 +38,7 @@ class CameraFromMocap:
     """The transform, p_K = R_K_E p_E + t_K_E, in the recording's own camera axes."""
 
     R_K_E: FloatArray  # (3, 3) and (3,) m: rotation and translation
-    t_K_E: FloatArray  # (3, 3) and (3,) m: rotation and translation
+    t_K_E: FloatArray
     by: str  # What it was taken from
     rotation_sigma_deg: float = float("nan")  # Square root of the covariance's trace
     translation_sigma_m: float = float("nan")  # Likewise, of the place where the arm was
@@ -56,9 +56,9 @@ def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFr
             f"{source} has no [{TABLE}]; make it with `unocclude calibrate panel`, or leave --calibration out"
             " to align the truth by the motion"
         )
-    rotation, translation = (
-        _numbers(table, key, size, source) for key, size in (("rotation", 4), ("translation", 3))
-    )
+    rotation, translation = numbers(table.get("rotation"), 4), numbers(table.get("translation"), 3)
+    if rotation is None or translation is None:
+        raise CalibrationError(f"{source}: {TABLE} needs rotation (4 numbers) and translation (3 numbers)")
     if abs(np.linalg.norm(rotation) - 1) > 1e-3:
         raise CalibrationError(f"{source}: {TABLE}.rotation must be a unit quaternion [qw, qx, qy, qz]")
     if frame is None:
@@ -69,13 +69,6 @@ def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFr
     R_K_C = FROM_OPTICAL[frame]
     R_C_E = Rotation.from_quat(rotation, scalar_first=True).as_matrix()
     return CameraFromMocap(R_K_C @ R_C_E, R_K_C @ translation, f"[{TABLE}] of {source}")
-
-
-def _numbers(table: dict[str, Any], key: str, size: int, source: str) -> FloatArray:
-    values = numbers(table.get(key), size)
-    if values is None:
-        raise CalibrationError(f"{source}: {TABLE}.{key} must be {size} numbers")
-    return values
 
 
 def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> CameraFromMocap:

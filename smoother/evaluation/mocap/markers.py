@@ -57,7 +57,7 @@ class MarkerMap:
     # dict of (3,) m: Places of the plate's markers in the IMU's axes, by name; empty where unknown
     plate_A: dict[str, FloatArray] = field(default_factory=dict)
     R_A_P: FloatArray | None = None  # (3, 3) and (3,) m: rotation and origin of the plate's axes in the IMU's
-    p_A_P: FloatArray | None = None  # (3, 3) and (3,) m: rotation and origin of the plate's axes in the IMU's
+    p_A_P: FloatArray | None = None
     source: str = "the marker map"  # What to call the map in messages
 
 
@@ -182,7 +182,7 @@ class ClusterMotion:
     """The poses of a rigid cluster."""
 
     rotation: FloatArray  # (n, 3, 3) and (n, 3) m: `p_E = rotation p_P + position`; nan where unknown
-    position: FloatArray  # (n, 3, 3) and (n, 3) m: `p_E = rotation p_P + position`; nan where unknown
+    position: FloatArray
     residual_m: FloatArray  # (n,) m: rms distance of the seen markers from the body
     used: BoolArray  # bool (n, m): the marker was used
     mistaken: int  # Single samples that were rejected
@@ -204,9 +204,7 @@ def fit_poses(
 
 
 def find_shape(position: FloatArray) -> FloatArray:  # position (n, m, 3) m
-    """The shape (M, 3) m of a rigid cluster from its motion, in axes of its own; nan for what never
-    showed.
-    """
+    """The shape (M, 3) m of a rigid cluster from its motion, in its own axes; nan for what never showed."""
     finite: BoolArray = np.asarray(np.isfinite(position).all(axis=2))
     rows = np.flatnonzero(finite.sum(axis=1) >= 3)
     if not len(rows):

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...io.tables.markers import Markers
+from ...measures.motion import one_sign
 from ...recording import Truth
 from ..metrics import BRIDGED_S
 from .markers import (
@@ -47,9 +48,9 @@ class MocapMotion:
     # dict of (n, 3) m: Positions by name, in {E}; nan where a marker of theirs was not seen
     landmarks: dict[str, FloatArray] = field(default_factory=dict)
     R_E_P: FloatArray | None = None  # (n, 3, 3) and (n, 3) m: pose of the plate's axes {P}
-    p_E_P: FloatArray | None = None  # (n, 3, 3) and (n, 3) m: pose of the plate's axes {P}
+    p_E_P: FloatArray | None = None
     R_A_P: FloatArray | None = None  # (3, 3) and (3,) m: the plate's axes in the IMU's
-    p_A_P: FloatArray | None = None  # (3, 3) and (3,) m: the plate's axes in the IMU's
+    p_A_P: FloatArray | None = None
     source: str = "the motion capture"  # What to call it in messages
     notes: tuple[str, ...] = ()  # What was decided, one sentence each
 
@@ -75,20 +76,18 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
     _check_unit(positions, markers)
     if marker_map.plate:
         plate = _with_plate(plate, places(marker_map.plate), marker_map)
-    filled = {
-        joint: _filled(plate, each) if joint in ON_FOREARM else (each, 0) for joint, each in positions.items()
-    }
-    joints = {joint: each.mean(axis=1) for joint, (each, _) in filled.items()}
+    shares = []
+    for joint in [each for each in positions if each in ON_FOREARM and plate.R_E_P is not None]:
+        positions[joint], count = _filled(plate, positions[joint])
+        if count:
+            shares.append(f"{joint} {100 * count / positions[joint][..., 0].size:.1f} %")
+    joints = {joint: each.mean(axis=1) for joint, each in positions.items()}
     landmarks = {name: places([marker])[:, 0] for name, marker in marker_map.landmarks.items()}
     notes = list(plate.notes)
-    if any(count for _, count in filled.values()):
-        share = ", ".join(
-            f"{joint} {100 * count / each[..., 0].size:.1f} %"
-            for joint, (each, count) in filled.items()
-            if count
-        )
+    if shares:
         notes.append(
-            f"Markers hidden for up to {LONGEST_S:g} s were filled in the axes of the IMU's plate ({share})."
+            f"Markers hidden for up to {LONGEST_S:g} s were filled in the axes of the IMU's plate"
+            f" ({', '.join(shares)})."
         )
     for joint, centre in joints.items():
         if not np.isfinite(centre).any():
@@ -150,8 +149,7 @@ def _exchanged(joints: dict[str, FloatArray]) -> list[str]:
 
 def _filled(plate: MocapMotion, positions: FloatArray) -> tuple[FloatArray, int]:
     """Markers (N, M, 3) of a joint, filled where hidden for a moment, and how many samples were."""
-    if plate.R_E_P is None or plate.p_E_P is None:
-        return positions, 0
+    assert plate.R_E_P is not None and plate.p_E_P is not None
     parts = [
         fill_on_plate(plate.t_s, positions[:, marker], plate.R_E_P, plate.p_E_P)
         for marker in range(positions.shape[1])
@@ -201,10 +199,8 @@ def _with_plate(motion: MocapMotion, positions: FloatArray, marker_map: MarkerMa
     if poses.mistaken:
         notes.append(f"IMU plate: {poses.mistaken} marker samples lay off the body and were rejected.")
     rotation, position = smoothed(motion.t_s, poses.rotation, poses.position)
-    return MocapMotion(
-        motion.t_s, motion.joints, motion.landmarks, rotation, position, R_A_P, p_A_P, motion.source,
-        (*motion.notes, *notes),
-    )  # fmt: skip
+    posed = replace(motion, R_E_P=rotation, p_E_P=position, notes=(*motion.notes, *notes))
+    return replace(posed, R_A_P=R_A_P, p_A_P=p_A_P)
 
 
 def _in_stated_axes(
@@ -228,9 +224,7 @@ def _in_stated_axes(
 
 
 def smoothed(t_s: FloatArray, rotation: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses low-passed without delay, not across missing frames: cubics about each sample (Savitzky,
-    Golay).
-    """
+    """Poses low-passed without delay, not across missing frames, by cubics (Savitzky, Golay)."""
     known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(position).all(axis=1)
     rotation, position = rotation.copy(), position.copy()
     rotation[~known], position[~known] = np.nan, np.nan
@@ -240,19 +234,12 @@ def smoothed(t_s: FloatArray, rotation: FloatArray, position: FloatArray) -> tup
     period = float(np.median(np.diff(t_s)))
     # a missing frame would shift the samples against the window, so the parts end there
     parts = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > min(1.5 * period, BRIDGED_S)) + 1)
-    quaternions = [_continuous(Rotation.from_matrix(rotation[part]).as_quat()) for part in parts]
+    quaternions = [one_sign(Rotation.from_matrix(rotation[part]).as_quat()) for part in parts]
     for part, smooth in zip(parts, _best_smooth(quaternions, period), strict=True):
         rotation[part] = Rotation.from_quat(smooth).as_matrix()
     for part, smooth in zip(parts, _best_smooth([position[part] for part in parts], period), strict=True):
         position[part] = smooth
     return rotation, position
-
-
-def _continuous(quaternion: FloatArray) -> FloatArray:
-    """The same rotations (n, 4) without jumps of sign."""
-    turned = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
-    quaternion[1:] *= np.cumprod(np.where(turned, -1.0, 1.0))[:, None]
-    return quaternion
 
 
 def _best_smooth(parts: list[FloatArray], period_s: float) -> list[FloatArray]:
